@@ -1,0 +1,1 @@
+"""The simulated cell: one physical truth, one server a protocol, in a process of its own."""

@@ -1,0 +1,32 @@
+"""Noise that depends on what is done and how often, never on when or in which thread.
+
+A draw is keyed by the seed, by what happens ("robot lands on these joints") and by how many times
+it has happened before. So a run is the same figure for figure on a slow and on a fast machine,
+while two visits of one target still differ.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class KeyedNoise:
+    """Draws of unit normal noise for one seed."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+        self._seen: Counter[str] = Counter()
+
+    def normal(self, key: str, size: int) -> NDArray[np.float64]:
+        """Return ``size`` unit normal draws for the next occurrence of ``key``."""
+        self._seen[key] += 1
+        return self.generator(f"{key}#{self._seen[key]}").standard_normal(size)
+
+    def generator(self, key: str) -> np.random.Generator:
+        """Return the generator that belongs to ``key`` alone."""
+        digest = hashlib.sha256(f"{self._seed}/{key}".encode()).digest()
+        return np.random.default_rng(np.frombuffer(digest, dtype=np.uint32))

@@ -1,0 +1,47 @@
+"""The simulated cell's time: paced (real time times a speed) or stepped (as fast as it goes).
+
+In stepped time nothing passes by itself. Time advances by the waits that the engine asks for on
+the control channel, and by the polls of a moving device: each poll lets a third of the motion
+pass, never beyond its end. So a whole run takes the same simulated time whatever the machine.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+
+class PlantTime:
+    """Seconds since power-on, for one plant; safe to use from several threads."""
+
+    def __init__(self, speed: float = math.inf) -> None:
+        self.speed = speed
+        self._lock = threading.Lock()
+        self._stepped_s = 0.0
+        self._start_s = time.monotonic()
+
+    @property
+    def stepped(self) -> bool:
+        """Whether time passes only when it is made to."""
+        return math.isinf(self.speed)
+
+    def now_s(self) -> float:
+        """Return simulated seconds since power-on."""
+        if self.stepped:
+            return self._stepped_s
+        return (time.monotonic() - self._start_s) * self.speed
+
+    def advance(self, duration_s: float) -> None:
+        """Let ``duration_s`` pass at once, in stepped time; paced time passes by itself."""
+        if self.stepped:
+            with self._lock:
+                self._stepped_s += duration_s
+
+    def poll(self, start_s: float, end_s: float) -> float:
+        """Return now, after a poll of something that moves from ``start_s`` to ``end_s``."""
+        if self.stepped:
+            with self._lock:
+                step_s = (end_s - start_s) / 3.0
+                self._stepped_s = max(self._stepped_s, min(end_s, self._stepped_s + step_s))
+        return self.now_s()

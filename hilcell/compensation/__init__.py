@@ -1,0 +1,1 @@
+"""Compensation of position errors: pure functions on measured grids."""

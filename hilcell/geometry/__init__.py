@@ -1,0 +1,1 @@
+"""Pure mathematics of frames, fits and arms: arrays in, arrays out."""

@@ -1,0 +1,189 @@
+"""What the core asks of devices: three small Protocols, their readings and their errors.
+
+A driver is one plain class that satisfies one of these; it is built as ``Driver(options, clock)``
+with its own checked options (``Driver.Options``, a msgspec Struct) and the clock of the cell.
+The trap: a reading is only as good as its age. ``taken_s`` is ``time.monotonic()`` at the moment
+the bytes that carry the reading arrived; nobody may use one older than its limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from threading import Event
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class HilcellError(Exception):
+    """Anything hilcell says to its user in one clear message."""
+
+
+class Stopped(HilcellError):
+    """The operator, or the program's end, asked everything to stop."""
+
+
+class DeviceError(HilcellError):
+    """A device failed: names device, operation, wanted and found values, cause and next act."""
+
+    def __init__(
+        self, device: str, operation: str, found: str, *, wanted: str = "", act: str = ""
+    ) -> None:
+        self.device, self.operation, self.found = device, operation, found
+        self.wanted, self.act = wanted, act
+        parts = f"{device}: {operation}: {found}"
+        parts += f", wanted {wanted}" if wanted else ""
+        super().__init__(parts + (f"; {act}" if act else ""))
+
+
+class DeviceRefused(DeviceError):
+    """The device answers, but is not what the cell file says, or is not allowed to work."""
+
+
+class NoReading(DeviceError):
+    """The device is well, yet this one measurement failed and may be tried again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who answered: every string was cleaned at the driver's edge."""
+
+    device: str
+    model: str
+    serial: str
+    address: str
+
+
+@dataclass(frozen=True, slots=True)
+class RailReading:
+    """Drive and strip at one SYNC: ``position_mm`` of the encoder, ``strip_mm`` of the strip."""
+
+    position_mm: float
+    strip_mm: float
+    velocity_mm_s: float
+    powered: bool
+    taken_s: float
+
+    @property
+    def still(self) -> bool:
+        """Whether the drive reports standstill (NaN is not still)."""
+        return abs(self.velocity_mm_s) < 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class RobotReading:
+    """Joints (6,) in rad, pose (4, 4) of {T} in {B} in mm as the controller states it."""
+
+    joints_rad: Array
+    pose: Array
+    still: bool
+    taken_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerReading:
+    """Mean (3,) of ``samples`` readings in the tracker's frame, 1-sigma ``std_mm`` (3,), air."""
+
+    xyz_mm: Array
+    std_mm: Array
+    samples: int
+    reflector: str
+    temperature_c: float
+    pressure_mbar: float
+    humidity_percent: float
+    taken_s: float
+
+
+class Clock(Protocol):
+    """The time of the cell; a simulated cell's may run faster. Deadlines on wires are real time."""
+
+    def now_s(self) -> float:
+        """Return the cell's time, which never runs back."""
+
+    def wait(self, duration_s: float) -> None:
+        """Let cell time pass; raise `Stopped` within 20 ms of a stop."""
+
+    def check(self) -> None:
+        """Raise `Stopped` if a stop was asked for; to be called in every wait on a wire."""
+
+
+class Rail(Protocol):
+    """A slide on a rail with a drive and an absolute strip. ``stop`` may come from any thread."""
+
+    def connect(self) -> list[Identity]:
+        """Open the wire, verify identities, configure the self-stop; nothing moves."""
+
+    def home(self) -> None:
+        """Find the drive's reference."""
+
+    def move_to(self, position_mm: float) -> None:
+        """Move by the drive's encoder alone; return at standstill; leave the drive holding."""
+
+    def settle(self) -> RailReading:
+        """Return a reading once the strip stands: five fresh ones within one count, velocity 0."""
+
+    def read(self) -> RailReading:
+        """Return a reading asked for after this call began."""
+
+    def hold(self) -> None:
+        """Take the power to move away: drive disabled, brake closed."""
+
+    def stop(self) -> None:
+        """Quick stop, without waiting for an answer."""
+
+    def close(self) -> None:
+        """Leave the slide held and the wire closed."""
+
+
+class Robot(Protocol):
+    """A six-axis robot that goes to joint angles. ``stop`` may come from any thread."""
+
+    def connect(self) -> list[Identity]:
+        """Open the wire, verify identity, mode, tool and base; nothing moves."""
+
+    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
+        """Move all axes (PTP); return the reading at rest, after motion ended."""
+
+    def read(self) -> RobotReading:
+        """Return a reading asked for after this call began."""
+
+    def stop(self) -> None:
+        """Brake on the path, over a connection of its own, without waiting for an answer."""
+
+    def close(self) -> None:
+        """Leave the robot at rest and the wire closed."""
+
+
+class Tracker(Protocol):
+    """A laser tracker: points, finds the reflector, measures. ``stop`` may come from any thread."""
+
+    def connect(self) -> list[Identity]:
+        """Open the wire, initialise, set units, mode and reflector; verify them."""
+
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure the reflector expected at ``near_mm`` (3,), tracker frame; mean of ``samples``.
+
+        Raises `NoReading` when the beam finds nothing there or the result is not good.
+        """
+
+    def stop(self) -> None:
+        """Stop measuring, without waiting for an answer."""
+
+    def close(self) -> None:
+        """Close the wire."""
+
+
+class SimulatedCell(Protocol):
+    """A simulated cell that runs in a process of its own."""
+
+    options: dict[str, dict[str, object]]  # where each device listens: overrides of its options
+    address: str  # of the control channel, HOST:PORT
+
+    def clock(self, stop: Event) -> Clock:
+        """Return the cell's clock; its waits end when ``stop`` is set."""
+
+    def close(self) -> None:
+        """End the process, if it was started here."""

@@ -1,0 +1,1 @@
+"""Runs: state machines, journal, interlocks, the worker and its control."""

@@ -1,0 +1,107 @@
+"""Strict reading of settings: every problem at once, each with its path and the nearest key.
+
+The trap: TOML and msgspec let NaN and infinities through, and msgspec stops at the first problem;
+so each field is converted on its own and every float is checked to be finite.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import msgspec
+
+from hilcell.ports import HilcellError
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+class SettingsError(HilcellError):
+    """Settings refused; ``problems`` lists every one of them."""
+
+    def __init__(self, source: str, problems: list[str]) -> None:
+        self.source, self.problems = source, problems
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        super().__init__(f"{source}: {count}\n" + "\n".join(f"  {line}" for line in problems))
+
+
+def convert(values: Mapping[str, object], kind: type[T], source: str) -> T:
+    """Build ``kind`` from plain values; raises `SettingsError` naming all problems at once."""
+    problems: list[str] = []
+    built = _struct(values, kind, "", problems)
+    if problems:
+        raise SettingsError(source, problems)
+    return typing.cast("T", built)
+
+
+def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: list[str]) -> Any:
+    if not isinstance(values, Mapping):
+        problems.append(f"{path or 'file'}: a table is expected, found {values!r}")
+        return None
+    fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
+    for key in values:
+        if key not in fields:
+            problems.append(_unknown(f"{path}{key}", key, list(fields)))
+    built: dict[str, object] = {}
+    before = len(problems)
+    for key, field in fields.items():
+        if key in values:
+            built[field.name] = _value(values[key], field.type, f"{path}{key}", problems)
+        elif field.required:
+            problems.append(f"{path}{key}: missing")
+    if len(problems) > before:
+        return None
+    try:
+        return kind(**built)
+    except ValueError as error:
+        problems.append(f"{path.rstrip('.') or 'file'}: {error}")
+        return None
+
+
+def _unknown(path: str, key: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(key, known, n=1)
+    hint = f'; did you mean "{near[0]}"?' if near else f"; known here: {', '.join(sorted(known))}"
+    return f"{path}: unknown key{hint}"
+
+
+def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
+    inner = _inner_struct(kind)
+    if inner is not None:
+        return _struct(value, inner, f"{path}.", problems)
+    item = _item_struct(kind)
+    if item is not None and isinstance(value, list):
+        return [_struct(each, item, f"{path}[{n}].", problems) for n, each in enumerate(value)]
+    if not _finite(value):
+        problems.append(f"{path}: {value} is not a finite number")
+        return None
+    try:
+        return msgspec.convert(value, kind, strict=True)
+    except msgspec.ValidationError as error:
+        problems.append(f"{path}: {error}, found {value!r}")
+        return None
+
+
+def _inner_struct(kind: Any) -> type[msgspec.Struct] | None:
+    options = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
+    for option in options:
+        if isinstance(option, type) and issubclass(option, msgspec.Struct):
+            return option
+    return None
+
+
+def _item_struct(kind: Any) -> type[msgspec.Struct] | None:
+    if typing.get_origin(kind) is list:
+        return _inner_struct(typing.get_args(kind)[0])
+    return None
+
+
+def _finite(value: object) -> bool:
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, list):
+        return all(_finite(each) for each in value)
+    return True

@@ -1,0 +1,1 @@
+"""Procedures: what is done and in which order; found through entry points."""
