@@ -1,0 +1,166 @@
+"""The journal: one SQLite file a run, append-only, hash-chained, one commit a record.
+
+What `Journal.append` has returned is durable: it survives kill -9 and power loss (WAL with
+synchronous=FULL). The trap: nothing may be shown, counted or acted upon before that return.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+import threading
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from hilcell.ports import HilcellError
+
+SCHEMA = 1
+Kind = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
+
+_TABLES = """
+CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE record (
+    seq  INTEGER PRIMARY KEY,
+    t    TEXT NOT NULL,
+    kind TEXT NOT NULL,
+    key  TEXT NOT NULL,
+    body TEXT NOT NULL,
+    hash BLOB NOT NULL
+) STRICT;
+CREATE TRIGGER record_is_never_changed BEFORE UPDATE ON record
+BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
+CREATE TRIGGER record_is_never_deleted BEFORE DELETE ON record
+BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
+"""
+
+
+class StorageError(HilcellError):
+    """The journal cannot be written or read."""
+
+
+class Record(msgspec.Struct, frozen=True):
+    """One acknowledged record. ``key`` names its subject; a later one of the key supersedes."""
+
+    seq: int
+    t: str
+    kind: Kind
+    key: str
+    body: dict[str, Any]
+
+    def event(self, run: str) -> dict[str, Any]:
+        """Return the record as the event that faces print."""
+        head = {"run": run, "seq": self.seq, "t": self.t, "kind": self.kind}
+        return head | ({"key": self.key} if self.key else {}) | self.body
+
+
+def chain(before: bytes, record: Record) -> bytes:
+    """Return the hash that ties ``record`` to the hash of the record before it."""
+    canonical = msgspec.json.encode(
+        [record.seq, record.t, record.kind, record.key, record.body], order="sorted"
+    )
+    return hashlib.sha256(before + canonical).digest()
+
+
+class Journal:
+    """A run's journal, open for writing. Safe to use from several threads."""
+
+    def __init__(self, path: Path, run: str, *, create: bool) -> None:
+        self.path, self.run = path, run
+        self._lock = threading.Lock()
+        self._listeners: list[Callable[[Record], None]] = []
+        if not create and not path.is_file():
+            raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
+        try:
+            self._base = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            self._base.execute("PRAGMA journal_mode=WAL")
+            self._base.execute("PRAGMA synchronous=FULL")
+            if create:
+                self._base.executescript(_TABLES)
+                meta = (("schema", str(SCHEMA)), ("run", run))
+                self._base.executemany("INSERT INTO meta VALUES (?, ?)", meta)
+        except sqlite3.Error as error:
+            raise StorageError(f"journal {path}: cannot be opened: {error}") from error
+        self._seq, self._hash = 0, b""
+        for record, stored in _stored(self._base, path):
+            self._seq, self._hash = record.seq, stored
+
+    def listen(self, listener: Callable[[Record], None]) -> None:
+        """Call ``listener`` with every record appended from now on, once it is durable."""
+        self._listeners.append(listener)
+
+    def append(self, kind: Kind, key: str, body: dict[str, Any]) -> Record:
+        """Write one record and return it when it is durable; raises `StorageError`."""
+        with self._lock:
+            moment = datetime.now(UTC).isoformat(timespec="milliseconds")
+            plain = msgspec.to_builtins(body, enc_hook=_plain)
+            record = Record(self._seq + 1, moment, kind, key, plain)
+            digest = chain(self._hash, record)
+            text = msgspec.json.encode(plain).decode()
+            row = (record.seq, record.t, kind, key, text, digest)
+            try:
+                self._base.execute("INSERT INTO record VALUES (?, ?, ?, ?, ?, ?)", row)
+            except sqlite3.Error as error:
+                raise StorageError(
+                    f"journal {self.path}: record {record.seq} could not be stored: {error}; "
+                    f"make room or mend the disk, then `hilcell resume {self.run}`"
+                ) from error
+            self._seq, self._hash = record.seq, digest
+            for listener in self._listeners:
+                listener(record)
+        return record
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            self._base.close()
+
+
+def _plain(value: Any) -> Any:
+    """Turn numpy arrays and scalars into plain numbers."""
+    return value.tolist()
+
+
+def read_journal(path: Path, after: int = 0) -> list[Record]:
+    """Return the records after ``after``; raises `StorageError` where the file is not sound.
+
+    Reading from the first record on verifies the hash chain.
+    """
+    if not path.is_file():
+        raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
+    try:
+        base = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, isolation_level=None)
+        try:
+            return [record for record, _ in _stored(base, path, after)]
+        finally:
+            base.close()
+    except sqlite3.Error as error:
+        raise StorageError(f"journal {path}: cannot be read: {error}") from error
+
+
+def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tuple[Record, bytes]]:
+    """Yield records with their hashes, verified against the chain from ``after`` on."""
+    try:
+        found = dict(base.execute("SELECT name, value FROM meta")).get("schema")
+        if found != str(SCHEMA):
+            raise StorageError(
+                f"journal {path}: schema {found!r}, this hilcell reads {SCHEMA}; "
+                "open it with the version that wrote it"
+            )
+        first = base.execute("SELECT hash FROM record WHERE seq = ?", (after,)).fetchone()
+        before = first[0] if first else b""
+        rows = base.execute("SELECT * FROM record WHERE seq > ? ORDER BY seq", (after,))
+        for wanted, (seq, t, kind, key, body, stored) in enumerate(rows, start=after + 1):
+            record = Record(seq, t, kind, key, msgspec.json.decode(body))
+            before = chain(before, record)
+            if seq != wanted or before != stored:
+                raise StorageError(
+                    f"journal {path}: record {seq} is not the one that was written; "
+                    "the file was changed or damaged, and its results cannot be trusted"
+                )
+            yield record, stored
+    except (sqlite3.DatabaseError, msgspec.DecodeError) as error:
+        raise StorageError(f"journal {path}: damaged or not a journal: {error}") from error
