@@ -1,0 +1,61 @@
+"""The calibration as a chain of frames, read from a run's log.
+
+{L} tracker, {W} world, {B} robot base, {S} slide: ``T_W_L`` comes from the floor nests, ``T_W_B``
+at the grid's station from circles of axes 1 and 6, ``T_W_S`` at every station from slide nests.
+The robot stands rigidly on the slide, so eq 17 gives every station's base frame.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hilcell.cell import Cell, Station
+from hilcell.geometry.frames import apply, inverse
+from hilcell.ports import Array
+
+if TYPE_CHECKING:
+    from hilcell.run.log import Log
+
+
+class Frames:
+    """Frames of a cell: measured where the log has them, nominal before."""
+
+    def __init__(self, cell: Cell, log: Log) -> None:
+        self.cell, self._log = cell, log
+
+    def tracker_in_world(self) -> Array:
+        """Return T_W_L (4, 4)."""
+        if "world" in self._log.frames:
+            return self._log.matrix("world")
+        return self.cell.tracker.pose.matrix()
+
+    def based(self) -> bool:
+        """Whether the base frame was measured."""
+        return "base" in self._log.frames
+
+    def base_in_world(self, station: Station) -> Array:
+        """Return T_W_B (4, 4) at ``station``, by eq 17 where the stations are framed."""
+        reference = self.cell.station_named(self.cell.grid.station)
+        if not self.based():
+            return self.cell.layout.nominal_base(station.rail_mm)
+        base = self._log.matrix("base")
+        if station.name == reference.name:
+            return base
+        if f"station.{station.name}" not in self._log.frames:
+            shift = np.eye(4)
+            travel_mm = station.strip_mm - reference.strip_mm
+            shift[:3, 3] = travel_mm * np.array(self.cell.layout.rail_direction)
+            return shift @ base
+        T_W_S1 = self._log.matrix(f"station.{reference.name}")
+        T_W_Si = self._log.matrix(f"station.{station.name}")
+        return T_W_Si @ inverse(T_W_S1) @ base
+
+    def world_from_tracker(self, xyz_mm: Array) -> Array:
+        """Carry raw positions (N, 3) into {W}."""
+        return apply(self.tracker_in_world(), np.atleast_2d(xyz_mm))
+
+    def tracker_from_world(self, xyz_mm: Array) -> Array:
+        """Carry positions (N, 3) in {W} into the tracker's frame."""
+        return apply(inverse(self.tracker_in_world()), np.atleast_2d(xyz_mm))

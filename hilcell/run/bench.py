@@ -1,0 +1,286 @@
+"""The guarded hands of a run: what procedures move and measure with.
+
+Every motion passes the interlocks with readings taken for it; every measurement is taken at rest
+and journalled before anybody sees it. A point that the journal already holds is returned as it
+is: that, and nothing else, is what makes a run resumable.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration import Frames
+from hilcell.cell import Cell, Nest, Station
+from hilcell.devices import Devices
+from hilcell.geometry.kinematics import forward
+from hilcell.ports import Array, Clock, DeviceError, NoReading, RobotReading, TrackerReading
+from hilcell.run.interlocks import check_joint_limits, check_strip, rail_may_move, robot_may_move
+from hilcell.run.journal import Journal
+from hilcell.run.log import Log, Point
+from hilcell.run.machine import CALIBRATION, StateMachine
+from hilcell.run.strip import approach_station
+
+FLANGE_TOLERANCE_MM = 20.0
+MEASURE_TRIES = 3
+
+
+class Bench:
+    """A cell with its devices open, as one run sees it. Used by the worker thread alone."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        devices: Devices,
+        clock: Clock,
+        journal: Journal,
+        log: Log,
+        *,
+        checkpoint: Callable[[], None],
+        ask: Callable[[str], None],
+    ) -> None:
+        self.cell, self.devices, self.clock = cell, devices, clock
+        self.log, self.frames = log, Frames(cell, log)
+        self.checkpoint = checkpoint
+        self._ask = ask
+        self._journal = journal
+        self._held: Station | None = None
+        self._arm = cell.robot.arm()
+        self._calibration = StateMachine(
+            CALIBRATION, log.states["calibration"], lambda body: journal.append("state", "", body)
+        )
+
+    # -- what was reached ---------------------------------------------------------------------
+
+    def reach(self, trigger: str) -> None:
+        """Take a step of the calibration machine, unless the journal proves that it was taken."""
+        order = CALIBRATION.states
+        target = next(row[2] for row in CALIBRATION.rows if row[0] == trigger)
+        if order.index(self._calibration.state) < order.index(target):
+            self._calibration.fire(trigger)
+
+    def event(self, what: str, **facts: object) -> None:
+        """Journal something worth knowing."""
+        self._journal.append("event", "", {"what": what} | facts)
+
+    def frame(self, key: str, matrix: Array, **facts: object) -> None:
+        """Journal a frame as a homogeneous matrix (4, 4)."""
+        self._journal.append("frame", key, {"matrix": matrix} | facts)
+
+    def verdict(self, key: str, *, holds: bool, **facts: object) -> None:
+        """Journal a judgement; a verdict that does not hold makes the run's exit code 1."""
+        self._journal.append("verdict", key, {"holds": holds} | facts)
+
+    @property
+    def seed(self) -> int:
+        """Return the run's seed, from which random targets are drawn."""
+        return self.log.inputs.seed
+
+    # -- the rail -----------------------------------------------------------------------------
+
+    def home_rail(self) -> None:
+        """Find the drive's reference; the robot goes to its safe pose first."""
+        self._prepare_rail("rail.home", {})
+        self.devices.rail.home()
+        self.devices.rail.hold()
+
+    def rail_to(self, position_mm: float) -> None:
+        """Move by the drive alone, without the strip, and hold."""
+        self._prepare_rail("rail.move", {"position_mm": position_mm})
+        self.devices.rail.move_to(position_mm)
+        self.devices.rail.settle()
+        self._hold_rail()
+
+    def hold_station(self, station: Station, *, anew: bool = False) -> None:
+        """Bring the slide to ``station`` by the strip and hold it there.
+
+        A slide that a resumed run finds at the station, by the strip, stays there.
+        """
+        if self._held == station and not anew:
+            return
+        if not anew and self._stands_at(station):
+            self._held = station
+            self.event("station found held", station=station.name)
+            return
+        self._prepare_rail("rail.approach", {"station": station.name})
+        approach = approach_station(self.devices.rail, self.cell.rail, station)
+        self._hold_rail()
+        reading = self.devices.rail.read()
+        check_strip(self.cell, reading, station, "hold")
+        self._held = station
+        self.event(
+            "station held", station=station.name, tries=approach.tries,
+            strip_mm=reading.strip_mm, rail_mm=reading.position_mm,
+        )  # fmt: skip
+
+    def _stands_at(self, station: Station) -> bool:
+        held = [r.body["station"] for r in self.log.events if r.body["what"] == "station held"]
+        if self.log.session < 2 or not held or held[-1] != station.name:
+            return False
+        reading = self.devices.rail.read()
+        off_mm = abs(reading.strip_mm - station.strip_mm)
+        return reading.still and not reading.powered and off_mm <= self.cell.rail.strip_tolerance_mm
+
+    def rail_referenced(self) -> bool:
+        """Whether drive and absolute strip agree, which proves the drive's reference."""
+        reading = self.devices.rail.read()
+        return abs(reading.position_mm - reading.strip_mm) <= self.cell.rail.slip_limit_mm
+
+    def _prepare_rail(self, action: str, facts: Mapping[str, object]) -> None:
+        self.checkpoint()
+        self._held = None
+        self._park_robot()
+        rail_may_move(self.cell, self.devices.robot.read(), time.monotonic())
+        self._journal.append("intent", "", {"action": action} | facts)
+
+    def _hold_rail(self) -> None:
+        self.devices.rail.hold()
+        self.clock.wait(self.cell.settle.rail_s)
+
+    # -- the robot ----------------------------------------------------------------------------
+
+    def _park_robot(self) -> None:
+        safe_rad = np.radians(self.cell.robot.safe_deg)
+        now = self.devices.robot.read()
+        if bool(np.all(np.abs(now.joints_rad - safe_rad) < 1e-4)):
+            return
+        robot_may_move(self.cell, self.devices.rail.read(), None, time.monotonic())
+        self._journal.append("intent", "", {"action": "robot.park"})
+        self.devices.robot.move_to(safe_rad, self.cell.robot.speed_percent)
+
+    def park_robot(self) -> None:
+        """Bring the robot to its safe pose."""
+        self.checkpoint()
+        self._park_robot()
+
+    def robot_to(self, joints_rad: Array, what: str) -> RobotReading:
+        """Go to joints (6,), every axis from below, and settle.
+
+        Coming from one side on every axis takes the joints' backlash out of the error.
+        """
+        check_joint_limits(self.cell, joints_rad, what)
+        robot_may_move(self.cell, self.devices.rail.read(), self._held, time.monotonic())
+        self._journal.append(
+            "intent", what, {"action": "robot.move", "joints_deg": np.degrees(joints_rad)}
+        )
+        before = joints_rad - np.radians(self.cell.robot.approach_deg)
+        self.devices.robot.move_to(before, self.cell.robot.speed_percent)
+        reading = self.devices.robot.move_to(joints_rad, self.cell.robot.speed_percent)
+        self.clock.wait(self.cell.settle.robot_s)
+        return reading
+
+    # -- measurements -------------------------------------------------------------------------
+
+    def flange_point(
+        self,
+        key: str,
+        group: str,
+        station: Station,
+        joints_rad: Array,
+        *,
+        nominal_mm: Array | None = None,
+    ) -> Point:
+        """Send the reflector on the flange to joints (6,) and measure it, once in a run's life."""
+        if key in self.log.points:
+            return self.log.points[key]
+        self.checkpoint()
+        self.hold_station(station)
+        robot = self.robot_to(joints_rad, key)
+        expected = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
+        reading = self._measure(key, expected[:3, 3], self.cell.tracker.samples)
+        if self.frames.based():
+            self._check_expected(key, reading, expected[:3, 3], FLANGE_TOLERANCE_MM)
+        return self._keep(
+            key, group, station.name, reading,
+            nominal_mm=nominal_mm, smr_mm=self.cell.robot.smr_mm,
+            commanded_deg=np.degrees(joints_rad), joints_deg=np.degrees(robot.joints_rad),
+            pose=robot.pose,
+        )  # fmt: skip
+
+    def floor_point(self, key: str, group: str, nest: Nest) -> Point:
+        """Measure a nest on the floor."""
+        if key in self.log.points:
+            return self.log.points[key]
+        self.checkpoint()
+        reading = self._measure(key, nest.xyz_mm, self.cell.layout.nest_samples)
+        return self._keep(key, group, "", reading)
+
+    def slide_point(self, key: str, group: str, station: Station, nest: Nest) -> Point:
+        """Measure a nest on the slide while ``station`` is held."""
+        if key in self.log.points:
+            return self.log.points[key]
+        self.checkpoint()
+        self.hold_station(station)
+        expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
+        reading = self._measure(key, expected, self.cell.layout.nest_samples)
+        if self.frames.based():
+            self._check_expected(key, reading, expected, 2 * self.cell.layout.nest_tolerance_mm)
+        return self._keep(key, group, station.name, reading)
+
+    def slide_now(self, key: str, group: str, nest: Nest, expected_mm: Array) -> Point:
+        """Measure a nest on the slide wherever the slide stands now; ``expected_mm`` in {W}."""
+        if key in self.log.points:
+            return self.log.points[key]
+        reading = self._measure(key, expected_mm, self.cell.layout.nest_samples)
+        return self._keep(key, group, "", reading, nominal_mm=expected_mm)
+
+    def _measure(self, key: str, expected_mm: Array, samples: int) -> TrackerReading:
+        near_mm = self.frames.tracker_from_world(expected_mm)[0]
+        tracker, reflector = self.devices.tracker, self.cell.tracker.reflector
+        while True:
+            for tries in range(1, MEASURE_TRIES + 1):
+                began_s = time.monotonic()
+                try:
+                    reading = tracker.measure(near_mm, reflector, samples)
+                except NoReading as error:
+                    self.event("no reading", key=key, tries=tries, reason=str(error))
+                    reason = str(error)
+                    continue
+                _check_fresh(key, reading, began_s)
+                return reading
+            self._ask(f"{key}: {reason}")
+
+    def _check_expected(
+        self, key: str, reading: TrackerReading, expected_mm: Array, limit_mm: float
+    ) -> None:
+        found_mm = self.frames.world_from_tracker(reading.xyz_mm)[0]
+        off_mm = float(np.linalg.norm(found_mm - expected_mm))
+        if not off_mm <= limit_mm:
+            raise DeviceError(
+                "Tracker", f"measure {key}", f"reflector {off_mm:.2f} mm from its expected place",
+                wanted=f"<= {limit_mm:.1f} mm",
+                act="another reflector was caught, or tool, base or tracker moved; check, resume",
+            )  # fmt: skip
+
+    def _keep(
+        self, key: str, group: str, station: str, reading: TrackerReading, **facts: Any
+    ) -> Point:
+        rail = self.devices.rail.read()
+        body = {
+            "group": group,
+            "station": station,
+            "reflector": reading.reflector,
+            "xyz_mm": reading.xyz_mm,
+            "std_mm": reading.std_mm,
+            "samples": reading.samples,
+            "temperature_c": reading.temperature_c,
+            "pressure_mbar": reading.pressure_mbar,
+            "humidity_percent": reading.humidity_percent,
+            "session": self.log.session,
+            "rail_mm": rail.position_mm,
+            "strip_mm": rail.strip_mm,
+        }
+        self._journal.append("point", key, body | facts)
+        return self.log.points[key]
+
+
+def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:
+    if not reading.taken_s >= began_s:
+        raise DeviceError(
+            "Tracker", f"measure {key}",
+            f"result is {began_s - reading.taken_s:.3f} s older than its request",
+            act="an answer of an earlier measurement was still under way; resume",
+        )  # fmt: skip

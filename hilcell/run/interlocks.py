@@ -1,0 +1,84 @@
+"""What must be true before anything moves or is measured; pure checks on fresh readings.
+
+Each check raises `Blocked` with the reason in words; NaN never passes. hilcell is not a safety
+function: these interlocks protect the measurement and the machine's peace, not people.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hilcell.cell import Cell, Station
+from hilcell.ports import Array, DeviceError, RailReading, RobotReading
+
+SAFE_POSE_TOLERANCE_DEG = 0.1
+
+
+class Blocked(DeviceError):
+    """An interlock forbids the motion or the measurement."""
+
+
+def check_age(device: str, operation: str, taken_s: float, now_s: float, limit_s: float) -> None:
+    """Refuse a reading older than ``limit_s``, or from the future."""
+    age_s = now_s - taken_s
+    if not -0.001 <= age_s <= limit_s:
+        raise Blocked(
+            device, operation, f"reading is {age_s * 1000:.0f} ms old",
+            wanted=f"<= {limit_s * 1000:.0f} ms", act="the link is slow or stalled; check it",
+        )  # fmt: skip
+
+
+def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
+    """I1: the robot rests at its safe pose, by a reading taken after it stopped."""
+    operation = "rail move blocked"
+    check_age("Robot", operation, robot.taken_s, now_s, cell.settle.reading_age_s)
+    if not robot.still:
+        raise Blocked("Robot", operation, "the robot is moving", wanted="at rest at its safe pose")
+    off_deg = np.abs(np.degrees(robot.joints_rad) - cell.robot.safe_deg)
+    if not bool(np.all(off_deg <= SAFE_POSE_TOLERANCE_DEG)):
+        worst = int(np.nanargmax(off_deg)) if not np.all(np.isnan(off_deg)) else 0
+        raise Blocked(
+            "Robot", operation,
+            f"robot not at safe pose: A{worst + 1} is {np.degrees(robot.joints_rad[worst]):.3f} deg",
+            wanted=f"{cell.robot.safe_deg[worst]:.3f} +-{SAFE_POSE_TOLERANCE_DEG} deg",
+            act="move the robot to its safe pose",
+        )  # fmt: skip
+
+
+def robot_may_move(cell: Cell, rail: RailReading, station: Station | None, now_s: float) -> None:
+    """I2: the slide stands, is held, and the strip reads the station's value."""
+    operation = "robot move blocked"
+    check_age("Rail", operation, rail.taken_s, now_s, cell.settle.reading_age_s)
+    if not rail.still:
+        raise Blocked("Rail", operation, f"slide moves at {rail.velocity_mm_s:.3f} mm/s", wanted="0")
+    if rail.powered:
+        raise Blocked("Rail", operation, "the drive has power to move", wanted="held by the brake")
+    if station is not None:
+        check_strip(cell, rail, station, operation)
+
+
+def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str) -> None:
+    """Refuse a strip reading that is not the station's, to one count beyond the tolerance."""
+    # One count of the strip may flicker at rest; the approach itself was held to the tolerance.
+    limit_mm = 2.0 * cell.rail.strip_tolerance_mm + 1e-9
+    if not abs(rail.strip_mm - station.strip_mm) <= limit_mm:
+        raise Blocked(
+            "Rail", operation, f"station {station.name} not held: strip {rail.strip_mm:.2f} mm",
+            wanted=f"{station.strip_mm:.2f} +-{limit_mm:.2f} mm",
+            act="the slide has moved; resume to approach the station again",
+        )  # fmt: skip
+
+
+def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
+    """Refuse joints (6,) outside the software limits less the margin."""
+    low, high = cell.robot.limits_rad + np.radians(
+        [[cell.robot.joint_margin_deg], [-cell.robot.joint_margin_deg]]
+    )
+    inside = (joints_rad >= low) & (joints_rad <= high)
+    if not bool(np.all(inside)):
+        axis = int(np.argmin(inside))
+        raise Blocked(
+            "Robot", what, f"A{axis + 1} {np.degrees(joints_rad[axis]):.2f} deg",
+            wanted=f"{np.degrees(low[axis]):.1f} .. {np.degrees(high[axis]):.1f} deg",
+            act="move the target or choose another status",
+        )  # fmt: skip

@@ -1,0 +1,141 @@
+"""What a journal says, as typed objects: points, frames, states, the frozen plan.
+
+The same class reads a live run, a finished one and one left by a crash; every result is computed
+from it, so a result can always be rebuilt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hilcell.cell import Cell
+from hilcell.ports import Array
+from hilcell.run.journal import Record
+from hilcell.settings import convert
+
+
+class Point(msgspec.Struct, frozen=True, kw_only=True):
+    """One acknowledged measurement, raw, with all that is needed to use it later.
+
+    ``xyz_mm`` is the mean of ``samples`` in the tracker's frame, ``nominal_mm`` the nominal target
+    in {W}; joints in deg, ``pose`` is what the controller said, row by row.
+    """
+
+    key: str
+    group: str
+    station: str
+    reflector: str
+    xyz_mm: tuple[float, float, float]
+    std_mm: tuple[float, float, float]
+    samples: int
+    temperature_c: float
+    pressure_mbar: float
+    humidity_percent: float
+    session: int
+    frame: str = "tracker"
+    nominal_mm: tuple[float, float, float] | None = None
+    smr_mm: tuple[float, float, float] | None = None
+    commanded_deg: tuple[float, ...] | None = None
+    joints_deg: tuple[float, ...] | None = None
+    pose: tuple[tuple[float, ...], ...] | None = None
+    rail_mm: float | None = None
+    strip_mm: float | None = None
+
+
+class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """The frozen inputs of a run."""
+
+    procedure: str
+    cell: dict[str, Any]
+    digest: str
+    seed: int
+    speed: float | None
+    unattended: bool
+    operator: str
+    job: str
+    simulated: bool
+    versions: dict[str, str]
+    settings: dict[str, str]
+    steps: list[dict[str, Any]]
+    points: int
+    duration_s: float
+
+
+class Log:
+    """The journal so far. ``take`` adds one record."""
+
+    def __init__(self, records: Iterable[Record] = ()) -> None:
+        self.plan: PlanRecord | None = None
+        self.points: dict[str, Point] = {}
+        self.frames: dict[str, dict[str, Any]] = {}
+        self.verdicts: dict[str, dict[str, Any]] = {}
+        self.events: list[Record] = []
+        self.states = {"run": "idle", "calibration": "unknown"}
+        self.session = 0
+        self.end: dict[str, Any] | None = None
+        self.fault = ""
+        for record in records:
+            self.take(record)
+
+    def take(self, record: Record) -> None:
+        """Add one record."""
+        body = record.body
+        match record.kind:
+            case "plan":
+                self.plan = msgspec.convert(body, PlanRecord)
+            case "state":
+                self._take_state(body)
+            case "point":
+                self.points[record.key] = msgspec.convert(body | {"key": record.key}, Point)
+            case "frame":
+                self.frames[record.key] = body
+            case "verdict":
+                self.verdicts[record.key] = body
+            case "event":
+                self.events.append(record)
+            case "end":
+                self.end = body
+            case "intent":
+                pass
+
+    def _take_state(self, body: dict[str, Any]) -> None:
+        self.states[body["machine"]] = body["to"]
+        if body["machine"] != "run":
+            return
+        if body["to"] == "checking":
+            self.session, self.end, self.fault = self.session + 1, None, ""
+        if body["to"] == "faulted" and not self.fault:
+            self.fault = str(body.get("reason", ""))
+
+    @property
+    def cell(self) -> Cell:
+        """Return the cell as it was frozen when the run began."""
+        return convert(self.inputs.cell, Cell, "the journal's cell")
+
+    @property
+    def inputs(self) -> PlanRecord:
+        """Return the frozen inputs; a run writes them first."""
+        if self.plan is None:
+            raise LookupError("the journal holds no plan yet")
+        return self.plan
+
+    def group(self, name: str, station: str = "") -> list[Point]:
+        """Return the points of a group (and station) in the order of their keys."""
+        return [
+            self.points[key]
+            for key in sorted(self.points)
+            if self.points[key].group == name and station in ("", self.points[key].station)
+        ]
+
+    def matrix(self, frame: str) -> Array:
+        """Return a frame's homogeneous matrix (4, 4)."""
+        return np.array(self.frames[frame]["matrix"], dtype=float)
+
+
+def positions_mm(points: Iterable[Point]) -> Array:
+    """Return the raw positions (N, 3) in the tracker's frame."""
+    return np.array([point.xyz_mm for point in points]).reshape(-1, 3)
