@@ -259,6 +259,8 @@ class Bench:
         self, key: str, group: str, station: str, reading: TrackerReading, **facts: Any
     ) -> Point:
         rail = self.devices.rail.read()
+        if self._held is not None:
+            check_strip(self.cell, rail, self._held, f"after measuring {key}")
         body = {
             "group": group,
             "station": station,
