@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hilcell.cell import Cell, Station
+from hilcell.compensation.correction import corrected
+from hilcell.compensation.grid import Grid
+from hilcell.compensation.interpolation import METHODS
 from hilcell.geometry.frames import apply, inverse
 from hilcell.ports import Array
 
@@ -59,3 +62,32 @@ class Frames:
     def tracker_from_world(self, xyz_mm: Array) -> Array:
         """Carry positions (N, 3) in {W} into the tracker's frame."""
         return apply(inverse(self.tracker_in_world()), np.atleast_2d(xyz_mm))
+
+
+def grid_of(cell: Cell) -> Grid:
+    """Return the cell's grid in {B}."""
+    size_mm = np.array(cell.grid.size_mm)
+    shape = np.round(size_mm / cell.grid.pitch_mm).astype(int) + 1
+    origin_mm = cell.grid.centre.matrix()[:3, 3] - size_mm / 2
+    return Grid(origin_mm, cell.grid.pitch_mm, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+def grid_errors_mm(log: Log) -> Array:
+    """Return the errors e = actual - nominal at the vertices, (nx, ny, nz, 3), in {B}.
+
+    Carried with {B} they are the transferred data of eq 17 at every station.
+    """
+    cell = log.cell
+    T_B_W = inverse(log.matrix("base"))
+    errors_mm = np.full((*grid_of(cell).shape, 3), np.nan)
+    for point in log.group("grid"):
+        i, j, k = (int(part) for part in point.key.split("/")[1].split("-"))
+        both_mm = apply(T_B_W @ log.matrix("world"), np.array([point.xyz_mm]))
+        errors_mm[i, j, k] = both_mm[0] - apply(T_B_W, np.array([point.nominal_mm]))[0]
+    return errors_mm
+
+
+def command_mm(grid: Grid, errors_mm: Array, method: str, targets_mm: Array) -> Array:
+    """Return what to command, (N, 3) in {B}, so that the robot arrives at ``targets_mm``."""
+    interpolate = METHODS[method]
+    return corrected(grid, targets_mm, lambda at_mm: interpolate(grid, errors_mm, at_mm))

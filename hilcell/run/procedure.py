@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from hilcell.cell import Cell
+from hilcell.ports import HilcellError
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log
 
@@ -25,7 +27,6 @@ class Plan:
     """What a run will do. Building it has checked reach, limits and sight of every target."""
 
     steps: list[Step]
-    notes: list[str] = field(default_factory=list)
 
     @property
     def points(self) -> int:
@@ -38,24 +39,59 @@ class Plan:
         return sum(step.duration_s for step in self.steps)
 
 
-class Procedure(Protocol):
-    """A procedure, found through the entry points ``hilcell.procedures``."""
+class Part(Protocol):
+    """One act of a procedure: what it needs, moves, measures and yields, and how it is done."""
 
     name: str
-    summary: str
     needs: str
     moves: str
     measures: str
     yields: str
 
-    def plan(self, cell: Cell, seed: int) -> Plan:
-        """Return the plan; raises `HilcellError` for what cannot be reached or seen."""
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Return the step; raises `HilcellError` for what cannot be reached or seen."""
 
     def perform(self, bench: Bench) -> None:
-        """Do it. Called again from its start on resume: the bench skips what the journal holds."""
+        """Do it. Called again on resume: the bench skips what the journal already holds."""
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Compute this act's share of the result from the log alone."""
+
+
+Table = tuple[list[str], list[list[str]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Procedure:
+    """Acts in their order, found by name through the entry points ``hilcell.procedures``."""
+
+    name: str
+    summary: str
+    parts: tuple[Part, ...]
+    table: Callable[[dict[str, Any]], Table]
+
+    def plan(self, cell: Cell, seed: int) -> Plan:
+        """Return the plan; raises one `HilcellError` with every refusal of every act."""
+        steps, refusals = [], []
+        for part in self.parts:
+            try:
+                steps.append(part.plan(cell, seed))
+            except HilcellError as error:
+                refusals.append(f"{part.name}: {error}")
+        if refusals:
+            raise HilcellError(f"{self.name} refused before anything moves\n" + "\n".join(refusals))
+        return Plan(steps)
+
+    def perform(self, bench: Bench) -> None:
+        """Perform all acts."""
+        for part in self.parts:
+            part.perform(bench)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Compute the result from the log alone."""
-
-    def table(self, result: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-        """Return headers and rows of the result for a person to read."""
+        counts = Counter(point.group for point in log.points.values())
+        result: dict[str, Any] = {"points": dict(sorted(counts.items()))}
+        result["simulated"] = log.inputs.simulated
+        for part in self.parts:
+            result |= part.result(log)
+        return result

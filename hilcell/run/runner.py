@@ -173,7 +173,7 @@ class Runner:
             self._life.fire("stop")
         worker.join(WORKER_S)
         if worker.is_alive():
-            return HilcellError(f"a device call did not return within {WORKER_S:.0f} s of the stop")
+            return DeviceError("Cell", "stop", f"a device call hangs {WORKER_S:.0f} s after the stop")
         return Stopped("stopped by the operator")
 
     def _end(self, error: Exception | None) -> int:
@@ -183,13 +183,27 @@ class Runner:
         if error is not None and not self._stop.is_set():
             self._stop.set()
             self._safe_stop()
-        if error is None:
-            self._close_devices()
-            self._life.fire("finish")
-            return self._report(None)
-        self._judge(error)
         self._close_devices()
-        return self._report(error)
+        if error is None:
+            try:
+                return self._finish()
+            except Exception as caught:  # noqa: BLE001 - a result that cannot be computed is a fault
+                self._fault = error = caught
+        self._judge(error)
+        code = exit_code(error)
+        body = {"state": self._life.state, "exit": code, "result": {}, "reason": str(error)}
+        self._journal.append("end", "", body)
+        return code
+
+    def _finish(self) -> int:
+        if self._life.allows("proceed"):  # a pause that came after the last checkpoint
+            self._life.fire("proceed")
+        result = self._procedure.result(self.log)
+        in_tolerance = all(verdict["holds"] for verdict in self.log.verdicts.values())
+        code = EXIT_OK if in_tolerance else EXIT_OUT_OF_TOLERANCE
+        self._life.fire("finish")
+        self._journal.append("end", "", {"state": "finished", "exit": code, "result": result})
+        return code
 
     def _judge(self, error: Exception) -> None:
         if isinstance(error, Stopped):
@@ -199,17 +213,6 @@ class Runner:
         if not isinstance(error, HilcellError):
             trace = "".join(traceback.format_exception(error))
             self._journal.append("event", "", {"what": "internal error", "trace": trace})
-
-    def _report(self, error: Exception | None) -> int:
-        result = self._procedure.result(self.log) if error is None else {}
-        code = exit_code(error)
-        if error is None and not all(v["holds"] for v in self.log.verdicts.values()):
-            code = EXIT_OUT_OF_TOLERANCE
-        body: dict[str, Any] = {"state": self._life.state, "exit": code, "result": result}
-        if error is not None:
-            body["reason"] = str(error)
-        self._journal.append("end", "", body)
-        return code
 
     # -- stopping -----------------------------------------------------------------------------
 

@@ -1,0 +1,83 @@
+"""{B} from circles: the reflector is swept by axis 1 and by axis 6 (section 4.2, Fig 6)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hilcell.cell import Cell
+from hilcell.geometry.circles import base_frame, fit_circle
+from hilcell.geometry.frames import apply
+from hilcell.geometry.kinematics import forward
+from hilcell.ports import Array
+from hilcell.run.bench import Bench
+from hilcell.run.interlocks import check_joint_limits
+from hilcell.run.log import Log, positions_mm
+from hilcell.run.procedure import Step
+from procedures.plan import robot_point_s
+
+
+class BaseFrame:
+    """z is axis 1, x the axis 6 made orthogonal to it; the height comes from axis 6's centre."""
+
+    name = "base-frame"
+    needs = "the world frame, the grid's station held"
+    moves = "axis 1, then axis 6, each alone"
+    measures = "the flange reflector on two circles"
+    yields = "the robot base in {W}"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse sweeps that leave the joint limits."""
+        for axis in (1, 6):
+            for joints in sweep(cell, axis):
+                check_joint_limits(cell, joints, f"axis {axis} sweep")
+        points = 2 * cell.base_frame.points
+        return Step(self.name, points, points * robot_point_s(cell))
+
+    def perform(self, bench: Bench) -> None:
+        """Sweep, fit and frame."""
+        if "base" in bench.log.frames:
+            return
+        station = bench.cell.station_named(bench.cell.grid.station)
+        circles = []
+        for axis in (1, 6):
+            points = [
+                bench.flange_point(f"base/axis{axis}/{n:03d}", "base", station, joints)
+                for n, joints in enumerate(sweep(bench.cell, axis))
+            ]
+            circles.append(fit_circle(apply(bench.frames.tracker_in_world(), positions_mm(points))))
+        T_W_B = base_frame(*circles, axis_6_height_mm(bench.cell))
+        bench.frame(
+            "base", T_W_B,
+            circle_rms_mm=[circle.rms_mm for circle in circles],
+            radius_mm=[circle.radius_mm for circle in circles],
+        )  # fmt: skip
+        bench.reach("frame_base")
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the base in {W} and how round the circles were."""
+        frame = log.frames["base"]
+        return {"base": {"T_W_B": frame["matrix"], "circle_rms_mm": frame["circle_rms_mm"]}}
+
+
+def sweep(cell: Cell, axis: int) -> Array:
+    """Return the joints (N, 6) in rad of one axis's sweep, others fixed."""
+    table = cell.base_frame
+    fixed, ends = {
+        1: (table.axis_1_deg, table.axis_1_sweep_deg),
+        6: (table.axis_6_deg, table.axis_6_sweep_deg),
+    }[axis]
+    joints_deg = np.tile(fixed, (table.points, 1))
+    joints_deg[:, axis - 1] = np.linspace(*ends, table.points)
+    return np.radians(joints_deg)
+
+
+def axis_6_height_mm(cell: Cell) -> float:
+    """Return the nominal height in {B} of the centre of axis 6's circle: a point on the axis."""
+    arm = cell.robot.arm()
+    on_axis = arm.tool.copy()
+    on_axis[:2, 3] = 0.0
+    pose = forward(replace(arm, tool=on_axis), np.radians(cell.base_frame.axis_6_deg))
+    return float(pose[2, 3])

@@ -1,0 +1,87 @@
+"""The paper's calibration, from power-on to a validated correction, and its acts one by one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hilcell.run.procedure import Procedure, Table
+from procedures.base_frame import BaseFrame
+from procedures.fit import Fit
+from procedures.home import Home
+from procedures.repeatability import Repeatability
+from procedures.robot_grid import RobotGrid
+from procedures.station import HoldStation, StationRepeatability
+from procedures.station_frames import StationFrames
+from procedures.validate import Validate
+from procedures.world_frame import WorldFrame
+
+
+def validation_table(result: dict[str, Any]) -> Table:
+    """Return the errors before and after, station by station, as the paper states them."""
+    headers = ["station", "points", "error of", "mean mm", "p95 mm", "max mm"]
+    rows = []
+    for where, figures in result["validation"].items():
+        for label in ("before", "idw", "chosen", "floor"):
+            if label not in figures:
+                continue
+            each = figures[label]
+            name = f"chosen: {result['method']}" if label == "chosen" else label
+            most = f"{each['max']:.4f}" if "max" in each else ""
+            first = [where, str(figures["points"])] if label == "before" else ["", ""]
+            rows.append([*first, name, f"{each['mean']:.4f}", f"{each['p95']:.4f}", most])
+    return headers, rows
+
+
+def station_table(result: dict[str, Any]) -> Table:
+    """Return what each station's frame is good for."""
+    headers = ["station", "strip mm", "fit rms mm", "tool point u mm"]
+    rows = [
+        [
+            name,
+            f"{each['strip_mm']:.2f}",
+            f"{each['rms_mm']:.4f}",
+            f"{each['tool_uncertainty_mm']:.4f}",
+        ]
+        for name, each in result["stations"].items()
+    ]
+    return headers, rows
+
+
+def approach_table(result: dict[str, Any]) -> Table:
+    """Return range, RP and backlash of the slide without and with the strip."""
+    headers = ["approach", "range mm", "RP mm", "backlash mm"]
+    rows = [
+        [how, *(f"{result['station_repeatability'][how][key]:.4f}" for key in keys)]
+        for how in ("plain", "strip")
+        for keys in (("range_mm", "rp_mm", "backlash_mm"),)
+    ]
+    return headers, rows
+
+
+def point_table(result: dict[str, Any]) -> Table:
+    """Return how many points of each group were measured."""
+    return ["group", "points"], [[name, str(count)] for name, count in result["points"].items()]
+
+
+TO_STATION = (Home(), WorldFrame(), HoldStation())
+TO_GRID = (*TO_STATION, BaseFrame(), RobotGrid())
+
+HOME = Procedure("home", "reference the drive", (Home(),), point_table)
+WORLD_FRAME = Procedure("world-frame", "frame {W}", (Home(), WorldFrame()), point_table)
+STATION_REPEATABILITY = Procedure(
+    "station-repeatability",
+    "15 approaches of a station without and with the strip",
+    (Home(), WorldFrame(), StationRepeatability()),
+    approach_table,
+)
+BASE_FRAME = Procedure("base-frame", "frame {B}", (*TO_STATION, BaseFrame()), point_table)
+ROBOT_GRID = Procedure("robot-grid", "measure the robot's error on the grid", TO_GRID, point_table)
+STATION_FRAMES = Procedure(
+    "station-frames", "frame the slide at every station", (*TO_GRID, StationFrames()), station_table
+)
+CALIBRATE = Procedure(
+    "calibrate",
+    "the paper's calibration, validated before and after at every station",
+    (*TO_GRID, Repeatability(), StationFrames(), Fit(), Validate()),
+    validation_table,
+)

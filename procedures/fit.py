@@ -1,0 +1,56 @@
+"""The grid's data become a correction; cross-validation chooses the interpolation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration import grid_errors_mm, grid_of
+from hilcell.cell import Cell
+from hilcell.compensation.interpolation import cross_validate
+from hilcell.run.bench import Bench
+from hilcell.run.log import Log
+from hilcell.run.procedure import Step
+
+OUTLIER_SIGMAS = 6.0
+
+
+class Fit:
+    """Compares the interpolations by leaving each vertex out, and chooses."""
+
+    name = "fit"
+    needs = "the grid measured, the stations framed"
+    moves = "nothing"
+    measures = "nothing"
+    yields = "the chosen correction"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Return the step."""
+        return Step(self.name, 0, 1.0)
+
+    def perform(self, bench: Bench) -> None:
+        """Journal the choice."""
+        if "fit" not in bench.log.verdicts:
+            figures = self.result(bench.log)
+            bench.verdict("fit", holds=True, method=figures["method"], **figures["fit"])
+        bench.reach("fit")
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the method and its cross-validation."""
+        loocv = cross_validate(grid_of(log.cell), grid_errors_mm(log))
+        method = min(loocv, key=lambda name: loocv[name]["mean"])
+        return {"method": method, "fit": {"loocv": loocv, "outliers": outliers(log)}}
+
+
+def outliers(log: Log) -> list[str]:
+    """Return the keys of vertices whose error stands out from the grid's by many sigmas."""
+    points = log.group("grid")
+    world_mm = np.array([point.nominal_mm for point in points])
+    errors_mm = log.matrix("world")[:3, :3] @ np.array([p.xyz_mm for p in points]).T
+    errors_mm = errors_mm.T + log.matrix("world")[:3, 3] - world_mm
+    off_mm = np.linalg.norm(errors_mm - np.median(errors_mm, axis=0), axis=1)
+    limit_mm = OUTLIER_SIGMAS * 1.4826 * float(np.median(off_mm))
+    return [
+        point.key for point, each_mm in zip(points, off_mm, strict=True) if not each_mm <= limit_mm
+    ]

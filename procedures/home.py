@@ -1,0 +1,37 @@
+"""The robot goes to its safe pose and the drive finds its reference."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hilcell.cell import Cell
+from hilcell.run.bench import Bench
+from hilcell.run.log import Log
+from hilcell.run.procedure import Step
+
+
+class Home:
+    """Park and reference; a resumed run keeps a reference that drive and strip still prove."""
+
+    name = "home"
+    needs = "devices connected"
+    moves = "the robot to its safe pose, then the slide to its reference switch"
+    measures = "nothing"
+    yields = "a referenced drive"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Return the step."""
+        travel_mm = cell.rail.travel_max_mm - cell.rail.travel_min_mm
+        return Step(self.name, 0, 10.0 + travel_mm / cell.rail.speed_mm_s)
+
+    def perform(self, bench: Bench) -> None:
+        """Reference the drive."""
+        bench.reach("connect")
+        resumed = bench.log.states["calibration"] != "connected"
+        if not (resumed and bench.rail_referenced()):
+            bench.home_rail()
+        bench.reach("reference")
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return nothing: homing has no figure."""
+        return {}

@@ -1,0 +1,52 @@
+"""Checks and times that the plans of several procedures share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hilcell.cell import Cell
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.inverse import inverse_kinematics
+from hilcell.ports import Array, HilcellError
+from hilcell.run.interlocks import check_joint_limits
+
+MEASURE_S = 1.0  # one stationary reading with its pointing
+MOVE_S = 4.0  # one robot move with its approach
+
+
+def robot_point_s(cell: Cell) -> float:
+    """Return how long one flange point takes in the cell's time."""
+    return MOVE_S + cell.settle.robot_s + MEASURE_S * cell.tracker.samples
+
+
+def poses_at(cell: Cell, points_mm: Array) -> Array:
+    """Return poses (N, 4, 4) in {B} at ``points_mm`` (N, 3) with the grid's orientation."""
+    poses = np.tile(cell.grid.centre.matrix(), (len(points_mm), 1, 1))
+    poses[:, :3, 3] = points_mm
+    return poses
+
+
+def joints_for(cell: Cell, points_mm: Array) -> Array:
+    """Return joints (N, 6) in rad that nominally reach ``points_mm`` (N, 3) in {B}."""
+    return inverse_kinematics(cell.robot.arm(), poses_at(cell, points_mm), cell.robot.status)
+
+
+def check_reach(cell: Cell, points_mm: Array, what: str) -> Array:
+    """Return the joints (N, 6), or refuse the targets that the robot cannot reach in limits."""
+    joints_rad = joints_for(cell, points_mm)
+    for number, joints in enumerate(joints_rad):
+        check_joint_limits(cell, joints, f"{what} {number}")
+    return joints_rad
+
+
+def check_range(cell: Cell, points_mm: Array, what: str) -> None:
+    """Refuse points (N, 3) in {W} that are nearer or farther than the tracker can measure."""
+    range_mm = np.linalg.norm(apply(inverse(cell.tracker.pose.matrix()), points_mm), axis=1)
+    low, high = cell.tracker.min_range_mm, cell.tracker.max_range_mm
+    seen = (range_mm >= low) & (range_mm <= high)
+    if not bool(np.all(seen)):
+        worst = int(np.argmin(seen))
+        raise HilcellError(
+            f"{what}: {int(np.sum(~seen))} of {len(seen)} out of the tracker's range; the first at "
+            f"{range_mm[worst]:.0f} mm, wanted {low:.0f} .. {high:.0f} mm; move the tracker"
+        )

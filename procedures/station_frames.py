@@ -1,0 +1,105 @@
+"""{S} at every station from nests on the slide (section 4.2, eqs 14-17, Fig 7)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hilcell.cell import Cell, Station
+from hilcell.geometry.frames import (
+    RigidFit,
+    apply,
+    inverse,
+    point_uncertainty,
+    rigid_fit,
+    three_point_frame,
+)
+from hilcell.ports import Array
+from hilcell.run.bench import Bench
+from hilcell.run.log import Log, positions_mm
+from hilcell.run.procedure import Step
+from procedures.plan import MEASURE_S, check_range
+from procedures.world_frame import check_control_points
+
+
+class StationFrames:
+    """Holds each station and measures all slide nests, averaged, before the robot works there."""
+
+    name = "station-frames"
+    needs = "the world frame, reflectors in the slide nests"
+    moves = "the slide from station to station"
+    measures = "every slide nest at every station"
+    yields = "the slide in {W} at every station, with the tool point's uncertainty"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse nests out of the tracker's range at any station."""
+        nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
+        for station in cell.station:
+            world_mm = apply(cell.layout.nominal_base(station.rail_mm), nests_mm)
+            check_range(cell, world_mm, f"slide nests at {station.name}")
+        points = len(nests_mm) * len(cell.station)
+        seconds = points * MEASURE_S * cell.layout.nest_samples + 30.0 * len(cell.station)
+        return Step(self.name, points, seconds)
+
+    def perform(self, bench: Bench) -> None:
+        """Frame the grid's station first: its slide points define {S}."""
+        reference = bench.cell.station_named(bench.cell.grid.station)
+        others = [station for station in bench.cell.station if station != reference]
+        for station in (reference, *others):
+            if f"station.{station.name}" not in bench.log.frames:
+                self._frame(bench, station, reference)
+        bench.reach("frame_stations")
+
+    def _frame(self, bench: Bench, station: Station, reference: Station) -> None:
+        bench.hold_station(station)
+        bench.park_robot()
+        check_control_points(bench)
+        for nest in bench.cell.layout.slide:
+            bench.slide_point(f"slide/{station.name}/{nest.name}", "frames", station, nest)
+        fit = station_fit(bench.log, station, reference)
+        bench.frame(
+            f"station.{station.name}", fit.T, covariance=fit.covariance, rms_mm=fit.rms_mm,
+            strip_mm=bench.log.group("frames", station.name)[-1].strip_mm,
+            tool_uncertainty_mm=tool_uncertainty_mm(bench.cell, fit),
+        )  # fmt: skip
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return frame, strip reading and predicted tool-point uncertainty per station."""
+        return {
+            "stations": {
+                station.name: {
+                    "strip_mm": log.frames[f"station.{station.name}"]["strip_mm"],
+                    "T_W_S": log.frames[f"station.{station.name}"]["matrix"],
+                    "rms_mm": log.frames[f"station.{station.name}"]["rms_mm"],
+                    "tool_uncertainty_mm": log.frames[f"station.{station.name}"][
+                        "tool_uncertainty_mm"
+                    ],
+                }
+                for station in log.cell.station
+            }
+        }
+
+
+def slide_in_world_mm(log: Log, station: Station) -> Array:
+    """Return the slide nests (N, 3) in {W} as measured at ``station``."""
+    by_name = [f"slide/{station.name}/{nest.name}" for nest in log.cell.layout.slide]
+    return apply(log.matrix("world"), positions_mm([log.points[key] for key in by_name]))
+
+
+def station_fit(log: Log, station: Station, reference: Station) -> RigidFit:
+    """Return the fit of T_W_S.
+
+    At the reference eqs 14-16 on its first three nests define {S}; elsewhere {S} is the best fit
+    of all nests to where they were in the reference's {S}.
+    """
+    at_reference_mm = slide_in_world_mm(log, reference)
+    T_S_W = inverse(three_point_frame(*at_reference_mm[:3]))
+    return rigid_fit(apply(T_S_W, at_reference_mm), slide_in_world_mm(log, station))
+
+
+def tool_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:
+    """Return the 1-sigma uncertainty of the grid's centre as carried by the station frame."""
+    nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
+    T_S_B = inverse(three_point_frame(*nests_mm[:3]))
+    return point_uncertainty(fit, apply(T_S_B, cell.grid.centre.matrix()[None, :3, 3])[0])

@@ -1,0 +1,147 @@
+"""Random targets are sent and measured, before and after (sections 5.2-5.3, Figs 12-13)."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration import command_mm, grid_errors_mm, grid_of
+from hilcell.cell import Cell, Station
+from hilcell.geometry.frames import apply
+from hilcell.ports import Array
+from hilcell.run.bench import Bench
+from hilcell.run.log import Log, Point, positions_mm
+from hilcell.run.procedure import Step
+from procedures.plan import check_reach, joints_for, robot_point_s
+from procedures.repeatability import floor
+from procedures.world_frame import check_control_points
+
+MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
+
+
+class Validate:
+    """Every figure comes from targets really sent with that correction and then measured."""
+
+    name = "validate"
+    needs = "the fitted correction, the stations framed"
+    moves = "the slide from station to station, the robot to random targets in the cube"
+    measures = "the flange reflector at every target, before and with each correction"
+    yields = "mean, p95 and maximum of the position error per station"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse targets out of reach."""
+        points = 0
+        for station, targets_mm in targets(cell, seed).items():
+            check_reach(cell, targets_mm, f"target at {station}")
+            points += len(targets_mm)
+        return Step(self.name, 2 * points, 2 * points * robot_point_s(cell))
+
+    def perform(self, bench: Bench) -> None:
+        """Validate at the grid's station, then at the others with transferred data."""
+        grid, errors_mm = grid_of(bench.cell), grid_errors_mm(bench.log)
+        for name, targets_mm in targets(bench.cell, bench.seed).items():
+            station = bench.cell.station_named(name)
+            commands = {"before": targets_mm}
+            for method in sent_methods(bench.log):
+                commands[method] = command_mm(grid, errors_mm, method, targets_mm)
+            for how, command in commands.items():
+                self._send(bench, station, how, targets_mm, command)
+        self._judge(bench)
+        bench.reach("validate")
+
+    def _send(
+        self, bench: Bench, station: Station, how: str, targets_mm: Array, command: Array
+    ) -> None:
+        keys = [f"validate/{station.name}/{how}/{n:03d}" for n in range(len(targets_mm))]
+        if all(key in bench.log.points for key in keys):
+            return
+        if keys[0] not in bench.log.points:
+            check_control_points(bench)
+        nominal_mm = apply(bench.frames.base_in_world(station), targets_mm)
+        joints = joints_for(bench.cell, command)
+        for key, joint, nominal in zip(keys, joints, nominal_mm, strict=True):
+            bench.flange_point(key, f"validate_{how}", station, joint, nominal_mm=nominal)
+
+    def _judge(self, bench: Bench) -> None:
+        limits = bench.cell.validation
+        for where, figures in self.result(bench.log)["validation"].items():
+            chosen = figures["chosen"]
+            holds = (
+                chosen["mean"] <= limits.mean_tolerance_mm
+                and chosen["max"] <= limits.max_tolerance_mm
+            )
+            bench.verdict(
+                f"validation.{where}", holds=holds,
+                mean_mm=chosen["mean"], mean_tolerance_mm=limits.mean_tolerance_mm,
+                max_mm=chosen["max"], max_tolerance_mm=limits.max_tolerance_mm,
+            )  # fmt: skip
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the errors at the grid's station and at the others together."""
+        reference = log.cell.grid.station
+        others = [station.name for station in log.cell.station if station.name != reference]
+        return {
+            "validation": {
+                reference: station_figures(log, [reference]) | {"floor": floor(log)},
+                "others": station_figures(log, others) | {"floor": floor(log)},
+                **{name: station_figures(log, [name]) for name in others},
+            }
+        }
+
+
+def sent_methods(log: Log) -> list[str]:
+    """Return the corrections that are sent: the paper's and the chosen one."""
+    return list(dict.fromkeys(["idw", str(log.verdicts["fit"]["method"])]))
+
+
+def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
+    """Return mean, p95 and max of |e| before, by the paper's IDW and by the chosen method."""
+    chosen = str(log.verdicts["fit"]["method"])
+    figures: dict[str, Any] = {}
+    for label, how in (("before", "before"), ("idw", "idw"), ("chosen", chosen)):
+        points = [p for name in stations for p in log.group(f"validate_{how}", name)]
+        figures["points"] = len(points)
+        figures[label] = figures_of(errors_mm(log, points))
+    return figures
+
+
+def errors_mm(log: Log, points: list[Point]) -> Array:
+    """Return e = actual - nominal in {W}, (N, 3), eq 18 before the norm."""
+    nominal_mm = np.array([point.nominal_mm for point in points])
+    return apply(log.matrix("world"), positions_mm(points)) - nominal_mm
+
+
+def figures_of(errors: Array) -> dict[str, float]:
+    """Return mean, p95 and max of the norms of errors (N, 3)."""
+    norms = np.linalg.norm(errors, axis=1)
+    return {
+        "mean": float(norms.mean()),
+        "p95": float(np.quantile(norms, 0.95)),
+        "max": float(norms.max()),
+    }
+
+
+def targets(cell: Cell, seed: int) -> dict[str, Array]:
+    """Return random targets (N, 3) in {B} by station, the grid's first, stratified by grid cell."""
+    reference = cell.grid.station
+    rng = np.random.default_rng([seed, 2014])
+    grid = grid_of(cell)
+    cells = list(product(*(range(count - 1) for count in grid.shape)))
+    drawn = {reference: _draw(rng, cell, cells * cell.validation.per_cell)}
+    others = [station.name for station in cell.station if station.name != reference]
+    for number, name in enumerate(others):
+        share = cell.validation.others // len(others)
+        share += number < cell.validation.others % len(others)
+        rounds = -(-share // len(cells))
+        drawn[name] = _draw(rng, cell, (cells * rounds)[:share])
+    return drawn
+
+
+def _draw(rng: np.random.Generator, cell: Cell, cells: list[tuple[int, ...]]) -> Array:
+    grid = grid_of(cell)
+    inside = rng.uniform(size=(len(cells), 3))
+    low = grid.origin_mm + np.array(cells) * grid.pitch_mm
+    faces = (grid.origin_mm, grid.origin_mm + np.array(cell.grid.size_mm))
+    return np.clip(low + inside * grid.pitch_mm, faces[0] + MARGIN_MM, faces[1] - MARGIN_MM)

@@ -1,0 +1,89 @@
+"""{W} is constructed from three nests on the floor (section 5.1), the tracker's anchor."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from hilcell.cell import Cell
+from hilcell.geometry.frames import apply, inverse, three_point_frame
+from hilcell.ports import Array, DeviceError
+from hilcell.run.bench import Bench
+from hilcell.run.log import Log, positions_mm
+from hilcell.run.procedure import Step
+from procedures.plan import MEASURE_S, check_range
+
+CONTROL_LIMIT_MM = 0.1
+
+
+class WorldFrame:
+    """Measures the floor nests; on resume it proves first that the tracker has not moved."""
+
+    name = "world-frame"
+    needs = "reflectors in the floor nests"
+    moves = "nothing"
+    measures = "three floor nests, averaged"
+    yields = "the tracker in {W}"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse nests out of the tracker's range."""
+        check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
+        points = len(cell.layout.floor)
+        return Step(self.name, points, points * MEASURE_S * cell.layout.nest_samples)
+
+    def perform(self, bench: Bench) -> None:
+        """Measure the nests and build the frame, or check the frame that the journal holds."""
+        if "world" in bench.log.frames:
+            check_control_points(bench)
+            return
+        nests = bench.cell.layout.floor
+        points = [bench.floor_point(f"world/{nest.name}", "world", nest) for nest in nests]
+        measured_mm = positions_mm(points)
+        check_distances(bench.cell, measured_mm)
+        bench.frame("world", world_from_tracker(bench.cell, measured_mm))
+        bench.reach("frame_world")
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the tracker in {W}."""
+        return {"tracker": {"T_W_L": log.matrix("world").tolist()}}
+
+
+def world_from_tracker(cell: Cell, measured_mm: Array) -> Array:
+    """Return T_W_L (4, 4): the three first floor nests span {W} after eqs 14-16."""
+    nominal_mm = np.array([nest.xyz_mm for nest in cell.layout.floor])
+    return three_point_frame(*nominal_mm[:3]) @ inverse(three_point_frame(*measured_mm[:3]))
+
+
+def check_distances(cell: Cell, measured_mm: Array) -> None:
+    """Refuse nests whose distances are not those of the cell file: swapped, lifted, wrong unit."""
+    nests = cell.layout.floor
+    limit_mm = 2 * cell.layout.nest_tolerance_mm
+    for i, j in combinations(range(len(nests)), 2):
+        wanted_mm = float(np.linalg.norm(nests[i].xyz_mm - nests[j].xyz_mm))
+        found_mm = float(np.linalg.norm(measured_mm[i] - measured_mm[j]))
+        if not abs(found_mm - wanted_mm) <= limit_mm:
+            raise DeviceError(
+                "Tracker", "world frame", f"{nests[i].name} to {nests[j].name} is {found_mm:.2f} mm",
+                wanted=f"{wanted_mm:.2f} +-{limit_mm:.1f} mm",
+                act="nests swapped, a reflector not seated, or wrong units; check, then resume",
+            )  # fmt: skip
+
+
+def check_control_points(bench: Bench) -> None:
+    """Measure the floor nests again and refuse to go on when the tracker has moved."""
+    T_W_L = bench.log.matrix("world")
+    session = bench.log.session
+    for nest in bench.cell.layout.floor:
+        before = bench.log.points[f"world/{nest.name}"]
+        turn = sum(key.endswith(f"/{nest.name}") for key in bench.log.points)
+        now = bench.floor_point(f"control/{session}-{turn}/{nest.name}", "control", nest)
+        moved_mm = np.diff(apply(T_W_L, positions_mm([before, now])), axis=0)[0]
+        off_mm = float(np.linalg.norm(moved_mm))
+        if not off_mm <= CONTROL_LIMIT_MM:
+            raise DeviceError(
+                "Tracker", f"control point {nest.name}", f"moved by {off_mm:.3f} mm",
+                wanted=f"<= {CONTROL_LIMIT_MM:.2f} mm",
+                act="tracker or nest was bumped: points of two set-ups are never mixed; start anew",
+            )  # fmt: skip
