@@ -1,0 +1,226 @@
+"""Frames as (4, 4) matrices, and rigid fits with their uncertainty.
+
+``T_W_B`` carries coordinates of {B} into {W}. A small error of a frame is written as six numbers:
+the shift of its origin (mm) and a rotation vector (rad) about that origin, both with the axes of
+the frame it is stated in. The trap: three points fit a frame and its mirror image equally well,
+so left-handed data show only in four or more points that do not lie in one plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from hilcell.geometry.kinematics import Array
+from hilcell.ports import HilcellError
+
+LEAST_SPREAD = 0.02  # across over along: below this the points count as one line
+LEAST_DEPTH = 1e-3  # out of plane over along: below this handedness cannot be told
+ITERATIONS = 20
+CONVERGED = 1e-13
+
+
+class FrameError(HilcellError):
+    """Points that define no frame, or not the frame that they should."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigidFit:
+    """``b = T a``: fitted frame of a in b, its covariance and what is left over.
+
+    ``covariance`` (6, 6) is that of (shift of a's origin in mm, rotation vector in rad about it),
+    axes of b; ``residuals_mm`` (N, 3) are ``b - T a``.
+    """
+
+    T: Array
+    covariance: Array
+    residuals_mm: Array
+    rms_mm: float
+
+
+def inverse(T: Array) -> Array:
+    """Return the inverse of rigid motions (..., 4, 4)."""
+    R = np.swapaxes(T[..., :3, :3], -1, -2)
+    back = np.zeros_like(T, dtype=float)
+    back[..., :3, :3] = R
+    back[..., :3, 3] = -(R @ T[..., :3, 3, None])[..., 0]
+    back[..., 3, 3] = 1.0
+    return back
+
+
+def apply(T: Array, points: ArrayLike) -> Array:
+    """Carry points (N, 3) by one rigid motion (4, 4)."""
+    carried: Array = np.asarray(points, dtype=float) @ T[:3, :3].T + T[:3, 3]
+    return carried
+
+
+def matrix(R: Array, t: Array) -> Array:
+    """Return the (4, 4) matrix of a rotation (3, 3) and a translation (3,)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    return T
+
+
+def rigid_fit(a_mm: ArrayLike, b_mm: ArrayLike, weights: ArrayLike | None = None) -> RigidFit:
+    """Fit ``b = T a`` to N >= 3 pairs of points (N, 3) by least squares.
+
+    ``weights`` (N,) are relative: the covariance is scaled by the residuals. Covariances
+    (N, 3, 3) of each pair's difference, mm^2 with axes of b, are believed, but the result's is
+    widened where the residuals exceed them. Raises `FrameError` on too few, non-finite,
+    collinear or mirrored points.
+    """
+    a, b = _checked_pair(a_mm, b_mm)
+    W, believed = _information(weights, len(a))
+    T = _procrustes(a, b, np.trace(W, axis1=1, axis2=2))
+    if believed:
+        T = _refined(T, a, b, W)
+    residuals = b - apply(T, a)
+    excess = np.einsum("ni,nij,nj->", residuals, W, residuals) / max(3 * len(a) - 6, 1)
+    if believed:
+        excess = max(1.0, excess)
+    moved = apply(T, a)
+    centroid = moved.mean(axis=0)
+    at_centroid = np.linalg.inv(_normal_matrix(moved - centroid, W)) * excess
+    shift = np.eye(6)
+    shift[:3, 3:] = -cross_matrix(T[:3, 3] - centroid)
+    rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+    return RigidFit(T, shift @ at_centroid @ shift.T, residuals, rms)
+
+
+def point_uncertainty(fit: RigidFit, point_mm: ArrayLike) -> float:
+    """Return 1 sigma (mm, root of the trace) of ``T`` applied at a point (3,) given in a."""
+    lever = fit.T[:3, :3] @ np.asarray(point_mm, dtype=float)
+    J = np.hstack([np.eye(3), -cross_matrix(lever)])
+    return float(np.sqrt(np.trace(J @ fit.covariance @ J.T)))
+
+
+def three_point_frame(p1_mm: ArrayLike, p2_mm: ArrayLike, p3_mm: ArrayLike) -> Array:
+    """Return the station frame (4, 4) of three points, eqs 14-16, with its origin in P1."""
+    points = _checked(np.array([p1_mm, p2_mm, p3_mm], dtype=float), "the frame's points")
+    x = _unit(points[1] - points[0])
+    z = _unit(np.cross(points[1] - points[0], points[2] - points[0]))
+    return matrix(np.column_stack([x, np.cross(z, x), z]), points[0])
+
+
+def pose_from_kuka(
+    x_mm: float, y_mm: float, z_mm: float, a_deg: float, b_deg: float, c_deg: float
+) -> Array:
+    """Return the frame (4, 4) of KUKA's X, Y, Z, A, B, C: Rz(A) Ry(B) Rx(C)."""
+    R = Rotation.from_euler("ZYX", (a_deg, b_deg, c_deg), degrees=True).as_matrix()
+    return matrix(R, np.array([x_mm, y_mm, z_mm]))
+
+
+def kuka_from_pose(T: Array) -> Array:
+    """Return X, Y, Z (mm), A, B, C (deg) of frames (..., 4, 4) as (..., 6); A = 0 at B = +-90."""
+    R = T[..., :3, :3]
+    a = np.arctan2(R[..., 1, 0], R[..., 0, 0])
+    sin_a, cos_a = np.sin(a), np.cos(a)
+    b = np.arctan2(-R[..., 2, 0], cos_a * R[..., 0, 0] + sin_a * R[..., 1, 0])
+    # Of Rz(-A) R = Ry(B) Rx(C), the middle row: well defined at B = +-90 too.
+    c = np.arctan2(
+        sin_a * R[..., 0, 2] - cos_a * R[..., 1, 2], cos_a * R[..., 1, 1] - sin_a * R[..., 0, 1]
+    )
+    angles = np.degrees(np.stack([a, b, c], axis=-1))
+    return np.concatenate([T[..., :3, 3], angles], axis=-1)
+
+
+def cross_matrix(v: Array) -> Array:
+    """Return [v]x (..., 3, 3) of vectors (..., 3), so that ``[v]x w = v x w``."""
+    K = np.zeros((*v.shape, 3))
+    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return K - np.swapaxes(K, -1, -2)
+
+
+def _checked_pair(a_mm: ArrayLike, b_mm: ArrayLike) -> tuple[Array, Array]:
+    a, b = np.asarray(a_mm, dtype=float), np.asarray(b_mm, dtype=float)
+    if a.shape != b.shape:
+        raise FrameError(f"rigid fit: {a.shape} points against {b.shape}; pair them one to one")
+    return _checked(a, "the fit's first set"), _checked(b, "the fit's second set")
+
+
+def _checked(points: Array, what: str) -> Array:
+    """Return points (N, 3) that span a plane; raises `FrameError`."""
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
+        raise FrameError(f"{what}: shape {points.shape}, wanted (N, 3) with N >= 3")
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise FrameError(f"{what}: point {bad[0] + 1} is not finite: {points[bad[0]]} mm")
+    along, across, _ = _spread(points)
+    if not across > LEAST_SPREAD * along:
+        raise FrameError(
+            f"{what}: the points lie on one line (spread {along:.3f} mm along it, {across:.3f} mm "
+            f"across, wanted over {LEAST_SPREAD:.0%}); move one of them aside"
+        )
+    return points
+
+
+def _spread(points: Array) -> tuple[float, float, float]:
+    centred = points - points.mean(axis=0)
+    along, across, depth = np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred), 0.0))[::-1]
+    return float(along), float(across), float(depth)
+
+
+def _information(weights: ArrayLike | None, count: int) -> tuple[Array, bool]:
+    """Return every pair's inverse covariance (N, 3, 3), and whether its scale is known."""
+    given = np.ones(count) if weights is None else np.asarray(weights, dtype=float)
+    if given.shape not in ((count,), (count, 3, 3)):
+        raise FrameError(f"weights: shape {given.shape}, wanted ({count},) or ({count}, 3, 3)")
+    if given.ndim == 1:
+        if not (np.isfinite(given) & (given > 0)).all():
+            raise FrameError(f"weights: all must be finite and above 0, found {given}")
+        return given[:, None, None] * np.eye(3), False
+    if not (np.isfinite(given).all() and (np.linalg.eigvalsh(given) > 0).all()):
+        raise FrameError("covariances: all must be finite and positive definite")
+    return np.linalg.inv(given), True
+
+
+def _procrustes(a: Array, b: Array, weights: Array) -> Array:
+    """Return the best T for scalar weights by SVD; raises `FrameError` on mirrored data."""
+    share = weights / weights.sum()
+    ca, cb = share @ a, share @ b
+    U, _, Vt = np.linalg.svd((a - ca).T @ ((b - cb) * share[:, None]))
+    sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    deep = all(depth > LEAST_DEPTH * along for along, _, depth in (_spread(a), _spread(b)))
+    if sign < 0 and deep:
+        raise FrameError(
+            "rigid fit: only a mirror image fits: one set is left-handed or its points are "
+            "swapped; check the axes of the coordinate system and the points' order"
+        )
+    R = Vt.T @ np.diag([1.0, 1.0, sign]) @ U.T
+    return matrix(R, cb - R @ ca)
+
+
+def _refined(T: Array, a: Array, b: Array, W: Array) -> Array:
+    """Return T after Gauss-Newton with full covariances."""
+    for _ in range(ITERATIONS):
+        moved = apply(T, a)
+        centroid = moved.mean(axis=0)
+        J = _jacobian(moved - centroid)
+        gradient = np.einsum("nij,nik,nk->j", J, W, b - moved)
+        step = np.linalg.solve(_normal_matrix(moved - centroid, W), gradient)
+        R = Rotation.from_rotvec(step[3:]).as_matrix()
+        T = matrix(R, centroid + step[:3] - R @ centroid) @ T
+        if np.linalg.norm(step) <= CONVERGED * (1.0 + np.linalg.norm(centroid)):
+            break
+    return T
+
+
+def _jacobian(levers: Array) -> Array:
+    """Return d(point)/d(shift, rotation vector), (N, 3, 6), at levers (N, 3)."""
+    return np.concatenate(
+        [np.broadcast_to(np.eye(3), (len(levers), 3, 3)), -cross_matrix(levers)], -1
+    )
+
+
+def _normal_matrix(levers: Array, W: Array) -> Array:
+    J = _jacobian(levers)
+    normal: Array = np.einsum("nij,nik,nkl->jl", J, W, J)
+    return normal
+
+
+def _unit(v: Array) -> Array:
+    unit: Array = v / np.linalg.norm(v)
+    return unit

@@ -1,0 +1,205 @@
+"""Rigid fits and frames: properties, refusals, and a peer."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from hilcell.geometry.frames import (
+    FrameError,
+    apply,
+    inverse,
+    kuka_from_pose,
+    point_uncertainty,
+    pose_from_kuka,
+    rigid_fit,
+    three_point_frame,
+)
+
+angle = st.floats(-180, 180)
+length = st.floats(-5000, 5000)
+poses = st.builds(pose_from_kuka, length, length, length, angle, angle, angle)
+seeds = st.integers(0, 2**32 - 1)
+NESTS = np.array(
+    [
+        [350, -350, 60],
+        [350, 350, 60],
+        [-350, 350, 90],
+        [-350, -350, 90],
+        [300, 0, 420],
+        [-300, 0, 450.0],
+    ]
+)
+
+
+@given(poses, seeds, st.integers(3, 6))
+def test_fit_recovers_the_motion(T, seed, count):
+    a = NESTS[:count] + np.random.default_rng(seed).uniform(-50, 50, (count, 3))
+    fit = rigid_fit(a, apply(T, a))
+    np.testing.assert_allclose(fit.T, T, atol=1e-9 * (1 + np.abs(T).max()))
+    assert fit.rms_mm < 1e-8
+
+
+@given(poses, poses, seeds)
+def test_fit_moves_with_either_frame(P, Q, seed):
+    rng = np.random.default_rng(seed)
+    b = NESTS + rng.normal(0, 0.5, NESTS.shape)
+    plain = rigid_fit(NESTS, b)
+    moved = rigid_fit(apply(P, NESTS), apply(Q, b))
+    np.testing.assert_allclose(moved.T, Q @ plain.T @ inverse(P), atol=1e-6)
+    assert moved.rms_mm == pytest.approx(plain.rms_mm, abs=1e-8)
+    tool = np.array([1850.0, 100.0, 950.0])
+    assert point_uncertainty(moved, apply(P, tool[None])[0]) == pytest.approx(
+        point_uncertainty(plain, tool), rel=1e-5
+    )
+
+
+@given(seeds)
+def test_order_and_scale_of_weights_do_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    b, weights = NESTS + rng.normal(0, 0.5, NESTS.shape), rng.uniform(0.5, 2, len(NESTS))
+    order = rng.permutation(len(NESTS))
+    one = rigid_fit(NESTS, b, weights)
+    two = rigid_fit(NESTS[order], b[order], 7 * weights[order])
+    np.testing.assert_allclose(one.T, two.T, atol=1e-10)
+    np.testing.assert_allclose(one.covariance, two.covariance, rtol=1e-8, atol=1e-15)
+
+
+@given(seeds)
+def test_plain_fit_agrees_with_scipy(seed):
+    rng = np.random.default_rng(seed)
+    b = NESTS + rng.normal(0, 0.5, NESTS.shape)
+    peer, _ = Rotation.align_vectors(b - b.mean(axis=0), NESTS - NESTS.mean(axis=0))
+    np.testing.assert_allclose(rigid_fit(NESTS, b).T[:3, :3], peer.as_matrix(), atol=1e-10)
+
+
+@given(seeds)
+def test_equal_isotropic_covariances_change_nothing(seed):
+    b = NESTS + np.random.default_rng(seed).normal(0, 0.5, NESTS.shape)
+    covariances = np.tile(0.25 * np.eye(3), (len(NESTS), 1, 1))
+    np.testing.assert_allclose(rigid_fit(NESTS, b, covariances).T, rigid_fit(NESTS, b).T, atol=1e-9)
+
+
+def test_full_covariances_reach_the_least_cost():
+    rng = np.random.default_rng(5)
+    roots = rng.normal(0, 0.3, (6, 3, 3))
+    covariances = roots @ np.swapaxes(roots, 1, 2) + 1e-3 * np.eye(3)
+    b = NESTS + rng.normal(0, 0.5, NESTS.shape)
+    best = rigid_fit(NESTS, b, covariances)
+    W = np.linalg.inv(covariances)
+
+    def cost(T):
+        r = b - apply(T, NESTS)
+        return np.einsum("ni,nij,nj->", r, W, r)
+
+    for _ in range(50):
+        nudge = pose_from_kuka(*rng.normal(0, 0.01, 3), *rng.normal(0, 0.001, 3))
+        assert cost(nudge @ best.T) > cost(best.T)
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+def test_covariance_predicts_the_scatter_at_the_tool(absolute):
+    rng = np.random.default_rng(1)
+    T, sigma, tool = (
+        pose_from_kuka(1000, -2000, 300, 30, -20, 100),
+        0.02,
+        np.array([1850, 0, 950.0]),
+    )
+    covariances = np.tile(sigma**2 * np.eye(3), (6, 1, 1)) if absolute else None
+    fits = [
+        rigid_fit(NESTS, apply(T, NESTS) + rng.normal(0, sigma, NESTS.shape), covariances)
+        for _ in range(600)
+    ]
+    errors = np.array([apply(fit.T, tool[None])[0] - apply(T, tool[None])[0] for fit in fits])
+    seen = np.sqrt(np.mean(np.sum(errors**2, axis=1)))
+    said = np.sqrt(np.mean([point_uncertainty(fit, tool) ** 2 for fit in fits]))
+    assert said == pytest.approx(seen, rel=0.12 if absolute else 0.08)
+
+
+def test_believed_covariances_widen_when_residuals_exceed_them():
+    b = NESTS + np.random.default_rng(2).normal(0, 0.5, NESTS.shape)
+    tight = rigid_fit(NESTS, b, np.tile(1e-6 * np.eye(3), (6, 1, 1)))
+    plain = rigid_fit(NESTS, b)
+    np.testing.assert_allclose(tight.covariance, plain.covariance, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "says"),
+    [
+        (NESTS[:2], NESTS[:2], "N >= 3"),
+        (NESTS[:3], NESTS[:4], "one to one"),
+        (NESTS, np.where(np.arange(18).reshape(6, 3) == 7, np.nan, NESTS), "point 3 is not finite"),
+        (NESTS, np.where(np.arange(18).reshape(6, 3) == 7, np.inf, NESTS), "point 3 is not finite"),
+        (np.outer([0, 1, 2], [100, 50, 20.0]), NESTS[:3], "on one line"),
+        (NESTS[:3], np.zeros((3, 3)), "on one line"),
+        (NESTS, NESTS * [1, -1, 1], "mirror image"),
+        (NESTS, NESTS[:, [1, 0, 2]], "mirror image"),
+    ],
+)
+def test_fit_refuses(a, b, says):
+    with pytest.raises(FrameError, match=says):
+        rigid_fit(a, b)
+
+
+@pytest.mark.parametrize(
+    "weights",
+    [np.ones(5), np.zeros(6), np.full(6, np.nan), -np.ones(6), np.zeros((6, 3, 3))],
+)
+def test_fit_refuses_weights(weights):
+    with pytest.raises(FrameError):
+        rigid_fit(NESTS, NESTS, weights)
+
+
+def test_plane_nests_fit_although_noise_may_mirror_them():
+    rng = np.random.default_rng(3)
+    flat = NESTS[:4] * [1, 1, 0]
+    for _ in range(50):
+        a, b = flat + rng.normal(0, 0.05, flat.shape), flat + rng.normal(0, 0.05, flat.shape)
+        assert rigid_fit(a, b).rms_mm < 0.3
+
+
+@given(poses, seeds)
+def test_three_point_frame_rides_on_the_slide(T, seed):
+    points = NESTS[:3] + np.random.default_rng(seed).uniform(-50, 50, (3, 3))
+    here, there = three_point_frame(*points), three_point_frame(*apply(T, points))
+    np.testing.assert_allclose(there, T @ here, atol=1e-8)
+
+
+def test_three_point_frame_is_that_of_equations_14_to_16():
+    T = three_point_frame([10, 20, 30], [10, 25, 30], [8, 21, 30])
+    np.testing.assert_allclose(
+        T, [[0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 30], [0, 0, 0, 1]], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("p3", [[2, 0, 0.01], [np.nan, 1, 0], [0, 0, 0]])
+def test_three_point_frame_refuses(p3):
+    with pytest.raises(FrameError):
+        three_point_frame([0, 0, 0], [1, 0, 0], p3)
+
+
+@given(poses)
+def test_kuka_angles_return(T):
+    np.testing.assert_allclose(pose_from_kuka(*kuka_from_pose(T)), T, atol=1e-9)
+
+
+@pytest.mark.parametrize("b_deg", [90.0, -90.0])
+def test_kuka_angles_return_where_they_are_singular(b_deg):
+    T = pose_from_kuka(1, 2, 3, 40, b_deg, -70)
+    np.testing.assert_allclose(pose_from_kuka(*kuka_from_pose(T)), T, atol=1e-12)
+
+
+def test_kuka_angles_of_many_frames_at_once():
+    frames = np.array([pose_from_kuka(1, 2, 3, 10, 20, 30), pose_from_kuka(4, 5, 6, -10, 80, 170)])
+    np.testing.assert_allclose(
+        kuka_from_pose(frames), [[1, 2, 3, 10, 20, 30], [4, 5, 6, -10, 80, 170]]
+    )
+
+
+@given(poses)
+def test_inverse_agrees_with_scipy(T):
+    np.testing.assert_allclose(
+        inverse(T), RigidTransform.from_matrix(T).inv().as_matrix(), atol=1e-8
+    )
+    np.testing.assert_allclose(inverse(np.array([T, T]))[1], inverse(T))
