@@ -1,0 +1,200 @@
+"""Inverse kinematics: round trips by status, limits, refusals; the paper cell's whole cube."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from hilcell.cell import load_cell
+from hilcell.geometry.frames import pose_from_kuka
+from hilcell.geometry.inverse import (
+    ReachError,
+    inverse_kinematics,
+    joint_jacobian,
+    nearest_turns,
+    posture,
+    reach_excess_mm,
+    reachable,
+    refine_inverse,
+    status_of,
+    turn_of,
+)
+from hilcell.geometry.kinematics import forward
+
+CELL = load_cell("paper")
+ARM = CELL.robot.arm()
+LIMITS = CELL.robot.limits_rad
+HOME = np.radians(CELL.robot.home_deg)
+seeds = st.integers(0, 2**32 - 1)
+signs = st.lists(st.sampled_from([-1.0, 1.0]), min_size=6, max_size=6)
+
+
+def joints_of(seed: int, count: int = 20) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-3.1, 3.1, (count, 6))
+
+
+def cube() -> np.ndarray:
+    """The corners and centre of the paper cell's cube, tool orientation of its centre."""
+    poses = np.tile(CELL.grid.centre.matrix(), (27, 1, 1))
+    steps = np.stack(np.meshgrid(*[(-450.0, 0.0, 450.0)] * 3), axis=-1).reshape(-1, 3)
+    poses[:, :3, 3] += steps
+    return poses
+
+
+@given(seeds, signs)
+def test_joints_return_by_their_status(seed, sign):
+    arm = replace(ARM, sign=np.array(sign))
+    joints = joints_of(seed)
+    joints = joints[np.abs(np.sin(joints[:, 4])) > 1e-2]
+    for q, status in zip(joints, status_of(arm, joints), strict=True):
+        found = inverse_kinematics(arm, forward(arm, q), int(status))
+        np.testing.assert_allclose(forward(arm, found), forward(arm, q), atol=1e-8)
+        assert status_of(arm, found) == status
+        if abs(np.linalg.det(joint_jacobian(arm, q))) > 1e4:
+            np.testing.assert_allclose(found, q, atol=1e-9)
+
+
+@given(seeds)
+def test_every_reachable_status_is_a_posture_of_the_pose(seed):
+    poses = forward(ARM, joints_of(seed, 5))
+    for status in range(8):
+        ok = reach_excess_mm(ARM, poses, status) == 0
+        joints = inverse_kinematics(ARM, poses[ok], status)
+        np.testing.assert_allclose(forward(ARM, joints), poses[ok], atol=1e-8)
+        assert (status_of(ARM, joints) == status).all()
+
+
+def test_one_pose_or_many_alike():
+    joints = joints_of(1, 6).reshape(2, 3, 6) * 0.1 + HOME
+    poses = forward(ARM, joints)
+    many = inverse_kinematics(ARM, poses, 6)
+    assert many.shape == (2, 3, 6)
+    np.testing.assert_array_equal(many[1, 2], inverse_kinematics(ARM, poses[1, 2], 6))
+
+
+def test_wrist_singularity_has_a_posture():
+    joints = np.radians([10.0, -80, 100, 0, 0, 25])
+    found = inverse_kinematics(ARM, forward(ARM, joints), 2)
+    np.testing.assert_allclose(forward(ARM, found), forward(ARM, joints), atol=1e-8)
+
+
+def test_home_of_the_paper_cell_has_status_6():
+    assert status_of(ARM, HOME) == 6
+    np.testing.assert_allclose(posture(ARM, forward(ARM, HOME), 6, LIMITS, HOME), HOME, atol=1e-9)
+
+
+def test_whole_cube_keeps_within_limits_in_status_6():
+    joints = posture(ARM, cube(), 6, LIMITS, HOME)
+    margin = np.radians(20.0)
+    assert (joints > LIMITS[0] + margin).all()
+    assert (joints < LIMITS[1] - np.radians(17.0)).all()
+    assert np.ptp(joints[:, 3]) < np.radians(75)  # no half turns of A4 from target to target
+
+
+def test_cube_is_not_reachable_in_every_status():
+    assert reachable(ARM, cube(), 6, LIMITS, HOME).all()
+    assert not reachable(ARM, cube(), 1, LIMITS, HOME).all()
+    assert not reachable(ARM, cube(), 0, LIMITS, HOME).any()
+
+
+def test_message_names_the_first_unreachable_poses_and_by_how_much():
+    poses = np.stack([pose_from_kuka(x, 0, 1000, 0, 90, 0) for x in (1500, 9000, 1600)])
+    with pytest.raises(ReachError, match=r"1 of 3 .* pose 2 by \d+\.\d{3} mm"):
+        inverse_kinematics(ARM, poses, 6)
+    wrist_mm = np.hypot(9000 - 127 - 215 - 330, 1000 + 98 - 645)
+    excess = reach_excess_mm(ARM, poses, 6)
+    assert excess[0] == excess[2] == 0
+    assert excess[1] == pytest.approx(wrist_mm - 1150 - np.hypot(115, 1220), abs=1e-6)
+
+
+def test_excess_is_exact_straight_ahead():
+    straight = ARM.a_mm[0] + ARM.a_mm[1] + np.hypot(ARM.a_mm[2], ARM.d_mm[3])
+    flange = np.eye(4)
+    flange[:3, 3] = (straight + 12.5, 0.0, ARM.d_mm[0] + ARM.d_mm[5])
+    assert reach_excess_mm(ARM, flange @ ARM.tool, 2) == pytest.approx(12.5, abs=1e-9)
+
+
+def test_nan_is_never_reachable():
+    pose = cube()[0]
+    pose[0, 3] = np.nan
+    assert not reachable(ARM, pose, 6, LIMITS, HOME)
+    with pytest.raises(ReachError):
+        inverse_kinematics(ARM, pose, 6)
+    with pytest.raises(ReachError):
+        posture(ARM, pose, 6, LIMITS, HOME)
+
+
+def test_limits_are_named():
+    joints = np.radians([0.0, -90, 90, 0, -30, 0])
+    tight = LIMITS.copy()
+    tight[1, 2] = np.radians(80)
+    with pytest.raises(ReachError, match=r"pose 1 A3 90\.00 deg \(limits -120\.00 \.\. 80\.00\)"):
+        posture(ARM, forward(ARM, joints), 6, tight, HOME)
+
+
+def test_status_out_of_range_is_refused():
+    with pytest.raises(ReachError, match=r"0 \.\. 7"):
+        inverse_kinematics(ARM, cube()[0], 8)
+
+
+@given(seeds)
+def test_turns_are_the_nearest_within_limits(seed):
+    rng = np.random.default_rng(seed)
+    joints, reference = rng.uniform(-np.pi, np.pi, 6), rng.uniform(LIMITS[0], LIMITS[1])
+    turned = nearest_turns(joints, LIMITS, reference)
+    np.testing.assert_allclose(np.exp(1j * turned), np.exp(1j * joints), atol=1e-12)
+    for joint in range(6):
+        options = joints[joint] + 2 * np.pi * np.arange(-3, 4)
+        inside = options[(options >= LIMITS[0, joint]) & (options <= LIMITS[1, joint])]
+        if inside.size:
+            nearest = np.abs(inside - reference[joint]).min()
+            assert abs(turned[joint] - reference[joint]) == pytest.approx(nearest, abs=1e-12)
+
+
+def test_turn_bits():
+    assert turn_of(np.radians([1, -90, 90, 0, -30, -1])) == 0b110010
+    np.testing.assert_array_equal(turn_of(np.zeros((2, 6))), [0, 0])
+
+
+@given(seeds)
+def test_jacobian_against_differences(seed):
+    joints, step = joints_of(seed, 1)[0], 1e-6
+    J = joint_jacobian(ARM, joints)
+    for joint in range(6):
+        nudge = np.eye(6)[joint] * step
+        low, high = forward(ARM, joints - nudge), forward(ARM, joints + nudge)
+        shift = (high[:3, 3] - low[:3, 3]) / (2 * step)
+        turn = Rotation.from_matrix(high[:3, :3] @ low[:3, :3].T).as_rotvec() / (2 * step)
+        np.testing.assert_allclose(J[:, joint], [*shift, *turn], atol=1e-4)
+
+
+@given(seeds)
+def test_refined_inverse_of_a_crooked_arm(seed):
+    rng = np.random.default_rng(seed)
+    true = replace(
+        ARM,
+        a_mm=ARM.a_mm + rng.normal(0, 1, 6),
+        alpha_rad=ARM.alpha_rad + rng.normal(0, 2e-3, 6),
+        beta_rad=rng.normal(0, 2e-3, 6),
+    )
+    start = posture(ARM, cube(), 6, LIMITS, HOME)
+    joints = refine_inverse(true, cube(), start)
+    np.testing.assert_allclose(forward(true, joints), cube(), atol=1e-6)
+    assert np.abs(joints - start).max() < np.radians(2)
+
+
+def test_arm_outside_the_family_is_refused_and_can_be_refined():
+    offset_wrist = replace(ARM, a_mm=ARM.a_mm + 30.0 * np.eye(6)[4])
+    with pytest.raises(ReachError, match=r"a4 \.\. a6 are not"):
+        inverse_kinematics(offset_wrist, cube(), 6)
+    joints = HOME + 0.1
+    found = refine_inverse(offset_wrist, forward(offset_wrist, joints), HOME)
+    np.testing.assert_allclose(found, joints, atol=1e-8)
+
+
+def test_refining_says_when_it_does_not_arrive():
+    with pytest.raises(ReachError, match="pose 1 by"):
+        refine_inverse(ARM, pose_from_kuka(9000, 0, 1000, 0, 90, 0), HOME)
