@@ -1,0 +1,191 @@
+"""The commands: words in, exit code out. Everything heavy is imported by the command that runs.
+
+stdout carries data only; progress and messages go to stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from hilcell import __version__
+
+EPILOG = """\
+exit codes: 0 in tolerance; 1 measured, out of tolerance; 2 refused before anything moved;
+3 device fault, safe-stopped; 4 aborted by the operator; 5 internal error; 6 cell locked by
+another run; 7 storage fault. After 3, 4 and 7, `hilcell resume RUN` continues.
+hilcell is not a safety function: keep the E-stop in reach."""
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="hilcell",
+        description="Calibrates a robot on a cheap rail with a laser tracker, unattended.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"hilcell {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_run(commands)
+    _add_live(commands)
+    _add_past(commands)
+    _add_cell(commands)
+    _add_files(commands)
+    return parser
+
+
+def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    run = _command(commands, "run", "commands.run:run", "perform a procedure on a cell")
+    run.add_argument("procedure", nargs="?", default="calibrate", help="default: calibrate")
+    _cell_options(run)
+    run.add_argument("--seed", type=int, default=1, metavar="N", help="of random targets; of the "
+                     "simulated cell's truth (default: 1)")  # fmt: skip
+    _runs_option(run)
+    run.add_argument("--speed", type=_speed, metavar="X|max", help="of a simulated cell's time: a "
+                     "factor, or as fast as it goes (default: max)")  # fmt: skip
+    run.add_argument("--unattended", action="store_true", help="nobody is there to ask")
+    run.add_argument("--operator", default="", metavar="NAME", help="kept in the journal")
+    run.add_argument("--job", default="", metavar="ID", help="kept in the journal")
+    run.add_argument("--dry-run", action="store_true", help="check and show the plan; open nothing")
+    _json_option(run, "one event a line, as journalled")
+    resume = _command(commands, "resume", "commands.run:resume", "continue a run, or a paused one")
+    _run_argument(resume)
+    resume.add_argument("--unattended", action="store_true", help="nobody is there to ask")
+    _json_option(resume, "one event a line, as journalled")
+
+
+def _add_live(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    for name, text in (
+        ("pause", "pause a live run after the point in flight"),
+        ("stop", "stop a live run now, safely; it can be resumed"),
+    ):
+        command = _command(commands, name, f"commands.live:{name}", text)
+        _run_argument(command)
+        _json_option(command, "the engine's answer")
+    watch = _command(commands, "watch", "commands.live:watch", "follow a run from another terminal")
+    _run_argument(watch)
+    _json_option(watch, "one event a line, as journalled")
+
+
+def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    runs = _command(commands, "runs", "commands.past:runs", "list the runs")
+    _runs_option(runs)
+    _json_option(runs, "one object with all runs")
+    show = _command(commands, "show", "commands.past:show", "show a run, computed from its journal")
+    _run_argument(show)
+    _json_option(show, "one object")
+
+
+def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    check = _command(commands, "check", "commands.cell:check", "check a cell file and its plan")
+    check.add_argument("cell", metavar="CELL", help="a built-in name or a TOML path")
+    _set_option(check)
+    _json_option(check, "one object")
+    sim = _command(commands, "sim", "commands.cell:sim", "run the simulated cell by itself")
+    _cell_options(sim)
+    sim.add_argument("--seed", type=int, default=1, metavar="N", help="of the truth (default: 1)")
+    sim.add_argument("--speed", type=_speed, default=1.0, metavar="X|max", help="default: 1")
+    sim.add_argument("--faults", default="", metavar="FILE", help="faults to inject, TOML")
+    _command(commands, "diagram", "commands.cell:diagram", "print the state machines as Mermaid")
+
+
+def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    fit = _command(commands, "fit", "commands.files:fit", "fit measured data and judge the fit")
+    fit.add_argument("--robot", required=True, metavar="ROBOT.toml", help="nominal DH rows")
+    fit.add_argument("--train", required=True, metavar="A.csv", help="measured rows to learn from")
+    fit.add_argument("--test", metavar="B.csv", help="rows to judge by (default: cross-validation)")
+    _json_option(fit, "one object")
+    compensate = _command(
+        commands, "compensate", "commands.files:compensate", "correct targets by a calibration"
+    )
+    compensate.add_argument("calibration", metavar="CALIBRATION", help="a run or calibration.json")
+    compensate.add_argument("targets", metavar="TARGETS.csv", help="nominal targets in {W}")
+    compensate.add_argument("--station", required=True, metavar="S", help="where they are reached")
+    compensate.add_argument("-o", "--output", required=True, metavar="OUT", help="corrected targets")
+    _runs_option(compensate)
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, act: str, text: str
+) -> argparse.ArgumentParser:
+    parser = commands.add_parser(name, help=text, description=text.capitalize() + ".")
+    parser.set_defaults(act=act)
+    return parser
+
+
+def _cell_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--cell", default="paper", metavar="CELL", help="a built-in name or a TOML "
+                        "path (default: paper, simulated)")  # fmt: skip
+    _set_option(parser)
+
+
+def _set_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--set", action="append", default=[], type=_assignment, metavar="KEY=VALUE",
+                        help="override one value of the cell file; may be repeated")  # fmt: skip
+
+
+def _run_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("run", metavar="RUN", help="a run's name, its beginning, or `last`")
+    _runs_option(parser)
+
+
+def _runs_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--runs", type=Path, default=Path("runs"), metavar="DIR",
+                        help="folder of runs (default: runs)")  # fmt: skip
+
+
+def _json_option(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--json", action="store_true", help=f"print JSON: {text}")
+
+
+def _speed(text: str) -> float:
+    value = math.inf if text == "max" else float(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"a positive factor or max is wanted, found {text!r}")
+    return value
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    key, sign, value = text.partition("=")
+    if not (key and sign):
+        raise argparse.ArgumentTypeError(f"KEY=VALUE is wanted, found {text!r}")
+    return key.strip(), value.strip()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    args = _parser().parse_args(arguments)
+    module, _, function = args.act.partition(":")
+    try:
+        act = getattr(importlib.import_module(f"hilcell.{module}"), function)
+        return int(act(args))
+    except KeyboardInterrupt:
+        print("hilcell: interrupted", file=sys.stderr)
+        return 4
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    except Exception as error:  # noqa: BLE001 - the last place where an error can be told
+        return _refuse(error, as_json=getattr(args, "json", False) and args.command == "run")
+
+
+def _refuse(error: Exception, *, as_json: bool) -> int:
+    from hilcell.exits import EXIT_INTERNAL, exit_code
+
+    code = exit_code(error)
+    if code == EXIT_INTERNAL:
+        traceback.print_exception(error)
+        print("hilcell: this is a defect of hilcell; please report it", file=sys.stderr)
+    else:
+        print(f"hilcell: {error}", file=sys.stderr)
+    if as_json:
+        import json
+
+        end = {"kind": "end", "run": None, "state": "idle", "exit": code, "result": {}}
+        print(json.dumps(end | {"reason": str(error)}))
+    return code

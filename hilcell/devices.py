@@ -14,6 +14,9 @@ from hilcell.ports import Clock, DeviceError, Identity, Rail, Robot, SimulatedCe
 from hilcell.settings import SettingsError, convert
 
 
+TABLES = (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers"))
+
+
 def load_entry(group: str, name: str) -> Any:
     """Return what the entry point ``name`` of ``hilcell.<group>`` names."""
     found = {entry.name: entry for entry in entry_points(group=f"hilcell.{group}")}
@@ -39,17 +42,11 @@ class Devices:
 def build_devices(
     cell: Cell, addresses: Mapping[str, Mapping[str, object]], clock: Clock
 ) -> Devices:
-    """Build the drivers, unopened; raises `SettingsError` with the problems of all of them."""
+    """Build the drivers, unopened, with ``addresses`` in place of the options' own."""
     built: dict[str, Any] = {}
-    problems: list[str] = []
-    for table, group in (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers")):
-        try:
-            kind, options = driver_options(cell, table, group, addresses.get(table, {}))
-            built[table] = kind(options, clock)
-        except SettingsError as error:
-            problems += [f"{table}.options.{line}" for line in error.problems]
-    if problems:
-        raise SettingsError(cell.name, problems)
+    for table, group in TABLES:
+        kind, options = driver_options(cell, table, group, addresses.get(table, {}))
+        built[table] = kind(options, clock)
     return Devices(**built)
 
 
@@ -70,8 +67,20 @@ def driver_options(
     return kind, convert(values | shared.options | dict(addresses), kind.Options, table)
 
 
+def check_options(cell: Cell) -> None:
+    """Check the options of all three drivers; raises `SettingsError` with all problems."""
+    problems: list[str] = []
+    for table, group in TABLES:
+        try:
+            driver_options(cell, table, group, {})
+        except SettingsError as error:
+            problems += [f"{table}.options: {line}" for line in error.problems]
+    if problems:
+        raise SettingsError(cell.name, problems)
+
+
 def start_simulation(
-    cell: Cell, *, seed: int, speed: float, faults: str, session: int
+    cell: Cell, *, seed: int, speed: float, session: int, faults: str = ""
 ) -> SimulatedCell | None:
     """Start the simulated cell beside the engine, where the cell file asks for one."""
     if cell.simulation is None:

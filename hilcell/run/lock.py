@@ -9,9 +9,9 @@ import fcntl
 import hashlib
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import IO
 
 from hilcell.ports import HilcellError
 
@@ -20,47 +20,31 @@ class CellLocked(HilcellError):
     """Another run holds the cell."""
 
 
-class CellLock:
-    """Holds the cell's name in one runs folder, and each device address on this machine."""
+def lock_of_name(runs: Path, cell: str) -> Path:
+    """Return the lock of a cell's name among the runs of one folder."""
+    return runs / f".{cell}.lock"
 
-    def __init__(self, runs: Path, cell: str, addresses: list[str], run: str) -> None:
-        self._run, self._cell = run, cell
-        shared = Path(tempfile.gettempdir()) / f"hilcell-locks-{os.getuid()}"
-        self._paths = [runs / f".{cell}.lock"]
-        self._paths += [shared / hashlib.sha256(a.encode()).hexdigest() for a in addresses]
-        self._files: list[IO[str]] = []
 
-    def __enter__(self) -> CellLock:
-        """Take all locks or none; raises `CellLocked` naming the holder."""
-        for path in self._paths:
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            file = path.open("a+", encoding="utf-8")
-            self._files.append(file)
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                file.seek(0)
-                holder = file.read().strip() or "an unknown run"
-                self._release()
-                raise CellLocked(
-                    f"cell {self._cell} is locked by {holder}; wait for it, or "
-                    "`hilcell stop` it, then start again"
-                ) from None
-        for file in self._files:
-            file.truncate(0)
-            file.write(f"run {self._run}, pid {os.getpid()}")
-            file.flush()
-        return self
+def lock_of_address(address: str) -> Path:
+    """Return the lock of a device's address on this machine."""
+    folder = Path(tempfile.gettempdir()) / f"hilcell-locks-{os.getuid()}"
+    return folder / hashlib.sha256(address.encode()).hexdigest()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Release the locks."""
-        self._release()
 
-    def _release(self) -> None:
-        while self._files:
-            self._files.pop().close()
+@contextmanager
+def locked(path: Path, what: str, run: str) -> Iterator[None]:
+    """Hold the lock at ``path``; raises `CellLocked` naming who holds it."""
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    with path.open("a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            holder = file.read().strip() or "another run"
+            raise CellLocked(
+                f"{what} is locked by {holder}; wait for its end or `hilcell stop` it"
+            ) from None
+        file.truncate(0)
+        file.write(f"run {run} (pid {os.getpid()})")
+        file.flush()
+        yield

@@ -15,19 +15,17 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 from hilcell.cell import Cell
-from hilcell.devices import ConnectFailed, Devices, connect_all
-from hilcell.ports import Clock, DeviceError, DeviceRefused, HilcellError, Stopped
+from hilcell.devices import Devices, connect_all
+from hilcell.exits import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE, exit_code
+from hilcell.ports import Clock, DeviceError, HilcellError, Stopped
 from hilcell.run.bench import Bench
 from hilcell.run.journal import Journal, StorageError
 from hilcell.run.log import Log
 from hilcell.run.machine import RUN, StateMachine
 from hilcell.run.procedure import Procedure
 
-EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_REFUSED, EXIT_FAULT = 0, 1, 2, 3
-EXIT_ABORTED, EXIT_INTERNAL, EXIT_LOCKED, EXIT_STORAGE = 4, 5, 6, 7
 STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
 CLOSE_S = 10.0
@@ -253,23 +251,6 @@ class Runner:
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-
-
-def exit_code(error: Exception | None) -> int:
-    """Return the exit code that says how a run or command ended."""
-    if error is None:
-        return EXIT_OK
-    if isinstance(error, ConnectFailed):
-        refused = all(isinstance(each, DeviceRefused) for each in error.failures.values())
-        return EXIT_REFUSED if refused else EXIT_FAULT
-    table: tuple[tuple[type[Exception], int], ...] = (
-        (Stopped, EXIT_ABORTED),
-        (StorageError, EXIT_STORAGE),
-        (DeviceRefused, EXIT_REFUSED),
-        (DeviceError, EXIT_FAULT),
-        (HilcellError, EXIT_REFUSED),
-    )
-    return next((code for kind, code in table if isinstance(error, kind)), EXIT_INTERNAL)
 
 
 def _each(acts: dict[str, Callable[[], None]], limit_s: float) -> dict[str, str]:

@@ -1,0 +1,34 @@
+# Everything a fresh clone needs: python 3.11 or newer, pip and make.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: run test lint bench lock clean
+
+run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
+	$(BIN)/hilcell run
+
+test: lint  ## lint, then every test, in random order on all cores
+	$(BIN)/python -m pytest -n auto
+
+lint: $(VENV)/ready  ## style, types and the import contract
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/ready  ## timings, as ratios within one run
+	$(BIN)/python -m benchmarks
+
+$(VENV)/ready: requirements.lock pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+lock:  ## pin every dependency by hash, for all supported pythons
+	uv pip compile pyproject.toml --extra dev --extra build --universal --generate-hashes \
+	  --no-emit-index-url --no-header --output-file requirements.lock
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,0 +1,175 @@
+"""The calibration file: what a finished calibration is for others, one JSON schema with a version.
+
+All lengths mm, frames as homogeneous matrices; the errors of the grid stand in {B}, so that they
+hold at every station.
+"""
+
+from __future__ import annotations
+
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from hilcell import __version__
+from hilcell.calibration import Frames, command_mm, grid_errors_mm, grid_of
+from hilcell.compensation.grid import Grid
+from hilcell.geometry.frames import apply, inverse, kuka_from_pose, pose_from_kuka
+from hilcell.ports import Array, HilcellError
+from hilcell.run.log import Log
+from hilcell.settings import SettingsError
+
+SCHEMA = 1
+ORIENTATION_TOLERANCE_DEG = 2.0
+NAME = "calibration.json"
+
+
+class StationEntry(msgspec.Struct, frozen=True):
+    """A station's frames: {B} and {S} in {W}, covariance (6, 6) of {S}, tool-point uncertainty."""
+
+    T_W_B: list[list[float]]
+    T_W_S: list[list[float]]
+    covariance: list[list[float]]
+    tool_uncertainty_mm: float
+    strip_mm: float
+
+
+class Validity(msgspec.Struct, frozen=True):
+    """Where the calibration holds: the cube in {B}, one orientation, the measured temperatures."""
+
+    low_mm: tuple[float, float, float]
+    high_mm: tuple[float, float, float]
+    orientation: list[list[float]]
+    orientation_tolerance_deg: float
+    temperature_c: tuple[float, float]
+
+
+class Provenance(msgspec.Struct, frozen=True):
+    """Where the calibration comes from."""
+
+    run: str
+    cell: str
+    digest: str
+    simulated: bool
+    operator: str
+    job: str
+    software: str
+    written: str
+
+
+class Calibration(msgspec.Struct, frozen=True):
+    """The file."""
+
+    schema: int
+    provenance: Provenance
+    validity: Validity
+    stations: dict[str, StationEntry]
+    method: str
+    pitch_mm: float
+    grid_errors_mm: list[list[list[tuple[float, float, float]]]]
+
+    def grid(self) -> Grid:
+        """Return the grid in {B}."""
+        errors = np.array(self.grid_errors_mm)
+        shape = (errors.shape[0], errors.shape[1], errors.shape[2])
+        return Grid(np.array(self.validity.low_mm), self.pitch_mm, shape)
+
+
+def calibration_of(log: Log, run: str) -> Calibration:
+    """Compute the calibration from the log of a run that reached the fit."""
+    cell, frames, grid = log.cell, Frames(log.cell, log), grid_of(log.cell)
+    temperatures = [point.temperature_c for point in log.group("grid")]
+    high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
+    values = {
+        "schema": SCHEMA,
+        "provenance": Provenance(
+            run, cell.name, log.inputs.digest, log.inputs.simulated, log.inputs.operator,
+            log.inputs.job, f"hilcell {__version__}", f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        ),
+        "validity": Validity(
+            tuple(grid.origin_mm.tolist()), tuple(high_mm.tolist()),
+            cell.grid.centre.matrix()[:3, :3].tolist(), ORIENTATION_TOLERANCE_DEG,
+            (min(temperatures), max(temperatures)),
+        ),
+        "stations": {
+            station.name: _entry(log, frames.base_in_world(station), station.name)
+            for station in cell.station
+        },
+        "method": str(log.verdicts["fit"]["method"]),
+        "pitch_mm": grid.pitch_mm,
+        "grid_errors_mm": grid_errors_mm(log).tolist(),
+    }  # fmt: skip
+    return msgspec.convert(msgspec.to_builtins(values), Calibration)
+
+
+def _entry(log: Log, base: Array, station: str) -> StationEntry:
+    frame = log.frames[f"station.{station}"]
+    return StationEntry(
+        base.tolist(), frame["matrix"], frame["covariance"],
+        frame["tool_uncertainty_mm"], frame["strip_mm"],
+    )  # fmt: skip
+
+
+def write_calibration(calibration: Calibration, path: Path) -> None:
+    """Write the file beside its place, then rename, so that nobody reads half of it."""
+    text = msgspec.json.format(msgspec.json.encode(calibration), indent=1)
+    beside = path.with_name(f"{path.name}.{os.getpid()}.part")
+    beside.write_bytes(text + b"\n")
+    beside.replace(path)
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read the file; raises `SettingsError` for anything that is not one of this version."""
+    try:
+        data = path.read_bytes()
+        schema = msgspec.json.decode(data, type=_Head).schema
+        if schema != SCHEMA:
+            raise SettingsError(str(path), [f"schema {schema}, this hilcell reads {SCHEMA}"])
+        return msgspec.json.decode(data, type=Calibration)
+    except OSError as error:
+        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
+    except msgspec.DecodeError as error:
+        raise SettingsError(str(path), [f"not a calibration file: {error}"]) from error
+
+
+class _Head(msgspec.Struct):
+    schema: int
+
+
+def compensate_targets(
+    calibration: Calibration, station: str, targets: Array, names: list[str]
+) -> Array:
+    """Return what to command, (N, 6) x, y, z, a, b, c in {W}, for nominal ``targets`` (N, 6).
+
+    Raises `HilcellError` naming every target outside the calibrated volume or orientation.
+    """
+    if station not in calibration.stations:
+        known = ", ".join(calibration.stations)
+        raise HilcellError(f"station {station!r} is not calibrated; calibrated: {known}")
+    T_W_B = np.array(calibration.stations[station].T_W_B)
+    poses = np.array([pose_from_kuka(*target) for target in targets])
+    in_base = inverse(T_W_B) @ poses
+    _refuse_turned(calibration, in_base, names)
+    grid, errors_mm = calibration.grid(), np.array(calibration.grid_errors_mm)
+    command = command_mm(grid, errors_mm, calibration.method, in_base[:, :3, 3], names)
+    poses[:, :3, 3] = apply(T_W_B, command)
+    return np.array([kuka_from_pose(pose) for pose in poses])
+
+
+def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> None:
+    wanted = np.array(calibration.validity.orientation)
+    cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], wanted) - 1.0) / 2.0
+    turned_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    limit_deg = calibration.validity.orientation_tolerance_deg
+    far = [
+        f"{name} by {turn:.2f} deg"
+        for name, turn in zip(names, turned_deg, strict=True)
+        if not turn <= limit_deg
+    ]
+    if far:
+        raise HilcellError(
+            f"{len(far)} targets are turned away from the calibrated orientation, wanted "
+            f"<= {limit_deg} deg: {', '.join(far[:5])}; calibrate with their orientation"
+        )

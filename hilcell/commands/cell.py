@@ -1,0 +1,72 @@
+"""``check``, ``sim`` and ``diagram``."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+
+import msgspec
+
+from hilcell.cell import load_cell
+from hilcell.commands.common import say
+from hilcell.devices import check_options, load_entry, start_simulation
+from hilcell.ports import HilcellError
+from hilcell.run.machine import CALIBRATION, RUN, mermaid
+from hilcell.run.procedure import Procedure
+
+
+def check(args: argparse.Namespace) -> int:
+    """Check a cell file, the drivers' options and the calibration's plan."""
+    cell = load_cell(args.cell, dict(args.set))
+    check_options(cell)
+    procedure: Procedure = load_entry("procedures", "calibrate")
+    plan = procedure.plan(cell, seed=1)
+    facts = {
+        "cell": cell.name,
+        "digest": cell.digest,
+        "stations": [station.name for station in cell.station],
+        "points": plan.points,
+        "duration_s": plan.duration_s,
+        "ok": True,
+    }
+    words = (
+        f"{args.cell}: cell {cell.name} is sound; calibrate measures {plan.points} points "
+        f"in {plan.duration_s / 60:.0f} min"
+    )
+    say(facts, words, as_json=args.json)
+    return 0
+
+
+def sim(args: argparse.Namespace) -> int:
+    """Run the simulated cell by itself and print where its devices listen."""
+    cell = load_cell(args.cell, dict(args.set))
+    simulated = start_simulation(
+        cell, seed=args.seed, speed=args.speed, session=1, faults=args.faults
+    )
+    if simulated is None:
+        raise HilcellError(f"cell {cell.name} is real: it names no simulator")
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    try:
+        print(msgspec.json.encode(simulated.options | {"control": simulated.address}).decode())
+        sys.stdout.flush()
+        print(
+            "simulated cell is up; in another terminal:\n"
+            f"  hilcell run --cell {args.cell} --set simulation.address={simulated.address}\n"
+            "ctrl-C ends it",
+            file=sys.stderr,
+        )
+        ended.wait()
+    finally:
+        simulated.close()
+    return 0
+
+
+def diagram(args: argparse.Namespace) -> int:
+    """Print the state machines as Mermaid diagrams."""
+    for table in (RUN, CALIBRATION):
+        print(f"%% {table.name}\n{mermaid(table)}\n")
+    return 0

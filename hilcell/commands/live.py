@@ -1,0 +1,70 @@
+"""``pause``, ``stop`` and ``watch``: a live run, from another process."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from hilcell.commands.common import say
+from hilcell.faces import Face, json_face, progress_face
+from hilcell.run.control import live_engine, send_command
+from hilcell.run.journal import Record, read_journal
+from hilcell.run.log import Log
+from hilcell.runs import JOURNAL, find_run
+
+FOLLOW_S = 0.1
+
+
+def pause(args: argparse.Namespace) -> int:
+    """Ask a live run to pause after the point in flight."""
+    return _command(args, "pause")
+
+
+def stop(args: argparse.Namespace) -> int:
+    """Ask a live run to stop now."""
+    return _command(args, "stop")
+
+
+def _command(args: argparse.Namespace, command: str) -> int:
+    folder = find_run(args.runs, args.run)
+    answer = send_command(folder, command)
+    say(answer, f"run {folder.name}: asked to {command}", as_json=args.json)
+    return 0
+
+
+def watch(args: argparse.Namespace) -> int:
+    """Follow a run's journal to its end, or until the engine has died."""
+    folder = find_run(args.runs, args.run)
+    log = Log()
+    records = _follow(folder)
+    first = next(records, None)
+    if first is None or first.kind != "plan":
+        print(f"run {folder.name}: nothing to see yet", file=sys.stderr)
+        return 2
+    log.take(first)
+    face: Face = json_face(folder.name) if args.json else progress_face(folder.name, log.inputs.points)
+    with face:
+        face.take(first)
+        for record in records:
+            log.take(record)
+            face.take(record)
+    state = log.states["run"]
+    ended = "" if log.end is not None else "; its engine is gone, `hilcell resume` continues it"
+    print(f"run {folder.name}: {state}{ended}", file=sys.stderr)
+    return 0
+
+
+def _follow(folder: Path) -> Iterator[Record]:
+    """Yield the records of a journal as they come, until the run's end or its engine's."""
+    seen = 0
+    while True:
+        alive = live_engine(folder) is not None
+        fresh = read_journal(folder / JOURNAL, after=seen)
+        yield from fresh
+        seen += len(fresh)
+        if not alive and not fresh:
+            return
+        time.sleep(FOLLOW_S)

@@ -1,0 +1,156 @@
+"""``run`` and ``resume``: from words to a runner, and from its journal to a face."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import platform
+import sys
+import threading
+from collections.abc import Mapping
+from contextlib import ExitStack
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from hilcell import __version__
+from hilcell.calibration_file import NAME as CALIBRATION_NAME
+from hilcell.calibration_file import calibration_of, write_calibration
+from hilcell.cell import Cell, load_cell
+from hilcell.clock import WallClock
+from hilcell.devices import build_devices, check_options, load_entry, start_simulation
+from hilcell.exits import RESUMABLE
+from hilcell.faces import Face, json_face, print_dry_run, print_end, progress_face
+from hilcell.ports import HilcellError
+from hilcell.run.control import Control, live_engine, send_command
+from hilcell.run.journal import Journal
+from hilcell.run.lock import lock_of_address, lock_of_name, locked
+from hilcell.run.log import Log
+from hilcell.run.procedure import Plan, Procedure
+from hilcell.run.runner import Runner
+from hilcell.runs import JOURNAL, find_run, new_run, read_log
+
+
+def run(args: argparse.Namespace) -> int:
+    """Perform a procedure on a cell."""
+    cell = load_cell(args.cell, dict(args.set))
+    if args.speed is not None and cell.simulation is None:
+        raise HilcellError(f"--speed is for simulated cells; cell {cell.name} is real")
+    procedure: Procedure = load_entry("procedures", args.procedure)
+    plan = procedure.plan(cell, args.seed)
+    check_options(cell)
+    if args.dry_run:
+        print_dry_run(cell, procedure, plan, as_json=args.json)
+        return 0
+    name = new_run(procedure.name)
+    with locked(lock_of_name(args.runs, cell.name), f"cell {cell.name}", name):
+        folder: Path = args.runs / name
+        folder.mkdir(parents=True)
+        journal = Journal(folder / JOURNAL, name, create=True)
+        log = Log()
+        journal.listen(log.take)
+        face = _face(args.json, name, plan.points, journal)
+        journal.append("plan", "", _plan_record(cell, procedure, plan, args))
+        return _perform(cell, procedure, journal, log, face, folder, unattended=args.unattended)
+
+
+def resume(args: argparse.Namespace) -> int:
+    """Let a paused run go on, or continue one that ended early."""
+    folder = find_run(args.runs, args.run)
+    if live_engine(folder) is not None:
+        answer = send_command(folder, "proceed")
+        print(f"run {folder.name}: asked to go on; it was {answer.get('state')}", file=sys.stderr)
+        return 0
+    log = read_log(folder)
+    if log.states["run"] == "finished":
+        raise HilcellError(f"run {folder.name} is finished; start a new one with `hilcell run`")
+    cell, inputs = log.cell, log.inputs
+    procedure: Procedure = load_entry("procedures", inputs.procedure)
+    with locked(lock_of_name(folder.parent, cell.name), f"cell {cell.name}", folder.name):
+        journal = Journal(folder / JOURNAL, folder.name, create=False)
+        journal.listen(log.take)
+        face = _face(args.json, folder.name, inputs.points, journal)
+        face.already(len(log.points))
+        return _perform(cell, procedure, journal, log, face, folder, unattended=args.unattended)
+
+
+def _perform(
+    cell: Cell,
+    procedure: Procedure,
+    journal: Journal,
+    log: Log,
+    face: Face,
+    folder: Path,
+    *,
+    unattended: bool,
+) -> int:
+    stop = threading.Event()
+    inputs = log.inputs
+    with ExitStack() as stack:
+        stack.callback(journal.close)
+        stack.enter_context(face)
+        simulated = start_simulation(
+            cell, seed=inputs.seed, speed=inputs.speed or math.inf, session=log.session + 1
+        )
+        if simulated is not None:
+            stack.callback(simulated.close)
+        addresses = simulated.options if simulated is not None else {}
+        for address in _addresses(cell, addresses):
+            stack.enter_context(locked(lock_of_address(address), f"device {address}", journal.run))
+        clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
+        devices = build_devices(cell, addresses, clock)
+        runner = Runner(
+            cell, procedure, journal, log,
+            devices=devices, clock=clock, stop=stop, unattended=unattended,
+        )  # fmt: skip
+        stack.callback(Control(folder, runner.post, runner.status).close)
+        code = runner.run()
+        if code in (0, 1) and "fit" in log.verdicts:
+            write_calibration(calibration_of(log, journal.run), folder / CALIBRATION_NAME)
+    print_end(folder, log, procedure, face, runner.fault)
+    if code in RESUMABLE:
+        runs = "" if folder.parent == Path("runs") else f" --runs {folder.parent}"
+        print(f"resume with: hilcell resume {folder.name}{runs}", file=sys.stderr)
+    return code
+
+
+def _face(as_json: bool, run: str, points: int, journal: Journal) -> Face:
+    face = json_face(run) if as_json else progress_face(run, points)
+    journal.listen(face.take)
+    return face
+
+
+def _addresses(cell: Cell, given: Mapping[str, Mapping[str, object]]) -> list[str]:
+    """Return where each device listens, as the words that a lock is named after."""
+    found = []
+    for table in ("rail", "robot", "tracker"):
+        options: dict[str, Any] = getattr(cell, table).options | dict(given.get(table, {}))
+        where = [str(options[key]) for key in ("channel", "host", "port") if key in options]
+        found.append(f"{table} {':'.join(where)}")
+    return found
+
+
+def _plan_record(
+    cell: Cell, procedure: Procedure, plan: Plan, args: argparse.Namespace
+) -> dict[str, Any]:
+    speed = None if args.speed is None or math.isinf(args.speed) else args.speed
+    packages = ("numpy", "scipy", "canopen", "python-can", "transitions", "msgspec")
+    versions = {package: version(package) for package in packages}
+    return {
+        "procedure": procedure.name,
+        "cell": msgspec.to_builtins(cell),
+        "digest": cell.digest,
+        "seed": args.seed,
+        "speed": speed,
+        "unattended": args.unattended,
+        "operator": args.operator,
+        "job": args.job,
+        "simulated": cell.simulation is not None,
+        "versions": {"hilcell": __version__, "python": platform.python_version()} | versions,
+        "settings": dict(args.set),
+        "steps": msgspec.to_builtins(plan.steps),
+        "points": plan.points,
+        "duration_s": plan.duration_s,
+    }

@@ -1,0 +1,176 @@
+"""Faces of a run on a terminal: events as JSON lines, or a progress bar and a table.
+
+A face only listens. Whatever happens to it, a closed pipe or a lost terminal, the run goes on.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+
+from hilcell.cell import Cell
+from hilcell.run.journal import Record
+from hilcell.run.log import Log
+from hilcell.run.procedure import Plan, Procedure, Table
+
+
+class Face:
+    """Takes every durable record of a run; silent itself."""
+
+    def __init__(self, *, as_json: bool) -> None:
+        self.as_json = as_json
+        self._lost = False
+
+    def __enter__(self) -> Self:
+        """Begin to show."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Cease to show."""
+
+    def already(self, points: int) -> None:
+        """Hear how many points a resumed run already has."""
+
+    def take(self, record: Record) -> None:
+        """Show one record; a face that fails is dropped."""
+        if not self._lost:
+            try:
+                self.show(record)
+            except (OSError, ValueError):
+                self._lost = True
+
+    def show(self, record: Record) -> None:
+        """Show one record."""
+
+
+def json_face(run: str) -> Face:
+    """Return the face that prints every record as one line of JSON."""
+    return _JsonFace(run)
+
+
+class _JsonFace(Face):
+    def __init__(self, run: str) -> None:
+        super().__init__(as_json=True)
+        self._run = run
+
+    def show(self, record: Record) -> None:
+        sys.stdout.buffer.write(msgspec.json.encode(record.event(self._run)) + b"\n")
+        sys.stdout.buffer.flush()
+
+
+def progress_face(run: str, points: int) -> Face:
+    """Return the face that draws a progress bar on stderr."""
+    return _ProgressFace(run, points)
+
+
+class _ProgressFace(Face):
+    def __init__(self, run: str, points: int) -> None:
+        super().__init__(as_json=False)
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import TimeElapsedColumn, TimeRemainingColumn
+
+        self._console = Console(stderr=True)
+        self._progress = Progress(
+            TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
+            TimeElapsedColumn(), TimeRemainingColumn(), console=self._console,
+        )  # fmt: skip
+        self._task = self._progress.add_task(run, total=points)
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with suppress(OSError, ValueError):
+            self._progress.stop()
+
+    def already(self, points: int) -> None:
+        self._progress.advance(self._task, points)
+
+    def show(self, record: Record) -> None:
+        body = record.body
+        if record.kind == "point":
+            place = f" at {body['station']}" if body["station"] else ""
+            self._progress.update(self._task, advance=1, description=f"{body['group']}{place}")
+        elif record.kind == "state" and body["machine"] == "calibration":
+            self._say(f"{body['to'].replace('_', ' ')}")
+        elif record.kind == "state" and body["to"] in ("paused", "suspended"):
+            self._say(f"{body['to']}: {body.get('reason', 'hilcell resume goes on, ctrl-C stops')}")
+        elif record.kind == "event" and body["what"] == "no reading":
+            self._say(f"{body['key']}: {body['reason']} (try {body['tries']})")
+
+    def _say(self, text: str) -> None:
+        self._console.print(text, markup=False, highlight=False)
+
+
+def print_table(table: Table) -> None:
+    """Print a table on stdout."""
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    headers, rows = table
+    drawn = RichTable()
+    for column, header in enumerate(headers):
+        drawn.add_column(header, justify="left" if column == 0 else "right")
+    for row in rows:
+        drawn.add_row(*row)
+    Console(markup=False, highlight=False).print(drawn)
+
+
+def print_end(
+    folder: Path, log: Log, procedure: Procedure, face: Face, fault: Exception | None
+) -> None:
+    """Say how the run ended: its table on stdout, everything else on stderr."""
+    if fault is not None:
+        print(f"hilcell: {fault}", file=sys.stderr)
+    if face.as_json:
+        return
+    if log.end is not None and log.end["result"]:
+        print_table(procedure.table(log.end["result"]))
+    for key, verdict in log.verdicts.items():
+        if not verdict["holds"]:
+            print(f"out of tolerance: {key}: {_facts(verdict)}", file=sys.stderr)
+    kind = "SIMULATED run" if log.inputs.simulated else "run"
+    print(f"{kind} {folder.name}: {log.states['run']}; journal in {folder}", file=sys.stderr)
+
+
+def _facts(verdict: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{name} {value:.4f}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in verdict.items()
+        if name != "holds"
+    )
+
+
+def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool) -> None:
+    """Print the plan: steps, points and duration."""
+    if as_json:
+        body = {
+            "procedure": procedure.name, "cell": cell.name, "digest": cell.digest,
+            "steps": msgspec.to_builtins(plan.steps), "points": plan.points,
+            "duration_s": plan.duration_s,
+        }  # fmt: skip
+        head = {"run": None, "seq": 1, "kind": "plan"}
+        end = {"run": None, "seq": 2, "kind": "end", "state": "idle", "exit": 0, "result": body}
+        for event in (head | body, end):
+            print(msgspec.json.encode(event).decode())
+        return
+    rows = [[step.name, str(step.points), f"{step.duration_s / 60:.1f}"] for step in plan.steps]
+    rows.append(["all", str(plan.points), f"{plan.duration_s / 60:.1f}"])
+    print_table((["step", "points", "minutes"], rows))

@@ -1,0 +1,48 @@
+"""The folder of runs: one folder a run, found by its name, a beginning of it, or ``last``."""
+
+from __future__ import annotations
+
+import secrets
+from datetime import UTC, datetime
+from pathlib import Path
+
+from hilcell.ports import HilcellError
+from hilcell.run.journal import read_journal
+from hilcell.run.log import Log
+
+JOURNAL = "journal.sqlite"
+
+
+def new_run(procedure: str) -> str:
+    """Return a new run's name: when, what, and four characters against collisions."""
+    return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{procedure}-{secrets.token_hex(2)}"
+
+
+def run_folders(runs: Path) -> list[Path]:
+    """Return the folders that hold a journal, oldest first."""
+    if not runs.is_dir():
+        return []
+    return sorted(path.parent for path in runs.glob(f"*/{JOURNAL}"))
+
+
+def find_run(runs: Path, name: str) -> Path:
+    """Return the folder of one run; raises `HilcellError` where none or several are meant."""
+    direct = Path(name)
+    if (direct / JOURNAL).is_file():
+        return direct
+    folders = run_folders(runs)
+    if name == "last" and folders:
+        return max(folders, key=lambda folder: (folder / JOURNAL).stat().st_mtime)
+    meant = [folder for folder in folders if folder.name == name]
+    meant = meant or [folder for folder in folders if folder.name.startswith(name)]
+    if len(meant) == 1:
+        return meant[0]
+    if meant:
+        raise HilcellError(f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which")
+    newest = ", ".join(folder.name for folder in folders[-3:]) or "none"
+    raise HilcellError(f"run {name!r} is not in {runs}; newest there: {newest}")
+
+
+def read_log(folder: Path) -> Log:
+    """Return a run's log."""
+    return Log(read_journal(folder / JOURNAL))
