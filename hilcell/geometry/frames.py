@@ -99,9 +99,9 @@ def point_uncertainty(fit: RigidFit, point_mm: ArrayLike) -> float:
 
 def three_point_frame(p1_mm: ArrayLike, p2_mm: ArrayLike, p3_mm: ArrayLike) -> Array:
     """Return the station frame (4, 4) of three points, eqs 14-16, with its origin in P1."""
-    points = _checked(np.array([p1_mm, p2_mm, p3_mm], dtype=float), "the frame's points")
-    x = _unit(points[1] - points[0])
-    z = _unit(np.cross(points[1] - points[0], points[2] - points[0]))
+    points = checked_points(np.array([p1_mm, p2_mm, p3_mm], dtype=float), "the frame's points")
+    x = unit(points[1] - points[0])
+    z = unit(np.cross(points[1] - points[0], points[2] - points[0]))
     return matrix(np.column_stack([x, np.cross(z, x), z]), points[0])
 
 
@@ -134,15 +134,14 @@ def cross_matrix(v: Array) -> Array:
     return K - np.swapaxes(K, -1, -2)
 
 
-def _checked_pair(a_mm: ArrayLike, b_mm: ArrayLike) -> tuple[Array, Array]:
-    a, b = np.asarray(a_mm, dtype=float), np.asarray(b_mm, dtype=float)
-    if a.shape != b.shape:
-        raise FrameError(f"rigid fit: {a.shape} points against {b.shape}; pair them one to one")
-    return _checked(a, "the fit's first set"), _checked(b, "the fit's second set")
+def unit(v: Array) -> Array:
+    """Return a vector (3,) scaled to length 1."""
+    direction: Array = v / np.linalg.norm(v)
+    return direction
 
 
-def _checked(points: Array, what: str) -> Array:
-    """Return points (N, 3) that span a plane; raises `FrameError`."""
+def checked_points(points: Array, what: str) -> Array:
+    """Return points (N, 3) if they are finite and span a plane; raises `FrameError`."""
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
         raise FrameError(f"{what}: shape {points.shape}, wanted (N, 3) with N >= 3")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
@@ -155,6 +154,13 @@ def _checked(points: Array, what: str) -> Array:
             f"across, wanted over {LEAST_SPREAD:.0%}); move one of them aside"
         )
     return points
+
+
+def _checked_pair(a_mm: ArrayLike, b_mm: ArrayLike) -> tuple[Array, Array]:
+    a, b = np.asarray(a_mm, dtype=float), np.asarray(b_mm, dtype=float)
+    if a.shape != b.shape:
+        raise FrameError(f"rigid fit: {a.shape} points against {b.shape}; pair them one to one")
+    return checked_points(a, "the fit's first set"), checked_points(b, "the fit's second set")
 
 
 def _spread(points: Array) -> tuple[float, float, float]:
@@ -219,8 +225,3 @@ def _normal_matrix(levers: Array, W: Array) -> Array:
     J = _jacobian(levers)
     normal: Array = np.einsum("nij,nik,nkl->jl", J, W, J)
     return normal
-
-
-def _unit(v: Array) -> Array:
-    unit: Array = v / np.linalg.norm(v)
-    return unit

@@ -1,0 +1,160 @@
+"""Circles that a reflector runs about one robot axis, and the base frame they define (Fig 6).
+
+The trap: a circle has two axes. Which one is meant is told by the order of the points, so
+`fit_circle` must know whether they were taken in the positive or in the negative sense.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hilcell.geometry.frames import FrameError, checked_points, matrix, unit
+from hilcell.geometry.kinematics import Array
+
+ITERATIONS = 50
+CONVERGED = 1e-12
+CENTRE_STEP_MM, AXIS_STEP = 1e-3, 1e-6  # of the numeric propagation of uncertainty
+LEAST_ANGLE = 0.1  # sine between axes 1 and 6 below which x is not defined
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A circle in space: centre (3,), unit axis (3,), radius, and what is left over.
+
+    ``residuals_mm`` (N, 2): along the axis, and radially. ``covariance`` (6, 6) of centre (mm)
+    and axis together, scaled by the residuals; all NaN with three points, which leave none.
+    """
+
+    centre_mm: Array
+    axis: Array
+    radius_mm: float
+    residuals_mm: Array
+    covariance: Array
+
+    @property
+    def rms_mm(self) -> float:
+        """Return the root mean square distance of the points from the circle."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals_mm**2, axis=1))))
+
+
+def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
+    """Fit a circle to N >= 3 points (N, 3) by least squares of their distances from it.
+
+    ``turn`` > 0 says that the points run counter-clockwise about the wanted axis, seen from its
+    tip (steps below half a turn); < 0 clockwise. Raises `FrameError` on non-finite or collinear
+    points and where the fit does not settle.
+    """
+    points = checked_points(np.asarray(points_mm, dtype=float), "the circle's points")
+    circle = _first_guess(points)
+    for _ in range(ITERATIONS):
+        r, J, tangents = _linearised(circle, points)
+        step = np.linalg.lstsq(J, -r, rcond=None)[0]
+        circle = replace(
+            circle,
+            centre_mm=circle.centre_mm + step[:3],
+            axis=unit(circle.axis + tangents @ step[3:5]),
+            radius_mm=circle.radius_mm + float(step[5]),
+        )
+        if np.linalg.norm(step / circle.radius_mm) <= CONVERGED:
+            break
+    else:
+        raise FrameError(
+            f"circle fit of {len(points)} points does not settle (radius {circle.radius_mm:.3f} "
+            "mm): sweep a longer arc"
+        )
+    return _with_covariance(_directed(circle, points, turn), points)
+
+
+def base_frame(axis_1: Circle, axis_6: Circle, height_mm: float) -> Array:
+    """Return {B} (4, 4) in the frame of the circles, from sweeps about axes 1 and 6.
+
+    z is axis 1. x is axis 6, swept at A1 = 0, made orthogonal to z; it points from axis 1 to
+    the circle of axis 6. The origin lies on axis 1, ``height_mm`` below the centre of axis 6's
+    circle. Raises `FrameError` where the axes are too nearly parallel.
+    """
+    z = axis_1.axis
+    across = axis_6.axis - (axis_6.axis @ z) * z
+    if not np.linalg.norm(across) > LEAST_ANGLE:
+        raise FrameError(
+            f"base frame: axes 1 and 6 are {np.degrees(np.arcsin(np.linalg.norm(across))):.1f} deg "
+            "apart, wanted near 90: sweep axis 6 with its axis level"
+        )
+    outward = axis_6.centre_mm - axis_1.centre_mm
+    x = unit(across) * (1.0 if across @ outward >= 0 else -1.0)
+    origin = axis_1.centre_mm + z * (outward @ z - height_mm)
+    return matrix(np.column_stack([x, np.cross(z, x), z]), origin)
+
+
+def base_frame_covariance(axis_1: Circle, axis_6: Circle, height_mm: float) -> Array:
+    """Return the covariance (6, 6) of `base_frame`: shift of its origin (mm), rotation vector.
+
+    Both have the axes that the circles are given in, as in `frames.RigidFit`.
+    """
+    T = base_frame(axis_1, axis_6, height_mm)
+    covariance = np.zeros((6, 6))
+    for which, circle in enumerate((axis_1, axis_6)):
+        columns = []
+        for step in np.diag([CENTRE_STEP_MM] * 3 + [AXIS_STEP] * 3):
+            pair = [axis_1, axis_6]
+            pair[which] = replace(
+                circle, centre_mm=circle.centre_mm + step[:3], axis=unit(circle.axis + step[3:])
+            )
+            moved = base_frame(pair[0], pair[1], height_mm)
+            turn = (moved[:3, :3] @ T[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
+            columns.append(np.concatenate([moved[:3, 3] - T[:3, 3], turn]) / step.sum())
+        J = np.column_stack(columns)
+        covariance += J @ circle.covariance @ J.T
+    return covariance
+
+
+def _first_guess(points: Array) -> Circle:
+    """Return plane and algebraic circle of the points."""
+    middle = points.mean(axis=0)
+    e1, e2, axis = np.linalg.svd(points - middle)[2]
+    u, v = (points - middle) @ e1, (points - middle) @ e2
+    rows = np.column_stack([2 * u, 2 * v, np.ones(len(points))])
+    cu, cv, c = np.linalg.lstsq(rows, u**2 + v**2, rcond=None)[0]
+    radius = float(np.sqrt(c + cu**2 + cv**2))
+    nothing = np.empty((0, 0))
+    return Circle(middle + cu * e1 + cv * e2, axis, radius, nothing, nothing)
+
+
+def _linearised(circle: Circle, points: Array) -> tuple[Array, Array, Array]:
+    """Return residuals (2N,), their derivatives (2N, 6) and the axis's two tangents (3, 2)."""
+    lever = points - circle.centre_mm
+    along = lever @ circle.axis
+    inside = lever - along[:, None] * circle.axis
+    radius = np.linalg.norm(inside, axis=1)
+    outward = inside / radius[:, None]
+    tangents = np.linalg.svd(circle.axis[None])[2][1:].T
+    zeros, ones = np.zeros((len(points), 1)), np.ones((len(points), 1))
+    of_along = np.hstack([np.tile(-circle.axis, (len(points), 1)), lever @ tangents, zeros])
+    of_radius = np.hstack([-outward, -along[:, None] * (outward @ tangents), -ones])
+    return (
+        np.concatenate([along, radius - circle.radius_mm]),
+        np.vstack([of_along, of_radius]),
+        tangents,
+    )
+
+
+def _directed(circle: Circle, points: Array, turn: float) -> Circle:
+    """Return the circle with its axis in the sense of the points' order."""
+    lever = points - circle.centre_mm
+    swept = np.cross(lever[:-1], lever[1:]).sum(axis=0) @ circle.axis
+    if not abs(turn * swept) > 0:
+        raise FrameError(f"circle fit: no sense of rotation (turn {turn}, points' order {swept})")
+    return circle if swept * turn > 0 else replace(circle, axis=-circle.axis)
+
+
+def _with_covariance(circle: Circle, points: Array) -> Circle:
+    r, J, tangents = _linearised(circle, points)
+    left = 2 * len(points) - 6
+    variance = r @ r / left if left else np.nan
+    parameters = np.zeros((6, 5))
+    parameters[:3, :3], parameters[3:, 3:] = np.eye(3), tangents
+    covariance = parameters @ np.linalg.inv(J.T @ J)[:5, :5] @ parameters.T * variance
+    residuals = r.reshape(2, -1).T
+    return replace(circle, residuals_mm=residuals, covariance=covariance)
