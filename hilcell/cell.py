@@ -29,11 +29,11 @@ Point = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]
 
 
-class Frozen(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, dict=True):
+class Frozen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
     """A table of the cell file."""
 
 
-class Pose(Frozen):
+class Pose(Frozen, frozen=True, kw_only=True):
     """A frame: position in mm and KUKA Z-Y-X angles in deg."""
 
     x_mm: float
@@ -46,12 +46,14 @@ class Pose(Frozen):
     def matrix(self) -> Array:
         """Return the homogeneous matrix (4, 4)."""
         T = np.eye(4)
-        T[:3, :3] = Rotation.from_euler("ZYX", (self.a_deg, self.b_deg, self.c_deg), degrees=True).as_matrix()
+        T[:3, :3] = Rotation.from_euler(
+            "ZYX", (self.a_deg, self.b_deg, self.c_deg), degrees=True
+        ).as_matrix()
         T[:3, 3] = (self.x_mm, self.y_mm, self.z_mm)
         return T
 
 
-class Station(Frozen):
+class Station(Frozen, frozen=True, kw_only=True):
     """A place on the rail where the robot works: the strip's recorded reading defines it."""
 
     name: Name
@@ -59,7 +61,7 @@ class Station(Frozen):
     strip_mm: float
 
 
-class RailTable(Frozen):
+class RailTable(Frozen, frozen=True, kw_only=True):
     """The rail, its drive and its strip."""
 
     driver: Name
@@ -74,7 +76,7 @@ class RailTable(Frozen):
     options: dict[str, Any] = field(default_factory=dict)
 
 
-class Joint(Frozen):
+class Joint(Frozen, frozen=True, kw_only=True):
     """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits."""
 
     a_mm: float
@@ -93,7 +95,7 @@ class Joint(Frozen):
             raise ValueError(f"min_deg {self.min_deg} must be below max_deg {self.max_deg}")
 
 
-class RobotTable(Frozen):
+class RobotTable(Frozen, frozen=True, kw_only=True):
     """The robot: nominal kinematics, where the reflector sits, how it moves."""
 
     driver: Name
@@ -119,9 +121,11 @@ class RobotTable(Frozen):
         return arm_from_joints(self.joint, tool)
 
     @property
-    def limits_rad(self) -> Array:
-        """Return the software limits (2, 6): lower, upper."""
-        return np.radians([[j.min_deg for j in self.joint], [j.max_deg for j in self.joint]])
+    def margin_limits_rad(self) -> Array:
+        """Return the limits (2, 6), lower and upper, less the margin."""
+        margin_deg = self.joint_margin_deg
+        low_deg = [joint.min_deg + margin_deg for joint in self.joint]
+        return np.radians([low_deg, [joint.max_deg - margin_deg for joint in self.joint]])
 
 
 def arm_from_joints(joints: list[Joint], tool: Array) -> Arm:
@@ -136,7 +140,7 @@ def arm_from_joints(joints: list[Joint], tool: Array) -> Arm:
     )
 
 
-class TrackerTable(Frozen):
+class TrackerTable(Frozen, frozen=True, kw_only=True):
     """The tracker: its range, its reflector, where it roughly stands in {W}."""
 
     driver: Name
@@ -150,7 +154,7 @@ class TrackerTable(Frozen):
     options: dict[str, Any] = field(default_factory=dict)
 
 
-class Nest(Frozen):
+class Nest(Frozen, frozen=True, kw_only=True):
     """A magnet nest that carries a reflector: on the floor in {W}, on the slide in nominal {B}."""
 
     name: Name
@@ -164,7 +168,7 @@ class Nest(Frozen):
         return np.array([self.x_mm, self.y_mm, self.z_mm])
 
 
-class Layout(Frozen):
+class Layout(Frozen, frozen=True, kw_only=True):
     """Where the rail stands: nominal {B} in {W} at rail 0, the rail's direction in {W}."""
 
     base: Pose
@@ -200,7 +204,7 @@ def _refuse_collinear(nests: list[Nest]) -> None:
         )
 
 
-class GridTable(Frozen):
+class GridTable(Frozen, frozen=True, kw_only=True):
     """The cube that is measured, in nominal {B}, with one tool orientation."""
 
     station: Name
@@ -212,10 +216,12 @@ class GridTable(Frozen):
         for size in self.size_mm:
             cells = size / self.pitch_mm
             if not (round(cells) >= 1 and abs(cells - round(cells)) < 1e-9):
-                raise ValueError(f"size {size} mm is not a whole number of pitches {self.pitch_mm} mm")
+                raise ValueError(
+                    f"size {size} mm is not a whole number of pitches {self.pitch_mm} mm"
+                )
 
 
-class BaseFrameTable(Frozen):
+class BaseFrameTable(Frozen, frozen=True, kw_only=True):
     """How {B} is found from circles of axes 1 and 6 (section 4.2)."""
 
     axis_1_deg: Six
@@ -225,7 +231,7 @@ class BaseFrameTable(Frozen):
     points: Annotated[int, Meta(ge=3, le=200)] = 12
 
 
-class ValidationTable(Frozen):
+class ValidationTable(Frozen, frozen=True, kw_only=True):
     """Random targets: per grid cell at the grid's station, in all at the other stations."""
 
     per_cell: Annotated[int, Meta(ge=1)] = 5
@@ -234,7 +240,7 @@ class ValidationTable(Frozen):
     max_tolerance_mm: Positive = 1.0
 
 
-class SettleTable(Frozen):
+class SettleTable(Frozen, frozen=True, kw_only=True):
     """Times in the cell's clock, and the oldest reading that an interlock believes."""
 
     robot_s: Annotated[float, Meta(ge=0)] = 1.0
@@ -242,7 +248,7 @@ class SettleTable(Frozen):
     reading_age_s: Positive = 0.5
 
 
-class SimulationTable(Frozen):
+class SimulationTable(Frozen, frozen=True, kw_only=True):
     """A simulated cell: found by its entry point; ``address`` attaches to one already running."""
 
     simulator: Name
@@ -250,7 +256,7 @@ class SimulationTable(Frozen):
     data: str = ""
 
 
-class Cell(Frozen):
+class Cell(Frozen, frozen=True, kw_only=True):
     """A whole cell."""
 
     name: Name
@@ -262,8 +268,8 @@ class Cell(Frozen):
     station: list[Station]
     grid: GridTable
     base_frame: BaseFrameTable
-    validation: ValidationTable = field(default_factory=lambda: ValidationTable())
-    settle: SettleTable = field(default_factory=lambda: SettleTable())
+    validation: ValidationTable = field(default_factory=ValidationTable)
+    settle: SettleTable = field(default_factory=SettleTable)
     simulation: SimulationTable | None = None
 
     def __post_init__(self) -> None:
@@ -326,7 +332,9 @@ def _read(where: str) -> dict[str, Any]:
 def built_in_cells() -> list[str]:
     """Return the names of the cells that come with hilcell."""
     folder = resources.files("hilcell.cells")
-    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+    return sorted(
+        p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")
+    )
 
 
 def _override(values: dict[str, Any], key: str, text: str) -> None:

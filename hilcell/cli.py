@@ -106,7 +106,9 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     compensate.add_argument("calibration", metavar="CALIBRATION", help="a run or calibration.json")
     compensate.add_argument("targets", metavar="TARGETS.csv", help="nominal targets in {W}")
     compensate.add_argument("--station", required=True, metavar="S", help="where they are reached")
-    compensate.add_argument("-o", "--output", required=True, metavar="OUT", help="corrected targets")
+    compensate.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="corrected targets"
+    )
     _runs_option(compensate)
 
 
@@ -186,6 +188,6 @@ def _refuse(error: Exception, *, as_json: bool) -> int:
     if as_json:
         import json
 
-        end = {"kind": "end", "run": None, "state": "idle", "exit": code, "result": {}}
-        print(json.dumps(end | {"reason": str(error)}))
+        end: dict[str, object] = {"kind": "end", "run": None, "state": "idle", "exit": code}
+        print(json.dumps(end | {"result": {}, "reason": str(error)}))
     return code

@@ -13,7 +13,6 @@ from hilcell.cell import Cell
 from hilcell.ports import Clock, DeviceError, Identity, Rail, Robot, SimulatedCell, Tracker
 from hilcell.settings import SettingsError, convert
 
-
 TABLES = (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers"))
 
 
@@ -61,9 +60,7 @@ def driver_options(
     shared = getattr(cell, table)
     kind = load_entry(group, shared.driver)
     wanted = {field.name for field in msgspec.structs.fields(kind.Options)}
-    values = {
-        name: value for name, value in msgspec.to_builtins(shared).items() if name in wanted
-    }
+    values = {name: value for name, value in msgspec.to_builtins(shared).items() if name in wanted}
     return kind, convert(values | shared.options | dict(addresses), kind.Options, table)
 
 

@@ -43,9 +43,8 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
         problems.append(f"{path or 'file'}: a table is expected, found {values!r}")
         return None
     fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
-    for key in values:
-        if key not in fields:
-            problems.append(_unknown(f"{path}{key}", key, list(fields)))
+    unknown = [key for key in values if key not in fields]
+    problems += [_unknown(f"{path}{key}", key, list(fields)) for key in unknown]
     built: dict[str, object] = {}
     before = len(problems)
     for key, field in fields.items():

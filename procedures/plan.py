@@ -6,9 +6,8 @@ import numpy as np
 
 from hilcell.cell import Cell
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.inverse import inverse_kinematics
+from hilcell.geometry.inverse import ReachError, posture
 from hilcell.ports import Array, HilcellError
-from hilcell.run.interlocks import check_joint_limits
 
 MEASURE_S = 1.0  # one stationary reading with its pointing
 MOVE_S = 4.0  # one robot move with its approach
@@ -27,16 +26,23 @@ def poses_at(cell: Cell, points_mm: Array) -> Array:
 
 
 def joints_for(cell: Cell, points_mm: Array) -> Array:
-    """Return joints (N, 6) in rad that nominally reach ``points_mm`` (N, 3) in {B}."""
-    return inverse_kinematics(cell.robot.arm(), poses_at(cell, points_mm), cell.robot.status)
+    """Return joints (N, 6) in rad that nominally reach ``points_mm`` (N, 3) in {B}, in limits.
+
+    Raises `ReachError` naming the targets that the robot cannot reach.
+    """
+    reference_rad = np.radians(cell.robot.home_deg)
+    poses = poses_at(cell, points_mm)
+    return posture(
+        cell.robot.arm(), poses, cell.robot.status, cell.robot.margin_limits_rad, reference_rad
+    )
 
 
 def check_reach(cell: Cell, points_mm: Array, what: str) -> Array:
-    """Return the joints (N, 6), or refuse the targets that the robot cannot reach in limits."""
-    joints_rad = joints_for(cell, points_mm)
-    for number, joints in enumerate(joints_rad):
-        check_joint_limits(cell, joints, f"{what} {number}")
-    return joints_rad
+    """Return the joints (N, 6), or say what cannot be reached."""
+    try:
+        return joints_for(cell, points_mm)
+    except ReachError as error:
+        raise HilcellError(f"{what}: {error}") from error
 
 
 def check_range(cell: Cell, points_mm: Array, what: str) -> None:

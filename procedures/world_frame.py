@@ -65,7 +65,8 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
         found_mm = float(np.linalg.norm(measured_mm[i] - measured_mm[j]))
         if not abs(found_mm - wanted_mm) <= limit_mm:
             raise DeviceError(
-                "Tracker", "world frame", f"{nests[i].name} to {nests[j].name} is {found_mm:.2f} mm",
+                "Tracker", "world frame",
+                f"{nests[i].name} to {nests[j].name} is {found_mm:.2f} mm",
                 wanted=f"{wanted_mm:.2f} +-{limit_mm:.1f} mm",
                 act="nests swapped, a reflector not seated, or wrong units; check, then resume",
             )  # fmt: skip

@@ -28,7 +28,9 @@ def fit(args: argparse.Namespace) -> int:
         for name, figures in result["methods"].items()
     ]
     print_table((["method", "mean mm", "p95 mm", "max mm"], rows))
-    print(f"chosen: {result['chosen']}; {result['train']} rows learnt from, {result['test']} judged")
+    print(
+        f"chosen: {result['chosen']}; {result['train']} rows learnt from, {result['test']} judged"
+    )
     return 0
 
 

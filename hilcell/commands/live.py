@@ -45,7 +45,9 @@ def watch(args: argparse.Namespace) -> int:
         print(f"run {folder.name}: nothing to see yet", file=sys.stderr)
         return 2
     log.take(first)
-    face: Face = json_face(folder.name) if args.json else progress_face(folder.name, log.inputs.points)
+    face: Face = (
+        json_face(folder.name) if args.json else progress_face(folder.name, log.inputs.points)
+    )
     with face:
         face.take(first)
         for record in records:

@@ -8,7 +8,7 @@ is: that, and nothing else, is what makes a run resumable.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -129,7 +129,7 @@ class Bench:
         reading = self.devices.rail.read()
         return abs(reading.position_mm - reading.strip_mm) <= self.cell.rail.slip_limit_mm
 
-    def _prepare_rail(self, action: str, facts: Mapping[str, object]) -> None:
+    def _prepare_rail(self, action: str, facts: dict[str, object]) -> None:
         self.checkpoint()
         self._held = None
         self._park_robot()

@@ -94,7 +94,9 @@ def send_command(folder: Path, command: str) -> dict[str, object]:
     """
     engine = live_engine(folder)
     if engine is None:
-        raise HilcellError(f"run {folder.name}: no engine is running; `hilcell resume` continues it")
+        raise HilcellError(
+            f"run {folder.name}: no engine is running; `hilcell resume` continues it"
+        )
     with socket.socket(socket.AF_UNIX) as link:
         link.settimeout(ANSWER_S)
         try:

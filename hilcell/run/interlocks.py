@@ -39,7 +39,7 @@ def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
         worst = int(np.nanargmax(off_deg)) if not np.all(np.isnan(off_deg)) else 0
         raise Blocked(
             "Robot", operation,
-            f"robot not at safe pose: A{worst + 1} is {np.degrees(robot.joints_rad[worst]):.3f} deg",
+            f"robot not at safe pose, A{worst + 1} {np.degrees(robot.joints_rad[worst]):.3f} deg",
             wanted=f"{cell.robot.safe_deg[worst]:.3f} +-{SAFE_POSE_TOLERANCE_DEG} deg",
             act="move the robot to its safe pose",
         )  # fmt: skip
@@ -50,7 +50,9 @@ def robot_may_move(cell: Cell, rail: RailReading, station: Station | None, now_s
     operation = "robot move blocked"
     check_age("Rail", operation, rail.taken_s, now_s, cell.settle.reading_age_s)
     if not rail.still:
-        raise Blocked("Rail", operation, f"slide moves at {rail.velocity_mm_s:.3f} mm/s", wanted="0")
+        raise Blocked(
+            "Rail", operation, f"slide moves at {rail.velocity_mm_s:.3f} mm/s", wanted="0"
+        )
     if rail.powered:
         raise Blocked("Rail", operation, "the drive has power to move", wanted="held by the brake")
     if station is not None:
@@ -71,9 +73,7 @@ def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str)
 
 def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
     """Refuse joints (6,) outside the software limits less the margin."""
-    low, high = cell.robot.limits_rad + np.radians(
-        [[cell.robot.joint_margin_deg], [-cell.robot.joint_margin_deg]]
-    )
+    low, high = cell.robot.margin_limits_rad
     inside = (joints_rad >= low) & (joints_rad <= high)
     if not bool(np.all(inside)):
         axis = int(np.argmin(inside))

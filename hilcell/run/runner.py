@@ -171,7 +171,9 @@ class Runner:
             self._life.fire("stop")
         worker.join(WORKER_S)
         if worker.is_alive():
-            return DeviceError("Cell", "stop", f"a device call hangs {WORKER_S:.0f} s after the stop")
+            return DeviceError(
+                "Cell", "stop", f"a device call hangs {WORKER_S:.0f} s after the stop"
+            )
         return Stopped("stopped by the operator")
 
     def _end(self, error: Exception | None) -> int:
@@ -240,12 +242,11 @@ class Runner:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        commands = {signal.SIGINT: "interrupt", signal.SIGTERM: "stop", signal.SIGHUP: "pause"}
-        if self._unattended:
-            commands[signal.SIGHUP] = ""
+        hangup = "stay" if self._unattended else "pause"
+        commands = {signal.SIGINT: "interrupt", signal.SIGTERM: "stop", signal.SIGHUP: hangup}
         before = {number: signal.getsignal(number) for number in commands}
-        for number, command in commands.items():
-            signal.signal(number, lambda *_, command=command: command and self.post(command))
+        for number in commands:
+            signal.signal(number, lambda number, _: self.post(commands[signal.Signals(number)]))
         try:
             yield
         finally:

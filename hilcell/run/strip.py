@@ -42,7 +42,7 @@ def approach_station(rail: Rail, table: RailTable, station: Station) -> Approach
         command_mm += found_mm
     raise DeviceError(
         "Rail", f"station {station.name} not held", f"strip {reading.strip_mm:.2f} mm",
-        wanted=f"{station.strip_mm:.2f} +-{table.strip_tolerance_mm:.2f} mm after {tries} approaches",
+        wanted=f"{station.strip_mm:.2f} +-{table.strip_tolerance_mm:.2f} mm in {tries} approaches",
         act="check the strip head and the slide's friction, then resume",
     )  # fmt: skip
 

@@ -1,0 +1,84 @@
+"""Interlocks open only on fresh, finite readings of the right kind."""
+
+import numpy as np
+import pytest
+
+from hilcell.cell import load_cell
+from hilcell.ports import RailReading, RobotReading
+from hilcell.run.interlocks import Blocked, check_joint_limits, rail_may_move, robot_may_move
+
+CELL = load_cell("paper")
+S1100 = CELL.station_named("S1100")
+
+
+def robot(**changes: object) -> RobotReading:
+    values = {
+        "joints_rad": np.radians(CELL.robot.safe_deg),
+        "pose": np.eye(4),
+        "still": True,
+        "taken_s": 10.0,
+    }
+    return RobotReading(**(values | changes))  # type: ignore[arg-type]
+
+
+def rail(**changes: object) -> RailReading:
+    values = {
+        "position_mm": 1100.2,
+        "strip_mm": 1100.0,
+        "velocity_mm_s": 0.0,
+        "powered": False,
+        "taken_s": 10.0,
+    }
+    return RailReading(**(values | changes))  # type: ignore[arg-type]
+
+
+def test_they_open_on_good_readings() -> None:
+    rail_may_move(CELL, robot(), 10.1)
+    robot_may_move(CELL, rail(), S1100, 10.1)
+
+
+def off(axis: int, deg: float) -> np.ndarray:
+    joints = np.radians(CELL.robot.safe_deg)
+    joints[axis] += np.radians(deg)
+    return joints
+
+
+@pytest.mark.parametrize(
+    ("changes", "now_s", "part"),
+    [
+        ({}, 10.6, "600 ms old, wanted <= 500 ms"),
+        ({}, 9.0, "-1000 ms old"),
+        ({"taken_s": float("nan")}, 10.0, "nan ms old"),
+        ({"still": False}, 10.0, "moving"),
+        ({"joints_rad": off(1, 0.2)}, 10.0, "not at safe pose, A2 -99.800 deg"),
+        ({"joints_rad": off(3, float("nan"))}, 10.0, "not at safe pose"),
+        ({"joints_rad": np.full(6, np.nan)}, 10.0, "not at safe pose"),
+    ],
+)
+def test_the_rail_stays(changes: dict[str, object], now_s: float, part: str) -> None:
+    with pytest.raises(Blocked, match=part):
+        rail_may_move(CELL, robot(**changes), now_s)
+
+
+@pytest.mark.parametrize(
+    ("changes", "now_s", "part"),
+    [
+        ({}, 10.51, "510 ms old"),
+        ({"velocity_mm_s": 0.1}, 10.0, "slide moves at 0.100 mm/s"),
+        ({"velocity_mm_s": float("nan")}, 10.0, "slide moves at nan"),
+        ({"powered": True}, 10.0, "power to move"),
+        ({"strip_mm": 1100.03}, 10.0, "station S1100 not held: strip 1100.03 mm, wanted 1100.00"),
+        ({"strip_mm": float("nan")}, 10.0, "not held"),
+    ],
+)
+def test_the_robot_stays(changes: dict[str, object], now_s: float, part: str) -> None:
+    with pytest.raises(Blocked, match=part):
+        robot_may_move(CELL, rail(**changes), S1100, now_s)
+
+
+@pytest.mark.parametrize("deg", [-4.0, -141.0, float("nan")])
+def test_joint_limits_hold_with_their_margin(deg: float) -> None:
+    joints = np.radians(CELL.robot.home_deg)
+    joints[1] = np.radians(deg)
+    with pytest.raises(Blocked, match="A2"):
+        check_joint_limits(CELL, joints, "vertex 3")
