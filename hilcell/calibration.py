@@ -7,6 +7,7 @@ The robot stands rigidly on the slide, so eq 17 gives every station's base frame
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from hilcell.cell import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.interpolation import METHODS
+from hilcell.compensation.transfer import base_at
 from hilcell.geometry.frames import apply, inverse
 from hilcell.ports import Array
 
@@ -53,7 +55,7 @@ class Frames:
             return shift @ base
         T_W_S1 = self._log.matrix(f"station.{reference.name}")
         T_W_Si = self._log.matrix(f"station.{station.name}")
-        return T_W_Si @ inverse(T_W_S1) @ base
+        return base_at(T_W_S1, T_W_Si, base)
 
     def world_from_tracker(self, xyz_mm: Array) -> Array:
         """Carry raw positions (N, 3) into {W}."""
@@ -79,7 +81,7 @@ def grid_errors_mm(log: Log) -> Array:
     """
     cell = log.cell
     T_B_W = inverse(log.matrix("base"))
-    errors_mm = np.full((*grid_of(cell).shape, 3), np.nan)
+    errors_mm: Array = np.full((*grid_of(cell).shape, 3), np.nan)
     for point in log.group("grid"):
         i, j, k = (int(part) for part in point.key.split("/")[1].split("-"))
         both_mm = apply(T_B_W @ log.matrix("world"), np.array([point.xyz_mm]))
@@ -87,7 +89,18 @@ def grid_errors_mm(log: Log) -> Array:
     return errors_mm
 
 
-def command_mm(grid: Grid, errors_mm: Array, method: str, targets_mm: Array) -> Array:
-    """Return what to command, (N, 3) in {B}, so that the robot arrives at ``targets_mm``."""
+def command_mm(
+    grid: Grid,
+    errors_mm: Array,
+    method: str,
+    targets_mm: Array,
+    names: Sequence[str] | None = None,
+) -> Array:
+    """Return what to command, (N, 3) in {B}, so that the robot arrives at ``targets_mm``.
+
+    Raises `OutsideGrid` naming the targets outside the measured volume.
+    """
     interpolate = METHODS[method]
-    return corrected(grid, targets_mm, lambda at_mm: interpolate(grid, errors_mm, at_mm))
+    return corrected(
+        grid, targets_mm, lambda at_mm: interpolate(grid, errors_mm, at_mm), names=names
+    )

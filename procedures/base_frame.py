@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from hilcell.geometry.circles import base_frame, fit_circle
+from hilcell.geometry.circles import Circle, base_frame, fit_circle
 
 from hilcell.cell import Cell
 from hilcell.geometry.frames import apply
@@ -40,21 +40,23 @@ class BaseFrame:
         """Sweep, fit and frame."""
         if "base" in bench.log.frames:
             return
-        station = bench.cell.station_named(bench.cell.grid.station)
-        circles = []
-        for axis in (1, 6):
-            points = [
-                bench.flange_point(f"base/axis{axis}/{n:03d}", "base", station, joints)
-                for n, joints in enumerate(sweep(bench.cell, axis))
-            ]
-            circles.append(fit_circle(apply(bench.frames.tracker_in_world(), positions_mm(points))))
-        T_W_B = base_frame(*circles, axis_6_height_mm(bench.cell))
+        axis_1, axis_6 = (self._swept(bench, axis) for axis in (1, 6))
+        T_W_B = base_frame(axis_1, axis_6, axis_6_height_mm(bench.cell))
         bench.frame(
             "base", T_W_B,
-            circle_rms_mm=[circle.rms_mm for circle in circles],
-            radius_mm=[circle.radius_mm for circle in circles],
+            circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
+            radius_mm=[axis_1.radius_mm, axis_6.radius_mm],
         )  # fmt: skip
         bench.reach("frame_base")
+
+    def _swept(self, bench: Bench, axis: int) -> Circle:
+        station = bench.cell.station_named(bench.cell.grid.station)
+        points = [
+            bench.flange_point(f"base/axis{axis}/{n:03d}", "base", station, joints)
+            for n, joints in enumerate(sweep(bench.cell, axis))
+        ]
+        world_mm = apply(bench.frames.tracker_in_world(), positions_mm(points))
+        return fit_circle(world_mm, turn=bench.cell.robot.joint[axis - 1].sign)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the base in {W} and how round the circles were."""
@@ -69,8 +71,8 @@ def sweep(cell: Cell, axis: int) -> Array:
         1: (table.axis_1_deg, table.axis_1_sweep_deg),
         6: (table.axis_6_deg, table.axis_6_sweep_deg),
     }[axis]
-    joints_deg = np.tile(fixed, (table.points, 1))
-    joints_deg[:, axis - 1] = np.linspace(*ends, table.points)
+    joints_deg: Array = np.tile(fixed, (table.points, 1))
+    joints_deg[:, axis - 1] = np.linspace(ends[0], ends[1], table.points)
     return np.radians(joints_deg)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from hilcell.compensation.interpolation import cross_validate
+from hilcell.compensation.interpolation import choose, cross_validate
 
 from hilcell.calibration import grid_errors_mm, grid_of
 from hilcell.cell import Cell
@@ -39,8 +39,7 @@ class Fit:
     def result(self, log: Log) -> dict[str, Any]:
         """Return the method and its cross-validation."""
         loocv = cross_validate(grid_of(log.cell), grid_errors_mm(log))
-        method = min(loocv, key=lambda name: loocv[name]["mean"])
-        return {"method": method, "fit": {"loocv": loocv, "outliers": outliers(log)}}
+        return {"method": choose(loocv), "fit": {"loocv": loocv, "outliers": outliers(log)}}
 
 
 def outliers(log: Log) -> list[str]:

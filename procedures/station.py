@@ -107,4 +107,5 @@ def approach_figures(log: Log, how: str) -> dict[str, float]:
 def along_rail(log: Log, points_mm: Array) -> Array:
     """Return (N,) coordinates along the rail's nominal direction of raw points (N, 3)."""
     rotation = log.matrix("world")[:3, :3]
-    return points_mm @ rotation.T @ np.array(log.cell.layout.rail_direction)
+    along: Array = points_mm @ rotation.T @ np.array(log.cell.layout.rail_direction)
+    return along

@@ -95,7 +95,19 @@ def station_fit(log: Log, station: Station, reference: Station) -> RigidFit:
     """
     at_reference_mm = slide_in_world_mm(log, reference)
     T_S_W = inverse(three_point_frame(*at_reference_mm[:3]))
-    return rigid_fit(apply(T_S_W, at_reference_mm), slide_in_world_mm(log, station))
+    noise_mm2 = slide_noise_mm2(log, station) + slide_noise_mm2(log, reference)
+    return rigid_fit(
+        apply(T_S_W, at_reference_mm), slide_in_world_mm(log, station), weights=noise_mm2
+    )
+
+
+def slide_noise_mm2(log: Log, station: Station) -> Array:
+    """Return the covariances (N, 3, 3) in {W} of the averaged slide points, from their scatter."""
+    R = log.matrix("world")[:3, :3]
+    points = [log.points[f"slide/{station.name}/{nest.name}"] for nest in log.cell.layout.slide]
+    variance_mm2 = np.array([np.square(point.std_mm) / point.samples for point in points])
+    covariances: Array = np.einsum("ij,nj,kj->nik", R, variance_mm2, R)
+    return covariances
 
 
 def tool_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:

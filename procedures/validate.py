@@ -110,7 +110,8 @@ def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
 def errors_mm(log: Log, points: list[Point]) -> Array:
     """Return e = actual - nominal in {W}, (N, 3), eq 18 before the norm."""
     nominal_mm = np.array([point.nominal_mm for point in points])
-    return apply(log.matrix("world"), positions_mm(points)) - nominal_mm
+    error_mm: Array = apply(log.matrix("world"), positions_mm(points)) - nominal_mm
+    return error_mm
 
 
 def figures_of(errors: Array) -> dict[str, float]:
@@ -144,4 +145,5 @@ def _draw(rng: np.random.Generator, cell: Cell, cells: list[tuple[int, ...]]) ->
     inside = rng.uniform(size=(len(cells), 3))
     low = grid.origin_mm + np.array(cells) * grid.pitch_mm
     faces = (grid.origin_mm, grid.origin_mm + np.array(cell.grid.size_mm))
-    return np.clip(low + inside * grid.pitch_mm, faces[0] + MARGIN_MM, faces[1] - MARGIN_MM)
+    drawn: Array = low + inside * grid.pitch_mm
+    return np.clip(drawn, faces[0] + MARGIN_MM, faces[1] - MARGIN_MM)
