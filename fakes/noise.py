@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 
 class KeyedNoise:
-    """Draws of unit normal noise for one seed."""
+    """Draws of unit normal noise for one seed; ``scope`` keeps devices and sessions apart."""
 
-    def __init__(self, seed: int) -> None:
-        self._seed = seed
+    def __init__(self, seed: int, scope: str = "") -> None:
+        self._root = f"{seed}/{scope}"
         self._seen: Counter[str] = Counter()
 
     def normal(self, key: str, size: int) -> NDArray[np.float64]:
@@ -28,5 +28,5 @@ class KeyedNoise:
 
     def generator(self, key: str) -> np.random.Generator:
         """Return the generator that belongs to ``key`` alone."""
-        digest = hashlib.sha256(f"{self._seed}/{key}".encode()).digest()
+        digest = hashlib.sha256(f"{self._root}/{key}".encode()).digest()
         return np.random.default_rng(np.frombuffer(digest, dtype=np.uint32))

@@ -1,0 +1,195 @@
+"""Failures on demand: each has a name, and strikes at its own kind of occasion.
+
+A fake asks `Faults.take` at every occasion (a reply, a motion, a measurement); the answer is the
+fault's value when it strikes now, else None. ``after`` occasions pass untouched first, then it
+strikes ``count`` times. The trap: occasions count from when the fault is set, not from power-on.
+"""
+
+from __future__ import annotations
+
+import difflib
+import threading
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from hilcell.settings import SettingsError, convert
+
+Value = bool | int | float | str
+
+UNTIL_CLEARED = 0
+
+# name: what happens (its value) | its occasion
+KNOWN = {
+    "rail.vanish": "sockets close, nothing answers any more | a poll of the moving slide",
+    "rail.wrong_identity": "1018h names another product (product code) | an identity read",
+    "rail.heartbeat_loss": "this node's heartbeats stop (node) | a heartbeat",
+    "rail.node_reset": "this node reboots (node) | a poll of the moving slide",
+    "rail.emcy": "EMCY with this code, e.g. 0x7305 (code) | a poll of the moving slide",
+    "rail.fault": "the drive goes to FAULT (EMCY code) | a poll of the moving slide",
+    "rail.limit_switch": "a limit switch opens (-1 or 1) | a poll of the moving slide",
+    "rail.no_acknowledge": "set-point never acknowledged | a new set-point",
+    "rail.early_target_reached": "bit 10 is set while moving | a new set-point",
+    "rail.sdo_abort": "SDO abort with this code (code) | an SDO request",
+    "rail.sdo_timeout": "no SDO reply | an SDO request",
+    "rail.late_reply": "SDO reply late by this (s) | an SDO request",
+    "rail.late_tpdo": "TPDOs late by this (s) | a SYNC",
+    "rail.strip_frozen": "6004h keeps its value | a SYNC",
+    "rail.missing_magnet": "6503h bit 0 is set | a SYNC",
+    "rail.strip_jitter": "the strip reads +-1 count | a SYNC",
+    "rail.backlash": "the backlash grows by this (mm), for good | a motion",
+    "rail.slip": "the slide slips by this against the drive (mm), for good | a motion",
+    "rail.wrong_mode": "6061h shows this mode (mode) | a mode read",
+    "rail.eof": "the gateway closes the connection | a frame from the client",
+    "rail.garbage": "a byte >= 0x80 on the line | a frame to the client",
+    "rail.nack": "BELL in place of an acknowledge | a frame from the client",
+    "rail.stalled": "the gateway takes frames, sends none | a frame from the client",
+    "robot.vanish": "sockets close, nothing answers any more | a poll of the moving robot",
+    "robot.wrong_identity": "$TRAFONAME[] is another robot's (name) | an identity read",
+    "robot.e_stop": "E-stop: motion stops, $ALARM_STOP FALSE | a poll of the moving robot",
+    "robot.stopmess": "$STOPMESS TRUE, motion stops | a poll of the moving robot",
+    "robot.mode_t1": "$MODE_OP becomes #T1, motion stops | a request",
+    "robot.override_zero": "$OV_PRO becomes 0, motion stands | a poll of the moving robot",
+    "robot.deselected": "no program: $PRO_STATE1 #P_FREE | a request",
+    "robot.wrong_tool": "$ACT_TOOL is this (number) | a request",
+    "robot.wrong_base": "$ACT_BASE is this (number) | a request",
+    "robot.softlimit": "HC_ERR 2, no motion | a motion",
+    "robot.stops_short": "motion ends this much early, acknowledged (deg) | a motion",
+    "robot.frozen": "motion never gets further | a motion",
+    "robot.idle_close": "the server closes the connection | a request",
+    "robot.split_reply": "the reply comes in two halves | a request",
+    "robot.tag_mismatch": "the reply's tag is off by one | a request",
+    "robot.no_reply": "the request is not answered | a request",
+    "robot.failure_footer": "the reply says failure (0 C3 Bridge, 1 KUKAVARPROXY) | a request",
+    "robot.restarted": "every read and write fails | a request",
+    "robot.stale_position": "$POS_ACT and $AXIS_ACT keep their values | a position read",
+    "robot.half_open": "the server goes silent but stays connected | a request",
+    "robot.late_reply": "the reply is late by this (s) | a request",
+    "robot.bad_number": "a position's X or A1 is this text, e.g. NaN | a position read",
+    "robot.ack_previous": "HC_ACK keeps the number of the last command | a motion",
+    "robot.lost_zero": "axis 1 is off by this (deg), for good | a motion",
+    "tracker.vanish": "sockets close, nothing answers any more | a measurement",
+    "tracker.wrong_identity": "GetSystemStatus reports another processor | an identity read",
+    "tracker.beam_break_before": "beam breaks before the acknowledge | a measurement",
+    "tracker.beam_break_after": "beam breaks after the acknowledge | a measurement",
+    "tracker.no_reflector": "nothing found where it points | a search",
+    "tracker.no_result": "acknowledged, but no result comes | a measurement",
+    "tracker.late_result": "result comes with the next measurement's | a measurement",
+    "tracker.wrong_reflector": "status 23 in place of the acknowledge | a measurement",
+    "tracker.not_warmed_up": "status 10012 in place of the acknowledge | a measurement",
+    "tracker.init_lost": "status 39 until initialised again | a measurement",
+    "tracker.drift_step": "the tracker shifts by this along x (mm), for good | a measurement",
+    "tracker.noisy": "stdTotal is this (mm), and the reading as noisy | a measurement",
+    "tracker.metres": "values are in m whatever SetUnits said | a measurement",
+    "tracker.left_handed": "y has the wrong sign | a measurement",
+    "tracker.spike": "the reading is off by this (mm) | a measurement",
+    "tracker.no_weather": "T, P and H are 0, status 94 | a measurement",
+    "tracker.bad_number": "x is this text as a double, e.g. nan | a measurement",
+    "tracker.busy": "status 1 in place of the acknowledge | a measurement",
+    "tracker.status_storm": "this many status changes come first (number) | a measurement",
+    "tracker.split_packet": "the result is cut after byte 5 | a measurement",
+    "tracker.glued_packets": "result and a status change come in one segment | a measurement",
+    "tracker.length_zero": "a packet of length 0 comes | a measurement",
+    "tracker.length_huge": "a packet of length 2^31 comes | a measurement",
+    "tracker.eof": "the server closes the connection | a measurement",
+    "tracker.wrong_target": "it finds another SMR, this far off (mm) | a search",
+}
+
+
+class FaultLine(Struct, frozen=True, kw_only=True):
+    """One ``[[fault]]`` of a faults file."""
+
+    name: str
+    value: Value = True
+    after: Annotated[int, Meta(ge=0)] = 0
+    count: Annotated[int, Meta(ge=0)] = 1
+
+
+class FaultFile(Struct, frozen=True, kw_only=True):
+    """A faults file."""
+
+    fault: list[FaultLine] = []
+
+
+@dataclass
+class _Armed:
+    value: Value
+    after: int
+    left: int  # strikes left; below 0 without end
+
+
+class Faults:
+    """The armed faults of one simulated cell; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._armed: dict[str, _Armed] = {}
+
+    def set(self, name: str, value: Value = True, *, after: int = 0, count: int = 1) -> None:
+        """Arm a fault: let ``after`` occasions pass, then strike ``count`` times (0: for ever).
+
+        Raises `SettingsError` for an unknown name.
+        """
+        if problem := _unknown(name):
+            raise SettingsError("fault", [problem])
+        left = count if count != UNTIL_CLEARED else -1
+        with self._lock:
+            self._armed[name] = _Armed(value, after, left)
+
+    def clear(self, name: str = "") -> None:
+        """Disarm one fault, or all."""
+        with self._lock:
+            if name:
+                self._armed.pop(name, None)
+            else:
+                self._armed.clear()
+
+    def take(self, name: str) -> Value | None:
+        """Return the fault's value if it strikes on this occasion."""
+        if not self._armed:  # read without the lock: the usual case must cost nothing
+            return None
+        with self._lock:
+            armed = self._armed.get(name)
+            if armed is None:
+                return None
+            if armed.after > 0:
+                armed.after -= 1
+                return None
+            armed.left -= 1
+            if armed.left == 0:
+                del self._armed[name]
+            return armed.value
+
+    def number(self, name: str) -> float | None:
+        """Return as `take`, as a number."""
+        value = self.take(name)
+        return None if value is None else float(value)
+
+
+def load_faults(path: str) -> Faults:
+    """Read a faults file; raises `SettingsError` naming all problems. An empty path is none."""
+    faults = Faults()
+    if not path:
+        return faults
+    try:
+        values = tomllib.loads(Path(path).read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SettingsError(path, [f"cannot be read: {error}"]) from error
+    lines = convert(values, FaultFile, path).fault
+    problems = [problem for line in lines if (problem := _unknown(line.name))]
+    if problems:
+        raise SettingsError(path, problems)
+    for line in lines:
+        faults.set(line.name, line.value, after=line.after, count=line.count)
+    return faults
+
+
+def _unknown(name: str) -> str:
+    if name in KNOWN:
+        return ""
+    near = difflib.get_close_matches(name, KNOWN, n=1)
+    hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(KNOWN)}"
+    return f"fault {name!r} is unknown; {hint}"

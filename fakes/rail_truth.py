@@ -1,0 +1,230 @@
+"""The truth of the rail: motor, slide, strip; where the slide really is and how it leans.
+
+The motor stands where it was commanded. The slide follows it through backlash (play), along the
+error curve of Fig 1, and lands with a little noise that grows with the length of the move. The
+strip reads the slide. The trap: the motor's encoder knows nothing of all this.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fakes.faults import Faults
+from fakes.motion import Path
+from fakes.noise import KeyedNoise
+from fakes.smooth import SmoothCurve
+from fakes.time import PlantTime
+from hilcell.cell import Cell
+from hilcell.geometry.kinematics import Array
+
+BACKLASH_MM = 0.2
+CURVE_MM = 0.5  # largest error of Fig 1
+CURVE_SPAN_MM = 2000.0  # over this much travel from 0
+WAYS_MM = 0.02  # how much the curves up and down differ beside the backlash, 1 sigma
+LANDING_MM, SHORT_LANDING_MM, LONG_MOVE_MM = 0.01, 0.0015, 100.0
+STRAIGHTNESS_MM, LEAN_RAD, RAIL_TILT_RAD = 0.06, 1e-4, 3e-4  # 1 sigma
+STRIP_LONG_MM, STRIP_POLE_MM, POLE_PITCH_MM = 0.004, 0.002, 5.0
+SWITCH_MM = 1.0  # limit switches lie this far outside the travel
+STOP_MM = 0.5  # and the slide stops this far behind them
+POWER_ON_MM = 640.0
+HOMING_MM_S2, BACK_OFF_MM_S = 200.0, 10.0
+BRAKE_MM_S2 = 5000.0  # the closing brake
+
+
+@dataclass(frozen=True, slots=True)
+class RailState:
+    """The rail at one poll: what encoder, strip and switches say; unquantised."""
+
+    encoder_mm: float
+    velocity_mm_s: float
+    strip_mm: float
+    moving: bool
+    at_negative_limit: bool
+    at_positive_limit: bool
+
+
+class RailTruth:
+    """The rail of one simulated cell; safe to use from several threads.
+
+    It takes the faults ``rail.backlash`` and ``rail.slip`` itself; all others are the servers'.
+    """
+
+    def __init__(
+        self, cell: Cell, seed: int, time: PlantTime, faults: Faults, session: int = 1
+    ) -> None:
+        self._lock = threading.RLock()
+        self._time, self._faults = time, faults
+        self._noise = KeyedNoise(seed, f"rail/{session}")
+        self._shape = _Shape(cell, KeyedNoise(seed).generator("rail"))
+        self._low_mm = cell.rail.travel_min_mm - SWITCH_MM
+        self._high_mm = cell.rail.travel_max_mm + SWITCH_MM
+        self._acceleration_mm_s2 = cell.rail.acceleration_mm_s2
+        self._backlash_mm = self._shape.backlash_mm
+        self._slip_mm = 0.0
+        self._braked = True
+        self._homing = False
+        self._zero_mm = POWER_ON_MM  # of the motor: its encoder reads 0 at power-on
+        self._play_mm = POWER_ON_MM  # slide behind the backlash, in the motor's coordinate
+        self._landing_mm = (0.0, 0.0)  # at the start and at the end of the motion
+        self._path = Path(time.now_s(), POWER_ON_MM)
+        self._seen_s = time.now_s()
+
+    # -- what a drive does ----------------------------------------------------------------------
+
+    def move(self, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
+        """Start for ``target_mm`` of the encoder; a motion under way is braked first.
+
+        A closed brake lets nothing move. Beyond a limit switch the slide stops behind it.
+        """
+        with self._lock:
+            if self._braked:
+                return
+            self._homing = False
+            wanted_mm = target_mm + self._zero_mm
+            limited_mm = min(max(wanted_mm, self._low_mm - STOP_MM), self._high_mm + STOP_MM)
+            path = self._fresh_path().brake(acceleration_mm_s2)
+            distance_mm = abs(limited_mm - path.end)
+            path.travel(limited_mm, speed_mm_s, acceleration_mm_s2)
+            self._start(path, f"{target_mm:.3f}", distance_mm)
+
+    def quick_stop(self, deceleration_mm_s2: float) -> None:
+        """Brake to standstill on the ramp."""
+        with self._lock:
+            self._homing = False
+            before_mm = self._landing(self._time.now_s())
+            self._path = self._fresh_path().brake(deceleration_mm_s2)
+            self._landing_mm = (before_mm, before_mm)
+
+    def home(self, speed_mm_s: float) -> None:
+        """Run to the negative limit switch, back off it, stand; there the encoder reads 0."""
+        with self._lock:
+            if self._braked:
+                return
+            a = HOMING_MM_S2
+            path = self._fresh_path().brake(a).travel(self._low_mm - STOP_MM, speed_mm_s, a)
+            path.travel(self._low_mm + SWITCH_MM, BACK_OFF_MM_S, a)
+            self._start(path, "home", SWITCH_MM)
+            self._homing = True
+
+    def brake(self, closed: bool) -> None:
+        """Close or open the holding brake; closed in motion, it stops the slide hard."""
+        with self._lock:
+            self._braked = closed
+            if closed:
+                self.quick_stop(BRAKE_MM_S2)
+
+    def poll(self) -> RailState:
+        """Return the state now; in stepped time a moving slide gets a third further."""
+        with self._lock:
+            now_s = self._time.poll(self._path.start_s, self._path.end_s)
+            self._follow(now_s)
+            motor_mm, velocity_mm_s = self._path.at(now_s)
+            slide_mm = self._slide_mm(now_s)
+            return RailState(
+                encoder_mm=motor_mm - self._zero_mm,
+                velocity_mm_s=velocity_mm_s,
+                strip_mm=self._shape.strip_mm(slide_mm),
+                moving=now_s < self._path.end_s,
+                at_negative_limit=motor_mm <= self._low_mm,
+                at_positive_limit=motor_mm >= self._high_mm,
+            )
+
+    # -- what only the plant and tests see ------------------------------------------------------
+
+    @property
+    def still(self) -> bool:
+        """Whether the slide stands, without letting time pass."""
+        return self._time.now_s() >= self._path.end_s
+
+    def slide_mm(self) -> float:
+        """Return where the slide really is along the rail, without letting time pass."""
+        with self._lock:
+            now_s = self._time.now_s()
+            self._follow(now_s)
+            return self._slide_mm(now_s)
+
+    def slide_pose(self) -> Array:
+        """Return the slide in {W}, (4, 4): the frame in which the cell file states nominal {B}."""
+        return self._shape.pose(self.slide_mm())
+
+    # -- inside ---------------------------------------------------------------------------------
+
+    def _fresh_path(self) -> Path:
+        now_s = self._time.now_s()
+        self._follow(now_s)
+        return Path(now_s, *self._path.at(now_s))
+
+    def _start(self, path: Path, key: str, distance_mm: float) -> None:
+        self._backlash_mm += self._faults.number("rail.backlash") or 0.0
+        self._slip_mm += self._faults.number("rail.slip") or 0.0
+        share = min(1.0, distance_mm / LONG_MOVE_MM)
+        sigma_mm = SHORT_LANDING_MM + share * (LANDING_MM - SHORT_LANDING_MM)
+        lands_mm = sigma_mm * float(self._noise.normal(key, 1)[0])
+        self._landing_mm = (self._landing(path.start_s), lands_mm)
+        self._path = path
+
+    def _landing(self, now_s: float) -> float:
+        before_mm, after_mm = self._landing_mm
+        duration_s = self._path.end_s - self._path.start_s
+        share = (now_s - self._path.start_s) / duration_s if duration_s > 0 else 1.0
+        return before_mm + min(1.0, share) * (after_mm - before_mm)
+
+    def _follow(self, now_s: float) -> None:
+        """Drag the slide behind the motor up to ``now_s``, through every turn of the path."""
+        corners = self._path.corners(self._seen_s, now_s)
+        for motor_mm in (*corners, self._path.at(now_s)[0]):
+            self._play_mm = min(max(self._play_mm, motor_mm), motor_mm + self._backlash_mm)
+        self._seen_s = now_s
+        if self._homing and now_s >= self._path.end_s:
+            self._homing = False
+            self._zero_mm = self._path.end
+
+    def _slide_mm(self, now_s: float) -> float:
+        motor_mm = self._path.at(now_s)[0]
+        behind = (self._play_mm - motor_mm) / self._backlash_mm
+        error_mm = self._shape.error_mm(self._play_mm, behind)
+        return self._play_mm + error_mm + self._landing(now_s) + self._slip_mm
+
+
+class _Shape:
+    """What the seed fixes for good: error curves, straightness, leaning, strip."""
+
+    def __init__(self, cell: Cell, rng: np.random.Generator) -> None:
+        self.backlash_mm = BACKLASH_MM * (1.0 + 0.05 * float(rng.standard_normal()))
+        self._curve = SmoothCurve(rng, 1.0, 2 * CURVE_SPAN_MM, 3)
+        positions_mm = np.linspace(0.0, CURVE_SPAN_MM, 201)
+        self._scale = CURVE_MM / max(abs(self._curve(float(s))) for s in positions_mm)
+        self._ways = SmoothCurve(rng, WAYS_MM, 1500.0, 2)
+        self._strip_long = SmoothCurve(rng, STRIP_LONG_MM, 4000.0, 3)
+        self._pole_phase = float(rng.uniform(0.0, 2 * math.pi))
+        self._straight = [SmoothCurve(rng, STRAIGHTNESS_MM, 3500.0) for _ in range(2)]
+        self._lean = [SmoothCurve(rng, LEAN_RAD, 3500.0) for _ in range(3)]
+        base = cell.layout.base.matrix()
+        tilt = Rotation.from_rotvec(RAIL_TILT_RAD * rng.standard_normal(3)).as_matrix()
+        self._base, self._tilt = base, tilt
+        self._along = tilt @ np.array(cell.layout.rail_direction)
+        self._across = np.linalg.svd(self._along[None])[2][1:]
+
+    def error_mm(self, play_mm: float, behind: float) -> float:
+        """Return Fig 1's error; ``behind`` is 0 on the way up, 1 on the way down."""
+        return self._scale * self._curve(play_mm) + behind * self._ways(play_mm)
+
+    def strip_mm(self, slide_mm: float) -> float:
+        """Return what the strip reads, unquantised."""
+        pole = math.sin(2 * math.pi * slide_mm / POLE_PITCH_MM + self._pole_phase)
+        return slide_mm + self._strip_long(slide_mm) + STRIP_POLE_MM * pole
+
+    def pose(self, slide_mm: float) -> Array:
+        """Return the slide in {W}, (4, 4)."""
+        T = self._base.copy()
+        lean = Rotation.from_rotvec([curve(slide_mm) for curve in self._lean]).as_matrix()
+        T[:3, :3] = lean @ self._tilt @ T[:3, :3]
+        T[:3, 3] += slide_mm * self._along
+        for curve, direction in zip(self._straight, self._across, strict=True):
+            T[:3, 3] += curve(slide_mm) * direction
+        return T
