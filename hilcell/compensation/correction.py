@@ -1,0 +1,63 @@
+"""Corrected commands: where to send the robot so that it arrives at the target.
+
+With e = actual - nominal the command is P - e: the paper's "adding the error" has the wrong sign,
+which doubles the error. P - e(P) is first order only, for the robot goes to the command, not to
+P: so P_cmd = P - e(P_cmd), by fixed-point steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hilcell.compensation.grid import Grid
+from hilcell.geometry.kinematics import Array
+from hilcell.ports import HilcellError
+
+CONTRACTION = 0.5  # a further step may move the command by this share of the step before
+NEGLIGIBLE_MM = 1e-3
+
+
+class CorrectionError(HilcellError):
+    """An error map that changes too fast to be inverted."""
+
+
+def corrected(
+    grid: Grid,
+    targets_mm: ArrayLike,
+    error_at: Callable[[Array], Array],
+    steps: int = 2,
+    names: Sequence[str] | None = None,
+) -> Array:
+    """Return commands (N, 3) for targets (N, 3), in the grid's frame.
+
+    ``error_at`` gives e = actual - nominal (N, 3) at points (N, 3) inside the grid. Every target
+    must be inside; its command may leave the grid by the error itself, and there e is taken at
+    the nearest point of the grid's face. Raises `OutsideGrid`, and `CorrectionError` where the
+    steps do not shrink.
+    """
+    if steps < 1:
+        raise CorrectionError(f"correction: {steps} steps, wanted 1 or more")
+    targets = np.asarray(targets_mm, dtype=float)
+    grid.check_inside(targets, names)
+    command, moved_mm = targets, np.full(len(targets), np.inf)
+    for _ in range(steps):
+        further = targets - error_at(grid.clamped(command))
+        step_mm = np.linalg.norm(further - command, axis=1)
+        _check_contraction(step_mm, moved_mm, names)
+        command, moved_mm = further, step_mm
+    return command
+
+
+def _check_contraction(step_mm: Array, before_mm: Array, names: Sequence[str] | None) -> None:
+    bad = np.flatnonzero(~(step_mm <= CONTRACTION * before_mm + NEGLIGIBLE_MM))
+    if len(bad):
+        n = bad[0]
+        raise CorrectionError(
+            f"correction: {len(bad)} of {len(step_mm)} targets do not settle: "
+            f"{names[n] if names else f'target {n + 1}'} moves by {step_mm[n]:.3f} mm after "
+            f"{before_mm[n]:.3f} mm, wanted below {CONTRACTION:.0%}; the error map jumps there: "
+            "look for outliers on the vertices around it"
+        )
