@@ -111,7 +111,7 @@ class _ProgressFace(Face):
 
     def show(self, record: Record) -> None:
         body = record.body
-        if record.kind == "point":
+        if record.kind == "point" and body["group"] != "control":
             place = f" at {body['station']}" if body["station"] else ""
             self._progress.update(self._task, advance=1, description=f"{body['group']}{place}")
         elif record.kind == "state" and body["machine"] == "calibration":

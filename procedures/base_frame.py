@@ -6,9 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from hilcell.geometry.circles import Circle, base_frame, fit_circle
 
 from hilcell.cell import Cell
+from hilcell.geometry.circles import Circle, base_frame, fit_circle
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array

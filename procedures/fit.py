@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from hilcell.compensation.interpolation import choose, cross_validate
 
 from hilcell.calibration import grid_errors_mm, grid_of
 from hilcell.cell import Cell
+from hilcell.compensation.interpolation import choose, cross_validate
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log
 from hilcell.run.procedure import Step

@@ -36,7 +36,7 @@ class Validate:
         for station, targets_mm in targets(cell, seed).items():
             check_reach(cell, targets_mm, f"target at {station}")
             points += len(targets_mm)
-        return Step(self.name, 2 * points, 2 * points * robot_point_s(cell))
+        return Step(self.name, 3 * points, 3 * points * robot_point_s(cell))
 
     def perform(self, bench: Bench) -> None:
         """Validate at the grid's station, then at the others with transferred data."""

@@ -87,7 +87,7 @@ def test_files_that_are_no_toml(tmp_path: Path, text: bytes, part: str) -> None:
 
 
 def test_a_cell_that_does_not_exist_names_those_that_do() -> None:
-    with pytest.raises(SettingsError, match="built in: .*paper"):
+    with pytest.raises(SettingsError, match=r"built in: .*paper"):
         load_cell("papper")
 
 

@@ -108,11 +108,15 @@ def test_a_full_disk_is_told_and_nothing_half_written(path: Path) -> None:
     pages = journal._base.execute("PRAGMA page_count").fetchone()[0]
     journal._base.execute(f"PRAGMA max_page_count = {pages}")
     with pytest.raises(StorageError, match="full") as told:
-        for _ in range(100):
-            journal.append("event", "", {"what": "x" * 1000})
+        append_many(journal)
     assert "hilcell resume r" in str(told.value)
     journal.close()
     assert all(r.seq == n for n, r in enumerate(read_journal(path), start=1))
+
+
+def append_many(journal: Journal) -> None:
+    for _ in range(100):
+        journal.append("event", "", {"what": "x" * 1000})
 
 
 WRITER = """
