@@ -240,6 +240,12 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
     max_tolerance_mm: Positive = 1.0
 
 
+class CampaignTable(Frozen, frozen=True, kw_only=True):
+    """A list of poses to drive, with the reflectors and where the tracker expects them."""
+
+    poses: str
+
+
 class SettleTable(Frozen, frozen=True, kw_only=True):
     """Times in the cell's clock, and the oldest reading that an interlock believes."""
 
@@ -270,6 +276,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     base_frame: BaseFrameTable
     validation: ValidationTable = field(default_factory=ValidationTable)
     settle: SettleTable = field(default_factory=SettleTable)
+    campaign: CampaignTable | None = None
     simulation: SimulationTable | None = None
 
     def __post_init__(self) -> None:

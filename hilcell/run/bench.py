@@ -8,7 +8,7 @@ is: that, and nothing else, is what makes a run resumable.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -190,7 +190,7 @@ class Bench:
         self.hold_station(station)
         robot = self.robot_to(joints_rad, key)
         expected = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
-        reading = self._measure(key, expected[:3, 3], self.cell.tracker.samples)
+        reading = self._measure_in_world(key, expected[:3, 3], self.cell.tracker.samples)
         if self.frames.based():
             self._check_expected(key, reading, expected[:3, 3], FLANGE_TOLERANCE_MM)
         return self._keep(
@@ -200,12 +200,32 @@ class Bench:
             pose=robot.pose,
         )  # fmt: skip
 
+    def pose_points(
+        self, group: str, joints_rad: Array, targets: Sequence[tuple[str, Array]]
+    ) -> None:
+        """Go to joints (6,) where the slide stands and measure several reflectors there.
+
+        ``targets`` gives each one's key and its expected position (3,) in the tracker's frame.
+        """
+        missing = [target for target in targets if target[0] not in self.log.points]
+        if not missing:
+            return
+        self.checkpoint()
+        robot = self.robot_to(joints_rad, missing[0][0])
+        for key, near_mm in missing:
+            reading = self._measure(key, near_mm, self.cell.tracker.samples)
+            self._keep(
+                key, group, "", reading,
+                commanded_deg=np.degrees(joints_rad), joints_deg=np.degrees(robot.joints_rad),
+                pose=robot.pose,
+            )  # fmt: skip
+
     def floor_point(self, key: str, group: str, nest: Nest) -> Point:
         """Measure a nest on the floor."""
         if key in self.log.points:
             return self.log.points[key]
         self.checkpoint()
-        reading = self._measure(key, nest.xyz_mm, self.cell.layout.nest_samples)
+        reading = self._measure_in_world(key, nest.xyz_mm, self.cell.layout.nest_samples)
         return self._keep(key, group, "", reading)
 
     def slide_point(self, key: str, group: str, station: Station, nest: Nest) -> Point:
@@ -215,7 +235,7 @@ class Bench:
         self.checkpoint()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
-        reading = self._measure(key, expected, self.cell.layout.nest_samples)
+        reading = self._measure_in_world(key, expected, self.cell.layout.nest_samples)
         if self.frames.based():
             self._check_expected(key, reading, expected, 2 * self.cell.layout.nest_tolerance_mm)
         return self._keep(key, group, station.name, reading)
@@ -224,11 +244,13 @@ class Bench:
         """Measure a nest on the slide wherever the slide stands now; ``expected_mm`` in {W}."""
         if key in self.log.points:
             return self.log.points[key]
-        reading = self._measure(key, expected_mm, self.cell.layout.nest_samples)
+        reading = self._measure_in_world(key, expected_mm, self.cell.layout.nest_samples)
         return self._keep(key, group, "", reading, nominal_mm=expected_mm)
 
-    def _measure(self, key: str, expected_mm: Array, samples: int) -> TrackerReading:
-        near_mm = self.frames.tracker_from_world(expected_mm)[0]
+    def _measure_in_world(self, key: str, expected_mm: Array, samples: int) -> TrackerReading:
+        return self._measure(key, self.frames.tracker_from_world(expected_mm)[0], samples)
+
+    def _measure(self, key: str, near_mm: Array, samples: int) -> TrackerReading:
         tracker, reflector = self.devices.tracker, self.cell.tracker.reflector
         while True:
             for tries in range(1, MEASURE_TRIES + 1):

@@ -1,0 +1,104 @@
+"""A campaign from a file: every pose is driven, every reflector on it measured, then fitted.
+
+The file is a CSV of measured targets (`hilcell fit`): its joints are commanded, its positions are
+where the tracker looks. What is journalled is what the devices answer.
+"""
+
+from __future__ import annotations
+
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hilcell.cell import Cell
+from hilcell.fit import fit
+from hilcell.ports import HilcellError
+from hilcell.robotfile import Measurements, RobotModel, Row, read_measurements
+from hilcell.run.bench import Bench
+from hilcell.run.interlocks import check_joint_limits
+from hilcell.run.log import Log, positions_mm
+from hilcell.run.procedure import Procedure, Step, Table
+from procedures.plan import MEASURE_S, robot_point_s
+
+
+class Campaign:
+    """Drives the poses in the file's order; the slide, if there is one, stands."""
+
+    name = "campaign"
+    needs = "a file of poses (campaign.poses)"
+    moves = "the robot"
+    measures = "every reflector of every pose"
+    yields = "measured targets and the fit of the robot's nominal kinematics to them"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse poses outside the joint limits."""
+        rows = poses_of(cell)
+        for pose, joints in zip(rows.pose, rows.joints_rad, strict=True):
+            check_joint_limits(cell, joints, f"pose {pose}")
+        seconds = len(set(rows.pose)) * robot_point_s(cell) + len(rows) * MEASURE_S
+        return Step(self.name, len(rows), seconds)
+
+    def perform(self, bench: Bench) -> None:
+        """Drive and measure."""
+        bench.reach("connect")
+        rows = poses_of(bench.cell)
+        for pose, numbers in groupby(range(len(rows)), key=lambda row: rows.pose[row]):
+            at = list(numbers)
+            targets = [(f"campaign/{pose}/{rows.target[n]}", rows.xyz_mm[n]) for n in at]
+            bench.pose_points("campaign", rows.joints_rad[at[0]], targets)
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the cross-validated fit of what was measured."""
+        return {"campaign": fit(robot_of(log.cell), measured(log), None)}
+
+
+def poses_of(cell: Cell) -> Measurements:
+    """Return the file's poses; raises `HilcellError` where the cell names none."""
+    if cell.campaign is None:
+        raise HilcellError("campaign.poses is missing: give a CSV with --set campaign.poses=FILE")
+    return read_measurements(Path(cell.campaign.poses))
+
+
+def robot_of(cell: Cell) -> RobotModel:
+    """Return the cell's nominal robot; where its reflectors sit, the fit finds out."""
+    rows = [
+        Row(
+            a_mm=joint.a_mm,
+            alpha_deg=joint.alpha_deg,
+            d_mm=joint.d_mm,
+            offset_deg=joint.offset_deg,
+            sign=joint.sign,
+        )
+        for joint in cell.robot.joint
+    ]
+    return RobotModel(name=cell.robot.name, convention="standard-dh", joint=rows)
+
+
+def measured(log: Log) -> Measurements:
+    """Return the campaign's points as measured targets, with the joints as commanded."""
+    points = log.group("campaign")
+    names = [point.key.split("/")[1:] for point in points]
+    joints_deg = np.array([point.commanded_deg for point in points])
+    return Measurements(
+        [pose for pose, _ in names],
+        [target for _, target in names],
+        np.radians(joints_deg),
+        positions_mm(points),
+    )
+
+
+def campaign_table(result: dict[str, Any]) -> Table:
+    """Return what each method leaves of the measured targets, cross-validated."""
+    keys = ("mean_mm", "p95_mm", "max_mm")
+    rows = [
+        [name, *(f"{figures[key]:.4f}" for key in keys)]
+        for name, figures in result["campaign"]["methods"].items()
+    ]
+    return ["method", "mean mm", "p95 mm", "max mm"], rows
+
+
+CAMPAIGN = Procedure(
+    "campaign", "drive and measure the poses of a file, then fit", (Campaign(),), campaign_table
+)

@@ -1,0 +1,150 @@
+"""The whole program as its users run it: processes, pipes and sockets, nothing imported."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+HILCELL = [sys.executable, "-m", "hilcell"]
+LIMIT_S = 100.0
+
+# A small calibration: every act of the real one, fewer points of each.
+SMALL = {
+    "grid.pitch_mm": "450.0",
+    "validation.per_cell": "1",
+    "validation.others": "8",
+    "base_frame.points": "6",
+    "layout.nest_samples": "2",
+}
+
+
+def sets(values: dict[str, str]) -> list[str]:
+    return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+
+
+def hilcell(*words: str | Path, limit_s: float = LIMIT_S) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end."""
+    return subprocess.run(
+        [*HILCELL, *map(str, words)], capture_output=True, text=True, timeout=limit_s, check=False
+    )
+
+
+def events(text: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def end_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    """Return the end event of a run with --json, which is its last line."""
+    assert done.stdout, done.stderr
+    last = events(done.stdout)[-1]
+    assert last["kind"] == "end"
+    assert last["exit"] == done.returncode
+    return last
+
+
+class Engine:
+    """A run in the background whose events can be awaited."""
+
+    def __init__(self, *words: str | Path) -> None:
+        self.process = subprocess.Popen(
+            [*HILCELL, *map(str, words), "--json"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.events: list[dict[str, Any]] = []
+
+    def until(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Read events until one is wanted; the pytest time limit bounds the wait."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.events.append(json.loads(line))
+            if wanted(self.events[-1]):
+                return self.events[-1]
+        _, told = self.process.communicate()
+        raise AssertionError(f"the run ended first: {self.events[-1:]}\n{told}")
+
+    def kill(self) -> list[dict[str, Any]]:
+        """Kill -9 and return all events that were printed, the torn last line left out."""
+        self.process.send_signal(signal.SIGKILL)
+        return self.rest()
+
+    def rest(self) -> list[dict[str, Any]]:
+        out, self.told = self.process.communicate(timeout=LIMIT_S)
+        lines = out.splitlines(keepends=True)
+        self.events += [json.loads(line) for line in lines if line.endswith("\n")]
+        return self.events
+
+    @property
+    def run(self) -> str:
+        return str(self.events[0]["run"])
+
+
+class Simulation:
+    """``hilcell sim`` in the background: a cell that outlives its engines."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        self.process = process
+        self.addresses: dict[str, Any] = json.loads(line)
+        self.control = str(self.addresses["control"])
+
+    def ask(self, **request: object) -> dict[str, Any]:
+        """Send one request over the control channel."""
+        host, port = self.control.split(":")
+        with socket.create_connection((host, int(port)), timeout=10) as link:
+            link.sendall(json.dumps(request).encode() + b"\n")
+            answer: dict[str, Any] = json.loads(link.makefile("rb").readline())
+        return answer
+
+
+@contextmanager
+def simulation(*words: str) -> Iterator[Simulation]:
+    """Run the simulated cell beside the test."""
+    process = subprocess.Popen(
+        [*HILCELL, "sim", *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    try:
+        yield Simulation(process)
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=20)
+
+
+def wait_gone(pid: int, limit_s: float = 20.0) -> None:
+    """Wait until a process that is not our child has ended."""
+    deadline = time.monotonic() + limit_s
+    while Path(f"/proc/{pid}").exists() and "Z" not in state_of(pid):
+        assert time.monotonic() < deadline, f"process {pid} lives on"
+        time.sleep(0.01)
+
+
+def state_of(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except FileNotFoundError:
+        return "Z"
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that ``pid`` started."""
+    found = []
+    for entry in os.listdir("/proc"):
+        if entry.isdigit():
+            try:
+                stat = Path(f"/proc/{entry}/stat").read_text().rsplit(")", 1)[1].split()
+            except OSError:
+                continue
+            if int(stat[1]) == pid:
+                found.append(int(entry))
+    return found

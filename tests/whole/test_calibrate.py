@@ -1,0 +1,97 @@
+"""The built-in cell is calibrated over its wires, and the figures are the paper's."""
+
+import concurrent.futures
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.whole.bench import end_of, events, hilcell
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """Return two calibrations of seed 3, made side by side."""
+
+    def one(name: str) -> Any:
+        folder = tmp_path_factory.mktemp(name)
+        words = ("run", "--json", "--speed", "max", "--seed", "3", "--runs", folder)
+        return folder, hilcell(*words, limit_s=170)
+
+    with concurrent.futures.ThreadPoolExecutor() as pool:
+        return list(pool.map(one, ["first", "second"]))
+
+
+@pytest.mark.timeout(240)
+def test_the_end_event_has_the_figures(runs: list[Any]) -> None:
+    end = end_of(runs[0][1])
+    assert end["state"] == "finished", runs[0][1].stderr
+    assert end["exit"] == 0
+    result = end["result"]
+    assert result["simulated"] is True
+    assert result["points"]["grid"] == 64
+    assert result["points"]["frames"] == 24
+    assert sorted(result["stations"]) == ["S1100", "S1900", "S300"]
+    at_grid, others = result["validation"]["S1100"], result["validation"]["others"]
+    assert at_grid["points"] == 135
+    assert others["points"] == 150
+    assert 1.09 <= at_grid["before"]["mean"] <= 1.33
+    assert 0.09 <= at_grid["idw"]["mean"] <= 0.15
+    assert 0.11 <= others["idw"]["mean"] <= 0.20
+    assert at_grid["floor"]["mean"] < at_grid["chosen"]["mean"] <= at_grid["idw"]["mean"] + 0.02
+    assert set(result["fit"]["loocv"]) >= {"idw", "trilinear"}
+    for station in result["stations"].values():
+        assert 0.0 < station["tool_uncertainty_mm"] < 0.1
+
+
+@pytest.mark.timeout(240)
+def test_the_same_seed_gives_the_same_figures(runs: list[Any]) -> None:
+    assert end_of(runs[0][1])["result"] == end_of(runs[1][1])["result"]
+
+
+@pytest.mark.timeout(240)
+def test_events_are_the_journal(runs: list[Any]) -> None:
+    folder, done = runs[0]
+    printed = events(done.stdout)
+    assert [event["seq"] for event in printed] == list(range(1, len(printed) + 1))
+    watched = hilcell("watch", "last", "--runs", folder, "--json")
+    assert events(watched.stdout) == printed
+    assert printed[0]["kind"] == "plan"
+
+
+@pytest.mark.timeout(240)
+def test_show_computes_the_result_anew(runs: list[Any]) -> None:
+    folder, done = runs[0]
+    shown = hilcell("show", "last", "--runs", folder, "--json")
+    assert events(shown.stdout)[0]["result"] == end_of(done)["result"]
+    listed = events(hilcell("runs", "--runs", folder, "--json").stdout)[0]["runs"]
+    assert [(each["state"], each["exit"]) for each in listed] == [("finished", 0)]
+
+
+@pytest.mark.timeout(240)
+def test_the_calibration_corrects_targets(runs: list[Any], tmp_path: Path) -> None:
+    folder, _ = runs[0]
+    targets, out = tmp_path / "targets.csv", tmp_path / "out.csv"
+    head = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n"
+    # The cube's centre lies near {W}'s origin at 1100, 1250 mm above the floor.
+    targets.write_text(head + "H1,10,20,1250,0,75,0\nH2,-200,100,1000,0,75,0\n")
+    words = ("compensate", "last", targets, "--station", "S1100", "-o", out, "--runs", folder)
+    done = hilcell(*words)
+    assert done.returncode == 0, done.stderr
+    moved = [
+        (float(b) - float(a))
+        for a, b in zip(
+            targets.read_text().splitlines()[1].split(",")[1:4],
+            out.read_text().splitlines()[1].split(",")[1:4],
+            strict=True,
+        )
+    ]
+    assert 0.1 < sum(each**2 for each in moved) ** 0.5 < 4.0
+    targets.write_text(head + "FAR,2000,0,1250,0,75,0\n")
+    done = hilcell(*words)
+    assert done.returncode == 2
+    assert "FAR by" in done.stderr
+    targets.write_text(head + "TURNED,0,0,1250,0,85,0\n")
+    done = hilcell(*words)
+    assert done.returncode == 2
+    assert "TURNED by 10" in done.stderr

@@ -1,0 +1,105 @@
+"""kill -9 at any moment, then resume: nothing acknowledged is lost or measured twice."""
+
+import random
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.whole.bench import (
+    SMALL,
+    Engine,
+    children,
+    end_of,
+    events,
+    hilcell,
+    sets,
+    simulation,
+    wait_gone,
+)
+
+KILLS = 20
+
+
+def figures(result: dict[str, Any]) -> dict[str, float]:
+    return {
+        f"{where}.{label}": each[label]["mean"]
+        for where, each in result["validation"].items()
+        for label in ("before", "idw", "chosen")
+    }
+
+
+def points_of(printed: list[dict[str, Any]]) -> list[str]:
+    return [event["key"] for event in printed if event["kind"] == "point"]
+
+
+@pytest.mark.timeout(400)
+def test_twenty_kills_change_nothing(tmp_path: Path) -> None:
+    whole = hilcell("run", "--json", "--runs", tmp_path / "whole", *sets(SMALL))
+    wanted = end_of(whole)["result"]
+    # Where to die: after so many records, spread over the whole run but not by a pattern.
+    total = len(events(whole.stdout))
+    rng = random.Random(2014)
+    moments = sorted(rng.sample(range(5, total - 5), KILLS))
+
+    with simulation("--speed", "max") as cell:
+        words = sets(SMALL | {"simulation.address": cell.control})
+        acknowledged: list[str] = []
+        name = ""
+        for moment in moments:
+            if not name:
+                engine = Engine("run", "--runs", tmp_path, *words)
+            else:
+                engine = Engine("resume", name, "--runs", tmp_path)
+            engine.until(lambda event, least=moment: event["seq"] >= least)
+            acknowledged += points_of(engine.kill())
+            name = engine.run
+        last = hilcell("resume", name, "--runs", tmp_path, "--json")
+    end = end_of(last)
+    assert end["state"] == "finished", last.stderr
+    acknowledged += points_of(events(last.stdout))
+
+    journal = events(hilcell("watch", name, "--runs", tmp_path, "--json").stdout)
+    kept = points_of(journal)
+    assert not [key for key, count in Counter(kept).items() if count > 1]
+    assert set(acknowledged) <= set(kept)
+    measured = {key for key in kept if not key.startswith("control/")}
+    assert measured == {k for k in points_of(events(whole.stdout)) if not k.startswith("control/")}
+    found, uninterrupted = figures(end["result"]), figures(wanted)
+    for key, value in uninterrupted.items():
+        assert found[key] == pytest.approx(value, abs=0.03), key
+
+
+def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
+    engine = Engine("run", "--runs", tmp_path, "--speed", "20", *sets(SMALL))
+    engine.until(lambda event: event["kind"] == "intent")
+    simulated = children(engine.process.pid)
+    assert simulated
+    engine.kill()
+    for pid in simulated:
+        wait_gone(pid)
+    (run,) = events(hilcell("runs", "--json", "--runs", tmp_path).stdout)[0]["runs"]
+    assert "engine gone" in run["state"]
+    shown = hilcell("show", engine.run, "--runs", tmp_path)
+    assert "engine gone" in shown.stdout
+    resumed = hilcell("resume", engine.run, "--runs", tmp_path, "--json", "--speed", "1")
+    assert resumed.returncode == 2  # the speed of a run is frozen in its journal
+
+
+@pytest.mark.parametrize("device", ["rail", "robot", "tracker"])
+def test_a_device_that_vanishes_in_mid_motion(tmp_path: Path, device: str) -> None:
+    """Safe stop, journal intact, exit 3; with the device back the run goes on to its end."""
+    with simulation("--speed", "max") as cell:
+        words = sets(SMALL | {"simulation.address": cell.control})
+        engine = Engine("run", "--runs", tmp_path, *words)
+        engine.until(lambda event: event["kind"] == "point" and event["group"] == "grid")
+        cell.ask(op="fault", name=f"{device}.vanish")
+        printed = engine.rest()
+        assert printed[-1]["exit"] == 3, printed[-1]
+        assert printed[-1]["state"] == "faulted"
+        assert device.capitalize() in printed[-1]["reason"]
+        assert any(e["kind"] == "event" and e["what"] == "safe stop" for e in printed)
+        cell.ask(op="clear", name=f"{device}.vanish")
+        done = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
+    assert end_of(done)["state"] == "finished", done.stderr

@@ -1,0 +1,130 @@
+"""What is wrong is refused with one clear message and its exit code before anything moves."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from tests.whole.bench import SMALL, Engine, end_of, events, hilcell, sets, simulation
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["--cell", "papper"], "no such file, and no built-in cell of that name"),
+        (["--set", "rail.sped_mm_s=3.0"], 'unknown key; did you mean "speed_mm_s"?'),
+        (["--set", "rail.speed_mm_s=nan"], "not a finite number"),
+        (["--set", "rail.options.chanel=x"], 'unknown key; did you mean "channel"?'),
+        (["--set", "grid.centre.x_mm=2600.0"], "12 of 64 poses are out of reach"),
+        (["--set", "tracker.max_range_mm=4000.0"], "out of the tracker's range"),
+        (["--set", "rail.driver=canopeen"], "is not installed; installed:"),
+        (["calibrat"], "'calibrat' is not installed; installed: base-frame, calibrate"),
+        (["--set", "layout.slide=" + "[" + ", ".join(
+            f'{{name="P{n}", x_mm={n}00.0, y_mm=0.0, z_mm=0.0}}' for n in range(3)
+        ) + "]"], "lie on one line"),
+    ],
+)  # fmt: skip
+def test_refused_before_anything_starts(tmp_path: Path, words: list[str], part: str) -> None:
+    done = hilcell("run", "--json", "--runs", tmp_path / "runs", *words)
+    assert done.returncode == 2
+    assert part in done.stderr
+    assert "Traceback" not in done.stderr
+    end = end_of(done)
+    assert end["state"] == "idle"
+    assert not (tmp_path / "runs").exists()
+    if "calibrat" not in words:
+        assert hilcell("check", *[w for w in words if w != "--cell"] or ["x"]).returncode == 2
+
+
+def test_a_malformed_cell_file(tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    file.write_text("name = [")
+    done = hilcell("run", "--cell", file, "--runs", tmp_path)
+    assert done.returncode == 2
+    assert "not valid TOML" in done.stderr
+
+
+def test_dry_run_opens_nothing_and_prints_the_plan(tmp_path: Path) -> None:
+    done = hilcell("run", "--dry-run", "--json", "--runs", tmp_path / "runs")
+    assert done.returncode == 0
+    plan, end = events(done.stdout)
+    assert plan["kind"] == "plan"
+    assert plan["points"] > 700
+    assert plan["duration_s"] > 1000
+    assert end["kind"] == "end"
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_port_nobody_listens_on(tmp_path: Path) -> None:
+    """All three devices are tried and all failures told, before anything moves."""
+    cell = tmp_path / "real.toml"
+    built_in = Path("hilcell/cells/paper.toml")
+    text = (Path(__file__).parents[2] / built_in).read_text("utf-8")
+    cell.write_text(text.split("[simulation]")[0])
+    words = {
+        "rail.options.channel": f"socket://127.0.0.1:{free_port()}",
+        "robot.options.port": str(free_port()),
+        "tracker.options.port": str(free_port()),
+    }
+    done = hilcell("run", "--json", "--cell", cell, "--runs", tmp_path, *sets(words))
+    end = end_of(done)
+    assert end["exit"] == 3
+    assert end["state"] == "faulted"
+    for name in ("Rail", "Robot", "Tracker"):
+        assert name in end["reason"]
+    assert "hilcell resume" in done.stderr
+    assert not [e for e in events(done.stdout) if e["kind"] == "intent"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "device"),
+    [
+        ("rail.wrong_identity", "Rail"),
+        ("robot.wrong_identity", "Robot"),
+        ("tracker.wrong_identity", "Tracker"),
+    ],
+)
+def test_a_device_of_the_wrong_identity(tmp_path: Path, fault: str, device: str) -> None:
+    faults = tmp_path / "faults.toml"
+    faults.write_text(f'[[fault]]\nname = "{fault}"\ncount = 1000\n')
+    with simulation("--speed", "max", "--faults", str(faults)) as cell:
+        words = {"simulation.address": cell.control}
+        done = hilcell("run", "--json", "--runs", tmp_path, *sets(words))
+    end = end_of(done)
+    assert end["exit"] == 2, done.stderr
+    assert device in end["reason"]
+    assert "wanted" in end["reason"]
+    assert not [e for e in events(done.stdout) if e["kind"] == "intent"]
+
+
+def test_a_second_run_on_the_same_cell(tmp_path: Path) -> None:
+    engine = Engine("run", "--speed", "20", "--runs", tmp_path, *sets(SMALL))
+    engine.until(lambda event: event["kind"] == "intent")
+    done = hilcell("run", "--json", "--runs", tmp_path, *sets(SMALL))
+    assert done.returncode == 6
+    assert f"locked by run {engine.run}" in done.stderr
+    assert end_of(done)["exit"] == 6
+    assert hilcell("stop", engine.run, "--runs", tmp_path).returncode == 0
+    assert engine.rest()[-1]["exit"] == 4
+
+
+def test_speed_is_for_simulated_cells(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "hilcell/cells/paper.toml").read_text("utf-8")
+    cell = tmp_path / "real.toml"
+    cell.write_text(text.split("[simulation]")[0])
+    done = hilcell("run", "--cell", cell, "--speed", "2", "--runs", tmp_path)
+    assert done.returncode == 2
+    assert "is real" in done.stderr
+
+
+@pytest.mark.parametrize("words", [["dance"], ["run", "--speed", "0"], ["run", "--set", "x"], []])
+def test_words_nobody_knows(words: list[str]) -> None:
+    done = hilcell(*words)
+    assert done.returncode == 2
+    assert "usage" in done.stderr
