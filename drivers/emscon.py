@@ -1,0 +1,260 @@
+"""Leica emScon TPI, the binary interface of Leica's laser trackers: codec and framing.
+
+Little-endian, packed to 4 bytes; every packet starts with its size and its type. The trap: a
+result is no reply. The reply to "start measurement" comes at once, the result later as a packet
+of its own, with status changes between them, two packets in one segment or one over two.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+SMALLEST, LARGEST = 12, 65536
+_HEADER = struct.Struct("<II")
+_COMMAND = struct.Struct("<III")
+_RESULT = struct.Struct("<Iii17d")
+_SYSTEM_STATUS = struct.Struct("<IIII iii Iii")
+_REFLECTOR = struct.Struct("<iiId64s")
+UNITS = struct.Struct("<5I")
+ENVIRONMENT = struct.Struct("<3d")
+NUMBER = struct.Struct("<i")
+STATIONARY = struct.Struct("<ii")
+SEARCH = struct.Struct("<di")
+DISTANCE = struct.Struct("<d")
+POSITION = struct.Struct("<3di")
+
+MILLIMETRE_UNITS = (1, 1, 0, 0, 0)  # mm, deg, Celsius, mbar, % relative humidity
+RIGHT_HANDED = 0
+STATIONARY_MODE = 0
+INITIALIZED = 5
+
+
+class EmsconError(ValueError):
+    """Bytes that are no packet of the interface."""
+
+
+class Type(IntEnum):
+    """Kinds of packets (ES_DataType)."""
+
+    COMMAND = 0
+    ERROR = 1
+    SINGLE_RESULT = 2
+    REFLECTOR_POSITION = 7
+    STATUS_CHANGE = 8
+
+
+class Command(IntEnum):
+    """Commands used here (ES_Command)."""
+
+    GET_SYSTEM_STATUS = 1
+    SET_UNITS = 5
+    GET_UNITS = 6
+    INITIALIZE = 7
+    GET_ENVIRONMENT = 21
+    SET_MEASUREMENT_MODE = 24
+    GET_MEASUREMENT_MODE = 25
+    SET_COORDINATE_SYSTEM = 26
+    GET_COORDINATE_SYSTEM = 27
+    SET_STATIONARY = 28
+    GET_STATIONARY = 29
+    SET_REFLECTOR = 40
+    GET_REFLECTOR = 41
+    GET_REFLECTORS = 42
+    SET_SEARCH = 43
+    START_MEASUREMENT = 49
+    STOP_MEASUREMENT = 52
+    GO_POSITION = 55
+    FIND_REFLECTOR = 63
+
+
+class Change(IntEnum):
+    """Status changes that matter here (ES_SystemStatusChange)."""
+
+    NOT_READY = 25
+    READY = 27
+    PROCESSOR_CLOSING = 997
+    SERVER_CLOSING = 998
+
+
+STATUS = {
+    1: "server busy",
+    2: "command not implemented",
+    **{code: f"wrong parameter {code - 3 or ''}".rstrip() for code in range(3, 11)},
+    **{code: f"parameter {(code - 9) // 2} out of range" for code in range(11, 23)},
+    23: "wrong reflector",
+    26: "no tracker processor found",
+    28: "no last measured point",
+    37: "no distance set",
+    38: "no tracker connected",
+    39: "tracker not initialised",
+    57: "weather data out of range",
+    94: "no temperature from the weather station",
+    95: "no pressure from the weather station",
+    96: "no humidity from the weather station",
+    98: "invalid input data",
+    10004: "not ready: no reflector is locked",
+    10005: "distance meter still starting",
+    10009: "no stationary result",
+    10010: "sensor not levelled",
+    10012: "not warmed up",
+    10013: "sensor not stable",
+    10014: "system not ready for a measurement",
+    10015: "the sensor does not answer",
+}
+BUSY, NOT_READY = 1, 10004
+# With these one measurement failed and the device is well; all others are the device's failure.
+RECOVERABLE = frozenset(
+    {BUSY, 23, 28, 37, 57, 94, 95, 96, 98, NOT_READY, 10005, 10009, 10013, 10014}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The reply to a command."""
+
+    command: int
+    status: int
+    body: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """An error packet: the answer to a refused command, or unasked for when the beam breaks."""
+
+    command: int
+    status: int
+
+
+@dataclass(frozen=True, slots=True)
+class StatusChange:
+    """Something changed in the tracker."""
+
+    change: int
+
+
+@dataclass(frozen=True, slots=True)
+class Single:
+    """A single measurement in the units and the coordinate system that are set."""
+
+    status: int
+    mode: int
+    xyz: tuple[float, float, float]
+    std: tuple[float, float, float]
+    std_total: float
+    temperature: float
+    pressure: float
+    humidity: float
+
+
+@dataclass(frozen=True, slots=True)
+class Other:
+    """A packet of a kind that is not used here."""
+
+    kind: int
+
+
+Packet = Reply | Failure | StatusChange | Single | Other
+
+
+@dataclass(frozen=True, slots=True)
+class SystemStatus:
+    """What the tracker says of itself."""
+
+    processor: int
+    version: str
+    weather_station: int
+    serial: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reflector:
+    """One of the tracker's reflectors; the server sends one such reply for each of ``total``."""
+
+    total: int
+    number: int
+    offset_mm: float
+    name: str
+
+
+def encode(command: Command, body: bytes = b"") -> bytes:
+    """Return a command packet."""
+    return _COMMAND.pack(_COMMAND.size + len(body), Type.COMMAND, command) + body
+
+
+def status_text(status: int) -> str:
+    """Return a status code with its meaning."""
+    return f"status {status} ({STATUS.get(status, 'unknown')})"
+
+
+class PacketReader:
+    """Cuts a stream of bytes into packets."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Return the packets that are complete now; after an `EmsconError` the stream is lost."""
+        self._buffer += data
+        packets = []
+        while len(self._buffer) >= _HEADER.size:
+            size, kind = _HEADER.unpack_from(self._buffer)
+            if not SMALLEST <= size <= LARGEST:
+                raise EmsconError(f"a packet of {size} bytes is announced")
+            if len(self._buffer) < size:
+                break
+            packets.append(decode(kind, bytes(self._buffer[_HEADER.size : size])))
+            del self._buffer[:size]
+        return packets
+
+
+def decode(kind: int, body: bytes) -> Packet:
+    """Return the packet of type ``kind`` whose bytes after the header are ``body``."""
+    try:
+        if kind == Type.COMMAND:
+            command, status = struct.unpack_from("<II", body)
+            return Reply(command, status, body[8:])
+        if kind == Type.ERROR:
+            return Failure(*struct.unpack_from("<II", body))
+        if kind == Type.STATUS_CHANGE:
+            return StatusChange(*struct.unpack_from("<I", body))
+        if kind == Type.SINGLE_RESULT:
+            return _single(*_RESULT.unpack_from(body))
+    except struct.error as error:
+        raise EmsconError(f"a packet of type {kind} with only {len(body)} bytes") from error
+    return Other(kind)
+
+
+def _single(status: int, mode: int, _try_mode: int, *values: float) -> Single:
+    x, y, z, std_1, std_2, std_3, std_total = values[:7]
+    return Single(status, mode, (x, y, z), (std_1, std_2, std_3), std_total, *values[14:])
+
+
+def decode_system_status(body: bytes) -> SystemStatus:
+    """Return the body of the reply to GetSystemStatus."""
+    values = _unpack(_SYSTEM_STATUS, body)
+    major, minor, build, weather, _flags, serial = values[4:]
+    return SystemStatus(values[1], f"{major}.{minor}.{build}", weather, serial)
+
+
+def decode_reflector(body: bytes) -> Reflector:
+    """Return the body of one reply to GetReflectors."""
+    total, number, _kind, offset_mm, name = _unpack(_REFLECTOR, body)
+    return Reflector(total, number, offset_mm, _text(name))
+
+
+def unpack(layout: struct.Struct, body: bytes) -> tuple[float, ...]:
+    """Return the numbers of a reply's body; raises `EmsconError`."""
+    return tuple(_unpack(layout, body))
+
+
+def _unpack(layout: struct.Struct, body: bytes) -> tuple:  # type: ignore[type-arg]
+    try:
+        return layout.unpack_from(body)
+    except struct.error as error:
+        raise EmsconError(f"a reply of {len(body)} bytes, {layout.size} expected") from error
+
+
+def _text(field: bytes) -> str:
+    return field.decode("utf-16-le", errors="replace").partition("\0")[0]

@@ -1,0 +1,53 @@
+"""A thread that asks something harmless of idle connections, so that the server keeps them.
+
+The trap: KUKAVARPROXY drops a client after 30 s without a request, and a stop sent over a dropped
+connection is lost. What the thread finds broken is kept and raised at the device's next use.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+
+from drivers.c3 import C3Connection
+from hilcell.ports import DeviceError, Stopped
+
+IDLE_S = 8.0
+LOOK_S = 1.0
+JOIN_S = 3.0
+
+
+class KeepAlive:
+    """Reads ``variable`` over every connection that has been idle for `IDLE_S`."""
+
+    def __init__(self, connections: Sequence[C3Connection], variable: str) -> None:
+        self._connections, self._variable = connections, variable
+        self._failure: DeviceError | None = None
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="c3 keep-alive", daemon=True)
+        self._thread.start()
+
+    def check(self) -> None:
+        """Raise what broke a connection since the last look."""
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        """End the thread."""
+        self._end.set()
+        self._thread.join(JOIN_S)
+
+    def _run(self) -> None:
+        try:
+            while not self._end.wait(LOOK_S):
+                self._ask_idle()
+        except Stopped:
+            return  # the run ends; nothing needs these connections any longer
+        except DeviceError as error:
+            self._failure = error
+
+    def _ask_idle(self) -> None:
+        for connection in self._connections:
+            if time.monotonic() - connection.used_s > IDLE_S:
+                connection.read(self._variable)

@@ -1,0 +1,340 @@
+"""A KUKA robot through C3 Bridge or KUKAVARPROXY and the resident program ``krl/hilcell.src``.
+
+The PC writes a target and a number; the program moves and acknowledges with that number. The
+trap: an acknowledgement alone proves nothing. Motion has ended only when the number is this
+command's, the axes stand at the target and the pose has stopped changing.
+"""
+
+from __future__ import annotations
+
+import time
+from itertools import cycle
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from scipy.spatial.transform import Rotation
+
+from drivers import krl
+from drivers.c3 import C3Connection
+from drivers.keep_alive import KeepAlive
+from hilcell.clean import clean
+from hilcell.ports import Array, Clock, DeviceError, DeviceRefused, Identity, RobotReading
+
+DEVICE = "Robot"
+PROGRAM_VERSION = 1
+PTP_JOINTS = 1
+MAX_SEQUENCE = 1_000_000_000
+POLL_S = 0.05
+STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
+REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
+CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
+AXIS_TOLERANCE_DEG = 0.005
+STILL_DEG = 0.0005
+STILL_MM = 0.01
+FRAME_TOLERANCE = 0.001  # mm and deg
+
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+FRAME = ("X", "Y", "Z", "A", "B", "C")
+ERRORS = {1: "unknown command", 2: "target outside the software limits", 9: "stopped by HC_STOP"}
+
+# Variable, the values with which work may go on, and what to do otherwise.
+HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
+    "$MODE_OP": (
+        ("#EX", "#AUT"),
+        "an unattended run needs automatic mode; turn the key to AUT or EXT",
+    ),
+    "$ALARM_STOP": ((True,), "emergency stop is pressed; release it and acknowledge the message"),
+    "$USER_SAF": ((True,), "the guard is open; close it and acknowledge the message"),
+    "$PERI_RDY": ((True,), "the drives have no power; switch them on"),
+    "$STOPMESS": ((False,), "a stop message is pending; acknowledge it at the panel"),
+    "$PRO_STATE1": (("#P_ACTIVE",), "start the program hilcell at the panel"),
+}
+# Each poll of a motion looks at one group, so that all are seen within three polls.
+GROUPS = (
+    ("$ALARM_STOP", "$MODE_OP", "$OV_PRO"),
+    ("$USER_SAF", "$PRO_STATE1", "$ACT_TOOL"),
+    ("$STOPMESS", "$PERI_RDY", "$ACT_BASE"),
+)
+
+
+class KukaC3Robot:
+    """Satisfies `hilcell.ports.Robot`."""
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """Where the controller is and what it must be."""
+
+        host: str
+        smr_mm: tuple[float, float, float]
+        port: Annotated[int, Meta(ge=1, le=65535)] = 7000
+        model: str = "KR210"
+        serial: int = 0
+        tool: Annotated[int, Meta(ge=1, le=16)] = 1
+        base: Annotated[int, Meta(ge=0, le=32)] = 0
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._line: C3Connection | None = None
+        self._stop_line: C3Connection | None = None
+        self._keeper: KeepAlive | None = None
+        self._sequence = 0
+        self._under_way = False
+        self._stopped = False
+
+    # -- the port -----------------------------------------------------------------------------
+
+    def connect(self) -> list[Identity]:
+        """Open both connections, verify everything, then take back an earlier stop."""
+        self._close_wires()
+        host, port = self._options.host, self._options.port
+        try:
+            self._line = C3Connection(DEVICE, host, port, self._clock.check)
+            # The stop must get through while the run is already stopping.
+            self._stop_line = C3Connection(DEVICE, host, port, _never)
+            identity = self._identify()
+            for name in ("HC_VER", *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE"):
+                self._check(name)
+            self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
+            self._check_frame("$BASE", (0.0,) * 6)
+            self._take_back_stop()
+        except BaseException:
+            self._close_wires()
+            raise
+        self._keeper = KeepAlive((self._line, self._stop_line), "$MODE_OP")
+        return [identity]
+
+    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
+        """Move all axes (PTP); return the reading at rest, after motion ended."""
+        target_deg = np.degrees(np.asarray(joints_rad, dtype=float))
+        if target_deg.shape != (6,) or not bool(np.all(np.isfinite(target_deg))):
+            raise DeviceError(
+                DEVICE, "move", f"target {target_deg} deg", wanted="six finite angles"
+            )
+        if not 1 <= round(speed_percent) <= 100:
+            raise DeviceError(DEVICE, "move", f"speed {speed_percent} %", wanted="1 to 100 %")
+        number = self._command(target_deg, round(speed_percent))
+        self._await_acknowledgement(number)
+        return self._await_rest(target_deg)
+
+    def read(self) -> RobotReading:
+        """Return a reading asked for after this call began."""
+        self._check_lines()
+        before_deg = self._axes_deg()
+        taken_s = time.monotonic()
+        pose = self._pose()
+        moved_deg = np.abs(self._axes_deg() - before_deg)
+        still = not self._under_way and bool(np.all(moved_deg <= STILL_DEG))
+        return RobotReading(np.radians(before_deg), pose, still, taken_s)
+
+    def stop(self) -> None:
+        """Brake on the path; any thread; waits for no answer."""
+        self._stopped = True
+        if self._stop_line is not None:
+            self._stop_line.write_unheard("HC_STOP", "TRUE")
+
+    def close(self) -> None:
+        """Brake a motion that is still under way, then close both connections."""
+        try:
+            if self._under_way and not self._stopped:
+                self.stop()
+        finally:
+            self._close_wires()
+
+    # -- connecting ---------------------------------------------------------------------------
+
+    def _identify(self) -> Identity:
+        model, serial = clean(str(self._value("$TRAFONAME[]"))), self._integer("$KR_SERIALNO")
+        if self._options.model not in model:
+            raise DeviceRefused(
+                DEVICE, "connect", f"model {model!r}", wanted=f"{self._options.model!r} in it",
+                act="this is another robot; correct robot.options",
+            )  # fmt: skip
+        if self._options.serial not in (0, serial):
+            raise DeviceRefused(
+                DEVICE, "connect", f"serial {serial}", wanted=f"{self._options.serial}",
+                act="this is another robot; correct robot.options",
+            )  # fmt: skip
+        return Identity(DEVICE, model, str(serial), f"{self._options.host}:{self._options.port}")
+
+    def _check(self, name: str) -> None:
+        """Read one variable of the controller's state and refuse to work with a wrong one."""
+        if name in HEALTH:
+            wanted, act = HEALTH[name]
+            found = self._value(name)
+            if not any(found == value and type(found) is type(value) for value in wanted):
+                raise self._unwell(
+                    name, clean(str(found)), " or ".join(str(v).upper() for v in wanted), act
+                )
+            return
+        number = self._integer(name)
+        low, high, act = {
+            "HC_VER": (PROGRAM_VERSION, PROGRAM_VERSION, "install drivers/krl/hilcell.src anew"),
+            "$OV_PRO": (1, 100, "raise the programme override"),
+            "$ACT_TOOL": (self._options.tool, self._options.tool, "restart the program hilcell"),
+            "$ACT_BASE": (self._options.base, self._options.base, "restart the program hilcell"),
+        }[name]
+        if not low <= number <= high:
+            raise self._unwell(name, number, str(low) if low == high else f"{low} to {high}", act)
+
+    def _unwell(self, name: str, found: object, wanted: str, act: str) -> DeviceError:
+        kind = DeviceError if self._under_way else DeviceRefused
+        return kind(DEVICE, "move" if self._under_way else "check", f"{name} is {found}",
+                    wanted=wanted, act=act)  # fmt: skip
+
+    def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
+        found = self._numbers(name, FRAME)
+        if not all(abs(f - w) <= FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
+            raise DeviceRefused(
+                DEVICE, "connect", f"{name} is {_frame_text(found)}", wanted=_frame_text(wanted),
+                act="correct the frame on the controller, or robot.smr_mm in the cell file",
+            )  # fmt: skip
+
+    def _take_back_stop(self) -> None:
+        """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
+        if self._value("HC_STOP") is not False:
+            self._wire().write("HC_STOP", "FALSE")
+        deadline_s = time.monotonic() + CATCH_UP_S
+        self._sequence = self._integer("HC_SEQ")
+        while (acknowledged := self._integer("HC_ACK")) != self._sequence:
+            if time.monotonic() > deadline_s:
+                raise DeviceRefused(
+                    DEVICE, "connect", f"HC_ACK {acknowledged}", wanted=f"HC_SEQ {self._sequence}",
+                    act="the program hilcell owes an answer; restart it at the panel",
+                )  # fmt: skip
+            self._clock.wait(POLL_S)
+        self._under_way = self._stopped = False
+
+    # -- moving -------------------------------------------------------------------------------
+
+    def _command(self, target_deg: Array, speed_percent: int) -> int:
+        self._check_lines()
+        if self._stopped:
+            raise DeviceError(DEVICE, "move", "the robot was stopped", act="resume to connect anew")
+        wire = self._wire()
+        number = self._sequence % MAX_SEQUENCE + 1
+        axes = dict(zip(AXES, target_deg.tolist(), strict=True))
+        wire.write("HC_TGT", krl.structure("E6AXIS", axes))
+        wire.write("HC_VEL", str(speed_percent))
+        wire.write("HC_CMD", str(PTP_JOINTS))
+        self._under_way = True
+        wire.write("HC_SEQ", str(number))
+        self._sequence = number
+        return number
+
+    def _await_acknowledgement(self, number: int) -> None:
+        before_deg = np.full(6, np.nan)
+        changed_s = time.monotonic()
+        for group in cycle(GROUPS):
+            acknowledged = self._integer("HC_ACK")
+            if acknowledged == number:
+                break
+            for name in group:
+                self._check(name)
+            now_deg = self._axes_deg()
+            if not bool(np.all(np.abs(now_deg - before_deg) <= STILL_DEG)):
+                before_deg, changed_s = now_deg, time.monotonic()
+            elif time.monotonic() - changed_s > STALL_S:
+                raise self._stalled(now_deg, acknowledged, number)
+            self._clock.wait(POLL_S)
+        error = self._integer("HC_ERR")
+        if error != 0:
+            meaning = ERRORS.get(error, "unknown")
+            raise DeviceError(
+                DEVICE, "move", f"HC_ERR {error}: {meaning}", act="see the panel, resume"
+            )
+
+    def _stalled(self, now_deg: Array, acknowledged: int, number: int) -> DeviceError:
+        for name in (*HEALTH, "$OV_PRO"):
+            self._check(name)
+        return DeviceError(
+            DEVICE, "move",
+            f"no axis moved for {STALL_S:.0f} s at {_joints_text(now_deg)}, HC_ACK {acknowledged}",
+            wanted=f"HC_ACK {number}", act="see the panel; is the program hilcell running? resume",
+        )  # fmt: skip
+
+    def _await_rest(self, target_deg: Array) -> RobotReading:
+        deadline_s = time.monotonic() + REST_S
+        while True:
+            axes_deg = self._axes_deg()
+            taken_s = time.monotonic()
+            before, pose = self._pose(), self._pose()
+            off_deg = np.abs(axes_deg - target_deg)
+            arrived = bool(np.all(off_deg <= AXIS_TOLERANCE_DEG))
+            if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
+                self._under_way = False
+                return RobotReading(np.radians(axes_deg), pose, True, taken_s)
+            if time.monotonic() > deadline_s:
+                break
+            self._clock.wait(POLL_S)
+        raise DeviceError(
+            DEVICE, "move", f"stands or creeps at {_joints_text(axes_deg)}",
+            wanted=f"{_joints_text(target_deg)} +-{AXIS_TOLERANCE_DEG} deg, at rest",
+            act="the robot stopped short of its target; see the panel, resume",
+        )  # fmt: skip
+
+    # -- variables ----------------------------------------------------------------------------
+
+    def _wire(self) -> C3Connection:
+        if self._line is None:
+            raise DeviceError(DEVICE, "use", "not connected", act="connect first")
+        return self._line
+
+    def _check_lines(self) -> None:
+        if self._keeper is not None:
+            self._keeper.check()
+
+    def _value(self, name: str) -> krl.Value:
+        text = self._wire().read(name)
+        try:
+            return krl.parse(text)
+        except krl.KrlError as error:
+            raise _unreadable(name, error) from error
+
+    def _integer(self, name: str) -> int:
+        value = self._value(name)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise _unreadable(name, krl.KrlError(f"a whole number is expected, found {value!r}"))
+        return value
+
+    def _numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
+        text = self._wire().read(name)
+        try:
+            return krl.numbers(text, components)
+        except krl.KrlError as error:
+            raise _unreadable(name, error) from error
+
+    def _axes_deg(self) -> Array:
+        return np.array(self._numbers("$AXIS_ACT", AXES))
+
+    def _pose(self) -> Array:
+        """Return {T} in {B} (4, 4), mm, from X, Y, Z and KUKA's Z-Y-X angles A, B, C."""
+        values = self._numbers("$POS_ACT", FRAME)
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("ZYX", values[3:], degrees=True).as_matrix()
+        pose[:3, 3] = values[:3]
+        return pose
+
+    def _close_wires(self) -> None:
+        if self._keeper is not None:
+            self._keeper.close()
+        for line in (self._line, self._stop_line):
+            if line is not None:
+                line.close()
+        self._line = self._stop_line = self._keeper = None
+
+
+def _never() -> None:
+    """Let a stop through."""
+
+
+def _unreadable(name: str, error: krl.KrlError) -> DeviceError:
+    return DeviceError(DEVICE, f"read {name}", str(error), act="check the server's version, resume")
+
+
+def _joints_text(joints_deg: Array) -> str:
+    return ", ".join(f"{n} {v:.3f}" for n, v in zip(AXES, joints_deg, strict=True)) + " deg"
+
+
+def _frame_text(values: tuple[float, ...] | list[float]) -> str:
+    return ", ".join(f"{n} {v:.3f}" for n, v in zip(FRAME, values, strict=True))

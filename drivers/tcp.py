@@ -1,0 +1,87 @@
+"""One TCP connection to a device, whose every wait ends within 20 ms of a stop.
+
+The trap: keepalive alone notices a dead peer after two hours. So the probe times are set, unsent
+bytes expire by TCP_USER_TIMEOUT where the system has it, and every read has a deadline.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+from collections.abc import Callable
+
+from hilcell.ports import DeviceError
+
+POLL_S = 0.02
+CONNECT_S = 3.0
+SEND_S = 1.0
+KEEPALIVE_S = 5
+UNSENT_MS = 5000
+
+
+class TcpLink:
+    """A connected socket. One thread receives; any thread may send."""
+
+    def __init__(self, device: str, host: str, port: int, check: Callable[[], None]) -> None:
+        self.device, self.address = device, f"{host}:{port}"
+        self._check = check
+        check()
+        try:
+            self._socket = socket.create_connection((host, port), timeout=CONNECT_S)
+        except OSError as error:
+            raise DeviceError(
+                device, "connect", f"{self.address}: {error}",
+                act="check that the device is on, its cable and its address",
+            ) from error  # fmt: skip
+        _watch(self._socket)
+        self._socket.settimeout(POLL_S)
+
+    def send(self, data: bytes, operation: str) -> None:
+        """Send all of ``data``; raises `DeviceError` when it does not leave in time."""
+        deadline_s = time.monotonic() + SEND_S
+        rest = memoryview(data)
+        while rest:
+            try:
+                rest = rest[self._socket.send(rest) :]
+            except TimeoutError:
+                if time.monotonic() > deadline_s:
+                    raise self.broken(operation, "the device takes no bytes") from None
+            except OSError as error:
+                raise self.broken(operation, str(error)) from error
+
+    def receive(self, size: int, deadline_s: float) -> bytes:
+        """Return 1 to ``size`` bytes, or none at ``deadline_s``; raises when the stream ends."""
+        while True:
+            self._check()
+            left_s = max(0.0, deadline_s - time.monotonic())
+            try:
+                ready, _, _ = select.select([self._socket], [], [], min(POLL_S, left_s))
+                data = self._socket.recv(size) if ready else b""
+            except OSError as error:
+                raise self.broken("receive", str(error)) from error
+            if ready and not data:
+                raise self.broken("receive", "the device closed the connection")
+            if data or not left_s:
+                return data
+
+    def broken(self, operation: str, found: str) -> DeviceError:
+        """Return the error that this link's failure is."""
+        return DeviceError(
+            self.device, operation, f"{self.address}: {found}",
+            act="check the device and its network, then resume",
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """Close the socket; a second close does nothing."""
+        self._socket.close()
+
+
+def _watch(link: socket.socket) -> None:
+    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    probes = {"TCP_KEEPIDLE": KEEPALIVE_S, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
+    # Not every system names all of these; the deadlines of the reads hold without them.
+    for name, value in (probes | {"TCP_USER_TIMEOUT": UNSENT_MS}).items():
+        if hasattr(socket, name):
+            link.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)

@@ -1,0 +1,386 @@
+"""A Leica laser tracker over emScon TPI (TCP 700).
+
+The trap: results carry no number. One that comes late, after its beam broke or its time was up,
+would pass for the next point. So what is pending is dropped before each start, a measurement that
+failed is stopped and the stop awaited, and a result far from the expected place is refused.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from struct import Struct
+from typing import Annotated, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from drivers import emscon
+from drivers.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
+from drivers.tcp import TcpLink
+from hilcell.clean import clean
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    NoReading,
+    TrackerReading,
+)
+
+DEVICE = "Tracker"
+TEMPERATURE_C = (-20.0, 60.0)
+PRESSURE_MBAR = (500.0, 1200.0)
+HUMIDITY_PERCENT = (0.0, 100.0)
+BUSY_PAUSE_S = 0.1
+
+T = TypeVar("T")
+Positive = Annotated[float, Meta(gt=0)]
+
+
+class LeicaEmsconTracker:
+    """Satisfies `hilcell.ports.Tracker`."""
+
+    # Deadlines on the wire, in real time.
+    REPLY_S = 5.0
+    INITIALIZE_S = 90.0
+    MOVE_S = 30.0
+    RESULT_S = 10.0  # on top of the time that the measurement takes
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """Where the tracker is, and how it measures."""
+
+        host: str
+        reflector: str
+        max_std_mm: Positive
+        find_radius_mm: Positive
+        port: Annotated[int, Meta(ge=1, le=65535)] = 700
+        serial: str = ""
+        stationary_ms: Annotated[int, Meta(ge=100, le=100_000)] = 500
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._link: TcpLink | None = None
+        self._reader = emscon.PacketReader()
+        self._packets: deque[Packet] = deque()
+        self._numbers: dict[str, int] = {}
+        self._reflector = ""
+        self._arrived_s = 0.0
+
+    # -- the port -----------------------------------------------------------------------------
+
+    def connect(self) -> list[Identity]:
+        """Open the wire, initialise, set units, mode and reflector, and read all of them back."""
+        self.close()
+        options = self._options
+        self._link = TcpLink(DEVICE, options.host, options.port, self._clock.check)
+        self._reader, self._packets, self._reflector = emscon.PacketReader(), deque(), ""
+        try:
+            identity = self._identify()
+            self._set_up()
+            self._numbers = self._read_reflectors()
+            self._choose(options.reflector)
+        except BaseException:
+            self.close()
+            raise
+        return [identity]
+
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times."""
+        near_mm = np.asarray(near_mm, dtype=float)
+        if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
+            raise DeviceError(DEVICE, "measure", f"{samples} samples at {near_mm} mm")
+        self._drop_pending()
+        self._choose(reflector)
+        self._aim(near_mm)
+        results = [self._single(near_mm) for _ in range(samples)]
+        return self._reading(results, reflector)
+
+    def stop(self) -> None:
+        """Stop measuring; any thread; waits for no answer."""
+        if self._link is not None:
+            self._link.send(emscon.encode(Command.STOP_MEASUREMENT), "stop")
+
+    def close(self) -> None:
+        """Close the wire."""
+        if self._link is not None:
+            self._link.close()
+        self._link = None
+
+    # -- connecting ---------------------------------------------------------------------------
+
+    def _identify(self) -> Identity:
+        status = self._system_status()
+        serial, wanted = str(status.serial), self._options.serial
+        if wanted not in ("", serial):
+            raise DeviceRefused(
+                DEVICE, "connect", f"serial {serial}", wanted=wanted,
+                act="this is another tracker; correct tracker.options",
+            )  # fmt: skip
+        if status.processor != emscon.INITIALIZED:
+            self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
+            status = self._system_status()
+        if status.processor != emscon.INITIALIZED:
+            raise DeviceRefused(
+                DEVICE, "initialise", f"processor status {status.processor}",
+                wanted=f"{emscon.INITIALIZED} (initialised)", act="look at the tracker, resume",
+            )  # fmt: skip
+        address = f"{self._options.host}:{self._options.port}"
+        return Identity(DEVICE, f"Leica, emScon {status.version}", serial, address)
+
+    def _system_status(self) -> emscon.SystemStatus:
+        body = self._ask(Command.GET_SYSTEM_STATUS)
+        return self._decoded(emscon.decode_system_status, body)
+
+    def _set_up(self) -> None:
+        number, stationary = emscon.NUMBER, emscon.STATIONARY
+        self._set(
+            "units", Command.SET_UNITS, Command.GET_UNITS, emscon.UNITS, emscon.MILLIMETRE_UNITS
+        )
+        self._set(
+            "coordinate system", Command.SET_COORDINATE_SYSTEM, Command.GET_COORDINATE_SYSTEM,
+            number, (emscon.RIGHT_HANDED,),
+        )  # fmt: skip
+        self._set(
+            "measurement mode", Command.SET_MEASUREMENT_MODE, Command.GET_MEASUREMENT_MODE,
+            number, (emscon.STATIONARY_MODE,),
+        )  # fmt: skip
+        self._set(
+            "stationary parameters", Command.SET_STATIONARY, Command.GET_STATIONARY,
+            stationary, (self._options.stationary_ms, 1),
+        )  # fmt: skip
+        air = self._numbers_of(Command.GET_ENVIRONMENT, emscon.ENVIRONMENT)
+        if problem := _air_problem(*air):
+            raise DeviceRefused(
+                DEVICE,
+                "connect",
+                problem,
+                act="check the weather station or enter the air's values",
+            )
+
+    def _set(
+        self, what: str, write: Command, read: Command, layout: Struct,
+        wanted: tuple[int, ...],
+    ) -> None:  # fmt: skip
+        """Write a setting and believe it only when it reads back."""
+        self._ask(write, layout.pack(*wanted))
+        found = self._numbers_of(read, layout)
+        if found != wanted:
+            raise DeviceRefused(
+                DEVICE, f"set {what}", f"reads back as {found}", wanted=f"{wanted}",
+                act="another program holds the tracker? close it, then resume",
+            )  # fmt: skip
+
+    def _read_reflectors(self) -> dict[str, int]:
+        """Return the tracker's reflectors: name to number. One reply comes for each of them."""
+        first = self._decoded(emscon.decode_reflector, self._ask(Command.GET_REFLECTORS))
+        found = {clean(first.name): first.number}
+        deadline_s = time.monotonic() + self.REPLY_S
+        for _ in range(first.total - 1):
+            body = self._status(Command.GET_REFLECTORS, deadline_s).body
+            reflector = self._decoded(emscon.decode_reflector, body)
+            found[clean(reflector.name)] = reflector.number
+        return found
+
+    def _choose(self, reflector: str) -> None:
+        if reflector == self._reflector:
+            return
+        if reflector not in self._numbers:
+            known = ", ".join(repr(name) for name in self._numbers)
+            raise DeviceRefused(
+                DEVICE, "choose reflector", f"the tracker knows {known}", wanted=repr(reflector),
+                act="define it in the tracker, or correct tracker.reflector",
+            )  # fmt: skip
+        self._set(
+            "reflector", Command.SET_REFLECTOR, Command.GET_REFLECTOR, emscon.NUMBER,
+            (self._numbers[reflector],),
+        )  # fmt: skip
+        self._reflector = reflector
+
+    # -- measuring ----------------------------------------------------------------------------
+
+    def _aim(self, near_mm: Array) -> None:
+        """Point the beam at ``near_mm``; search around where nothing is caught there."""
+        body = emscon.POSITION.pack(*near_mm, 1)
+        try:
+            self._ask(Command.GO_POSITION, body, limit_s=self.MOVE_S)
+        except NoReading:
+            self._find(near_mm)
+
+    def _find(self, near_mm: Array) -> None:
+        body = emscon.DISTANCE.pack(float(np.linalg.norm(near_mm)))
+        self._ask(Command.FIND_REFLECTOR, body, limit_s=self.MOVE_S)
+
+    def _single(self, near_mm: Array) -> Single:
+        try:
+            self._start(near_mm)
+            result = self._await_result()
+        except NoReading:
+            # Only a stop that was answered proves that nothing of this try can still come.
+            self._request(Command.STOP_MEASUREMENT)
+            raise
+        self._check(result, near_mm)
+        return result
+
+    def _start(self, near_mm: Array) -> None:
+        reply = self._request(Command.START_MEASUREMENT)
+        if reply.status == emscon.NOT_READY:
+            self._find(near_mm)
+            reply = self._request(Command.START_MEASUREMENT)
+        if reply.status != 0:
+            raise self._failed(Command.START_MEASUREMENT, reply.status)
+
+    def _await_result(self) -> Single:
+        limit_s = self._options.stationary_ms / 1000.0 + self.RESULT_S
+        deadline_s = time.monotonic() + limit_s
+        while (packet := self._next(deadline_s)) is not None:
+            if isinstance(packet, Single):
+                if packet.status != 0:
+                    raise self._failed(Command.START_MEASUREMENT, packet.status)
+                return packet
+            if isinstance(packet, Failure):
+                raise self._failed(Command.START_MEASUREMENT, packet.status)
+            if packet == StatusChange(Change.NOT_READY):
+                raise NoReading(DEVICE, "measure", "the beam broke", act="clear the line of sight")
+        raise NoReading(
+            DEVICE, "measure", f"acknowledged, but no result came within {limit_s:.1f} s",
+            act="look at the tracker's state",
+        )  # fmt: skip
+
+    def _check(self, result: Single, near_mm: Array) -> None:
+        if not bool(np.all(np.isfinite((*result.xyz, *result.std, result.std_total)))):
+            raise NoReading(DEVICE, "measure", f"the result {result.xyz} is not finite")
+        off_mm = float(np.linalg.norm(np.array(result.xyz) - near_mm))
+        radius_mm = self._options.find_radius_mm
+        if not off_mm <= radius_mm:
+            raise self._misplaced(result, near_mm, off_mm)
+        if not result.std_total <= self._options.max_std_mm:
+            raise NoReading(
+                DEVICE, "measure", f"standard deviation {result.std_total:.4f} mm",
+                wanted=f"<= {self._options.max_std_mm:.4f} mm",
+                act="something vibrates, or the reflector is dirty",
+            )  # fmt: skip
+        if problem := _air_problem(result.temperature, result.pressure, result.humidity):
+            raise NoReading(DEVICE, "measure", problem, act="check the weather station")
+
+    def _misplaced(self, result: Single, near_mm: Array, off_mm: float) -> DeviceError:
+        in_metres_mm = float(np.linalg.norm(1000.0 * np.array(result.xyz) - near_mm))
+        if in_metres_mm <= self._options.find_radius_mm:
+            return DeviceError(
+                DEVICE, "measure", f"the result {result.xyz} is in metres", wanted="mm",
+                act="another program changed the units; resume sets them anew",
+            )  # fmt: skip
+        return NoReading(
+            DEVICE, "measure", f"the reflector is {off_mm:.2f} mm from its expected place",
+            wanted=f"<= {self._options.find_radius_mm:.2f} mm",
+            act="another reflector was caught, or a late result came; clear the view",
+        )  # fmt: skip
+
+    def _reading(self, results: list[Single], reflector: str) -> TrackerReading:
+        points_mm = np.array([result.xyz for result in results])
+        std_mm = points_mm.std(axis=0, ddof=1) if len(results) > 1 else np.array(results[0].std)
+        spread_mm = float(np.linalg.norm(std_mm))
+        if len(results) > 1 and not spread_mm <= self._options.max_std_mm:
+            raise NoReading(
+                DEVICE, "measure", f"{len(results)} repeats spread by {spread_mm:.4f} mm (1 sigma)",
+                wanted=f"<= {self._options.max_std_mm:.4f} mm", act="something moves or vibrates",
+            )  # fmt: skip
+        last = results[-1]
+        return TrackerReading(
+            points_mm.mean(axis=0), std_mm, len(results), reflector,
+            last.temperature, last.pressure, last.humidity, self._arrived_s,
+        )  # fmt: skip
+
+    # -- packets ------------------------------------------------------------------------------
+
+    def _ask(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> bytes:
+        """Send a command and return its reply's body; raises what a refusal means."""
+        reply = self._request(command, body, limit_s)
+        if reply.status != 0:
+            raise self._failed(command, reply.status)
+        return reply.body
+
+    def _request(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> Reply:
+        """Send a command, again while the server is busy, and return its reply."""
+        deadline_s = time.monotonic() + (limit_s or self.REPLY_S)
+        while True:
+            self._wire().send(emscon.encode(command, body), _spoken(command))
+            reply = self._status(command, deadline_s)
+            if reply.status != emscon.BUSY or time.monotonic() > deadline_s:
+                return reply
+            self._clock.wait(BUSY_PAUSE_S)
+
+    def _status(self, command: Command, deadline_s: float) -> Reply:
+        """Return the reply to ``command``, refused or not; older results on the way are dropped."""
+        while (packet := self._next(deadline_s)) is not None:
+            if isinstance(packet, Reply | Failure) and packet.command == command:
+                return Reply(command, packet.status, getattr(packet, "body", b""))
+            if isinstance(packet, Reply) and packet.command != Command.STOP_MEASUREMENT:
+                raise self._lost(f"a reply to command {packet.command} came", _spoken(command))
+        raise self._lost("no answer in time", _spoken(command))
+
+    def _numbers_of(self, command: Command, layout: Struct) -> tuple[float, ...]:
+        body = self._ask(command)
+        return self._decoded(lambda reply: emscon.unpack(layout, reply), body)
+
+    def _decoded(self, decode: Callable[[bytes], T], body: bytes) -> T:
+        try:
+            return decode(body)
+        except emscon.EmsconError as error:
+            raise self._lost(str(error), "decode") from error
+
+    def _failed(self, command: Command, status: int) -> DeviceError:
+        kind = NoReading if status in emscon.RECOVERABLE else DeviceError
+        return kind(
+            DEVICE, _spoken(command), emscon.status_text(status), act="look at the tracker, resume"
+        )
+
+    def _next(self, deadline_s: float) -> Packet | None:
+        """Return the next packet, or nothing at ``deadline_s``."""
+        while not self._packets:
+            data = self._wire().receive(emscon.LARGEST, deadline_s)
+            if not data:
+                return None
+            self._arrived_s = time.monotonic()
+            try:
+                self._packets.extend(self._reader.feed(data))
+            except emscon.EmsconError as error:
+                raise self._lost(str(error), "receive") from error
+        packet = self._packets.popleft()
+        if packet in (StatusChange(Change.SERVER_CLOSING), StatusChange(Change.PROCESSOR_CLOSING)):
+            raise self._lost("the tracker's server is closing", "receive")
+        return packet
+
+    def _drop_pending(self) -> None:
+        while self._next(0.0) is not None:
+            pass
+
+    def _lost(self, found: str, operation: str) -> DeviceError:
+        """Return the error after which the stream cannot be trusted; the wire is closed."""
+        error = self._wire().broken(operation, found)
+        self.close()
+        return error
+
+    def _wire(self) -> TcpLink:
+        if self._link is None:
+            raise DeviceError(DEVICE, "use", "not connected", act="connect first")
+        return self._link
+
+
+def _spoken(command: Command) -> str:
+    return command.name.lower().replace("_", " ")
+
+
+def _air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: float) -> str:
+    limits = (
+        ("temperature", temperature_c, "C", TEMPERATURE_C),
+        ("pressure", pressure_mbar, "mbar", PRESSURE_MBAR),
+        ("humidity", humidity_percent, "%", HUMIDITY_PERCENT),
+    )
+    for name, value, unit, (low, high) in limits:
+        if not low <= value <= high:
+            return f"{name} {value} {unit} is not between {low:g} and {high:g}"
+    return ""
