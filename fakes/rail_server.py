@@ -1,0 +1,189 @@
+"""The rail of the simulated cell on its bus: gateway, drive and strip sensor, in one thread.
+
+Drive and sensor stay as they are when a client leaves; only the gateway's channel is new for the
+next one. Heartbeats and wire deadlines run in real time, the slide in plant time: a SYNC or an SDO
+request looks at the slide once, before the nodes answer it. The trap: in stepped time nobody looks
+at a slide whose master has died, so a drive that brakes by itself is looked at until it stands.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from contextlib import suppress
+
+from fakes import rail_drive, rail_strip
+from fakes.canopen_sdo import HEADER, abort_reply
+from fakes.canopen_slave import SYNC_COB_ID, CanopenSlave
+from fakes.faults import Faults, Value
+from fakes.rail_drive import RailDrive
+from fakes.rail_strip import RailStrip
+from fakes.rail_truth import RailTruth
+from fakes.slcan_gateway import SlcanGateway
+from fakes.time import PlantTime
+from hilcell.cell import Cell
+
+LOOK_PERIOD_S = 0.01
+IDLE_S = 0.5
+SDO_REQUESTS = (0x600 + rail_drive.NODE, 0x600 + rail_strip.NODE)
+HEARTBEATS = range(0x700, 0x780)
+# What a fault means whose value only says that it strikes.
+DEFAULT_FAULT, DEFAULT_EMERGENCY, DEFAULT_ABORT = 0x8611, 0x7305, 0x08000022
+
+
+class RailServer:
+    """Serves the rail as slcan over TCP on a port of the system's choice."""
+
+    def __init__(self, rail: RailTruth, faults: Faults, cell: Cell, time: PlantTime) -> None:
+        self._rail, self._faults, self._time = rail, faults, time
+        self._gateway = SlcanGateway(faults, self._open, self._receive)
+        self._drive = RailDrive(rail, faults, cell.rail, self._transmit)
+        self._strip = RailStrip(rail.poll(), faults, self._transmit)
+        self._nodes: dict[int, CanopenSlave] = {n.node: n for n in (self._drive, self._strip)}
+        self._slide_moves = False
+        self._booted = False
+        self._silent: set[int] = set()
+        self._delay_s = 0.0
+        self._late: list[tuple[float, int, bytes]] = []
+        self._closing = threading.Event()
+        self._wake, self._waker = socket.socketpair()
+        self._thread = threading.Thread(target=self._run, name="rail server")
+
+    @property
+    def port(self) -> int:
+        """Return the TCP port on 127.0.0.1."""
+        return self._gateway.port
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Switch the bus off and return when the thread has ended."""
+        self._closing.set()
+        with suppress(OSError):
+            self._waker.send(b"\0")
+        if self._thread.is_alive():
+            self._thread.join()
+        self._gateway.close()
+        self._wake.close()
+        self._waker.close()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            self._gateway.serve(self._wait_s(), self._wake)
+            self._tick(time.monotonic())
+            self._gateway.flush()
+
+    # -- time ---------------------------------------------------------------------------------
+
+    def _wait_s(self) -> float:
+        due_s = min(node.next_s() for node in self._nodes.values())
+        due_s = min([due_s, *(late[0] for late in self._late)])
+        longest_s = LOOK_PERIOD_S if self._watches() else IDLE_S
+        return min(max(0.0, due_s - time.monotonic()), longest_s)
+
+    def _watches(self) -> bool:
+        """Whether the slide must be looked at although no client asks."""
+        if self._drive.stopping or (self._slide_moves and not self._drive.moving):
+            return True
+        cyclic = any(node.cyclic() for node in self._nodes.values())
+        return self._drive.moving and (cyclic or not self._time.stepped)
+
+    def _tick(self, now_s: float) -> None:
+        if self._watches():
+            self._look(now_s)
+        for node in self._nodes.values():
+            node.tick(now_s)
+        due = [late for late in self._late if late[0] <= now_s]
+        for late in due:
+            self._late.remove(late)
+            self._gateway.send(late[1], late[2])
+
+    def _look(self, now_s: float) -> None:
+        slide = self._rail.poll()
+        self._slide_moves = slide.moving
+        if slide.moving:
+            self._strike(now_s)
+        self._drive.observe(slide)
+        self._strip.observe(slide)
+
+    # -- frames -------------------------------------------------------------------------------
+
+    def _open(self) -> None:
+        if not self._booted:
+            self._booted = True
+            for node in self._nodes.values():
+                node.boot(time.monotonic())
+
+    def _receive(self, cob_id: int, data: bytes) -> None:
+        now_s = time.monotonic()
+        self._delay_s = 0.0
+        if cob_id == SYNC_COB_ID:
+            self._delay_s = self._faults.number("rail.late_tpdo") or 0.0
+            self._strip.strike()
+            self._look(now_s)
+        elif cob_id in SDO_REQUESTS:
+            self._look(now_s)
+            if self._spoilt(cob_id, data):
+                return
+        for node in self._nodes.values():
+            node.receive(cob_id, data, now_s)
+        self._delay_s = 0.0
+
+    def _transmit(self, cob_id: int, data: bytes) -> None:
+        if cob_id in HEARTBEATS and not self._beats(cob_id & 0x7F, boot_up=data == b"\0"):
+            return
+        if self._delay_s:
+            self._late.append((time.monotonic() + self._delay_s, cob_id, data))
+        else:
+            self._gateway.send(cob_id, data)
+
+    # -- faults -------------------------------------------------------------------------------
+
+    def _spoilt(self, cob_id: int, data: bytes) -> bool:
+        """Whether an SDO request is answered otherwise than by its node."""
+        if self._faults.take("rail.sdo_timeout") is not None:
+            return True
+        code = self._faults.take("rail.sdo_abort")
+        if code is not None and len(data) == 8:
+            _, index, sub = HEADER.unpack_from(data)
+            reply = abort_reply(index, sub, _number(code, DEFAULT_ABORT))
+            self._transmit(cob_id - 0x80, reply)
+            return True
+        self._delay_s = self._faults.number("rail.late_reply") or 0.0
+        return False
+
+    def _strike(self, now_s: float) -> None:
+        """Let the faults of a moving slide happen."""
+        code = self._faults.take("rail.emcy")
+        if code is not None:
+            self._drive.emergency(_number(code, DEFAULT_EMERGENCY), 0)
+        code = self._faults.take("rail.fault")
+        if code is not None:
+            self._drive.fail(_number(code, DEFAULT_FAULT))
+        switch = self._faults.take("rail.limit_switch")
+        if switch is not None:
+            self._drive.trip_limit(int(switch))
+        node = self._faults.take("rail.node_reset")
+        if node is not None:
+            self._reset(_number(node, rail_drive.NODE), now_s)
+        if self._faults.take("rail.vanish") is not None:
+            self._gateway.close()
+
+    def _reset(self, node: int, now_s: float) -> None:
+        self._silent.discard(node)
+        self._nodes[node].reset(now_s)
+
+    def _beats(self, node: int, *, boot_up: bool) -> bool:
+        if boot_up:
+            return True
+        lost = self._faults.take("rail.heartbeat_loss")
+        if lost is not None:
+            self._silent.add(_number(lost, rail_drive.NODE))
+        return node not in self._silent
+
+
+def _number(value: Value, default: int) -> int:
+    return default if value is True else int(value)

@@ -1,0 +1,182 @@
+"""The gateway's lines, byte by byte, and python-can's handshake with it."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import can
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fakes.faults import Faults
+from fakes.slcan_gateway import SlcanGateway, decode, encode
+from tests.fakes.rail_bench import Line, until
+
+
+class Loopback:
+    """A gateway whose bus gives every frame back with identifier + 1."""
+
+    def __init__(self) -> None:
+        self.faults = Faults()
+        self.opened = 0
+        self.frames: list[tuple[int, bytes]] = []
+        self.gateway = SlcanGateway(self.faults, self._open, self._frame)
+
+    def _open(self) -> None:
+        self.opened += 1
+
+    def _frame(self, cob_id: int, data: bytes) -> None:
+        self.frames.append((cob_id, data))
+        self.gateway.send(cob_id + 1, data)
+
+
+@contextmanager
+def running() -> Iterator[Loopback]:
+    loop, ended = Loopback(), threading.Event()
+    wake, waker = socket.socketpair()
+
+    def serve() -> None:
+        while not ended.is_set():
+            loop.gateway.serve(1.0, wake)
+            loop.gateway.flush()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield loop
+    finally:
+        ended.set()
+        waker.send(b"\0")
+        thread.join()
+        loop.gateway.close()
+        wake.close()
+        waker.close()
+
+
+def test_golden_line() -> None:
+    data = bytes.fromhex("4064600000000000")
+    assert encode(0x605, data) == b"t60584064600000000000\r"
+    assert decode(b"t60584064600000000000") == (0x605, data)
+    assert encode(0x080, b"") == b"t0800\r"
+
+
+@given(st.integers(0, 0x7FF), st.binary(max_size=8))
+def test_every_frame_survives_its_line(cob_id: int, data: bytes) -> None:
+    assert decode(encode(cob_id, data)[:-1]) == (cob_id, data)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"t", b"t60", b"t6059", b"t605800", b"t0801", b"t08012", b"t0801zz", b"t0800 0", b"\xff"],
+)
+def test_broken_lines_are_no_frames(line: bytes) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011 - several parsers raise it
+        decode(line)
+
+
+def test_handshake_and_acknowledge() -> None:
+    with running() as loop, Line(loop.gateway.port) as line:
+        line.send(b"t1230")
+        assert line.reply() == b"z\r"
+        assert line.reply() == b"t1240\r"
+        assert loop.opened == 1
+
+
+def test_nothing_crosses_a_closed_channel() -> None:
+    with running() as loop, Line(loop.gateway.port, opened=False) as line:
+        line.send(b"t1230")
+        assert line.reply() == b"\a"
+        loop.gateway.send(0x123, b"")
+        line.send(b"O")
+        assert line.reply() == b"\r"
+        assert loop.frames == []
+        line.send(b"S6")
+        assert line.reply() == b"\a", "the bitrate cannot change on an open channel"
+
+
+def test_garbage_is_refused_and_forgotten() -> None:
+    with running() as loop, Line(loop.gateway.port) as line:
+        line.send(b"\xff\x00\x1b[2J")
+        assert line.reply() == b"\a"
+        line.send_bytes(b"x" * 100)
+        assert line.reply() == b"\a"
+        line.send(b"")
+        assert line.reply() == b"\r"
+        line.send(b"t1231AA")
+        assert line.frame() == b"t1241AA"
+
+
+def test_frames_may_come_in_pieces_and_together() -> None:
+    with running() as loop, Line(loop.gateway.port) as line:
+        for byte in b"t1231AA\r":  # one segment each
+            line.send_bytes(bytes([byte]))
+        line.send_bytes(b"t2230\rt3230\r")
+        wanted = [(0x123, b"\xaa"), (0x223, b""), (0x323, b"")]
+        until(lambda: loop.frames == wanted, "three frames")
+
+
+def test_python_can_opens_and_exchanges() -> None:
+    with running() as loop:
+        channel = f"socket://127.0.0.1:{loop.gateway.port}"
+        bus = can.Bus(interface="slcan", channel=channel, bitrate=500_000, sleep_after_open=0)
+        try:
+            assert bus.get_version(1.0) == (10, 13)
+            bus.send(can.Message(arbitration_id=0x605, data=b"\x40", is_extended_id=False))
+            received = bus.recv(5.0)
+            assert received is not None
+            assert (received.arbitration_id, bytes(received.data)) == (0x606, b"\x40")
+            assert loop.opened == 1
+        finally:
+            bus.shutdown()
+
+
+def test_second_client_after_the_first_vanished() -> None:
+    with running() as loop:
+        first = Line(loop.gateway.port)
+        first.__exit__()
+        with Line(loop.gateway.port) as second:
+            second.send(b"t1230")
+            assert second.frame() == b"t1240"
+        assert loop.opened == 2
+
+
+def test_nack_keeps_the_frame_off_the_bus() -> None:
+    with running() as loop, Line(loop.gateway.port) as line:
+        loop.faults.set("rail.nack")
+        line.send(b"t1230")
+        assert line.reply() == b"\a"
+        line.send(b"t1230")
+        assert line.frame() == b"t1240"
+        assert loop.frames == [(0x123, b"")]
+
+
+def test_eof_closes_and_a_new_client_may_come() -> None:
+    with running() as loop:
+        with Line(loop.gateway.port) as line:
+            loop.faults.set("rail.eof")
+            line.send(b"t1230")
+            assert line.reply() == b""
+        with Line(loop.gateway.port) as line:
+            line.send(b"t1230")
+            assert line.frame() == b"t1240"
+
+
+def test_stalled_gateway_takes_frames_and_sends_none() -> None:
+    with running() as loop, Line(loop.gateway.port) as line:
+        loop.faults.set("rail.stalled")
+        line.send(b"t1230")
+        until(lambda: bool(loop.frames), "the frame was taken")
+        assert line.silent(0.05)
+        line.send(b"t2230")
+        assert line.reply() == b"z\r"
+
+
+def test_garbage_byte_poisons_python_cans_buffer() -> None:
+    with running() as loop, Line(loop.gateway.port) as line:
+        loop.faults.set("rail.garbage", 0xC3)
+        line.send(b"t1230")
+        assert line.frame() == b"\xc3t1240"
