@@ -38,7 +38,11 @@ def idw_weights(place: Array, pitch: ArrayLike) -> Array:
 
     On a vertex its own weight is exactly 1.
     """
-    distance = np.linalg.norm((place[:, None, :] - CORNERS) * pitch, axis=-1)
+    return inverse_distance_weights(np.linalg.norm((place[:, None, :] - CORNERS) * pitch, axis=-1))
+
+
+def inverse_distance_weights(distance: Array) -> Array:
+    """Return eq 9's weights (N, K) of distances (N, K): exactly 1 for a distance of 0."""
     nearest = distance.min(axis=1, keepdims=True)
     # nearest / distance instead of 1 / distance: the same weights, finite at distance 0.
     weight = np.divide(nearest, distance, out=np.ones_like(distance), where=distance > nearest)

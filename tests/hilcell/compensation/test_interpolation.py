@@ -110,9 +110,8 @@ def test_trilinear_has_a_linear_field_and_idw_has_not():
     exact = targets @ slope
     np.testing.assert_allclose(trilinear(GRID, errors, targets), exact, atol=1e-9)
     left = np.abs(idw(GRID, errors, targets) - exact)[:, 0] / (0.002 * 300)
-    # e is along x and slopes along x; the largest value lies on an edge of the cell.
-    assert left.mean() == pytest.approx(0.154, abs=0.004)
-    assert left.max() == pytest.approx(0.365, abs=0.012)
+    assert left.mean() == pytest.approx(0.154, abs=0.002)
+    assert left.max() == pytest.approx(0.365, abs=0.003)
 
 
 @methods

@@ -1,0 +1,242 @@
+"""`fit` on measured robots: the reference's figures, a brute-force peer, refusals.
+
+Real laser-tracker data are taken from the folder HILCELL_DATA, or from ../shared/data beside the
+repository. Where neither is there, synthetic robots take their place, judged by the peer alone;
+the tests' names say which of the two they ran on.
+"""
+
+import csv
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from hilcell.fit import FitError, cross_validate, fit, place
+from hilcell.geometry.frames import FrameError, apply, pose_from_kuka
+from hilcell.geometry.kinematics import forward
+from hilcell.robotfile import HEADER, Measurements, RobotModel, Row, read_measurements, read_robot
+
+NEARBY = Path(__file__).parents[3] / "shared" / "data"
+DATA = Path(os.environ.get("HILCELL_DATA", NEARBY))
+REAL = "HILCELL_DATA" in os.environ or NEARBY.is_dir()
+TOLERANCE = 0.05
+
+# What a numpy/scipy reference reaches on the real data: mean, p95, max in mm, all test rows.
+REFERENCE = {
+    ("irb120_faro", "train200"): {"nominal": (0.713, 1.642, 3.413), "idw": (0.488, 0.972, 3.609)},
+    ("irb120_faro", "train64"): {"nominal": (0.730, 1.666, 3.513), "idw": (0.570, 1.205, 3.535)},
+    ("motoman_left", "train150"): {"nominal": (0.222, 0.405, 0.457), "idw": (0.110, 0.216, 0.238)},
+    ("motoman_left", "train64"): {"nominal": (0.222, 0.418, 0.470), "idw": (0.123, 0.228, 0.285)},
+}
+REAL_PAIRS = [("real", folder, train) for folder, train in REFERENCE]
+SYNTHETIC_PAIRS = [("synthetic", "three reflectors", "60"), ("synthetic", "one reflector", "40")]
+IRB120 = RobotModel(
+    name="IRB 120 nominal",
+    convention="standard-dh",
+    joint=[
+        Row(a_mm=0, alpha_deg=-90, d_mm=290, offset_deg=0),
+        Row(a_mm=270, alpha_deg=0, d_mm=0, offset_deg=-90),
+        Row(a_mm=70, alpha_deg=-90, d_mm=0, offset_deg=0),
+        Row(a_mm=0, alpha_deg=90, d_mm=302, offset_deg=0),
+        Row(a_mm=0, alpha_deg=-90, d_mm=0, offset_deg=0),
+        Row(a_mm=0, alpha_deg=0, d_mm=72, offset_deg=180),
+    ],
+)
+T_L_B = pose_from_kuka(2200, -150, -600, 170, 2, -1)
+SMR_MM = {"SMR1": [0.2, -0.8, 120.5], "SMR2": [75.2, 90.6, 213.4], "SMR3": [150.7, -1.3, 121.7]}
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A robot, rows to learn from, rows to judge by, and the figures that must be met."""
+
+    robot: RobotModel
+    train: Measurements
+    test: Measurements
+    wanted: dict[str, tuple[float, float, float]]
+
+
+def measured(seed: int, poses: int, targets: list[str], error: float = 1.0) -> Measurements:
+    """Rows of a robot with errors of about 1 mm, and 0.02 mm of noise."""
+    rng, crooked = np.random.default_rng(seed), np.random.default_rng(99)
+    nominal = IRB120.arm()
+    true = replace(
+        nominal,
+        a_mm=nominal.a_mm + error * crooked.normal(0, 0.2, 6),
+        offset_rad=nominal.offset_rad + error * crooked.normal(0, 1e-3, 6),
+        alpha_rad=nominal.alpha_rad + error * crooked.normal(0, 5e-4, 6),
+    )
+    joints = np.repeat(rng.uniform(-0.8, 0.8, (poses, 6)), len(targets), axis=0)
+    names = targets * poses
+    flange = forward(true, joints)
+    offsets = np.array([SMR_MM[name] for name in names])
+    at_mm = flange[:, :3, 3] + np.einsum("nij,nj->ni", flange[:, :3, :3], offsets)
+    noise = error * rng.normal(0, 0.02, at_mm.shape)
+    labels = [str(n) for n in np.repeat(np.arange(poses) + 1000 * seed, len(targets))]
+    return Measurements(labels, names, joints, apply(T_L_B, at_mm) + noise)
+
+
+def peer(robot: RobotModel, train: Measurements, test: Measurements) -> dict:
+    """The figures by scipy's optimizer and plain loops."""
+    arm, names = robot.arm(), sorted(set(train.target))
+
+    def predict(x: np.ndarray, rows: Measurements) -> np.ndarray:
+        R, out = Rotation.from_rotvec(x[3:6]), []
+        for flange, target in zip(forward(arm, rows.joints_rad), rows.target, strict=True):
+            smr = x[6:].reshape(-1, 3)[names.index(target)]
+            out.append(R.apply(flange[:3, :3] @ smr + flange[:3, 3]) + x[:3])
+        return np.array(out)
+
+    start = np.concatenate([T_L_B[:3, 3], Rotation.from_matrix(T_L_B[:3, :3]).as_rotvec()])
+    x = least_squares(
+        lambda x: (train.xyz_mm - predict(x, train)).ravel(),
+        np.concatenate([start, *[SMR_MM[name] for name in names]]),
+        x_scale="jac",
+    ).x
+    known, asked = predict(x, train), predict(x, test)
+    misses = {"nominal": [], "idw": []}
+    for at, target, seen in zip(asked, test.target, test.xyz_mm, strict=True):
+        same = [n for n in range(len(train)) if train.target[n] == target]
+        near = sorted(same, key=lambda n: np.linalg.norm(known[n] - at))[:8]
+        share = [1 / np.linalg.norm(known[n] - at) for n in near]
+        error = sum(w * (train.xyz_mm[n] - known[n]) for w, n in zip(share, near, strict=True))
+        misses["nominal"].append(np.linalg.norm(seen - at))
+        misses["idw"].append(np.linalg.norm(seen - at - error / sum(share)))
+    return {
+        name: (np.mean(miss), np.quantile(miss, 0.95), np.max(miss))
+        for name, miss in misses.items()
+    }
+
+
+def pair_of(kind: str, folder: str, train: str) -> Pair:
+    if kind == "real":
+        return Pair(
+            read_robot(DATA / folder / "robot.toml"),
+            read_measurements(DATA / folder / f"{train}.csv"),
+            read_measurements(DATA / folder / "test.csv"),
+            REFERENCE[folder, train],
+        )
+    targets = list(SMR_MM) if folder == "three reflectors" else ["SMR2"]
+    rows, test = measured(1, int(train), targets), measured(2, 40, targets)
+    return Pair(IRB120, rows, test, peer(IRB120, rows, test))
+
+
+@pytest.mark.parametrize("names", REAL_PAIRS if REAL else SYNTHETIC_PAIRS, ids="-".join)
+def test_the_reference_s_figures_are_reached(names):
+    pair = pair_of(*names)
+    result = fit(pair.robot, pair.train, pair.test)
+    for method, wanted in pair.wanted.items():
+        figures = result["methods"][method]
+        found = (figures["mean_mm"], figures["p95_mm"], figures["max_mm"])
+        np.testing.assert_allclose(found, wanted, rtol=TOLERANCE, err_msg=f"{names} {method}")
+    assert result["chosen"] == "idw"
+    assert (result["train"], result["test"]) == (len(pair.train), len(pair.test))
+    assert 0 < result["seconds"] < 60
+
+
+@pytest.mark.parametrize("names", SYNTHETIC_PAIRS, ids="-".join)
+def test_the_peer_agrees(names):
+    pair = pair_of(*names)
+    result = fit(pair.robot, pair.train, pair.test)
+    for method, wanted in pair.wanted.items():
+        assert result["methods"][method]["mean_mm"] == pytest.approx(wanted[0], rel=0.03)
+
+
+@pytest.mark.parametrize("names", REAL_PAIRS if REAL else SYNTHETIC_PAIRS, ids="-".join)
+def test_without_test_rows_cross_validation_judges(names):
+    pair = pair_of(*names)
+    result, again = fit(pair.robot, pair.train), fit(pair.robot, pair.train)
+    assert result["methods"] == again["methods"]
+    assert result["test"] == result["train"] == len(pair.train)
+    for method, wanted in pair.wanted.items():
+        assert result["methods"][method]["mean_mm"] == pytest.approx(wanted[0], rel=0.25)
+
+
+def test_base_and_reflectors_of_an_exact_robot_are_found():
+    rows = measured(3, 30, list(SMR_MM), error=0.0)
+    placement = place(IRB120.arm(), rows)
+    np.testing.assert_allclose(placement.T_L_B, T_L_B, atol=1e-6)
+    for name, smr in placement.smr_mm.items():
+        np.testing.assert_allclose(smr, SMR_MM[name], atol=1e-6)
+    assert max(f["max_mm"] for f in fit(IRB120, rows)["methods"].values()) < 1e-6
+
+
+def test_one_bad_row_does_not_move_the_base():
+    rows = measured(3, 30, list(SMR_MM), error=0.0)
+    rows.xyz_mm[7] += 50.0
+    placement = place(IRB120.arm(), rows)
+    np.testing.assert_allclose(placement.T_L_B[:3, 3], T_L_B[:3, 3], atol=0.2)
+
+
+def test_no_row_is_predicted_from_its_own_pose():
+    """An error given to one pose's rows alone must show in full where the pose is left out."""
+    rows = measured(3, 40, list(SMR_MM), error=0.0)
+    rows.xyz_mm[30:33] += [0.0, 0.0, 5.0]
+    miss = np.linalg.norm(cross_validate(IRB120.arm(), rows)["idw"], axis=1)
+    np.testing.assert_allclose(miss[30:33], 5.0, atol=0.5)
+
+
+def test_a_training_row_is_predicted_exactly():
+    rows = measured(1, 40, ["SMR1"])
+    result = fit(IRB120, rows, rows)
+    assert result["methods"]["idw"]["max_mm"] < 1e-9 < result["methods"]["nominal"]["mean_mm"]
+
+
+def test_rows_in_another_frame_give_the_same_figures():
+    rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
+    T = pose_from_kuka(-4000, 300, 20, 60, -45, 110)
+    moved = [replace(each, xyz_mm=apply(T, each.xyz_mm)) for each in (rows, test)]
+    for method, figures in fit(IRB120, rows, test)["methods"].items():
+        assert fit(IRB120, *moved)["methods"][method] == pytest.approx(figures, abs=1e-5)
+
+
+def test_an_unknown_target_is_refused():
+    with pytest.raises(FitError, match="no training row measures target SMR3"):
+        fit(IRB120, measured(1, 40, ["SMR1", "SMR2"]), measured(2, 5, ["SMR3"]))
+
+
+def test_too_few_rows_to_place_the_robot_are_refused():
+    with pytest.raises(FitError, match="2 rows do not place"):
+        place(IRB120.arm(), measured(1, 2, ["SMR1"]))
+
+
+@pytest.mark.parametrize(
+    ("poses", "says"), [(4, "4 poses, wanted at least 5"), (8, "8 to interpolate from")]
+)
+def test_too_few_poses_are_refused(poses, says):
+    with pytest.raises(FitError, match=says):
+        fit(IRB120, measured(1, poses, ["SMR1"]))
+
+
+@pytest.mark.parametrize("spoil", ["metres", "sign", "mirror", "nan"])
+def test_another_robot_s_rows_are_refused(spoil):
+    rows = measured(1, 40, ["SMR1"])
+    if spoil == "metres":
+        rows = replace(rows, xyz_mm=rows.xyz_mm / 1000)
+    elif spoil == "sign":
+        rows = replace(rows, joints_rad=rows.joints_rad * [1, -1, 1, 1, 1, 1])
+    elif spoil == "mirror":
+        rows = replace(rows, xyz_mm=rows.xyz_mm * [1, -1, 1])
+    else:
+        rows.xyz_mm[3, 1] = np.nan
+    with pytest.raises((FitError, FrameError)):
+        fit(IRB120, rows)
+
+
+def test_files_lead_to_the_same_figures(tmp_path):
+    """Written as the data's files are, with micrometres and micro-degrees."""
+    rows = measured(1, 40, ["SMR1", "SMR2"])
+    with (tmp_path / "train.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(HEADER)
+        for pose, target, joints, xyz in zip(
+            rows.pose, rows.target, np.degrees(rows.joints_rad), rows.xyz_mm, strict=True
+        ):
+            writer.writerow([pose, target, *np.round(joints, 6), *np.round(xyz, 4)])
+    read = fit(IRB120, read_measurements(tmp_path / "train.csv"))
+    for method, figures in fit(IRB120, rows)["methods"].items():
+        assert read["methods"][method] == pytest.approx(figures, abs=1e-3)
