@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from tests.whole.bench import end_of, events, hilcell
+from tests.whole.trace import judge
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +58,7 @@ def test_events_are_the_journal(runs: list[Any]) -> None:
     watched = hilcell("watch", "last", "--runs", folder, "--json")
     assert events(watched.stdout) == printed
     assert printed[0]["kind"] == "plan"
+    assert judge(printed) == []
 
 
 @pytest.mark.timeout(240)

@@ -18,6 +18,7 @@ from tests.whole.bench import (
     simulation,
     wait_gone,
 )
+from tests.whole.trace import judge
 
 KILLS = 20
 
@@ -61,6 +62,7 @@ def test_twenty_kills_change_nothing(tmp_path: Path) -> None:
     acknowledged += points_of(events(last.stdout))
 
     journal = events(hilcell("watch", name, "--runs", tmp_path, "--json").stdout)
+    assert judge(journal) == []
     kept = points_of(journal)
     assert not [key for key, count in Counter(kept).items() if count > 1]
     assert set(acknowledged) <= set(kept)
@@ -100,6 +102,7 @@ def test_a_device_that_vanishes_in_mid_motion(tmp_path: Path, device: str) -> No
         assert printed[-1]["state"] == "faulted"
         assert device.capitalize() in printed[-1]["reason"]
         assert any(e["kind"] == "event" and e["what"] == "safe stop" for e in printed)
+        assert judge(printed) == []
         cell.ask(op="clear", name=f"{device}.vanish")
         done = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
     assert end_of(done)["state"] == "finished", done.stderr

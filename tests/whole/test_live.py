@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.whole.bench import SMALL, Engine, children, events, hilcell, sets, wait_gone
+from tests.whole.trace import judge
 
 
 def state(event: dict[str, object], name: str) -> bool:
@@ -25,6 +26,7 @@ def test_pause_resume_watch_from_other_processes(tmp_path: Path) -> None:
     assert events(stopped.stdout)[0]["ok"] is True
     assert engine.rest()[-1]["exit"] == 4
     assert watcher.rest() == engine.events
+    assert judge(engine.events) == []
     assert "hilcell resume" in engine.told
 
 
@@ -42,6 +44,7 @@ def test_signals_stop_safely_and_nothing_is_left(
     last = engine.rest()[-1]
     assert last["exit"] == 4
     assert last["state"] == "aborted"
+    assert judge(engine.events) == []
     for pid in simulated:
         wait_gone(pid)
 
