@@ -22,7 +22,10 @@ def load_entry(group: str, name: str) -> Any:
     if name not in found:
         known = ", ".join(sorted(found)) or "none; is the package installed?"
         raise SettingsError(group, [f"{name!r} is not installed; installed: {known}"])
-    return found[name].load()
+    try:
+        return found[name].load()
+    except ImportError as error:
+        raise SettingsError(group, [f"{name!r} cannot be loaded: {error}"]) from error
 
 
 @dataclass(frozen=True, slots=True)
