@@ -22,6 +22,11 @@ Value = bool | int | float | str
 
 UNTIL_CLEARED = 0
 
+
+class Vanished(Exception):  # noqa: N818 - an event, not a mistake
+    """The device is gone: its server closes every socket and answers nobody any more."""
+
+
 # name: what happens (its value) | its occasion
 KNOWN = {
     "rail.vanish": "sockets close, nothing answers any more | a poll of the moving slide",

@@ -1,0 +1,135 @@
+"""C3 Bridge / KUKAVARPROXY server: a controller's variables over TCP (protocols, section 2).
+
+Big-endian. Request ``tag u16 | length of the rest u16 | type u8 | nameLen u16 | name [| valueLen
+u16 | value]``, reply ``tag | length | type | valueLen | value | error u16 | ok u8``. As the
+original it closes a client after 30 s of silence, serves ten at most, and leaves unknown types
+unanswered. Unlike it, it puts split requests together.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+
+from fakes.faults import Faults, Vanished
+from fakes.krl import KrlError
+from fakes.krl_controller import KrlController
+from fakes.listener import Listener
+
+READ, WRITE = 0, 1
+IDLE_S = 30.0
+MAX_CLIENTS = 10
+HEAD = struct.Struct("!HH")
+SUCCESS = b"\x00\x01\x01"
+FAILURES = {0: b"\x00\x00\x00", 1: b"\x00\x01\x00"}  # C3 Bridge's, KUKAVARPROXY's
+RECEIVE = 4096
+
+
+class C3Server:
+    """Serves one controller on a port that the system chooses."""
+
+    def __init__(self, controller: KrlController, faults: Faults) -> None:
+        self._controller, self._faults = controller, faults
+        self._closing = threading.Event()
+        self._listener = Listener("c3", self._serve, MAX_CLIENTS)
+        self.port = self._listener.port
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._listener.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._closing.set()
+        self._listener.close()
+
+    def _serve(self, client: socket.socket) -> None:
+        client.settimeout(IDLE_S)
+        pending = b""
+        while data := client.recv(RECEIVE):
+            pending += data
+            while len(pending) >= HEAD.size:
+                tag, length = HEAD.unpack_from(pending)
+                end = HEAD.size + length
+                if len(pending) < end:
+                    break
+                request, pending = pending[HEAD.size : end], pending[end:]
+                try:
+                    reply = self.answer(tag, request)
+                except Vanished:
+                    self._listener.hang_up()
+                    return
+                if reply is not None and not self._send(client, reply):
+                    return
+
+    def answer(self, tag: int, request: bytes) -> bytes | None:
+        """Return the reply to a request's body, None where the server keeps silent."""
+        parsed = _parse(request)
+        if parsed is None:
+            return None
+        kind, name, text = parsed
+        footer = SUCCESS
+        try:
+            self._fail_if_wanted()
+            if kind == READ:
+                text = self._controller.read(name)
+            else:
+                self._controller.write(name, text)
+        except _Failure as failure:
+            text, footer = "", FAILURES[failure.footer]
+        except KrlError:
+            text, footer = "", FAILURES[1]
+        value = text.encode("ascii", "replace")
+        tag = (tag + 1) % 0x10000 if self._faults.take("robot.tag_mismatch") is not None else tag
+        body = struct.pack("!BH", kind, len(value)) + value + footer
+        return HEAD.pack(tag, len(body)) + body
+
+    def _fail_if_wanted(self) -> None:
+        if self._faults.take("robot.restarted") is not None:
+            raise _Failure(1)
+        footer = self._faults.number("robot.failure_footer")
+        if footer is not None:
+            raise _Failure(int(footer))
+
+    def _send(self, client: socket.socket, reply: bytes) -> bool:
+        """Send the reply as the faults want it; return whether the client stays connected."""
+        take = self._faults.take
+        if take("robot.idle_close") is not None:
+            return False
+        if take("robot.half_open") is not None:
+            self._closing.wait()
+            return False
+        if take("robot.no_reply") is not None:
+            return True
+        late_s = self._faults.number("robot.late_reply")
+        if late_s is not None:
+            self._closing.wait(late_s)
+        if take("robot.split_reply") is not None:
+            client.sendall(reply[: len(reply) // 2])
+            self._closing.wait(0.02)  # so that both halves are segments of their own
+            reply = reply[len(reply) // 2 :]
+        client.sendall(reply)
+        return True
+
+
+class _Failure(Exception):
+    def __init__(self, footer: int) -> None:
+        super().__init__(footer)
+        self.footer = footer
+
+
+def _parse(request: bytes) -> tuple[int, str, str] | None:
+    """Return type, name and value of a request's body, None where it is malformed or unknown."""
+    try:
+        kind, length = struct.unpack_from("!BH", request)
+        name = request[3 : 3 + length]
+        if len(name) != length or kind not in (READ, WRITE):
+            return None
+        text = b""
+        if kind == WRITE:
+            (size,) = struct.unpack_from("!H", request, 3 + length)
+            text = request[5 + length : 5 + length + size]
+        return kind, name.decode("ascii"), text.decode("ascii")
+    except (struct.error, UnicodeDecodeError):
+        return None

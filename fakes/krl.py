@@ -1,0 +1,57 @@
+"""Values as KRL writes them: ``{E6AXIS: A1 0.00000, A2 -90.00000}``, ``#EX``, ``TRUE``, ``100``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+_AGGREGATE = re.compile(r"^\{\s*(?:(\w+)\s*:)?\s*(.*?)\s*\}$", re.DOTALL)
+_NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
+
+
+class KrlError(ValueError):
+    """A text that KRL would not take."""
+
+
+def aggregate(kind: str, members: Mapping[str, float | int]) -> str:
+    """Return a structure's text; integers stay integers, reals get five decimals."""
+    texts = (
+        f"{name} {value}" if isinstance(value, int) else f"{name} {value:.5f}"
+        for name, value in members.items()
+    )
+    return f"{{{kind}: {', '.join(texts)}}}"
+
+
+def boolean(value: bool) -> str:  # noqa: FBT001 - a value, not an option
+    """Return TRUE or FALSE."""
+    return "TRUE" if value else "FALSE"
+
+
+def parse_boolean(text: str) -> bool:
+    """Return the value of TRUE or FALSE; raises `KrlError`."""
+    try:
+        return {"TRUE": True, "FALSE": False}[text.strip().upper()]
+    except KeyError:
+        raise KrlError(text) from None
+
+
+def parse_integer(text: str) -> int:
+    """Return the value of an INT; raises `KrlError`."""
+    try:
+        return int(text.strip())
+    except ValueError:
+        raise KrlError(text) from None
+
+
+def parse_aggregate(text: str, kind: str) -> dict[str, float]:
+    """Return the members of a structure of ``kind``, which the text may leave out."""
+    match = _AGGREGATE.match(text.strip())
+    if match is None or (match[1] or kind).upper() != kind:
+        raise KrlError(text)
+    members: dict[str, float] = {}
+    for part in match[2].split(","):
+        name, _, number = part.strip().partition(" ")
+        if not _NUMBER.match(number.strip()):
+            raise KrlError(text)
+        members[name.upper()] = float(number)
+    return members

@@ -1,0 +1,255 @@
+"""The robot controller: system variables and the resident program hilcell.src, as KRL text.
+
+Nobody may read more here than a controller knows: joints and poses are its own nominal ones.
+The program waits for ``HC_SEQ <> HC_ACK``, moves, then sets HC_ERR and HC_ACK. HC_STOP brakes and
+keeps the program in its interrupt until it is FALSE again.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from fakes.faults import Faults, Vanished
+from fakes.krl import (
+    KrlError,
+    aggregate,
+    boolean,
+    parse_aggregate,
+    parse_boolean,
+    parse_integer,
+)
+from fakes.robot_motion import RobotMotion
+from hilcell.cell import Cell
+from hilcell.geometry.frames import kuka_from_pose
+from hilcell.geometry.inverse import status_of, turn_of
+from hilcell.geometry.kinematics import Array, forward
+
+MOVE_PTP = 1
+OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, STOPPED = 0, 1, 2, 9
+AXES = tuple(f"A{n}" for n in range(1, 7))
+EXTERNAL = {f"E{n}": 0.0 for n in range(1, 7)}
+FRAME = ("X", "Y", "Z", "A", "B", "C")
+SERIAL = 860112
+TOOL, BASE = 1, 0
+
+
+class KrlController:
+    """One robot's controller; ``read`` and ``write`` may come from several threads."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        motion: RobotMotion,
+        faults: Faults,
+        lose_zero: Callable[[float], None] = lambda axis_1_rad: None,
+    ) -> None:
+        self._lock = threading.RLock()
+        self._motion, self._faults, self._lose_zero = motion, faults, lose_zero
+        self._arm = cell.robot.arm()
+        self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
+        self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
+        self._name = f"#{cell.robot.name.replace(' ', '')} C4 FLR"
+        self._tool = dict(zip(FRAME, kuka_from_pose(self._arm.tool).tolist(), strict=True))
+        self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
+        self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0}
+        self._acknowledged = self._error = 0
+        self._running: int | None = None
+        self._in_stop = False
+        self._keeps_acknowledge = self._frozen = False
+        self._override = 100
+        self._stale: dict[str, str] = {}
+        self._readers = self._system_readers() | self._program_readers()
+        self.restore()
+
+    def restore(self) -> None:
+        """The operator puts everything right and starts the program anew."""
+        with self._lock:
+            self._mode, self._program = "#EX", "#P_ACTIVE"
+            self._emergency, self._message = False, False
+            self._in_stop, self._running = False, None
+            self._acknowledged, self._error = self._integers["HC_SEQ"], OK
+            self._set_override(100)
+
+    def read(self, name: str) -> str:
+        """Return a variable's text; raises `KrlError` for one that the controller has not."""
+        with self._lock:
+            reader = self._readers.get(name.strip().upper())
+            if reader is None:
+                raise KrlError(name)
+            self._strike_on_request()
+            self._run_program()
+            return reader()
+
+    def write(self, name: str, text: str) -> None:
+        """Set a variable from its text; raises `KrlError` where KRL would refuse."""
+        name = name.strip().upper()
+        with self._lock:
+            self._strike_on_request()
+            if name == "HC_TGT":
+                self._target_deg |= parse_aggregate(text, "E6AXIS")
+            elif name in self._integers:
+                self._integers[name] = parse_integer(text)
+            elif name == "HC_STOP":
+                self._stop(parse_boolean(text))
+            elif name == "$OV_PRO":
+                self._set_override(parse_integer(text))
+            else:
+                raise KrlError(name)
+            self._run_program()
+
+    # -- what can be read -----------------------------------------------------------------------
+
+    def _system_readers(self) -> dict[str, Callable[[], str]]:
+        return {
+            "$MODE_OP": lambda: self._mode,
+            "$PERI_RDY": lambda: boolean(not self._emergency),
+            "$STOPMESS": lambda: boolean(self._message),
+            "$ALARM_STOP": lambda: boolean(not self._emergency),
+            "$USER_SAF": lambda: boolean(True),
+            "$PRO_STATE": lambda: self._program,
+            "$PRO_STATE1": lambda: self._program,
+            "$OV_PRO": lambda: str(self._override),
+            "$ACT_TOOL": lambda: str(self._number("robot.wrong_tool", TOOL)),
+            "$ACT_BASE": lambda: str(self._number("robot.wrong_base", BASE)),
+            "$TOOL": lambda: aggregate("FRAME", self._tool),
+            "$BASE": lambda: aggregate("FRAME", dict.fromkeys(FRAME, 0.0)),
+            "$ACCU_STATE": lambda: "#CHARGE_OK",
+            "$TRAFONAME[]": self._identity,
+            "$KR_SERIALNO": lambda: str(SERIAL),
+            "$ROBNAME[]": lambda: '"HILCELL"',
+            "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
+            "$POS_ACT": lambda: self._position("$POS_ACT"),
+        }
+
+    def _program_readers(self) -> dict[str, Callable[[], str]]:
+        return {
+            "HC_VER": lambda: "1",
+            "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg | EXTERNAL),
+            "HC_VEL": lambda: str(self._integers["HC_VEL"]),
+            "HC_CMD": lambda: str(self._integers["HC_CMD"]),
+            "HC_SEQ": lambda: str(self._integers["HC_SEQ"]),
+            "HC_ACK": self._read_acknowledge,
+            "HC_ERR": lambda: str(self._error),
+            "HC_STOP": lambda: boolean(self._in_stop),
+        }
+
+    def _identity(self) -> str:
+        other = self._faults.take("robot.wrong_identity")
+        name = self._name if other is None else "#KR6R900" if other is True else str(other)
+        return f'"{name}"'
+
+    def _number(self, fault: str, value: int) -> int:
+        found = self._faults.number(fault)
+        return value if found is None else int(found)
+
+    def _read_acknowledge(self) -> str:
+        self._poll()
+        return str(self._acknowledged)
+
+    def _position(self, which: str) -> str:
+        joints_rad = self._poll()
+        if self._faults.take("robot.stale_position") is not None and which in self._stale:
+            return self._stale[which]
+        axes = dict(zip(AXES, np.degrees(joints_rad).tolist(), strict=True))
+        text = aggregate("E6AXIS", axes | EXTERNAL)
+        if which == "$POS_ACT":
+            text = aggregate("E6POS", self._pose(joints_rad) | EXTERNAL)
+        bad = self._faults.take("robot.bad_number")
+        if bad is not None:
+            kind, members = text.split(": ", 1)
+            first, rest = members.split(",", 1)
+            text = f"{kind}: {first.split()[0]} {bad},{rest}"
+        self._stale[which] = text
+        return text
+
+    def _pose(self, joints_rad: Array) -> dict[str, float | int]:
+        pose = kuka_from_pose(forward(self._arm, joints_rad)).tolist()
+        turns = {"S": int(status_of(self._arm, joints_rad)), "T": int(turn_of(joints_rad))}
+        return dict(zip(FRAME, pose, strict=True)) | turns
+
+    # -- the resident program -------------------------------------------------------------------
+
+    def _run_program(self) -> None:
+        ready = self._program == "#P_ACTIVE" and not self._in_stop
+        if self._running is not None:
+            if ready and not self._motion.moving and not self._frozen:
+                self._acknowledge()
+        elif ready and self._integers["HC_SEQ"] != self._acknowledged:
+            self._running = self._integers["HC_SEQ"]
+            self._error = self._start()
+            if self._error != OK:
+                self._acknowledge()
+
+    def _start(self) -> int:
+        if self._integers["HC_CMD"] != MOVE_PTP:
+            return UNKNOWN_COMMAND
+        target_deg = np.array([self._target_deg[axis] for axis in AXES])
+        inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
+        if not inside.all() or self._faults.take("robot.softlimit") is not None:
+            return OUT_OF_LIMITS
+        lost_deg = self._faults.number("robot.lost_zero")
+        if lost_deg is not None:
+            self._lose_zero(float(np.radians(lost_deg)))
+        self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
+        self._frozen = self._faults.take("robot.frozen") is not None
+        target_deg = target_deg - (self._faults.number("robot.stops_short") or 0.0)
+        if not self._frozen:
+            speed = min(max(self._integers["HC_VEL"], 1), 100) / 100.0
+            self._motion.move(np.radians(target_deg), speed)
+        return OK
+
+    def _acknowledge(self) -> None:
+        if self._running is not None and not self._keeps_acknowledge:
+            self._acknowledged = self._running
+        self._running = None if not self._keeps_acknowledge else self._running
+
+    def _stop(self, wanted: bool) -> None:  # noqa: FBT001 - a value, not an option
+        if wanted and not self._in_stop:
+            self._in_stop = True
+            self._error = STOPPED
+            self._motion.brake()
+        elif not wanted and self._in_stop:
+            self._in_stop = self._keeps_acknowledge = self._frozen = False
+            self._running = None
+            self._acknowledged = self._integers["HC_SEQ"]
+
+    def _set_override(self, percent: int) -> None:
+        if not 0 <= percent <= 100:
+            raise KrlError(f"$OV_PRO {percent}")
+        self._override = percent
+        self._motion.override(percent / 100.0)
+
+    # -- what goes wrong ------------------------------------------------------------------------
+
+    def _strike_on_request(self) -> None:
+        if self._faults.take("robot.mode_t1") is not None:
+            self._mode, self._program = "#T1", "#P_STOP"
+            self._motion.brake()
+        if self._faults.take("robot.deselected") is not None:
+            self._program = "#P_FREE"
+            self._motion.brake()
+
+    def _poll(self) -> Array:
+        """Let a moving robot get further, strike it if so wanted, and return its joints (6,)."""
+        if self._motion.seen_moving:
+            self._strike_in_motion()
+        joints_rad = self._motion.poll().joints_rad
+        self._run_program()
+        return joints_rad
+
+    def _strike_in_motion(self) -> None:
+        take = self._faults.take
+        if take("robot.vanish") is not None:
+            raise Vanished
+        if take("robot.e_stop") is not None:
+            self._emergency = self._message = True
+            self._program = "#P_STOP"
+            self._motion.brake()
+        if take("robot.stopmess") is not None:
+            self._message, self._program = True, "#P_STOP"
+            self._motion.brake()
+        if take("robot.override_zero") is not None:
+            self._set_override(0)

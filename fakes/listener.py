@@ -1,0 +1,77 @@
+"""A TCP server on loopback with a blocking thread a client: the quickest answer Python gives."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable
+
+HOST = "127.0.0.1"
+
+
+class Listener:
+    """Accepts clients on a port that the system chooses and hands each to ``serve``.
+
+    ``serve`` returns when the client is done; OSError from a broken connection ends it too.
+    """
+
+    def __init__(self, name: str, serve: Callable[[socket.socket], None], limit: int = 10) -> None:
+        self._name, self._serve, self._limit = name, serve, limit
+        self._socket = socket.create_server((HOST, 0))
+        self.port: int = self._socket.getsockname()[1]
+        self._lock = threading.Lock()
+        self._clients: dict[socket.socket, threading.Thread] = {}
+        self._accepting = threading.Thread(target=self._accept, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin to accept."""
+        self._accepting.start()
+
+    def hang_up(self) -> None:
+        """Close every socket without waiting; callable from a client's own thread."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        with self._lock:
+            clients = list(self._clients)
+        for client in clients:
+            _shut(client)
+
+    def close(self) -> None:
+        """Close every socket and wait for every thread."""
+        self.hang_up()
+        if self._accepting.is_alive():
+            self._accepting.join()
+        with self._lock:
+            threads = list(self._clients.values())
+        for thread in threads:
+            thread.join()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._socket.accept()
+            except OSError:
+                return
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            thread = threading.Thread(
+                target=self._run, args=(client,), name=f"{self._name} client", daemon=True
+            )
+            with self._lock:
+                if len(self._clients) >= self._limit:
+                    client.close()
+                    continue
+                self._clients[client] = thread
+            thread.start()
+
+    def _run(self, client: socket.socket) -> None:
+        with client, contextlib.suppress(OSError):
+            self._serve(client)
+        with self._lock:
+            del self._clients[client]
+
+
+def _shut(client: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        client.shutdown(socket.SHUT_RDWR)

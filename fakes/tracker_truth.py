@@ -1,0 +1,139 @@
+"""The truth of the tracker: where it stands, what it finds, what it reads, and the air.
+
+Noise is 7.5 um along the beam and 2.5 um/m across it (1 sigma). A slow drift and the air follow
+plant time in steps, so that a moment more or less changes no figure. All positions are in the
+tracker's frame, mm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fakes.faults import Faults
+from fakes.noise import KeyedNoise
+from fakes.time import PlantTime
+from hilcell.cell import Cell
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.kinematics import Array
+
+RADIAL_MM, ACROSS = 0.0075, 2.5e-6
+PLACED_MM, TURNED_RAD = 3.0, 1e-3  # 1 sigma of nominal against true pose
+DRIFT_MM, DRIFT_PERIOD_S, DRIFT_STEP_S = 0.002, 4 * 3600.0, 600.0
+AIR_PERIOD_S, AIR_STEP_S = 3 * 3600.0, 60.0
+
+Scene = Callable[[], dict[str, Array]]  # reflectors (3,) by name
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """The air at the tracker."""
+
+    temperature_c: float
+    pressure_mbar: float
+    humidity_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One stationary measurement: position (3,) and 1-sigma (3,), mm, tracker's frame."""
+
+    xyz_mm: Array
+    std_mm: Array
+
+
+class TrackerTruth:
+    """A tracker that sees reflectors given in {W}.
+
+    It takes the faults ``tracker.drift_step``, ``tracker.noisy``, ``tracker.spike`` and
+    ``tracker.wrong_target`` itself; all others are the server's.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        seed: int,
+        time: PlantTime,
+        faults: Faults,
+        reflectors_in_world: Scene,
+        session: int = 1,
+    ) -> None:
+        rng = KeyedNoise(seed).generator("tracker")
+        self._noise = KeyedNoise(seed, f"tracker/{session}")
+        self._time, self._faults, self._reflectors = time, faults, reflectors_in_world
+        self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)
+        placed = np.eye(4)
+        turn = TURNED_RAD * rng.standard_normal(3)
+        placed[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        placed[:3, 3] = PLACED_MM * rng.standard_normal(3)
+        self.pose_in_world = cell.tracker.pose.matrix() @ placed
+        self._from_world = inverse(self.pose_in_world)
+        self._drift = rng.standard_normal((2, 3)) * DRIFT_MM
+        self._air_phases = rng.uniform(0.0, 2 * math.pi, 3)
+        self._bump_mm = np.zeros(3)
+
+    def reflectors(self) -> dict[str, Array]:
+        """Return where every reflector is."""
+        return {
+            name: apply(self._from_world, at_mm[None])[0]
+            for name, at_mm in self._reflectors().items()
+        }
+
+    def find(self, near_mm: Array, radius_mm: float) -> str | None:
+        """Return the name of the reflector nearest to a point (3,), if within range and radius."""
+        found = {
+            name: float(np.linalg.norm(at_mm - near_mm))
+            for name, at_mm in self.reflectors().items()
+            if self._in_range(at_mm)
+        }
+        if not found:
+            return None
+        order = sorted(found, key=found.__getitem__)
+        if len(order) > 1 and self._faults.take("tracker.wrong_target") is not None:
+            return order[1]
+        return order[0] if found[order[0]] <= radius_mm else None
+
+    def measure(self, name: str) -> Measurement | None:
+        """Return one measurement of a reflector, or None where it is out of range."""
+        at_mm = self.reflectors()[name]
+        if not self._in_range(at_mm):
+            return None
+        std_mm = self._faults.number("tracker.noisy")
+        self._bump_mm[0] += self._faults.number("tracker.drift_step") or 0.0
+        xyz_mm = at_mm + self._bump_mm + self._slow_drift_mm()
+        range_mm = float(np.linalg.norm(xyz_mm))
+        along = xyz_mm / range_mm
+        key = ",".join(f"{value:.2f}" for value in xyz_mm)
+        draws = self._noise.normal(key, 6)
+        radial = (draws[:3] @ along) * along
+        across_mm = ACROSS * range_mm
+        noise_mm = RADIAL_MM * radial + across_mm * (draws[:3] - radial)
+        sigma_mm = np.sqrt((RADIAL_MM * along) ** 2 + across_mm**2 * (1 - along**2))
+        if std_mm is not None:
+            noise_mm, sigma_mm = std_mm * draws[:3], np.full(3, std_mm / math.sqrt(3.0))
+        xyz_mm = xyz_mm + noise_mm
+        xyz_mm[2] += self._faults.number("tracker.spike") or 0.0
+        return Measurement(xyz_mm, sigma_mm * (1.0 + 0.1 * np.tanh(draws[3:])))
+
+    def air(self) -> Air:
+        """Return the air now: 22-24 C as in the paper's laboratory."""
+        step_s = AIR_STEP_S * math.floor(self._time.now_s() / AIR_STEP_S)
+        waves = np.sin(2 * math.pi * step_s / AIR_PERIOD_S + self._air_phases)
+        return Air(
+            temperature_c=float(23.0 + 0.8 * waves[0]),
+            pressure_mbar=float(1009.0 + 2.0 * waves[1]),
+            humidity_percent=float(45.0 + 4.0 * waves[2]),
+        )
+
+    def _in_range(self, at_mm: Array) -> bool:
+        return self._range_mm[0] <= float(np.linalg.norm(at_mm)) <= self._range_mm[1]
+
+    def _slow_drift_mm(self) -> Array:
+        step_s = DRIFT_STEP_S * math.floor(self._time.now_s() / DRIFT_STEP_S)
+        angle = 2 * math.pi * step_s / DRIFT_PERIOD_S
+        drift: Array = self._drift[0] * math.sin(angle) + self._drift[1] * (1 - math.cos(angle))
+        return drift
