@@ -88,18 +88,22 @@ def place(arm: Arm, rows: Measurements) -> Placement:
     which = np.array([targets.index(target) for target in rows.target])
     flange = forward(arm, rows.joints_rad)
     T, smr = rigid_fit(flange[:, :3, 3], rows.xyz_mm).T, np.zeros((len(targets), 3))
+    step = np.inf
     for _ in range(ITERATIONS):
         T, smr, step = _improved(T, smr, flange, which, rows.xyz_mm)
         if step <= CONVERGED:
             break
-    else:
-        raise FitError(f"base and reflectors do not settle: last step {step:.3g}")
     placement = Placement(arm, T, dict(zip(targets, smr, strict=True)))
     miss_mm = np.linalg.norm(rows.xyz_mm - placement.predicted_mm(rows), axis=1)
     if not np.median(miss_mm) <= ABSURD_MM:
         raise FitError(
             f"nominal kinematics miss half of the measured targets by {np.median(miss_mm):.1f} mm "
             f"or more, wanted <= {ABSURD_MM} mm: check the robot file, joint signs and units"
+        )
+    if not step <= CONVERGED:
+        raise FitError(
+            f"base and reflectors do not settle: the last of {ITERATIONS} steps is {step:.3g}, "
+            f"wanted <= {CONVERGED}: measure more poses with other orientations"
         )
     return placement
 

@@ -78,7 +78,7 @@ def nearest_turns(joints_rad: Array, limits_rad: Array, reference_rad: ArrayLike
     options = joints_rad[..., None, :] + turns
     beyond = np.maximum(limits_rad[0] - options, options - limits_rad[1]).clip(min=0.0)
     cost = np.abs(options - np.asarray(reference_rad)) + 1e6 * beyond
-    best = np.argmin(np.where(np.isnan(cost), np.inf, cost), axis=-2)
+    best = np.argmin(cost, axis=-2)
     return np.take_along_axis(options, best[..., None, :], axis=-2)[..., 0, :]
 
 

@@ -15,7 +15,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from hilcell.fit import FitError, cross_validate, fit, place
+from hilcell.fit import FitError, cross_validate, fit, idw, place
 from hilcell.geometry.frames import FrameError, apply, pose_from_kuka
 from hilcell.geometry.kinematics import forward
 from hilcell.robotfile import HEADER, Measurements, RobotModel, Row, read_measurements, read_robot
@@ -172,12 +172,22 @@ def test_one_bad_row_does_not_move_the_base():
     np.testing.assert_allclose(placement.T_L_B[:3, 3], T_L_B[:3, 3], atol=0.2)
 
 
-def test_no_row_is_predicted_from_its_own_pose():
-    """An error given to one pose's rows alone must show in full where the pose is left out."""
-    rows = measured(3, 40, list(SMR_MM), error=0.0)
-    rows.xyz_mm[30:33] += [0.0, 0.0, 5.0]
-    miss = np.linalg.norm(cross_validate(IRB120.arm(), rows)["idw"], axis=1)
-    np.testing.assert_allclose(miss[30:33], 5.0, atol=0.5)
+def test_a_repeated_row_is_left_out_with_its_pose():
+    rows = measured(3, 40, ["SMR1"], error=0.0)
+    rows.xyz_mm[10] += [0.0, 0.0, 5.0]
+    twice = rows.at(np.repeat(np.arange(len(rows)), 2))
+    miss = np.linalg.norm(cross_validate(IRB120.arm(), twice)["idw"], axis=1)
+    np.testing.assert_allclose(miss[20:22], 5.0, atol=0.5)
+
+
+def test_a_reflector_learns_from_its_own_rows_only():
+    rows, test = measured(1, 40, ["SMR1", "SMR2"]), measured(2, 40, ["SMR1", "SMR2"])
+    placement = place(IRB120.arm(), rows)
+    of_smr2 = np.array(rows.target) == "SMR2"
+    spoilt = replace(rows, xyz_mm=rows.xyz_mm + 5.0 * of_smr2[:, None])
+    change = idw(placement, spoilt, test) - idw(placement, rows, test)
+    wanted = 5.0 * (np.array(test.target) == "SMR2")
+    np.testing.assert_allclose(change, np.tile(wanted[:, None], 3), atol=1e-9)
 
 
 def test_a_training_row_is_predicted_exactly():
@@ -212,19 +222,23 @@ def test_too_few_poses_are_refused(poses, says):
         fit(IRB120, measured(1, poses, ["SMR1"]))
 
 
-@pytest.mark.parametrize("spoil", ["metres", "sign", "mirror", "nan"])
-def test_another_robot_s_rows_are_refused(spoil):
+@pytest.mark.parametrize(
+    ("joint_factor", "xyz_factor", "says"),
+    [
+        ([1, 1, 1, 1, 1, 1], [0.001, 0.001, 0.001], "miss half of .* check .* units"),
+        ([1, 1, 1, 1, -1, 1], [1, 1, 1], "miss half of .* joint signs"),
+        ([1, -1, 1, 1, 1, 1], [1, 1, 1], "mirror image"),
+        ([1, 1, 1, 1, 1, 1], [1, -1, 1], "left-handed"),
+        ([1, 1, 1, 1, 1, 1], [1, np.nan, 1], "not finite"),
+    ],
+)
+def test_rows_of_another_robot_or_unit_are_refused(joint_factor, xyz_factor, says):
     rows = measured(1, 40, ["SMR1"])
-    if spoil == "metres":
-        rows = replace(rows, xyz_mm=rows.xyz_mm / 1000)
-    elif spoil == "sign":
-        rows = replace(rows, joints_rad=rows.joints_rad * [1, -1, 1, 1, 1, 1])
-    elif spoil == "mirror":
-        rows = replace(rows, xyz_mm=rows.xyz_mm * [1, -1, 1])
-    else:
-        rows.xyz_mm[3, 1] = np.nan
-    with pytest.raises((FitError, FrameError)):
-        fit(IRB120, rows)
+    spoilt = replace(
+        rows, joints_rad=rows.joints_rad * joint_factor, xyz_mm=rows.xyz_mm * xyz_factor
+    )
+    with pytest.raises((FitError, FrameError), match=says):
+        fit(IRB120, spoilt)
 
 
 def test_files_lead_to_the_same_figures(tmp_path):

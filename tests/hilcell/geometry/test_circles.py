@@ -152,7 +152,9 @@ def test_base_frame_covariance_predicts_the_scatter():
     np.testing.assert_allclose(np.mean(said, axis=0), np.mean(np.square(seen), axis=0), rtol=0.35)
 
 
-def test_base_frame_refuses_parallel_axes():
-    circle = fit_circle(arc(np.eye(4), 500, 200))
-    with pytest.raises(FrameError, match="apart"):
-        base_frame(circle, circle, 100.0)
+@pytest.mark.parametrize("between_deg", [0.0, 4.0])
+def test_base_frame_refuses_nearly_parallel_axes(between_deg):
+    one = fit_circle(arc(np.eye(4), 500, 200))
+    six = fit_circle(arc(pose_from_kuka(1500, 0, 1800, 0, between_deg, 0), 98, 300))
+    with pytest.raises(FrameError, match=rf"{between_deg:.1f} deg apart"):
+        base_frame(one, six, 100.0)
