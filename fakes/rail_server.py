@@ -2,8 +2,8 @@
 
 Drive and sensor stay as they are when a client leaves; only the gateway's channel is new for the
 next one. Heartbeats and wire deadlines run in real time, the slide in plant time: a SYNC or an SDO
-request looks at the slide once, before the nodes answer it. The trap: in stepped time nobody looks
-at a slide whose master has died, so a drive that brakes by itself is looked at until it stands.
+read looks at the slide once, before the nodes answer it. The trap: in stepped time nobody looks at
+a slide whose master has died, so a drive that brakes by itself is looked at until it stands.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from hilcell.cell import Cell
 LOOK_PERIOD_S = 0.01
 IDLE_S = 0.5
 SDO_REQUESTS = (0x600 + rail_drive.NODE, 0x600 + rail_strip.NODE)
+SDO_READ = b"\x40"
 HEARTBEATS = range(0x700, 0x780)
 # What a fault means whose value only says that it strikes.
 DEFAULT_FAULT, DEFAULT_EMERGENCY, DEFAULT_ABORT = 0x8611, 0x7305, 0x08000022
@@ -125,7 +126,8 @@ class RailServer:
             self._strip.strike()
             self._look(now_s)
         elif cob_id in SDO_REQUESTS:
-            self._look(now_s)
+            if data[:1] == SDO_READ:
+                self._look(now_s)
             if self._spoilt(cob_id, data):
                 return
         for node in self._nodes.values():

@@ -82,11 +82,11 @@ class SlcanGateway:
         self._received = self._sending = b""
 
     def close(self) -> None:
-        """Drop the client and stop listening."""
-        self.drop()
+        """Stop listening and drop the client."""
         if self._listener is not None:
             self._listener.close()
         self._listener = None
+        self.drop()
 
     def _accept(self) -> None:
         if self._listener is not None:

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-import can
 import canopen
 from canopen import objectdictionary as od
+from canopen.network import PeriodicMessageTask
 
 from fakes.faults import Faults
 from fakes.rail_server import RailServer
@@ -223,5 +223,5 @@ class Master:
         self.control(0x0F)
         until(self.arrived, "arrived")
 
-    def start_heartbeat(self, period_s: float = 0.05) -> can.CyclicSendTaskABC:
+    def start_heartbeat(self, period_s: float = 0.05) -> PeriodicMessageTask:
         return self.network.send_periodic(0x700 + MASTER, b"\x05", period_s)

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 import can
 import pytest
+from can.interfaces.slcan import slcanBus
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -122,7 +123,7 @@ def test_frames_may_come_in_pieces_and_together() -> None:
 def test_python_can_opens_and_exchanges() -> None:
     with running() as loop:
         channel = f"socket://127.0.0.1:{loop.gateway.port}"
-        bus = can.Bus(interface="slcan", channel=channel, bitrate=500_000, sleep_after_open=0)
+        bus = slcanBus(channel, bitrate=500_000, sleep_after_open=0)
         try:
             assert bus.get_version(1.0) == (10, 13)
             bus.send(can.Message(arbitration_id=0x605, data=b"\x40", is_extended_id=False))
