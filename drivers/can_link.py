@@ -1,0 +1,115 @@
+"""One CAN bus with everything that must go on by itself: receiving, and the PC's heartbeat.
+
+The trap: python-can's Notifier dies silently with the first error of its bus. Here the first
+error is kept, the heartbeat ends with it (so that the drive stops itself), and every use of the
+link raises it. A link is never repaired: connect builds a new one.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections.abc import Callable
+
+import can
+import canopen
+
+from drivers.slcan_bus import SlcanBus
+from hilcell.ports import DeviceError
+
+RECEIVE_S = 0.05
+HEARTBEAT_PERIOD_S = 0.1
+JOIN_S = 1.0
+OPERATIONAL = b"\x05"
+
+Callback = Callable[[int, bytearray, float], None]
+
+
+def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.BusABC:
+    """Open the bus; raises `DeviceError`."""
+    try:
+        if interface == "slcan":
+            return SlcanBus(channel, bitrate)
+        return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
+    except (can.CanError, OSError, ValueError) as error:
+        raise DeviceError(
+            device, "connect", f"{interface} {channel}: {error}",
+            act="check the CAN gateway, its cable and rail.options",
+        ) from error  # fmt: skip
+
+
+class CanLink:
+    """A bus with its canopen network, receiving in a thread of its own."""
+
+    def __init__(self, device: str, bus: can.BusABC) -> None:
+        self.device = device
+        self.network = canopen.Network(bus)
+        self.malformed = 0
+        self._bus = bus
+        self._failure = ""
+        self._end = threading.Event()
+        self._threads = [threading.Thread(target=self._receive, name="CAN receive", daemon=True)]
+        self._threads[0].start()
+
+    def subscribe(self, cob_id: int, callback: Callback) -> None:
+        """Call ``callback(cob_id, data, time)`` in the receiving thread for frames ``cob_id``."""
+        self.network.subscribe(cob_id, callback)
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        """Send a frame from any thread; raises `DeviceError`."""
+        self.check()
+        try:
+            self.network.send_message(cob_id, data)
+        except (can.CanError, OSError) as error:
+            self._fail(error)
+            self.check()
+
+    def check(self) -> None:
+        """Raise `DeviceError` when the link is lost."""
+        if self._failure:
+            raise DeviceError(
+                self.device, "CAN", f"link lost: {self._failure}",
+                act="check the gateway, the cable and the terminators, then resume",
+            )  # fmt: skip
+
+    def start_heartbeat(self, node: int) -> None:
+        """Produce the heartbeat of ``node`` (CiA 301, 7.2.8.3.2.2) until the link closes."""
+        beat = threading.Thread(target=self._beat, args=(0x700 + node,), daemon=True)
+        self._threads.append(beat)
+        beat.start()
+
+    def close(self) -> None:
+        """End both threads and close the bus; what the dying bus says is of no use any more."""
+        self._end.set()
+        for thread in self._threads:
+            thread.join(JOIN_S)
+        try:
+            self._bus.shutdown()
+        except (can.CanError, OSError) as error:
+            self._fail(error)
+
+    def _receive(self) -> None:
+        while not self._end.is_set():
+            try:
+                message = self._bus.recv(RECEIVE_S)
+            except (can.CanError, OSError, ValueError) as error:
+                self._fail(error)
+                return
+            if message is not None and not (message.is_error_frame or message.is_remote_frame):
+                self._notify(message)
+
+    def _notify(self, message: can.Message) -> None:
+        try:
+            self.network.notify(message.arbitration_id, message.data, message.timestamp)
+        except (struct.error, IndexError, ValueError):
+            self.malformed += 1  # a frame too short for its meaning; deadlines notice the loss
+
+    def _beat(self, cob_id: int) -> None:
+        while not self._end.wait(HEARTBEAT_PERIOD_S):
+            try:
+                self.send(cob_id, OPERATIONAL)
+            except DeviceError:
+                return  # kept by `_fail`; the drive now stops itself
+
+    def _fail(self, error: Exception) -> None:
+        self._failure = self._failure or str(error)

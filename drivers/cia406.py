@@ -1,0 +1,26 @@
+"""CiA 406 linear encoders: the magnetic strip's sensor. Nothing here does I/O.
+
+The trap: the measuring step is an array on some makes and a plain value on others, in
+nanometres (multiples of 0.001 um).
+"""
+
+from __future__ import annotations
+
+DEVICE_PROFILE = 0x0196  # low word of 1000h: 406 decimal
+POSITION = 0x6004
+MEASURING_STEP = 0x6005
+POSITION_STEP = 0x6501
+ALARMS = 0x6503
+
+_ALARMS = {0: "position error: missing magnet, or the head too far from the strip"}
+
+
+def alarm_text(alarms: int) -> str:
+    """Return what the alarm bits of 6503h say."""
+    bits = [bit for bit in range(16) if alarms >> bit & 1]
+    return "; ".join(_ALARMS.get(bit, f"alarm bit {bit} (see the sensor's manual)") for bit in bits)
+
+
+def step_nm(counts_per_mm: float) -> int:
+    """Return the measuring step that belongs to ``counts_per_mm``."""
+    return round(1e6 / counts_per_mm)

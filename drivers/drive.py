@@ -1,0 +1,193 @@
+"""The sequencer of a CiA 402 drive: power, homing, profile position; everything by PDO and SYNC.
+
+canopen's BaseNode402 is not used: it drops the drive to "no mode" by its empty RPDO buffer,
+re-enables it behind a fault reset, and takes bits left by the last motion for this one's.
+The trap of time: a simulated cell may run faster than any clock, so a motion's deadline is never
+computed from distance and speed; what counts is that the position changes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers import cia402, cia406, emcy
+from drivers.cia402 import State
+from drivers.process_image import DEVICE, ProcessImage, Snapshot
+from drivers.sdo import SdoChannel
+from hilcell.ports import Clock, DeviceError
+
+POLL_S = 0.02
+STALL_S = 3.0  # wire deadline: neither the wanted state nor progress
+OVERSPEED = 1.2
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a healthy slide never exceeds, in counts and counts/s."""
+
+    lowest: int
+    highest: int
+    speed: float
+    window: int  # arrived, or progress
+
+
+class Drive:
+    """Drives one axis; used by one thread."""
+
+    def __init__(
+        self,
+        image: ProcessImage,
+        sdo: SdoChannel,
+        clock: Clock,
+        limits: Limits,
+        watch: Callable[[str], None],
+    ) -> None:
+        self._image, self._sdo, self._clock = image, sdo, clock
+        self._limits, self._watch = limits, watch
+
+    def poll(self, operation: str) -> Snapshot:
+        """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
+        self._watch(operation)
+        now = self._image.refresh(self._clock.check)
+        self._watch(operation)
+        if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
+            code = self._sdo.read(cia402.ERROR_CODE)
+            raise DeviceError(
+                DEVICE, operation, f"drive in {now.state.value}, error {emcy.text(code)}",
+                act="put the cause right, then resume",
+            )  # fmt: skip
+        if now.alarms:
+            raise DeviceError(
+                DEVICE, operation, f"strip sensor: {cia406.alarm_text(now.alarms)}",
+                act="check the strip and its head, then resume",
+            )  # fmt: skip
+        return now
+
+    def reset_fault(self) -> None:
+        """Reset a fault and stop at SWITCH ON DISABLED; nothing is enabled."""
+        operation = "reset fault"
+        if self._image.refresh(self._clock.check).state is not State.FAULT:
+            return
+        code = self._sdo.read(cia402.ERROR_CODE)
+        self._image.control(cia402.DISABLE_VOLTAGE)
+        self._image.control(cia402.FAULT_RESET)  # the rising edge resets
+        deadline_s = time.monotonic() + STALL_S
+        while self._image.refresh(self._clock.check).state is State.FAULT:
+            if time.monotonic() > deadline_s:
+                raise DeviceError(
+                    DEVICE, operation, f"drive stays in fault, error {emcy.text(code)}",
+                    act="put the cause right, then resume",
+                )  # fmt: skip
+            self._clock.wait(POLL_S)
+        self._image.control(cia402.DISABLE_VOLTAGE)
+
+    def disable(self, operation: str = "hold") -> None:
+        """Take the power away; the brake closes. A moving slide is stopped on its ramp first."""
+        now = self.poll(operation)
+        if now.powered and now.velocity != 0:
+            self._image.quick_stop()
+            now = self._until(operation, "standstill", lambda s: s.velocity == 0)
+        if not now.powered:
+            return
+        quick = now.state is State.QUICK_STOP_ACTIVE
+        self._image.control(cia402.DISABLE_VOLTAGE if quick else cia402.SHUTDOWN)
+        self._until(operation, "drive without power", lambda s: not s.powered)
+
+    def home(self, tolerance: int) -> None:
+        """Home by the method set in 6098h; raises `DeviceError`."""
+        operation = "home"
+        self._prepare(operation, cia402.HOMING)
+        self._image.control(cia402.START)
+        # Attained may still be set from an earlier homing: it must be seen to go.
+        self._moving(operation, "homing started", lambda s: not s.has(cia402.ACKNOWLEDGED))
+        attained = cia402.ACKNOWLEDGED | cia402.TARGET_REACHED
+        now = self._moving(
+            operation, "homing attained at standstill", lambda s: s.has(attained) and not s.velocity
+        )
+        self._image.control(cia402.ENABLE_OPERATION)
+        if not abs(now.position) <= tolerance:
+            raise DeviceError(
+                DEVICE, operation, f"the drive stands at {now.position} counts",
+                wanted=f"0 +-{tolerance} counts", act="check the drive's homing method and offset",
+            )  # fmt: skip
+
+    def move(self, target: int) -> None:
+        """Go to ``target`` counts in profile position; return at standstill, still enabled."""
+        operation = f"move to {target} counts"
+        self._prepare(operation, cia402.PROFILE_POSITION)
+        self._image.control(cia402.ENABLE_OPERATION, target)
+        self._moving(operation, "last set-point released", lambda s: not s.has(cia402.ACKNOWLEDGED))
+        self._image.control(cia402.START, target)
+        self._moving(operation, "set-point acknowledged", lambda s: s.has(cia402.ACKNOWLEDGED))
+        self._image.control(cia402.ENABLE_OPERATION, target)
+        self._moving(operation, f"target reached at {target} counts, at standstill", lambda s: (
+            s.has(cia402.TARGET_REACHED)
+            and not s.has(cia402.ACKNOWLEDGED)
+            and s.velocity == 0
+            and abs(s.position - target) <= self._limits.window
+        ))  # fmt: skip
+
+    # -- steps --------------------------------------------------------------------------------
+
+    def _prepare(self, operation: str, mode: int) -> None:
+        """Set the mode and go up to OPERATION ENABLED, one acknowledged transition at a time."""
+        now = self.poll(operation)
+        if now.mode != mode:
+            self._sdo.write(cia402.MODES_OF_OPERATION, 0, mode)
+        while (now := self.poll(operation)).state is not State.ENABLED:
+            word = cia402.next_control(now.state)
+            if word is not None:
+                self._image.control(word, now.position)
+            self._until(operation, f"drive to leave {now.state.value!r}", _left(now.state))
+        self._until(operation, f"mode {mode}", lambda s: s.mode == mode)
+
+    def _moving(self, operation: str, wanted: str, done: Callable[[Snapshot], bool]) -> Snapshot:
+        return self._until(operation, wanted, done, moving=True)
+
+    def _until(
+        self, operation: str, wanted: str, done: Callable[[Snapshot], bool], *, moving: bool = False
+    ) -> Snapshot:
+        """Poll by SYNC until ``done``; raises when neither that nor progress comes in time."""
+        position: int | None = None
+        changed_s = time.monotonic()
+        while True:
+            now = self.poll(operation)
+            if moving:
+                self._check_motion(operation, now)
+            if done(now):
+                return now
+            if position is None or abs(now.position - position) > self._limits.window:
+                position, changed_s = now.position, time.monotonic()
+            elif time.monotonic() - changed_s > STALL_S:
+                raise self._stalled(operation, wanted, now)
+            self._clock.wait(POLL_S)
+
+    def _check_motion(self, operation: str, now: Snapshot) -> None:
+        limits, found = self._limits, ""
+        if now.state is not State.ENABLED:
+            found = f"drive left operation enabled: {now.state.value}"
+        elif now.has(cia402.MODE_ERROR):
+            homing = now.mode == cia402.HOMING
+            found = "homing error" if homing else f"following error at {now.position} counts"
+        elif now.mode != cia402.HOMING and now.has(cia402.INTERNAL_LIMIT):
+            found = f"limit active at {now.position} counts"
+        elif not abs(now.velocity) <= OVERSPEED * limits.speed:
+            found = f"speed {now.velocity} counts/s, allowed {OVERSPEED * limits.speed:.0f}"
+        elif now.mode != cia402.HOMING and not limits.lowest <= now.position <= limits.highest:
+            found = f"position {now.position} counts left {limits.lowest} .. {limits.highest}"
+        if found:
+            raise DeviceError(DEVICE, operation, found, act="put the cause right, then resume")
+
+    def _stalled(self, operation: str, wanted: str, now: Snapshot) -> DeviceError:
+        return DeviceError(
+            DEVICE, operation,
+            f"no progress for {STALL_S:.0f} s at {now.position} counts, {now.velocity} counts/s, "
+            f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}",
+            wanted=wanted, act="check the slide for an obstacle and the drive, then resume",
+        )  # fmt: skip
+
+
+def _left(state: State) -> Callable[[Snapshot], bool]:
+    return lambda snapshot: snapshot.state is not state

@@ -1,0 +1,66 @@
+"""What one CANopen node says unasked: heartbeat, boot-up, emergencies (CiA 301, 7.2.8 and 7.2.7).
+
+The trap: a node that was reset is back within a second with its settings lost. Its boot-up frame
+is the only witness, so one that comes after `arm` is a failure like any other.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+
+from drivers import emcy
+from drivers.can_link import CanLink
+from hilcell.ports import DeviceError
+
+HEARTBEAT_PERIOD_MS = 200
+HEARTBEAT_AGE_S = 1.0
+BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
+_EMCY = struct.Struct("<HB5s")
+
+
+class NodeWatch:
+    """Listens to one node; ``check`` raises the first thing that went wrong since ``arm``."""
+
+    def __init__(self, device: str, link: CanLink, node: int) -> None:
+        self.state: int | None = None
+        self._device, self._node = device, node
+        self._heard_s = 0.0
+        self._armed = False
+        self._failure = ""
+        link.subscribe(0x700 + node, self._on_heartbeat)
+        link.subscribe(0x080 + node, self._on_emergency)
+
+    def arm(self) -> None:
+        """Take everything that comes from now on as a failure."""
+        self._failure = ""
+        self._armed = True
+
+    def check(self, operation: str) -> None:
+        """Raise `DeviceError` for an emergency, a boot-up, or a heartbeat that is too old."""
+        if not self._armed:
+            return
+        age_s = time.monotonic() - self._heard_s
+        if not self._failure and not age_s <= HEARTBEAT_AGE_S:
+            self._failure = f"no heartbeat for {age_s:.1f} s"
+        if not self._failure and self.state != OPERATIONAL:
+            self._failure = f"NMT state 0x{self.state or 0:02X}, not operational"
+        if self._failure:
+            raise DeviceError(
+                self._device, operation, f"node {self._node}: {self._failure}",
+                act="put the cause right, then resume; home the rail after a reset of its drive",
+            )  # fmt: skip
+
+    def _on_heartbeat(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
+        self.state = data[0] & 0x7F
+        self._heard_s = time.monotonic()
+        if self._armed and self.state == BOOT_UP:
+            self._fail("unexpected boot-up: the node was reset")
+
+    def _on_emergency(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
+        code, register, _vendor = _EMCY.unpack(data)
+        if self._armed and emcy.is_error(code):
+            self._fail(f"EMCY {emcy.text(code)}, error register 0x{register:02X}")
+
+    def _fail(self, found: str) -> None:
+        self._failure = self._failure or found

@@ -1,0 +1,99 @@
+"""PDO mappings written by SDO, read back, and the process image that they fill (CiA 301, 7.5.2).
+
+The trap: a received PDO proves nothing about when it was sampled. All PDOs are synchronous, so a
+reading counts only when every one of them came after the SYNC that asked for it.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.can_link import CanLink
+from drivers.sdo import SdoChannel
+from hilcell.ports import DeviceError
+
+SYNC = 0x080
+REPLY_S = 0.3
+SYNCS = 3
+POLL_S = 0.02
+DISABLED = 1 << 31
+EVERY_SYNC, ON_EVENT = 1, 255
+
+
+@dataclass(frozen=True, slots=True)
+class Mapping:
+    """One PDO: its parameter objects, identifier, transmission type and what it carries."""
+
+    communication: int  # 14xxh or 18xxh
+    mapping: int  # 16xxh or 1Axxh
+    cob_id: int
+    transmission: int
+    entries: tuple[tuple[int, int], ...]  # object, bits
+    layout: struct.Struct
+
+
+def configure(sdo: SdoChannel, pdo: Mapping) -> None:
+    """Write a mapping in the order that the standard wants (7.5.2.36): off, emptied, filled, on."""
+    sdo.write(pdo.communication, 1, DISABLED | pdo.cob_id)
+    sdo.write(pdo.mapping, 0, 0)
+    for sub, (index, bits) in enumerate(pdo.entries, start=1):
+        sdo.write(pdo.mapping, sub, index << 16 | bits)
+    sdo.write(pdo.mapping, 0, len(pdo.entries))
+    sdo.write(pdo.communication, 2, pdo.transmission)
+    sdo.write(pdo.communication, 1, pdo.cob_id)
+
+
+class Inbox:
+    """The last values of some TPDOs, and how often and when each came."""
+
+    def __init__(self, device: str, link: CanLink, pdos: tuple[Mapping, ...]) -> None:
+        self._device, self._link = device, link
+        self._changed = threading.Condition()
+        self._layouts = {pdo.cob_id: pdo.layout for pdo in pdos}
+        self._values: dict[int, tuple[int, ...]] = {}
+        self._count = dict.fromkeys(self._layouts, 0)
+        self._arrived_s = dict.fromkeys(self._layouts, 0.0)
+        for cob_id in self._layouts:
+            link.subscribe(cob_id, self._on_pdo)
+
+    def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
+        """Send SYNC; return all values by identifier and when the oldest of them arrived.
+
+        A lost frame costs one more SYNC; raises `DeviceError` when `SYNCS` of them bring nothing.
+        """
+        with self._changed:
+            before = dict(self._count)
+        for _ in range(SYNCS):
+            self._link.send(SYNC, b"")
+            if self._await(before, check):
+                with self._changed:
+                    return dict(self._values), min(self._arrived_s.values())
+        missing = [f"0x{cob_id:03X}" for cob_id in before if self._count[cob_id] == before[cob_id]]
+        raise DeviceError(
+            self._device, "read", f"no fresh TPDO {', '.join(missing)} within {SYNCS} SYNCs",
+            act="check the nodes' power and the bus load, then resume",
+        )  # fmt: skip
+
+    def _await(self, before: dict[int, int], check: Callable[[], None]) -> bool:
+        deadline_s = time.monotonic() + REPLY_S
+        while True:
+            check()
+            self._link.check()
+            with self._changed:
+                if all(self._count[cob_id] > before[cob_id] for cob_id in before):
+                    return True
+                if time.monotonic() > deadline_s:
+                    return False
+                self._changed.wait(POLL_S)
+
+    def _on_pdo(self, cob_id: int, data: bytearray, _at_s: float) -> None:
+        values = self._layouts[cob_id].unpack(data)  # a truncated frame is no reading
+        with self._changed:
+            self._values[cob_id] = values
+            self._count[cob_id] += 1
+            self._arrived_s[cob_id] = time.monotonic()
+            self._changed.notify_all()

@@ -1,0 +1,112 @@
+"""The rail's process image: what drive and strip report at one SYNC, and what the drive is told.
+
+The trap: a stop from another thread must not be undone by a control word that the worker was just
+about to send. Both pass one lock; after a quick stop no word that enables the drive goes out.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers import cia402, cia406
+from drivers.can_link import CanLink
+from drivers.cia402 import State
+from drivers.pdo import EVERY_SYNC, ON_EVENT, Inbox, Mapping
+from hilcell.ports import DeviceError
+
+DEVICE = "Rail"
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Drive and strip at one SYNC, in counts and counts/s."""
+
+    statusword: int
+    position: int
+    velocity: int
+    mode: int
+    strip: int
+    alarms: int
+    taken_s: float
+
+    @property
+    def state(self) -> State:
+        """Return the state of the power drive system."""
+        return cia402.state_of(self.statusword)
+
+    @property
+    def powered(self) -> bool:
+        """Whether the drive has the power to move."""
+        return self.state in cia402.POWERED
+
+    def has(self, bits: int) -> bool:
+        """Whether all ``bits`` of the status word are set."""
+        return self.statusword & bits == bits
+
+
+class ProcessImage:
+    """Four PDOs: TPDO1 and 2 and RPDO1 of the drive, TPDO1 of the strip sensor."""
+
+    def __init__(self, link: CanLink, drive_node: int, strip_node: int) -> None:
+        self._link = link
+        self._lock = threading.Lock()
+        self._stopped = False
+        self._target = 0
+        self.status = Mapping(
+            0x1800, 0x1A00, 0x180 + drive_node, EVERY_SYNC,
+            ((cia402.STATUSWORD, 16), (cia402.POSITION_ACTUAL, 32)), struct.Struct("<Hi"),
+        )  # fmt: skip
+        self.motion = Mapping(
+            0x1801, 0x1A01, 0x280 + drive_node, EVERY_SYNC,
+            ((cia402.VELOCITY_ACTUAL, 32), (cia402.MODE_DISPLAY, 8)), struct.Struct("<ib"),
+        )  # fmt: skip
+        self.command = Mapping(
+            0x1400, 0x1600, 0x200 + drive_node, ON_EVENT,
+            ((cia402.CONTROLWORD, 16), (cia402.TARGET_POSITION, 32)), struct.Struct("<Hi"),
+        )  # fmt: skip
+        self.strip = Mapping(
+            0x1800, 0x1A00, 0x180 + strip_node, EVERY_SYNC,
+            ((cia406.POSITION, 32), (cia406.ALARMS, 16)), struct.Struct("<iH"),
+        )  # fmt: skip
+        self._inbox = Inbox(DEVICE, link, (self.status, self.motion, self.strip))
+
+    def refresh(self, check: Callable[[], None]) -> Snapshot:
+        """Return what drive and strip report at a SYNC sent now."""
+        values, taken_s = self._inbox.refresh(check)
+        statusword, position = values[self.status.cob_id]
+        velocity, mode = values[self.motion.cob_id]
+        strip, alarms = values[self.strip.cob_id]
+        return Snapshot(statusword, position, velocity, mode, strip, alarms, taken_s)
+
+    def control(self, controlword: int, target: int | None = None) -> None:
+        """Send a control word, with the target position in counts where it matters."""
+        with self._lock:
+            if self._stopped and cia402.enables(controlword):
+                raise DeviceError(
+                    DEVICE, "move", "the rail was stopped", act="resume to connect anew"
+                )
+            if target is not None:
+                self._target = target
+            self._send(controlword)
+
+    def quick_stop(self) -> None:
+        """Stop on the quick-stop ramp, and never enable again; any thread, waits for nothing."""
+        self._stopped = True
+        if self._lock.acquire(timeout=0.1):
+            try:
+                self._send(cia402.QUICK_STOP)
+            finally:
+                self._lock.release()
+        else:  # another frame hangs in the gateway; this one goes out all the same
+            self._send(cia402.QUICK_STOP)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a quick stop was sent."""
+        return self._stopped
+
+    def _send(self, controlword: int) -> None:
+        self._link.send(self.command.cob_id, self.command.layout.pack(controlword, self._target))

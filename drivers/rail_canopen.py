@@ -1,0 +1,301 @@
+"""The rail: a CiA 402 drive and a CiA 406 magnetic-strip sensor on one CANopen bus.
+
+Moves and readings go by PDO and SYNC, settings by SDO. The trap: the drive's own word for where
+the slide is ends at its encoder. What counts is the strip, read at rest; this driver returns
+both, and the closed loop above it decides.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from importlib import resources
+from statistics import median
+from typing import Annotated, Literal
+
+import canopen
+import msgspec
+from msgspec import Meta
+
+from drivers import cia402, cia406, rail_setup
+from drivers.can_link import CanLink, open_bus
+from drivers.drive import Drive, Limits
+from drivers.node_watch import OPERATIONAL, NodeWatch
+from drivers.pdo import configure
+from drivers.process_image import DEVICE, ProcessImage, Snapshot
+from drivers.rail_setup import Expected
+from drivers.sdo import SdoChannel
+from hilcell.ports import Clock, DeviceError, Identity, RailReading
+
+NMT = 0x000
+NMT_START, NMT_PRE_OPERATIONAL = 0x01, 0x80
+OPERATIONAL_S = 3.0  # wire deadline
+SETTLE_S = 10.0  # wire deadline
+SETTLE_READINGS = 5
+RELEASE_S = 5.0  # wire deadline
+POLL_S = 0.02
+WINDOW_MM = 0.05
+SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
+LARGEST_COUNT = 2**31 - 1
+
+Positive = Annotated[float, Meta(gt=0)]
+Node = Annotated[int, Meta(ge=1, le=127)]
+U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+
+
+class CanopenRail:
+    """Satisfies `hilcell.ports.Rail`."""
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """The bus, the two nodes and their scales."""
+
+        channel: str
+        travel_min_mm: float
+        travel_max_mm: float
+        speed_mm_s: Positive
+        acceleration_mm_s2: Positive
+        interface: Literal["slcan", "socketcan"] = "slcan"
+        bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 500_000
+        drive_node: Node = 5
+        strip_node: Node = 6
+        heartbeat_node: Node = 127
+        counts_per_mm: Positive = 1000.0
+        strip_counts_per_mm: Positive = 100.0
+        drive_vendor: U32 = 0x484
+        drive_product: U32 = 0x402
+        drive_serial: U32 = 0
+        strip_vendor: U32 = 0x484
+        strip_product: U32 = 0x406
+        strip_serial: U32 = 0
+
+        def __post_init__(self) -> None:
+            if len({self.drive_node, self.strip_node, self.heartbeat_node}) < 3:
+                raise ValueError("drive_node, strip_node and heartbeat_node must differ")
+            if not self.travel_min_mm < self.travel_max_mm:
+                raise ValueError("travel_min_mm must be below travel_max_mm")
+            reach_mm = max(abs(self.travel_min_mm), abs(self.travel_max_mm)) + SLACK_MM
+            if not reach_mm * self.counts_per_mm < LARGEST_COUNT:
+                raise ValueError("travel times counts_per_mm does not fit 32 bits")
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._link: CanLink | None = None
+        self._image: ProcessImage | None = None
+        self._drive: Drive | None = None
+        self._drive_sdo: SdoChannel | None = None
+        self._watches: tuple[NodeWatch, ...] = ()
+
+    # -- the port -----------------------------------------------------------------------------
+
+    def connect(self) -> list[Identity]:
+        """Open the bus, verify both nodes, configure PDOs and the self-stop; nothing moves."""
+        self._close_link()
+        options = self._options
+        bus = open_bus(DEVICE, options.interface, options.channel, options.bitrate)
+        self._link = CanLink(DEVICE, bus)
+        try:
+            return self._set_up(self._link)
+        except BaseException:
+            self._close_link()
+            raise
+
+    def home(self) -> None:
+        """Home to the negative limit switch (6098h = 17); the drive then reads 0."""
+        drive = self._used()
+        try:
+            drive.home(round(WINDOW_MM * self._options.counts_per_mm))
+        except BaseException:
+            self._stop_after_failure()
+            raise
+
+    def move_to(self, position_mm: float) -> None:
+        """Move by the drive's encoder; return at standstill, the drive holding."""
+        options, drive = self._options, self._used()
+        if not options.travel_min_mm <= position_mm <= options.travel_max_mm:
+            raise DeviceError(
+                DEVICE, "move", f"target {position_mm:.3f} mm",
+                wanted=f"{options.travel_min_mm:.1f} .. {options.travel_max_mm:.1f} mm",
+                act="correct the station or the rail's travel",
+            )  # fmt: skip
+        try:
+            drive.move(round(position_mm * options.counts_per_mm))
+        except BaseException:
+            self._stop_after_failure()
+            raise
+
+    def settle(self) -> RailReading:
+        """Return a reading at rest: five in a row with the strip within one count of its middle."""
+        drive = self._used()
+        deadline_s = time.monotonic() + SETTLE_S
+        strip: deque[int] = deque(maxlen=SETTLE_READINGS)
+        while True:
+            now = drive.poll("settle")
+            strip.append(now.strip)
+            if now.velocity != 0:
+                strip.clear()
+            if len(strip) == SETTLE_READINGS and max(strip) - min(strip) <= 2:
+                return self._reading(now, median(strip))
+            if time.monotonic() > deadline_s:
+                raise DeviceError(
+                    DEVICE, "settle",
+                    f"strip {now.strip / self._options.strip_counts_per_mm:.2f} mm, "
+                    f"speed {now.velocity / self._options.counts_per_mm:.3f} mm/s",
+                    wanted=f"{SETTLE_READINGS} readings within +-1 count within {SETTLE_S:.0f} s",
+                    act="the slide creeps or the strip's head is loose; check, then resume",
+                )  # fmt: skip
+            self._clock.wait(POLL_S)
+
+    def read(self) -> RailReading:
+        """Return a reading asked for after this call began."""
+        now = self._used().poll("read")
+        return self._reading(now, now.strip)
+
+    def hold(self) -> None:
+        """Take the power to move away; the brake closes."""
+        self._used().disable()
+
+    def stop(self) -> None:
+        """Quick stop; any thread; waits for no answer."""
+        if self._image is not None:
+            self._image.quick_stop()
+
+    def close(self) -> None:
+        """Leave the slide held and the wire closed, also after a stop or a failure."""
+        try:
+            if self._image is not None and self._link is not None:
+                self._release(self._link, self._image)
+        finally:
+            self._close_link()
+
+    # -- connecting ---------------------------------------------------------------------------
+
+    def _set_up(self, link: CanLink) -> list[Identity]:
+        options = self._options
+        drive_sdo = self._channel(link, options.drive_node, "drive.eds")
+        strip_sdo = self._channel(link, options.strip_node, "strip.eds")
+        self._watches = tuple(
+            NodeWatch(DEVICE, link, node) for node in (options.drive_node, options.strip_node)
+        )
+        image = ProcessImage(link, options.drive_node, options.strip_node)
+        identities = self._identify(drive_sdo, strip_sdo)
+        for node in (options.drive_node, options.strip_node):
+            link.send(NMT, bytes((NMT_PRE_OPERATIONAL, node)))
+        link.start_heartbeat(options.heartbeat_node)
+        rail_setup.apply(drive_sdo, rail_setup.drive_settings(
+            pc_node=options.heartbeat_node, counts_per_mm=options.counts_per_mm,
+            speed_mm_s=options.speed_mm_s, acceleration_mm_s2=options.acceleration_mm_s2,
+        ))  # fmt: skip
+        rail_setup.apply(strip_sdo, rail_setup.STRIP_SETTINGS)
+        for pdo in (image.status, image.motion, image.command):
+            configure(drive_sdo, pdo)
+        configure(strip_sdo, image.strip)
+        for node in (options.drive_node, options.strip_node):
+            link.send(NMT, bytes((NMT_START, node)))
+        self._await_operational(link)
+        drive = Drive(image, drive_sdo, self._clock, self._limits(), self._check_nodes)
+        drive.reset_fault()
+        for watch in self._watches:
+            watch.arm()
+        drive.disable("connect")
+        self._image, self._drive, self._drive_sdo = image, drive, drive_sdo
+        return identities
+
+    def _channel(self, link: CanLink, node: int, eds: str) -> SdoChannel:
+        with resources.as_file(resources.files("drivers") / "eds" / eds) as path:
+            remote = canopen.RemoteNode(node, canopen.import_od(str(path), node))
+        channel = SdoChannel(DEVICE, node, remote, self._clock.check)
+        link.network.add_node(remote)
+        return channel
+
+    def _identify(self, drive_sdo: SdoChannel, strip_sdo: SdoChannel) -> list[Identity]:
+        o = self._options
+        found = []
+        for sdo, expected in (
+            (drive_sdo, Expected("drive", o.drive_node, 402, o.drive_vendor, o.drive_product,
+                                 o.drive_serial)),
+            (strip_sdo, Expected("strip", o.strip_node, cia406.DEVICE_PROFILE, o.strip_vendor,
+                                 o.strip_product, o.strip_serial)),
+        ):  # fmt: skip
+            device_type = rail_setup.find_node(sdo, expected, self._clock)
+            found.append(rail_setup.identify(sdo, expected, device_type, o.channel))
+        rail_setup.check_strip_step(strip_sdo, o.strip_counts_per_mm)
+        return found
+
+    def _await_operational(self, link: CanLink) -> None:
+        deadline_s = time.monotonic() + OPERATIONAL_S
+        while any(watch.state != OPERATIONAL for watch in self._watches):
+            link.check()
+            if time.monotonic() > deadline_s:
+                states = ", ".join(f"{watch.state}" for watch in self._watches)
+                raise DeviceError(
+                    DEVICE, "connect", f"NMT states {states} of drive and strip, by heartbeat",
+                    wanted=f"{OPERATIONAL} (operational) within {OPERATIONAL_S:.0f} s",
+                    act="switch the nodes off and on, then resume",
+                )  # fmt: skip
+            self._clock.wait(POLL_S)
+
+    def _limits(self) -> Limits:
+        options, scale = self._options, self._options.counts_per_mm
+        return Limits(
+            lowest=round((options.travel_min_mm - SLACK_MM) * scale),
+            highest=round((options.travel_max_mm + SLACK_MM) * scale),
+            speed=options.speed_mm_s * scale,
+            window=max(1, round(WINDOW_MM * scale)),
+        )
+
+    # -- helpers ------------------------------------------------------------------------------
+
+    def _check_nodes(self, operation: str) -> None:
+        for watch in self._watches:
+            watch.check(operation)
+
+    def _used(self) -> Drive:
+        if self._drive is None:
+            raise DeviceError(DEVICE, "use", "not connected", act="connect first")
+        return self._drive
+
+    def _reading(self, now: Snapshot, strip: float) -> RailReading:
+        options = self._options
+        return RailReading(
+            now.position / options.counts_per_mm,
+            strip / options.strip_counts_per_mm,
+            now.velocity / options.counts_per_mm,
+            now.powered,
+            now.taken_s,
+        )
+
+    def _stop_after_failure(self) -> None:
+        try:
+            self.stop()
+        except DeviceError:
+            return  # the first failure, which is being raised, is the one to be told
+
+    def _release(self, link: CanLink, image: ProcessImage) -> None:
+        """Disable the drive without the run's clock, which no longer waits after a stop."""
+        link.check()
+        deadline_s = time.monotonic() + RELEASE_S
+        while (now := image.refresh(_go_on)).powered:
+            if now.velocity == 0:
+                image.control(cia402.DISABLE_VOLTAGE)
+            elif not image.stopped:
+                image.quick_stop()
+            if time.monotonic() > deadline_s:
+                raise DeviceError(
+                    DEVICE, "close", f"the drive keeps its power: {now.state.value}",
+                    wanted=f"held within {RELEASE_S:.0f} s", act="switch the drive off",
+                )  # fmt: skip
+            time.sleep(POLL_S)
+        # From here on nobody produces the heartbeat; without this the drive would go to fault.
+        if self._drive_sdo is not None and not image.stopped:
+            self._drive_sdo.write(rail_setup.CONSUMER_HEARTBEAT, 1, 0)
+
+    def _close_link(self) -> None:
+        link, self._link = self._link, None
+        self._image = self._drive = self._drive_sdo = None
+        self._watches = ()
+        if link is not None:
+            link.close()
+
+
+def _go_on() -> None:
+    """Teardown is bounded by its own deadline, no stop ends it."""

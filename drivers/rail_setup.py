@@ -1,0 +1,141 @@
+"""Who the rail's two nodes are, and the settings that make the drive stop by itself.
+
+The trap: a setting that was written is not a setting that holds. Every object is read back; the
+ones that stop the slide when the PC dies (1016h, 6007h, 605Ah) matter most.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from drivers import cia402, cia406
+from drivers.node_watch import HEARTBEAT_PERIOD_MS
+from drivers.sdo import ABSENT, Aborted, SdoChannel
+from hilcell.clean import clean
+from hilcell.ports import Clock, DeviceError, DeviceRefused, Identity
+
+DEVICE_TYPE = 0x1000
+CONSUMER_HEARTBEAT = 0x1016
+PRODUCER_HEARTBEAT = 0x1017
+IDENTITY = 0x1018
+FIND_S = 5.0
+PC_HEARTBEAT_LIMIT_MS = 500
+HOMING_MM_S = 100.0
+HOMING_SLOW_MM_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What a node must be; 0 is not checked."""
+
+    name: str
+    node: int
+    profile: int
+    vendor: int
+    product: int
+    serial: int
+
+
+def find_node(sdo: SdoChannel, expected: Expected, clock: Clock) -> int:
+    """Return the node's device type as soon as it answers; raises `DeviceError` after `FIND_S`."""
+    deadline_s = time.monotonic() + FIND_S
+    while True:
+        try:
+            return sdo.read(DEVICE_TYPE)
+        except Aborted:
+            raise
+        except DeviceError as error:
+            if time.monotonic() > deadline_s:
+                raise DeviceError(
+                    "Rail", "connect", f"node {expected.node} ({expected.name}) does not answer",
+                    wanted=f"an answer within {FIND_S:.0f} s",
+                    act="check its power, cable, terminators, bit rate and node number",
+                ) from error  # fmt: skip
+        clock.check()
+
+
+def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str) -> Identity:
+    """Compare 1000h and 1018h with the cell file; raises `DeviceRefused`."""
+    checks = (
+        ("device profile (1000h)", device_type & 0xFFFF, expected.profile),
+        ("vendor (1018h:01)", sdo.read(IDENTITY, 1), expected.vendor),
+        ("product (1018h:02)", sdo.read(IDENTITY, 2), expected.product),
+        ("serial (1018h:04)", sdo.read(IDENTITY, 4), expected.serial),
+    )
+    for what, found, wanted in checks:
+        if wanted and found != wanted:
+            raise DeviceRefused(
+                "Rail", "connect", f"node {expected.node} ({expected.name}): {what} is 0x{found:X}",
+                wanted=f"0x{wanted:X}", act="another device; check node numbers and options",
+            )  # fmt: skip
+    vendor, product, serial = (found for _, found, _ in checks[1:])
+    model = clean(f"{expected.name} vendor 0x{vendor:X} product 0x{product:X}")
+    return Identity("Rail", model, str(serial), f"{address} node {expected.node}")
+
+
+def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
+    """Refuse a strip whose step, where it tells one, is not that of the cell file."""
+    wanted_nm = cia406.step_nm(counts_per_mm)
+    for found_nm, where in ((_step(sdo), "6005h"), (_optional(sdo, cia406.POSITION_STEP), "6501h")):
+        if found_nm is not None and found_nm != wanted_nm:
+            raise DeviceRefused(
+                "Rail", "connect", f"strip step ({where}) is {found_nm} nm",
+                wanted=f"{wanted_nm} nm", act="correct strip_counts_per_mm or the sensor",
+            )  # fmt: skip
+
+
+def _step(sdo: SdoChannel) -> int | None:
+    """Return 6005h: sub-index 1 of an array, or the plain value."""
+    step = _optional(sdo, cia406.MEASURING_STEP, 1)
+    if step is not None:
+        return step
+    try:
+        return int.from_bytes(sdo.read_bytes(cia406.MEASURING_STEP, 0), "little")
+    except Aborted as error:
+        if error.code not in ABSENT:
+            raise
+        return None
+
+
+def _optional(sdo: SdoChannel, index: int, sub: int = 0) -> int | None:
+    try:
+        return sdo.read(index, sub)
+    except Aborted as error:
+        if error.code not in ABSENT:
+            raise
+        return None
+
+
+def drive_settings(
+    *, pc_node: int, counts_per_mm: float, speed_mm_s: float, acceleration_mm_s2: float
+) -> Mapping[tuple[int, int], int]:
+    """Return what is written into the drive: (object, sub-index) to value."""
+    speed = round(speed_mm_s * counts_per_mm)
+    acceleration = round(acceleration_mm_s2 * counts_per_mm)
+    homing = round(min(speed_mm_s, HOMING_MM_S) * counts_per_mm)
+    homing_slow = round(min(speed_mm_s, HOMING_SLOW_MM_S) * counts_per_mm)
+    return {
+        (CONSUMER_HEARTBEAT, 1): pc_node << 16 | PC_HEARTBEAT_LIMIT_MS,
+        (PRODUCER_HEARTBEAT, 0): HEARTBEAT_PERIOD_MS,
+        (cia402.ABORT_CONNECTION_OPTION, 0): cia402.QUICK_STOP_ON_LOST_CONNECTION,
+        (cia402.QUICK_STOP_OPTION, 0): cia402.SLOW_DOWN_ON_QUICK_STOP_RAMP,
+        (cia402.PROFILE_VELOCITY, 0): speed,
+        (cia402.PROFILE_ACCELERATION, 0): acceleration,
+        (cia402.PROFILE_DECELERATION, 0): acceleration,
+        (cia402.HOMING_METHOD, 0): cia402.HOME_NEGATIVE_LIMIT,
+        (cia402.HOME_OFFSET, 0): 0,
+        (cia402.HOMING_SPEEDS, 1): homing,
+        (cia402.HOMING_SPEEDS, 2): homing_slow,
+        (cia402.HOMING_ACCELERATION, 0): acceleration,
+    }
+
+
+STRIP_SETTINGS: Mapping[tuple[int, int], int] = {(PRODUCER_HEARTBEAT, 0): HEARTBEAT_PERIOD_MS}
+
+
+def apply(sdo: SdoChannel, settings: Mapping[tuple[int, int], int]) -> None:
+    """Write settings and read each back; raises `DeviceError`."""
+    for (index, sub), value in settings.items():
+        sdo.write(index, sub, value)

@@ -1,0 +1,160 @@
+"""SDO to one node (CiA 301, 7.2.4): typed by its EDS, one at a time, stop-aware.
+
+The trap: after a timeout the late reply is handed to the next request of the same object. So a
+channel that missed a reply is tainted: it waits, drops what came, asks something else, and
+believes a value only when it reads twice the same.
+"""
+
+from __future__ import annotations
+
+import queue
+import struct
+import threading
+import time
+from collections.abc import Callable
+
+from canopen import RemoteNode
+from canopen.objectdictionary import ObjectDictionary, ODVariable
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from hilcell.ports import DeviceError
+
+POLL_S = 0.02
+REPLY_S = 0.3
+LATE_S = 0.5  # a late reply has come by then
+TRIES = 3
+
+ABSENT = frozenset({0x06020000, 0x06090011})  # no such object, no such sub-index
+
+
+class Aborted(DeviceError):
+    """The node refused; ``code`` is the abort code of CiA 301, table 22."""
+
+    def __init__(self, device: str, operation: str, error: SdoAbortedError) -> None:
+        self.code = error.code
+        super().__init__(
+            device, operation, f"SDO abort {str(error).removeprefix('Code ')}",
+            act="the device differs from its EDS, or is in the wrong state; see docs/hardware.md",
+        )  # fmt: skip
+
+
+class _Client(SdoClient):
+    """canopen's client, waiting in slices of `POLL_S`."""
+
+    def __init__(
+        self, request: int, response: int, objects: ObjectDictionary, check: Callable[[], None]
+    ) -> None:
+        super().__init__(request, response, objects)  # type: ignore[no-untyped-call]
+        self.check = check
+
+    def read_response(self) -> bytes:
+        deadline_s = time.monotonic() + REPLY_S
+        while True:
+            self.check()
+            try:
+                response: bytes = self.responses.get(timeout=POLL_S)
+            except queue.Empty:
+                if time.monotonic() > deadline_s:
+                    raise SdoCommunicationError("no answer") from None
+                continue
+            if len(response) != 8:
+                raise SdoCommunicationError(f"an answer of {len(response)} bytes")
+            if response[0] == 0x80:
+                raise SdoAbortedError(struct.unpack_from("<L", response, 4)[0])
+            return response
+
+
+class SdoChannel:
+    """Objects of one node; used by one thread at a time."""
+
+    def __init__(
+        self, device: str, number: int, node: RemoteNode, check: Callable[[], None]
+    ) -> None:
+        self._device, self._number, self._check = device, number, check
+        self._objects = node.object_dictionary
+        self._lock = threading.Lock()
+        self._tainted = False
+        node.sdo_channels.clear()
+        self._client = _Client(0x600 + number, 0x580 + number, self._objects, check)
+        node.sdo_channels.append(self._client)
+        node.sdo = self._client
+
+    def read(self, index: int, sub: int = 0) -> int:
+        """Return the value as the EDS types it; raises `Aborted` or `DeviceError`."""
+        return self._typed(index, sub, self.read_bytes(index, sub))
+
+    def read_bytes(self, index: int, sub: int = 0) -> bytes:
+        """Return the value's bytes; retried, because reading changes nothing."""
+        operation = f"read {_name(index, sub)}"
+        return self._retried(operation, lambda: self._upload(index, sub))
+
+    def write(self, index: int, sub: int, value: int) -> None:
+        """Write a setting and read it back; raises `Aborted` or `DeviceError`."""
+        operation = f"write {_name(index, sub)}"
+        data = self._object(index, sub).encode_raw(value)
+        self._retried(operation, lambda: self._download(index, sub, data))
+        found = self.read(index, sub)
+        if found != value:
+            raise DeviceError(
+                self._device, operation, f"reads back as {found}", wanted=str(value),
+                act="the device does not take this setting; see its manual",
+            )  # fmt: skip
+
+    def _retried(self, operation: str, transfer: Callable[[], bytes]) -> bytes:
+        with self._lock:
+            for _ in range(TRIES):
+                try:
+                    return self._once(transfer)
+                except SdoAbortedError as error:
+                    self._tainted = False  # a refusal is an answer
+                    raise Aborted(self._device, operation, error) from error
+                except SdoCommunicationError as error:
+                    reason = str(error)
+        raise DeviceError(
+            self._device, operation, f"{reason} within {REPLY_S:.1f} s, {TRIES} times",
+            act=f"check node {self._number}: power, cable, bit rate, node number",
+        )  # fmt: skip
+
+    def _once(self, transfer: Callable[[], bytes]) -> bytes:
+        if not self._tainted:
+            self._tainted = True
+            data = transfer()
+        else:
+            self._clear()
+            data = transfer()
+            if transfer() != data:
+                raise SdoCommunicationError("two reads in a row differ")
+        self._tainted = False
+        return data
+
+    def _clear(self) -> None:
+        """Let a late reply come and pass, then ask something that it cannot answer."""
+        deadline_s = time.monotonic() + LATE_S
+        while time.monotonic() < deadline_s:
+            self._check()
+            time.sleep(POLL_S)
+        self._upload(0x1018, 0)
+
+    def _upload(self, index: int, sub: int) -> bytes:
+        with self._client.open(index, sub, buffering=0) as stream:  # type: ignore[no-untyped-call]
+            return bytes(stream.read())
+
+    def _download(self, index: int, sub: int, data: bytes) -> bytes:
+        self._client.download(index, sub, data)
+        return data
+
+    def _object(self, index: int, sub: int) -> ODVariable:
+        variable = self._objects.get_variable(index, sub)
+        if variable is None:
+            raise LookupError(f"{_name(index, sub)} is missing in the EDS of node {self._number}")
+        return variable
+
+    def _typed(self, index: int, sub: int, data: bytes) -> int:
+        variable = self._object(index, sub)
+        # Some devices answer an I32 where the EDS says less; only the low bytes count.
+        return int(variable.decode_raw(data[: len(variable) // 8]))
+
+
+def _name(index: int, sub: int) -> str:
+    return f"{index:04X}h:{sub:02X}"
