@@ -132,12 +132,6 @@ class CanopenSlave:
         self.switched_off()
         self._restart(WHOLE_DICTIONARY, now_s)
 
-    def power_off(self) -> None:
-        """Fall silent."""
-        self.switched_off()
-        self.nmt = Nmt.BOOT_UP
-        self._next_heartbeat_s = self._heard_by_s = math.inf
-
     # -- emergencies --------------------------------------------------------------------------
 
     def emergency(self, code: int, register: int) -> None:

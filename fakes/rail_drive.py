@@ -125,7 +125,7 @@ class RailDrive(CanopenSlave):
         self._target = 0
         self._direction = 0
         self._pending: int | None = None
-        self._reached = self._early = self._acknowledged = False
+        self._reached = self._early = self._acknowledged = self._halted = False
         self._limited = self._following_error = False
         self._open_switch = 0
         self._homing = self._homed = self._homing_error = False
@@ -207,7 +207,7 @@ class RailDrive(CanopenSlave):
 
     def _cancel(self) -> None:
         self._pending = None
-        self._homing = self._reached = self._early = False
+        self._homing = self._reached = self._early = self._halted = False
 
     def emergency(self, code: int, register: int) -> None:
         """Send EMCY ``code``; 603Fh holds the last error."""
@@ -247,11 +247,12 @@ class RailDrive(CanopenSlave):
         self._commanded = False
         before, self._word = self._word, self.dictionary.number(0x6040)
         rising = self._word & ~before
-        if self.state is State.FAULT:
-            if rising & FAULT_RESET:
-                self._walk(Command.FAULT_RESET)
-        else:
+        if rising & FAULT_RESET:
+            self._clear_fault()
+        if self.state is not State.FAULT:
             self._walk(command_of(self._word))
+        elif rising & FAULT_RESET:
+            self._walk(Command.FAULT_RESET)
         if not self._word & NEW_SET_POINT:
             self._acknowledged = False
         if self.state is State.OPERATION_ENABLED:
@@ -265,8 +266,6 @@ class RailDrive(CanopenSlave):
                 continue
             if number == 16 and not self._stays_in_quick_stop():
                 return
-            if number == 15:
-                self._clear_fault()
             self._enter(target)
             if number == 3:
                 continue  # transition 4 stands below: ENABLE OPERATION passes through
@@ -276,6 +275,7 @@ class RailDrive(CanopenSlave):
         was_enabled = self.state is State.OPERATION_ENABLED
         self.state = state
         if state is State.OPERATION_ENABLED:
+            self._target = self._position()
             self._rail.brake(closed=False)
         elif state is State.QUICK_STOP_ACTIVE:
             self._quick_stop()
@@ -298,6 +298,8 @@ class RailDrive(CanopenSlave):
         return self.dictionary.number(0x605A) >= 5
 
     def _clear_fault(self) -> None:
+        if not self.dictionary.number(0x1001):
+            return
         self._following_error = self._limited = False
         self._open_switch = 0
         self.emergency(0, DEVICE_PROFILE)
@@ -306,9 +308,11 @@ class RailDrive(CanopenSlave):
 
     def _operate(self, rising: int, falling: int) -> None:
         if rising & HALT and self._busy:
+            self._halted = True
             self._rail.quick_stop(self.dictionary.number(0x6084) / COUNTS_PER_MM)
         if self._mode is Mode.PROFILE_POSITION:
-            if falling & HALT:
+            if falling & HALT and self._halted:
+                self._halted = False
                 self._start(self._target)
             if rising & NEW_SET_POINT and not self._word & HALT:
                 self._take_set_point()
@@ -339,6 +343,7 @@ class RailDrive(CanopenSlave):
         gap = target - self._position()
         self._direction = (gap > 0) - (gap < 0)
         speed = min(number(0x6081), number(0x607F))
+        # The plant's trapezoid is symmetric; the gentler ramp holds for both ends.
         acceleration = min(number(0x6083), number(0x6084))
         self._rail.move(target / COUNTS_PER_MM, speed / COUNTS_PER_MM, acceleration / COUNTS_PER_MM)
 

@@ -72,10 +72,14 @@ class RailServer:
         self._waker.close()
 
     def _run(self) -> None:
-        while not self._closing.is_set():
-            self._gateway.serve(self._wait_s(), self._wake)
-            self._tick(time.monotonic())
-            self._gateway.flush()
+        try:
+            while not self._closing.is_set():
+                self._gateway.serve(self._wait_s(), self._wake)
+                self._tick(time.monotonic())
+                self._gateway.flush()
+        finally:
+            # Should a fault's value make no sense here, clients see the end, not silence.
+            self._gateway.close()
 
     # -- time ---------------------------------------------------------------------------------
 

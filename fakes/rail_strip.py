@@ -19,6 +19,7 @@ IDENTITY = NodeIdentity(0x00080196, "hilcell strip sensor", 0x484, 0x406, 1, 201
 COUNTS_PER_MM = 100.0
 STEP_NM = 10_000  # 6005:01 and 6501, in 0.001 um
 SPEED_STEP = 10  # 6005:02, in 0.01 mm/s
+INT16 = range(-(1 << 15), 1 << 15)
 POSITION_ERROR = 1 << 0
 ENCODER_FAULT = 0x7305
 
@@ -72,7 +73,8 @@ class RailStrip(CanopenSlave):
         add(0x650B, 0, Entry("I", IDENTITY.serial, "ro"))
 
     def _speed(self) -> int:
-        return round(self._velocity_mm_s * 100.0 / SPEED_STEP)
+        speed = round(self._velocity_mm_s * 100.0 / SPEED_STEP)
+        return min(max(speed, INT16[0]), INT16[-1])
 
     def _change_cycle(self, period_ms: int) -> None:
         # 6200h is the profile's name for the event timer of the first TPDO.

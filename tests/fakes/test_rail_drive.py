@@ -234,6 +234,14 @@ def test_halt_and_on() -> None:
         until(lambda: master.read(0x6064, 0, "i") == 500_000, "went on")
 
 
+def test_halt_of_nothing_starts_nothing() -> None:
+    drive, rail = alone(State.SWITCHED_ON)
+    drive.dictionary.download(0x6060, 0, b"\x01")
+    for word in (0x0F, 0x10F, 0x0F):
+        obey(drive, word)
+    assert rail.told == ["brake open"]
+
+
 def test_software_limit_holds_the_target_back() -> None:
     with served() as bench, Master(bench.server.port) as master:
         master.home()
@@ -370,6 +378,10 @@ def test_emergency_while_moving(code: int) -> None:
         bench.faults.set("rail.emcy", code)
         master.move(100_000)
         assert [entry.code for entry in master.drive.emcy.log] == [code]
+        assert master.read(0x1001, 0, "B") == 1
+        master.control(0x80)
+        assert master.read(0x1001, 0, "B") == 0
+        assert not master.drive.emcy.active
 
 
 def test_following_error_is_bit_13() -> None:

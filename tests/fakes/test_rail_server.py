@@ -1,0 +1,119 @@
+"""The served rail as a whole: who may come, who is killed, what nonsense does to it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fakes.canopen_slave import SYNC_COB_ID
+from fakes.faults import Faults
+from fakes.rail_server import RailServer
+from fakes.rail_truth import RailTruth
+from fakes.time import PlantTime
+from hilcell.cell import load_cell
+from tests.fakes.rail_bench import Line, Master, served, until
+
+CLIENT = """
+import sys
+from tests.fakes.rail_bench import MASTER, Master
+
+master = Master(int(sys.argv[1]))
+master.home()
+master.write(0x6007, 0, 3, "h")
+master.write(0x6081, 0, 20_000, "I")
+master.write(0x1016, 1, MASTER << 16 | 200, "I")
+master.start_heartbeat(0.02)
+master.start(2_900_000)
+while master.read(0x6064, 0, "i") < 1000:
+    pass
+print("moving", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_killed_master_leaves_the_slide_standing_and_the_bus_free() -> None:
+    with served(20.0) as bench:
+        root = Path(__file__).parents[2]
+        command = [sys.executable, "-c", CLIENT, str(bench.server.port)]
+        with subprocess.Popen(
+            command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        ) as client:
+            assert client.stdout is not None
+            assert client.stdout.readline() == b"moving\n"
+            assert not bench.rail.still
+            client.kill()
+        until(lambda: bench.rail.still, "stands")
+        with Master(bench.server.port) as master:
+            assert master.status() & 0x6F == 0x40
+            assert 1000 < master.read(0x6064, 0, "i") < 2_900_000
+            assert master.read(0x1003, 1) == 0x8130
+
+
+def test_one_client_at_a_time() -> None:
+    with (
+        served() as bench,
+        Line(bench.server.port) as first,
+        Line(bench.server.port, opened=False) as second,
+    ):
+        second.send(b"O")
+        assert second.silent(0.05)
+        first.send(b"t60684000100000000000")
+        until(lambda: first.frame().startswith(b"t586"), "the first is served")
+        first.__exit__()
+        second.send(b"t60584000100000000000")
+        assert second.frame() == b"t58584300100092010200", "served once the other has left"
+
+
+def test_closing_ends_the_connection_and_the_thread() -> None:
+    with served() as bench:
+        line = Line(bench.server.port)
+        bench.server.close()
+        with line:
+            while line.reply():
+                pass
+        with pytest.raises(OSError, match="refused"):
+            Line(bench.server.port)
+
+
+FRAMES = st.tuples(
+    st.sampled_from([0x000, 0x080, 0x205, 0x305, 0x405, 0x605, 0x606, 0x77F])
+    | st.integers(0, 0x7FF),
+    st.binary(max_size=8)
+    | st.builds(
+        lambda command, index, sub, value: (
+            bytes([command]) + index.to_bytes(2, "little") + bytes([sub]) + value
+        ),
+        st.sampled_from([0x40, 0x2F, 0x2B, 0x23, 0x22, 0x21, 0x00, 0x60, 0x70, 0x80]),
+        st.sampled_from(
+            [0x1016, 0x1017, 0x1800, 0x1A00, 0x1400, 0x1600, 0x6040, 0x6060, 0x607A, 0x6081, 0x6098]
+        ),
+        st.integers(0, 9),
+        st.binary(min_size=4, max_size=4),
+    ),
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(FRAMES, max_size=60))
+def test_no_frame_upsets_the_nodes(frames: list[tuple[int, bytes]]) -> None:
+    time, cell, faults = PlantTime(), load_cell("paper"), Faults()
+    server = RailServer(RailTruth(cell, 1, time, faults), faults, cell, time)
+    try:
+        sent: list[tuple[int, bytes]] = []
+        server._gateway.send = lambda *frame: sent.append(frame)  # type: ignore[method-assign]
+        server._open()
+        for cob_id, data in frames:
+            server._receive(cob_id, data)
+            server._tick(0.0)
+        server._receive(0x000, b"\x81\x00")
+        server._receive(SYNC_COB_ID, b"")
+        server._receive(0x605, bytes.fromhex("4000100000000000"))
+        assert sent[-1] == (0x585, bytes.fromhex("4300100092010200"))
+        assert all(len(data) <= 8 for _, data in sent)
+    finally:
+        server.close()
