@@ -104,7 +104,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     smr_mm: Point
     home_deg: Six
     safe_deg: Six
-    status: Annotated[int, Meta(ge=0, le=7)] = 2
+    status: Annotated[int, Meta(ge=0, le=7)]
     speed_percent: Percent = 30.0
     approach_deg: Positive = 0.5
     joint_margin_deg: Annotated[float, Meta(ge=0)] = 2.0

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell
+from hilcell.cell import Cell, Six
 from hilcell.geometry.circles import Circle, base_frame, fit_circle
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
@@ -56,7 +56,9 @@ class BaseFrame:
             for n, joints in enumerate(sweep(bench.cell, axis))
         ]
         world_mm = apply(bench.frames.tracker_in_world(), positions_mm(points))
-        return fit_circle(world_mm, turn=bench.cell.robot.joint[axis - 1].sign)
+        begin_deg, end_deg = sweep_of(bench.cell, axis)[1]
+        turn = bench.cell.robot.joint[axis - 1].sign * (end_deg - begin_deg)
+        return fit_circle(world_mm, turn=turn)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the base in {W} and how round the circles were."""
@@ -66,14 +68,19 @@ class BaseFrame:
 
 def sweep(cell: Cell, axis: int) -> Array:
     """Return the joints (N, 6) in rad of one axis's sweep, others fixed."""
+    fixed, ends = sweep_of(cell, axis)
+    joints_deg: Array = np.tile(fixed, (cell.base_frame.points, 1))
+    joints_deg[:, axis - 1] = np.linspace(ends[0], ends[1], cell.base_frame.points)
+    return np.radians(joints_deg)
+
+
+def sweep_of(cell: Cell, axis: int) -> tuple[Six, tuple[float, float]]:
+    """Return the fixed joints and the ends of axis 1's or 6's sweep, in deg."""
     table = cell.base_frame
-    fixed, ends = {
+    return {
         1: (table.axis_1_deg, table.axis_1_sweep_deg),
         6: (table.axis_6_deg, table.axis_6_sweep_deg),
     }[axis]
-    joints_deg: Array = np.tile(fixed, (table.points, 1))
-    joints_deg[:, axis - 1] = np.linspace(ends[0], ends[1], table.points)
-    return np.radians(joints_deg)
 
 
 def axis_6_height_mm(cell: Cell) -> float:
