@@ -23,7 +23,7 @@ Value = bool | int | float | str
 UNTIL_CLEARED = 0
 
 
-class Vanished(Exception):  # noqa: N818 - an event, not a mistake
+class Vanished(Exception):
     """The device is gone: its server closes every socket and answers nobody any more."""
 
 

@@ -16,13 +16,13 @@ class KrlError(ValueError):
 def aggregate(kind: str, members: Mapping[str, float | int]) -> str:
     """Return a structure's text; integers stay integers, reals get five decimals."""
     texts = (
-        f"{name} {value}" if isinstance(value, int) else f"{name} {value:.5f}"
+        f"{name} {value}" if isinstance(value, int) else f"{name} {round(value, 5) + 0.0:.5f}"
         for name, value in members.items()
     )
     return f"{{{kind}: {', '.join(texts)}}}"
 
 
-def boolean(value: bool) -> str:  # noqa: FBT001 - a value, not an option
+def boolean(value: bool) -> str:
     """Return TRUE or FALSE."""
     return "TRUE" if value else "FALSE"
 

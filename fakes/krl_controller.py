@@ -24,7 +24,7 @@ from fakes.krl import (
 from fakes.robot_motion import RobotMotion
 from hilcell.cell import Cell
 from hilcell.geometry.frames import kuka_from_pose
-from hilcell.geometry.inverse import status_of, turn_of
+from hilcell.geometry.inverse import ReachError, status_of, turn_of
 from hilcell.geometry.kinematics import Array, forward
 
 MOVE_PTP = 1
@@ -51,7 +51,8 @@ class KrlController:
         self._arm = cell.robot.arm()
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
-        self._name = f"#{cell.robot.name.replace(' ', '')} C4 FLR"
+        model = cell.robot.name.replace(" ", "").replace("-", "_")
+        self._name = f"#{model} C4 FLR"
         self._tool = dict(zip(FRAME, kuka_from_pose(self._arm.tool).tolist(), strict=True))
         self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
         self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0}
@@ -61,6 +62,8 @@ class KrlController:
         self._keeps_acknowledge = self._frozen = False
         self._override = 100
         self._stale: dict[str, str] = {}
+        self._texts: dict[str, str] = {}
+        self._texts_of: Array | None = None
         self._readers = self._system_readers() | self._program_readers()
         self.restore()
 
@@ -153,10 +156,9 @@ class KrlController:
         joints_rad = self._poll()
         if self._faults.take("robot.stale_position") is not None and which in self._stale:
             return self._stale[which]
-        axes = dict(zip(AXES, np.degrees(joints_rad).tolist(), strict=True))
-        text = aggregate("E6AXIS", axes | EXTERNAL)
-        if which == "$POS_ACT":
-            text = aggregate("E6POS", self._pose(joints_rad) | EXTERNAL)
+        if joints_rad is not self._texts_of:  # at rest it is the same array each time
+            self._texts_of, self._texts = joints_rad, self._position_texts(joints_rad)
+        text = self._texts[which]
         bad = self._faults.take("robot.bad_number")
         if bad is not None:
             kind, members = text.split(": ", 1)
@@ -165,10 +167,21 @@ class KrlController:
         self._stale[which] = text
         return text
 
-    def _pose(self, joints_rad: Array) -> dict[str, float | int]:
+    def _position_texts(self, joints_rad: Array) -> dict[str, str]:
+        axes = dict(zip(AXES, np.degrees(joints_rad).tolist(), strict=True))
         pose = kuka_from_pose(forward(self._arm, joints_rad)).tolist()
-        turns = {"S": int(status_of(self._arm, joints_rad)), "T": int(turn_of(joints_rad))}
-        return dict(zip(FRAME, pose, strict=True)) | turns
+        turns = {"S": self._status(joints_rad), "T": int(turn_of(joints_rad))}
+        frame: dict[str, float | int] = dict(zip(FRAME, pose, strict=True)) | turns
+        return {
+            "$AXIS_ACT": aggregate("E6AXIS", axes | EXTERNAL),
+            "$POS_ACT": aggregate("E6POS", frame | EXTERNAL),
+        }
+
+    def _status(self, joints_rad: Array) -> int:
+        try:
+            return int(status_of(self._arm, joints_rad))
+        except ReachError:  # an arm of another build has no such status
+            return 0
 
     # -- the resident program -------------------------------------------------------------------
 
@@ -203,10 +216,9 @@ class KrlController:
 
     def _acknowledge(self) -> None:
         if self._running is not None and not self._keeps_acknowledge:
-            self._acknowledged = self._running
-        self._running = None if not self._keeps_acknowledge else self._running
+            self._acknowledged, self._running = self._running, None
 
-    def _stop(self, wanted: bool) -> None:  # noqa: FBT001 - a value, not an option
+    def _stop(self, wanted: bool) -> None:
         if wanted and not self._in_stop:
             self._in_stop = True
             self._error = STOPPED

@@ -1,0 +1,148 @@
+"""emScon TPI packets: little-endian, pack 4 (protocols, section 3; names after the header).
+
+Every packet begins ``size i32 | type u32``; commands and their replies go on ``command u32``,
+replies ``status u32``, then what belongs to the command.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+
+HEAD = struct.Struct("<iI")
+COMMAND = struct.Struct("<iII")
+REPLY = struct.Struct("<iIII")
+RESULT = struct.Struct("<iIIIi17d")
+
+
+class Type(IntEnum):
+    """What a packet is."""
+
+    COMMAND = 0
+    ERROR = 1
+    SINGLE_RESULT = 2
+    STATUS_CHANGE = 8
+
+
+class Command(IntEnum):
+    """Commands that the fake knows."""
+
+    EXIT_APPLICATION = 0
+    GET_SYSTEM_STATUS = 1
+    GET_TRACKER_STATUS = 2
+    SET_UNITS = 5
+    GET_UNITS = 6
+    INITIALIZE = 7
+    SET_ENVIRONMENT = 20
+    GET_ENVIRONMENT = 21
+    SET_REFRACTION = 22
+    GET_REFRACTION = 23
+    SET_MEASUREMENT_MODE = 24
+    GET_MEASUREMENT_MODE = 25
+    SET_COORDINATE_SYSTEM = 26
+    GET_COORDINATE_SYSTEM = 27
+    SET_STATIONARY_MODE = 28
+    GET_STATIONARY_MODE = 29
+    SET_REFLECTOR = 40
+    GET_REFLECTOR = 41
+    GET_REFLECTORS = 42
+    SET_SEARCH = 43
+    GET_SEARCH = 44
+    SET_SYSTEM_SETTINGS = 47
+    GET_SYSTEM_SETTINGS = 48
+    START_MEASUREMENT = 49
+    STOP_MEASUREMENT = 52
+    CHANGE_FACE = 53
+    GO_BIRD_BATH = 54
+    GO_POSITION = 55
+    POINT_LASER = 58
+    FIND_REFLECTOR = 63
+    GET_DIRECTION = 66
+    SET_STATISTIC_MODE = 80
+    GET_STATISTIC_MODE = 81
+    GET_FACE = 98
+    GET_MEASUREMENT_STATUS = 122
+    GET_TRACKER_INFO = 132
+    GO_AND_MEASURE = 135
+    GET_AT4XX_INFO = 140
+    GET_SOFTWARE_VERSION = 142
+
+
+class Status(IntEnum):
+    """Result status of a reply."""
+
+    OK = 0
+    BUSY = 1
+    NOT_IMPLEMENTED = 2
+    WRONG_PARAMETER = 3
+    WRONG_PARAMETER_1 = 4
+    OUT_OF_RANGE_1 = 12
+    WRONG_REFLECTOR = 23
+    NO_DISTANCE = 37
+    NOT_INITIALIZED = 39
+    WEATHER_OUT_OF_RANGE = 57
+    NO_TEMPERATURE = 94
+    NOT_READY = 10004
+    NO_STATIONARY_RESULT = 10009
+    NOT_WARMED_UP = 10012
+
+
+class Change(IntEnum):
+    """Unsolicited system status changes."""
+
+    ENVIRONMENT = 2
+    REFRACTION = 3
+    SEARCH = 4
+    UNITS = 6
+    REFLECTOR = 7
+    SYSTEM_SETTINGS = 8
+    COORDINATE_SYSTEM = 12
+    MEASUREMENT_MODE = 17
+    STATIONARY_MODE = 18
+    STATISTIC_MODE = 24
+    NOT_READY = 25
+    MEASURING = 26
+    READY = 27
+    INITIALIZATION = 151
+    SERVER_CLOSING = 998
+
+
+# Formats of what follows the command in a request, of those that carry anything.
+ARGUMENTS = {
+    Command.SET_UNITS: "<5I",
+    Command.SET_ENVIRONMENT: "<3d",
+    Command.SET_REFRACTION: "<2d",
+    Command.SET_MEASUREMENT_MODE: "<I",
+    Command.SET_COORDINATE_SYSTEM: "<I",
+    Command.SET_STATIONARY_MODE: "<2i",
+    Command.SET_REFLECTOR: "<i",
+    Command.SET_SEARCH: "<di",
+    Command.SET_SYSTEM_SETTINGS: "<I8i",
+    Command.GO_POSITION: "<3di",
+    Command.POINT_LASER: "<3d",
+    Command.FIND_REFLECTOR: "<d",
+    Command.SET_STATISTIC_MODE: "<2I",
+    Command.GO_AND_MEASURE: "<3d",
+}
+
+
+def reply(command: int, status: int = Status.OK, body: bytes = b"") -> bytes:
+    """Return a reply; errors are packets of a type of their own, without body."""
+    if status != Status.OK:
+        return REPLY.pack(REPLY.size, Type.ERROR, command, status)
+    return REPLY.pack(REPLY.size + len(body), Type.COMMAND, command, status) + body
+
+
+def status_change(change: int) -> bytes:
+    """Return an unsolicited status change."""
+    return COMMAND.pack(COMMAND.size, Type.STATUS_CHANGE, change)
+
+
+def single_result(values: tuple[float, ...], status: int = Status.OK) -> bytes:
+    """Return SingleMeasResult: ReturnDataT's status, mode 0, no try mode, 17 doubles."""
+    return RESULT.pack(RESULT.size, Type.SINGLE_RESULT, status, 0, 0, *values)
+
+
+def wide(text: str) -> bytes:
+    """Return a name as 32 UTF-16 units."""
+    return text[:31].encode("utf-16-le").ljust(64, b"\0")

@@ -1,0 +1,138 @@
+"""emScon TPI server: one tracker's packets over TCP (protocols, section 3).
+
+While something takes its time the client may still send: StopMeasurement is obeyed, all else is
+answered with "busy". In stepped time nothing takes time, and results follow at once.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time as real_time
+
+from fakes.emscon_device import Answer, EmsconDevice, Later
+from fakes.emscon_packets import COMMAND, HEAD, Change, Command, Status, reply, status_change
+from fakes.faults import Faults, Vanished
+from fakes.listener import Listener
+from fakes.time import PlantTime
+
+LONGEST = 4096
+RECEIVE = 4096
+
+
+class EmsconServer:
+    """Serves one tracker on a port that the system chooses."""
+
+    def __init__(self, device: EmsconDevice, faults: Faults, time: PlantTime) -> None:
+        self._device, self._faults, self._time = device, faults, time
+        self._closing = threading.Event()
+        self._listener = Listener("emscon", self._serve)
+        self.port = self._listener.port
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._listener.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._closing.set()
+        self._listener.close()
+
+    def _serve(self, client: socket.socket) -> None:
+        session = _Session(client)
+        try:
+            while True:
+                packet = session.receive(None)
+                if packet is not None:
+                    self._obey(session, packet)
+        except Vanished:
+            self._listener.hang_up()
+
+    def _obey(self, session: _Session, packet: bytes) -> None:
+        answer = self._device.handle(packet)
+        session.send(b"".join(answer.packets))
+        while (later := answer.later) is not None:
+            if not self._let_pass(session, later.duration_s):
+                return
+            answer = later.finish()
+            self._send(session, later, answer)
+
+    def _let_pass(self, session: _Session, duration_s: float) -> bool:
+        """Let plant time pass; return False where the client stopped what takes it."""
+        if self._time.stepped:
+            self._time.advance(duration_s)
+            return True
+        ends_s = real_time.monotonic() + duration_s / self._time.speed
+        while (left_s := ends_s - real_time.monotonic()) > 0:
+            packet = session.receive(left_s)
+            if packet is None:
+                continue
+            _, _, command = COMMAND.unpack_from(packet)
+            if command == Command.STOP_MEASUREMENT:
+                session.send(reply(command))
+                return False
+            session.send(reply(command, Status.BUSY))
+        return True
+
+    def _send(self, session: _Session, later: Later, answer: Answer) -> None:
+        data = b"".join(answer.packets)
+        if later.measures:
+            data = self._damaged(session, answer.packets)
+        session.send(data)
+
+    def _damaged(self, session: _Session, packets: list[bytes]) -> bytes:
+        """Return a result's bytes as the faults want them on the wire."""
+        take = self._faults.take
+        if take("tracker.eof") is not None:
+            raise ConnectionAbortedError
+        data = b"".join(packets)
+        if take("tracker.length_zero") is not None:
+            data = struct.pack("<iI", 0, 2)
+        if take("tracker.length_huge") is not None:
+            data = struct.pack("<II", 2**31, 2)
+        if take("tracker.glued_packets") is not None:
+            data = status_change(Change.ENVIRONMENT) + data + status_change(Change.ENVIRONMENT)
+        if take("tracker.split_packet") is not None:
+            session.send(data[:5])
+            self._closing.wait(0.02)  # so that both halves are segments of their own
+            data = data[5:]
+        return data
+
+
+class _Session:
+    """One client's connection: whole packets in, bytes out."""
+
+    def __init__(self, client: socket.socket) -> None:
+        self._client = client
+        self._pending = b""
+
+    def send(self, data: bytes) -> None:
+        if data:
+            self._client.sendall(data)
+
+    def receive(self, timeout_s: float | None) -> bytes | None:
+        """Return the next packet, None after the timeout; raises OSError at the end."""
+        while (packet := self._take()) is None:
+            self._client.settimeout(timeout_s)
+            try:
+                data = self._client.recv(RECEIVE)
+            except TimeoutError:
+                return None
+            finally:
+                self._client.settimeout(None)
+            if not data:
+                raise ConnectionAbortedError
+            self._pending += data
+        return packet
+
+    def _take(self) -> bytes | None:
+        if len(self._pending) < HEAD.size:
+            return None
+        size, _ = HEAD.unpack_from(self._pending)
+        if not COMMAND.size <= size <= LONGEST:
+            raise ConnectionAbortedError
+        if len(self._pending) < size:
+            return None
+        packet, self._pending = self._pending[:size], self._pending[size:]
+        return packet

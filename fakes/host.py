@@ -1,0 +1,88 @@
+"""A whole simulated cell in one process: plant, three device servers, control channel."""
+
+from __future__ import annotations
+
+import math
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from msgspec import Struct
+
+from fakes.c3_server import C3Server
+from fakes.control import ControlServer, truth_of
+from fakes.emscon_device import EmsconDevice
+from fakes.emscon_server import EmsconServer
+from fakes.faults import Faults, load_faults
+from fakes.krl_controller import KrlController
+from fakes.listener import HOST
+from fakes.plant import Plant
+from fakes.rail_server import RailServer
+from fakes.replay_plant import ReplayPlant
+from fakes.time import PlantTime
+from hilcell.cell import Cell
+from hilcell.settings import convert
+
+
+class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What to simulate; ``speed`` None is stepped time."""
+
+    cell: dict[str, Any]
+    seed: int = 1
+    speed: float | None = None
+    faults: str = ""
+    session: int = 1
+
+
+class Host:
+    """Runs one simulated cell; raises `HilcellError` where the order is not sound."""
+
+    def __init__(self, order: Order) -> None:
+        self._order = order
+        self._ended = threading.Event()
+        cell = convert(order.cell, Cell, "simulated cell")
+        faults = load_faults(order.faults)
+        time = PlantTime(math.inf if order.speed is None else order.speed)
+        plant = _plant(cell, order, time, faults)
+        controller = KrlController(cell, plant.robot, faults, plant.lose_zero)
+        self._rail = RailServer(plant.rail, faults, cell, time)
+        self._robot = C3Server(controller, faults)
+        device = EmsconDevice(cell, plant.tracker, faults)
+        self._tracker = EmsconServer(device, faults, time)
+        self._control = ControlServer(
+            time,
+            faults,
+            addresses=self.addresses,
+            truth=lambda asked: truth_of(plant, asked) if isinstance(plant, Plant) else {},
+            restore=controller.restore,
+            quit_=self.end,
+        )
+
+    def addresses(self) -> dict[str, Any]:
+        """Return where everything listens, and how time passes."""
+        return {
+            "rail": {"channel": f"socket://{HOST}:{self._rail.port}"},
+            "robot": {"host": HOST, "port": self._robot.port},
+            "tracker": {"host": HOST, "port": self._tracker.port},
+            "control": self._control.address,
+            "speed": self._order.speed,
+        }
+
+    def run(self) -> None:
+        """Serve until `end`."""
+        with ExitStack() as stack:
+            for server in (self._rail, self._robot, self._tracker, self._control):
+                stack.callback(server.close)
+                server.start()
+            self._ended.wait()
+
+    def end(self) -> None:
+        """End the simulated cell; may come from any thread."""
+        self._ended.set()
+
+
+def _plant(cell: Cell, order: Order, time: PlantTime, faults: Faults) -> Plant | ReplayPlant:
+    if cell.simulation is not None and cell.simulation.data:
+        return ReplayPlant(cell, Path(cell.simulation.data), time, faults)
+    return Plant(cell, order.seed, time, faults, order.session)

@@ -1,0 +1,178 @@
+"""Simulated cells as the engine starts them: a process beside it, found by entry points.
+
+The process dies with its parent (its stdin ends) but not with a ctrl-C meant for the engine,
+which needs it for its own safe stop: so it has a session of its own.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from typing import IO, Any, cast
+
+import msgspec
+
+from fakes.faults import load_faults
+from hilcell.cell import Cell
+from hilcell.ports import DeviceError, HilcellError, Stopped
+from hilcell.settings import SettingsError
+
+ANSWER_S = 10.0
+END_S = 5.0
+LONGEST_WORDS = 2000
+DEVICES = ("rail", "robot", "tracker")
+
+
+class PaperCell:
+    """The paper's cell, or any other, on simulated hardware."""
+
+    def __init__(
+        self, cell: Cell, *, seed: int, speed: float = math.inf, faults: str = "", session: int = 1
+    ) -> None:
+        load_faults(faults)  # so that a wrong file is refused here, in full
+        self._process: subprocess.Popen[bytes] | None = None
+        attach = cell.simulation.address if cell.simulation is not None else ""
+        if attach:
+            with Control(attach) as control:
+                answer = control.ask("addresses")
+        else:
+            order = {
+                "cell": {k: v for k, v in msgspec.to_builtins(cell).items() if v is not None},
+                "seed": seed,
+                "speed": None if math.isinf(speed) else speed,
+                "faults": faults,
+                "session": session,
+            }
+            self._process, answer = _start(msgspec.json.encode(order) + b"\n")
+        self.options: dict[str, dict[str, object]] = {name: answer[name] for name in DEVICES}
+        self.address: str = attach or answer["control"]
+        self._speed = math.inf if answer["speed"] is None else float(answer["speed"])
+
+    def clock(self, stop: threading.Event) -> SimulatedClock:
+        """Return the cell's clock; its waits end when ``stop`` is set."""
+        return SimulatedClock(Control(self.address), self._speed, stop)
+
+    def close(self) -> None:
+        """End the process, if it was started here."""
+        if self._process is None:
+            return
+        process, self._process = self._process, None
+        try:
+            process.communicate(timeout=END_S)  # closes its stdin
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+class ReplayCell(PaperCell):
+    """Measured data in place of a plant: ``simulation.data`` names the CSV."""
+
+    def __init__(
+        self, cell: Cell, *, seed: int, speed: float = math.inf, faults: str = "", session: int = 1
+    ) -> None:
+        if cell.simulation is None or not (cell.simulation.data or cell.simulation.address):
+            raise SettingsError(cell.name, ["simulation.data: missing; it names the CSV to replay"])
+        super().__init__(cell, seed=seed, speed=speed, faults=faults, session=session)
+
+
+class SimulatedClock:
+    """The time of a simulated cell; in stepped time a wait passes at once."""
+
+    def __init__(self, control: Control, speed: float, stop: threading.Event) -> None:
+        self._control, self._speed, self._stop = control, speed, stop
+
+    def now_s(self) -> float:
+        """Return the cell's seconds."""
+        return float(self._control.ask("now")["now_s"])
+
+    def wait(self, duration_s: float) -> None:
+        """Let cell time pass; raise `Stopped` within 20 ms of a stop."""
+        self.check()
+        if math.isinf(self._speed):
+            self._control.ask("wait", s=duration_s)
+        else:
+            self._stop.wait(duration_s / self._speed)
+        self.check()
+
+    def check(self) -> None:
+        """Raise `Stopped` if a stop was asked for."""
+        if self._stop.is_set():
+            raise Stopped("a stop was asked for")
+
+
+class Control:
+    """A connection to a simulated cell's control channel; safe to use from several threads."""
+
+    def __init__(self, address: str) -> None:
+        self._lock = threading.Lock()
+        self._address = address
+        host, _, port = address.rpartition(":")
+        try:
+            self._socket = socket.create_connection((host, int(port)), ANSWER_S)
+        except (OSError, ValueError, OverflowError) as error:
+            raise self._gone("connect", error) from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._lines = self._socket.makefile("rb")
+
+    def __enter__(self) -> Control:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        if hasattr(self, "_lines"):
+            self.close()
+
+    def ask(self, do: str, **facts: object) -> dict[str, Any]:
+        """Return the answer to a command; raises `DeviceError` when there is none."""
+        with self._lock:
+            try:
+                self._socket.sendall(msgspec.json.encode({"do": do} | facts) + b"\n")
+                line = self._lines.readline()
+            except OSError as error:
+                raise self._gone(do, error) from error
+        if not line:
+            raise self._gone(do, "it has ended")
+        answer = msgspec.json.decode(line, type=dict[str, Any])
+        if not answer["ok"]:
+            raise DeviceError("Simulated cell", do, str(answer["error"]))
+        return answer
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._lines.close()
+        self._socket.close()
+
+    def _gone(self, do: str, reason: object) -> DeviceError:
+        where = f"control channel {self._address} does not answer: {reason}"
+        return DeviceError("Simulated cell", do, where, act="start it anew, then resume")
+
+
+def _start(order: bytes) -> tuple[subprocess.Popen[bytes], dict[str, Any]]:
+    """Start the process and return it with its first line, decoded."""
+    with tempfile.TemporaryFile() as words:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "fakes"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=words,
+            start_new_session=True,
+        )
+        stdin, stdout = cast("IO[bytes]", process.stdin), cast("IO[bytes]", process.stdout)
+        try:
+            stdin.write(order)
+            stdin.flush()
+            line = stdout.readline()
+        except OSError:
+            line = b""
+        if not line:
+            process.communicate()
+            words.seek(0)
+            said = words.read().decode(errors="replace").strip()[-LONGEST_WORDS:]
+            raise HilcellError(f"simulated cell did not start (exit {process.returncode}):\n{said}")
+    return process, msgspec.json.decode(line, type=dict[str, Any])
