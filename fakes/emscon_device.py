@@ -34,6 +34,8 @@ from hilcell.geometry.kinematics import Array
 
 METRE, MILLIMETRE = 0, 1
 MM_PER_UNIT = {METRE: 1000.0, MILLIMETRE: 1.0}
+RAD_PER_UNIT = {0: 1.0, 1: math.pi / 180, 2: math.pi / 200}
+KNOWN_UNITS = (MM_PER_UNIT, RAD_PER_UNIT, {0}, {0, 1}, {0})  # C; mbar or hPa; relative humidity
 AXES = {0: (1, 1, 1), 1: (-1, 1, 1), 2: (1, -1, 1), 3: (1, 1, -1)}  # RHR, LHRX, LHRY, LHRZ
 MEASURING_MS = (100, 100_000)
 INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
@@ -224,7 +226,9 @@ class EmsconDevice:
 
     def _direction(self) -> bytes:
         x, y, z = self._pointing_mm
-        return struct.pack("<2d", math.atan2(y, x), math.atan2(math.hypot(x, y), z))
+        per_unit = RAD_PER_UNIT[self._settings.units[1]]
+        angles = math.atan2(y, x) / per_unit, math.atan2(math.hypot(x, y), z) / per_unit
+        return struct.pack("<2d", *angles)
 
     def _tracker_info(self) -> bytes:
         head = struct.pack("<I", SENSOR_AT401) + wide("AT401")
@@ -402,7 +406,8 @@ _Check = Callable[[tuple[float, ...]], Status]
 
 
 def _units_are_known(units: tuple[float, ...]) -> Status:
-    return Status.OK if units[0] in MM_PER_UNIT and not any(units[1:]) else Status.WRONG_PARAMETER_1
+    known = all(unit in allowed for unit, allowed in zip(units, KNOWN_UNITS, strict=True))
+    return Status.OK if known else Status.WRONG_PARAMETER_1
 
 
 def _axes_are_known(axes: tuple[float, ...]) -> Status:
