@@ -183,7 +183,12 @@ class RailDrive(CanopenSlave):
     # -- faults -------------------------------------------------------------------------------
 
     def fail(self, code: int) -> None:
-        """Go through FAULT REACTION ACTIVE to FAULT with EMCY ``code`` (transitions 13, 14)."""
+        """Go through FAULT REACTION ACTIVE to FAULT with EMCY ``code`` (transitions 13, 14).
+
+        The first fault counts: a drive already in fault stays as it is.
+        """
+        if self.state in {State.FAULT_REACTION_ACTIVE, State.FAULT}:
+            return
         self._following_error = code == FOLLOWING_ERROR
         self.emergency(code, DEVICE_PROFILE)
         self._react_to_fault()

@@ -1,9 +1,10 @@
 """The rail of the simulated cell on its bus: gateway, drive and strip sensor, in one thread.
 
 Drive and sensor stay as they are when a client leaves; only the gateway's channel is new for the
-next one. Heartbeats and wire deadlines run in real time, the slide in plant time: a SYNC or an SDO
-read looks at the slide once, before the nodes answer it. The trap: in stepped time nobody looks at
-a slide whose master has died, so a drive that brakes by itself is looked at until it stands.
+next one, and heartbeats that a fault has silenced are heard again. Heartbeats and wire deadlines
+run in real time, the slide in plant time: a SYNC or an SDO read looks at the slide once, before the
+nodes answer it. The trap: in stepped time nobody looks at a slide whose master has died, so a drive
+that brakes by itself is looked at until it stands.
 """
 
 from __future__ import annotations
@@ -117,6 +118,7 @@ class RailServer:
     # -- frames -------------------------------------------------------------------------------
 
     def _open(self) -> None:
+        self._silent.clear()
         if not self._booted:
             self._booted = True
             for node in self._nodes.values():

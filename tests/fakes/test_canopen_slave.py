@@ -216,6 +216,9 @@ def test_heartbeat_loss_of_one_node() -> None:
         bench.faults.set("rail.heartbeat_loss", 5)
         until(lambda: line.frame()[:4] == b"t706", "the fault has struck")
         until(lambda: [line.frame()[:4] for _ in range(4)] == [b"t706"] * 4, "node 5 is silent")
+        for command in (b"C", b"O"):
+            line.send(command)
+        until(lambda: line.frame()[:4] == b"t705", "the next channel hears it again")
 
 
 # -- faults of the SDO channel -----------------------------------------------------------------

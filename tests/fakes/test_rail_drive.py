@@ -267,6 +267,11 @@ def test_real_limit_switch_is_a_fault() -> None:
         assert master.status() & BIT_11
         assert master.read(0x603F, 0, "H") == 0x8612
         assert master.read(0x60FD) == 1
+        master.control(0x80)
+        master.enable(1)
+        master.move(5000)
+        assert master.read(0x6064, 0, "i") == 5000, "away from the switch it may go"
+        assert not master.status() & BIT_11
 
 
 # -- stops -------------------------------------------------------------------------------------
@@ -394,6 +399,16 @@ def test_following_error_is_bit_13() -> None:
         master.control(0x00)
         master.control(0x80)
         assert not master.status() & BIT_13
+
+
+def test_lasting_fault_still_lets_the_slide_stop() -> None:
+    with served() as bench, Master(bench.server.port) as master:
+        master.home()
+        bench.faults.set("rail.fault", 0x2310, count=0)
+        master.start(1_000_000)
+        until(lambda: master.status() & 0x4F == 0x08, "fault")
+        assert bench.rail.still
+        assert [entry.code for entry in master.drive.emcy.log] == [0x2310]
 
 
 @pytest.mark.parametrize(("switch", "inputs"), [(-1, 1), (1, 2)])
