@@ -25,7 +25,7 @@ SEARCH = struct.Struct("<di")
 DISTANCE = struct.Struct("<d")
 POSITION = struct.Struct("<3di")
 
-MILLIMETRE_UNITS = (1, 1, 0, 0, 0)  # mm, deg, Celsius, mbar, % relative humidity
+MILLIMETRE_UNITS = (1, 0, 0, 0, 0)  # mm, rad, Celsius, mbar, % relative humidity
 RIGHT_HANDED = 0
 STATIONARY_MODE = 0
 INITIALIZED = 5

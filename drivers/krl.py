@@ -20,7 +20,7 @@ _TOKEN = re.compile(
       | (?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?![\w.])
       | (?P<name>[#$]?[A-Za-z_$][\w$]*(?:\[[\d,\s]*\])?)
     )""",
-    re.VERBOSE,
+    re.VERBOSE | re.ASCII,
 )
 
 

@@ -305,11 +305,12 @@ class LeicaEmsconTracker:
 
     def _request(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> Reply:
         """Send a command, again while the server is busy, and return its reply."""
-        deadline_s = time.monotonic() + (limit_s or self.REPLY_S)
+        limit_s = limit_s or self.REPLY_S
+        patience_s = time.monotonic() + limit_s
         while True:
             self._wire().send(emscon.encode(command, body), _spoken(command))
-            reply = self._status(command, deadline_s)
-            if reply.status != emscon.BUSY or time.monotonic() > deadline_s:
+            reply = self._status(command, time.monotonic() + limit_s)
+            if reply.status != emscon.BUSY or time.monotonic() > patience_s:
                 return reply
             self._clock.wait(BUSY_PAUSE_S)
 

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import struct
+
+import pytest
+from CESAPI import packet as cesapi
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import emscon
+from drivers.emscon import (
+    Command,
+    EmsconError,
+    Failure,
+    Other,
+    Packet,
+    PacketReader,
+    Reply,
+    Single,
+    StatusChange,
+)
+
+RESULT = bytes.fromhex("9c0000000200000000000000") + struct.pack(
+    "<ii17d",
+    0,
+    0,
+    1100.25,
+    -2.5,
+    0.125,
+    0.004,
+    0.005,
+    0.006,
+    0.009,
+    *[0.0] * 7,
+    22.5,
+    1013.25,
+    45.0,
+)
+
+
+@pytest.mark.parametrize(
+    ("command", "body", "expected"),
+    [
+        (Command.INITIALIZE, b"", "0c0000000000000007000000"),
+        (Command.START_MEASUREMENT, b"", "0c0000000000000031000000"),
+        (Command.GET_SYSTEM_STATUS, b"", "0c0000000000000001000000"),
+        (
+            Command.FIND_REFLECTOR, emscon.DISTANCE.pack(3000.0),
+            "14000000000000003f000000000000000070a740",
+        ),
+    ],
+)  # fmt: skip
+def test_commands_are_the_published_bytes(command: Command, body: bytes, expected: str) -> None:
+    assert emscon.encode(command, body).hex() == expected
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        ("10000000000000003100000000000000", Reply(49, 0, b"")),
+        ("1000000001000000310000001a000000", Failure(49, 26)),
+        ("0c000000080000001b000000", StatusChange(27)),
+        ("0c000000630000001b000000", Other(0x63)),
+    ],
+)
+def test_packets_are_the_published_bytes(data: str, expected: Packet) -> None:
+    assert PacketReader().feed(bytes.fromhex(data)) == [expected]
+
+
+def test_a_result_is_the_published_bytes() -> None:
+    assert len(RESULT) == 156
+    assert RESULT[20:44].hex() == "000000000031914000000000000004c0000000000000c03f"
+    assert RESULT[-24:].hex() == "00000000008036400000000000aa8f400000000000804640"
+    expected = Single(
+        0, 0, (1100.25, -2.5, 0.125), (0.004, 0.005, 0.006), 0.009, 22.5, 1013.25, 45.0
+    )
+    assert PacketReader().feed(RESULT) == [expected]
+
+
+def test_an_independent_peer_reads_our_settings() -> None:
+    units = cesapi.SetUnitsCT()
+    units.unpack(emscon.encode(Command.SET_UNITS, emscon.UNITS.pack(*emscon.MILLIMETRE_UNITS)))
+    assert units.unitsSettings.lenUnitType == cesapi.ES_LU_Millimeter
+    assert units.unitsSettings.angUnitType == cesapi.ES_AU_Radian
+    assert units.unitsSettings.pressUnitType == cesapi.ES_PU_Mbar
+    stationary = cesapi.SetStationaryModeParamsCT()
+    stationary.unpack(emscon.encode(Command.SET_STATIONARY, emscon.STATIONARY.pack(500, 1)))
+    assert stationary.stationaryModeData.lMeasTime == 500
+    assert stationary.stationaryModeData.bUseADM == 1
+    go = cesapi.GoPositionCT()
+    go.unpack(emscon.encode(Command.GO_POSITION, emscon.POSITION.pack(1.5, -2.5, 3.5, 1)))
+    assert (go.dVal1, go.dVal2, go.dVal3, go.bUseADM) == (1.5, -2.5, 3.5, 1)
+    assert go.packetInfo.packetHeader.lPacketSize == go._GoPositionCT__packet_size == 40
+
+
+def test_an_independent_peers_replies_are_read() -> None:
+    status = cesapi.GetSystemStatusRT()
+    status.trackerProcessorStatus, status.lTrackerSerialNumber = 5, 390793
+    status.esVersionNumber.iMajorVersionNumber, status.esVersionNumber.iBuildNumber = 3, 900
+    status.weatherMonitorStatus = 1
+    (reply,) = PacketReader().feed(status.pack())
+    assert isinstance(reply, Reply)
+    assert emscon.decode_system_status(reply.body) == emscon.SystemStatus(5, "3.0.900", 1, 390793)
+    reflector = cesapi.GetReflectorsRT()
+    reflector.iTotalReflectors, reflector.iInternalReflectorId = 2, 7
+    reflector.dSurfaceOffset = 19.05
+    reflector.cReflectorName = "SMR 1.5in".encode("utf-16-le").ljust(64, b"\0")
+    (reply,) = PacketReader().feed(reflector.pack())
+    assert isinstance(reply, Reply)
+    assert emscon.decode_reflector(reply.body) == emscon.Reflector(2, 7, 19.05, "SMR 1.5in")
+
+
+@pytest.mark.parametrize("size", [0, 4, 11, 65537, 2**31, 2**32 - 1])
+def test_impossible_lengths_are_refused(size: int) -> None:
+    with pytest.raises(EmsconError, match=f"a packet of {size} bytes"):
+        PacketReader().feed(struct.pack("<II", size, 8))
+
+
+@pytest.mark.parametrize(("kind", "size"), [(0, 12), (1, 12), (2, 152)])
+def test_packets_too_short_for_their_type_are_refused(kind: int, size: int) -> None:
+    with pytest.raises(EmsconError, match=f"type {kind}"):
+        PacketReader().feed(struct.pack("<II", size, kind) + bytes(size - 8))
+
+
+def test_short_bodies_are_refused() -> None:
+    with pytest.raises(EmsconError, match="8 bytes, 20 expected"):
+        emscon.unpack(emscon.UNITS, bytes(8))
+
+
+@given(st.data(), st.lists(st.sampled_from([RESULT, bytes.fromhex("0c000000080000001b000000")])))
+def test_any_slicing_gives_the_same_packets(data: st.DataObject, packets: list[bytes]) -> None:
+    stream = b"".join(packets)
+    whole = PacketReader().feed(stream)
+    reader, found = PacketReader(), []
+    while stream:
+        size = data.draw(st.integers(1, len(stream)))
+        found += reader.feed(stream[:size])
+        stream = stream[size:]
+    assert found == whole
+    assert len(found) == len(packets)
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_decode_or_are_refused(data: bytes) -> None:
+    try:
+        packets = PacketReader().feed(data)
+    except EmsconError:
+        return
+    assert 12 * len(packets) <= len(data)
+
+
+@pytest.mark.parametrize(
+    ("status", "text"),
+    [
+        (1, "status 1 (server busy)"),
+        (3, "status 3 (wrong parameter)"),
+        (5, "status 5 (wrong parameter 2)"),
+        (14, "status 14 (parameter 2 out of range)"),
+        (10013, "status 10013 (sensor not stable)"),
+        (777, "status 777 (unknown)"),
+    ],
+)
+def test_codes_are_told_in_words(status: int, text: str) -> None:
+    assert emscon.status_text(status) == text

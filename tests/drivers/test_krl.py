@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import krl
+from drivers.krl import KrlError
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("100", 100),
+        ("-3", -3),
+        ("22.5", 22.5),
+        ("-1.5E-3", -0.0015),
+        (".5", 0.5),
+        ("TRUE", True),
+        ("false", False),
+        ("#EX", "#EX"),
+        ('"#KR210R2700_2 C4 FLR"', "#KR210R2700_2 C4 FLR"),
+        ("{X 1.0, Y -2.0}", {"X": 1.0, "Y": -2.0}),
+        ("{E6AXIS: A1 1.0, a2 2}", {"A1": 1.0, "A2": 2}),
+        ("{S: P {X 1, M #BASE}, OK TRUE}", {"P": {"X": 1, "M": "#BASE"}, "OK": True}),
+        (" #P_ACTIVE \0", "#P_ACTIVE"),
+    ],
+)
+def test_values_are_understood(text: str, value: object) -> None:
+    assert krl.parse(text) == value
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "1,234", "1.2.3", "{X 1,5 Y 2}", "{X 1.0", "{X}", "{X 1.0, X 2.0}", "1 2", "1e999",
+        "{X 1.0 Y 2.0}", "{,}", "}", '"open', "\x1b[2J", "{A {A {A {A {A 1}}}}}", "++1",
+    ],
+)  # fmt: skip
+def test_anything_else_is_refused(text: str) -> None:
+    with pytest.raises(KrlError):
+        krl.parse(text)
+
+
+@pytest.mark.parametrize("value", ["NaN", "inf", "#X", "TRUE", '"1.0"', "{Y 1}"])
+def test_a_component_must_be_a_number(value: str) -> None:
+    with pytest.raises(KrlError, match="X is missing or no number"):
+        krl.numbers(f"{{X {value}}}", ("X",))
+
+
+def test_a_missing_component_is_named() -> None:
+    with pytest.raises(KrlError, match="A6 is missing"):
+        krl.numbers("{E6AXIS: A1 1.0}", ("A1", "A6"))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_only_finite_targets_are_written(value: float) -> None:
+    with pytest.raises(KrlError, match="not finite"):
+        krl.structure("E6AXIS", {"A1": value})
+
+
+@given(st.dictionaries(st.from_regex(r"\A[A-F][1-6]\Z"), st.floats(-1e6, 1e6), min_size=1))
+def test_a_structure_survives_the_trip(components: dict[str, float]) -> None:
+    found = krl.numbers(krl.structure("E6AXIS", components), tuple(components))
+    assert found == pytest.approx(list(components.values()), abs=5.1e-7)
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_understood_or_refused(text: str) -> None:
+    try:
+        value = krl.parse(text)
+    except KrlError:
+        return
+    assert not isinstance(value, float) or math.isfinite(value)

@@ -1,0 +1,319 @@
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Iterator
+from importlib import resources
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drivers import c3, keep_alive, robot_kuka_c3
+from drivers.robot_kuka_c3 import KukaC3Robot
+from hilcell.clock import WallClock
+from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped
+from hilcell.settings import SettingsError, convert
+from tests.drivers.kuka_peer import VARIABLES, KukaPeer
+from tests.drivers.peers import wall_clock
+
+TARGET_RAD = np.radians([10.0, -80.0, 95.5, -12.25, 33.3, 170.0])
+
+
+@pytest.fixture(autouse=True)
+def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(c3, "REPLY_S", 0.3)
+    for name, value in (("POLL_S", 0.002), ("STALL_S", 0.3), ("REST_S", 0.1), ("CATCH_UP_S", 0.2)):
+        monkeypatch.setattr(robot_kuka_c3, name, value)
+
+
+def robot_for(peer: KukaPeer, **options: object) -> KukaC3Robot:
+    values = {"host": "127.0.0.1", "port": peer.server.port, "smr_mm": (98.0, 0.0, 127.0)} | options
+    return KukaC3Robot(KukaC3Robot.Options(**values), wall_clock())  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def peer() -> Iterator[KukaPeer]:
+    with KukaPeer() as peer:
+        yield peer
+
+
+@pytest.fixture
+def robot(peer: KukaPeer) -> Iterator[KukaC3Robot]:
+    robot = robot_for(peer)
+    robot.connect()
+    yield robot
+    robot.close()
+
+
+def test_it_is_a_robot(robot: KukaC3Robot) -> None:
+    port: Robot = robot
+    assert port.read().still
+
+
+def test_identity(peer: KukaPeer) -> None:
+    robot = robot_for(peer)
+    (identity,) = robot.connect()
+    robot.close()
+    assert (identity.model, identity.serial) == ("#KR210R2700_2 C4 FLR", "472911")
+    assert "write HC_SEQ" not in peer.requests
+
+
+def test_a_move_ends_at_the_target_at_rest(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    before = len(peer.requests)
+    reading = robot.move_to(TARGET_RAD, 30.0)
+    np.testing.assert_allclose(reading.joints_rad, TARGET_RAD, atol=1e-8)
+    assert reading.still
+    assert peer.variables["HC_VEL"] == "30"
+    assert peer.variables["HC_CMD"] == "1"
+    assert peer.variables["HC_SEQ"] == "8"
+    assert re.search(r"A3 95\.500000,", peer.variables["HC_TGT"])
+    assert len(peer.requests) - before <= 25
+
+
+def test_the_pose_is_in_kukas_angles(robot: KukaC3Robot) -> None:
+    pose = robot.read().pose
+    expected = (
+        Rotation.from_rotvec([0, 0, np.radians(30)])
+        * Rotation.from_rotvec([0, np.radians(45), 0])
+        * Rotation.from_rotvec([np.radians(-60), 0, 0])
+    )
+    np.testing.assert_allclose(pose[:3, :3], expected.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(pose[:3, 3], [1620.5, 0.0, 1910.0])
+    np.testing.assert_array_equal(pose[3], [0, 0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("$TRAFONAME[]", '"#KR16"', "model '#KR16', wanted 'KR210'"),
+        ("HC_VER", "2", "HC_VER is 2, wanted 1; install"),
+        ("$MODE_OP", "#T1", r"\$MODE_OP is #T1, wanted #EX or #AUT"),
+        ("$PERI_RDY", "FALSE", "drives have no power"),
+        ("$ALARM_STOP", "FALSE", "emergency stop"),
+        ("$USER_SAF", "FALSE", "guard is open"),
+        ("$STOPMESS", "TRUE", "stop message"),
+        ("$PRO_STATE1", "#P_STOP", "start the program hilcell"),
+        ("$OV_PRO", "0", r"\$OV_PRO is 0, wanted 1 to 100"),
+        ("$ACT_TOOL", "3", r"\$ACT_TOOL is 3, wanted 1"),
+        ("$ACT_BASE", "2", r"\$ACT_BASE is 2, wanted 0"),
+        ("$TOOL", VARIABLES["$TOOL"].replace("127.0", "127.002"), "Z 127.002"),
+        ("$TOOL", VARIABLES["$TOOL"].replace("B 0.0", "B 90.0"), "B 90.000"),
+        ("$BASE", VARIABLES["$BASE"].replace("X 0.0", "X 0.5"), "X 0.500"),
+        ("HC_ACK", "6", "HC_ACK 6, wanted HC_SEQ 7"),
+    ],
+)
+def test_a_wrong_robot_is_refused(name: str, value: str, message: str) -> None:
+    with KukaPeer(**{name: value}) as peer:
+        robot = robot_for(peer)
+        with pytest.raises(DeviceRefused, match=message):
+            robot.connect()
+        with pytest.raises(DeviceError, match="not connected"):
+            robot.read()
+
+
+def test_a_wrong_serial_is_refused(peer: KukaPeer) -> None:
+    with pytest.raises(DeviceRefused, match="serial 472911, wanted 1"):
+        robot_for(peer, serial=1).connect()
+
+
+@pytest.mark.parametrize("value", ["1,234", "NaN", "{X 1.0}", "100.5", ""])
+def test_unreadable_answers_are_errors(value: str) -> None:
+    with KukaPeer(**{"$OV_PRO": value}) as peer, pytest.raises(DeviceError, match=r"\$OV_PRO"):
+        robot_for(peer).connect()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("$ALARM_STOP", "FALSE", "emergency stop"),
+        ("$MODE_OP", "#T1", "#T1"),
+        ("$OV_PRO", "0", "override"),
+        ("$PRO_STATE1", "#P_RESET", "#P_RESET"),
+        ("$ACT_TOOL", "2", "ACT_TOOL"),
+        ("$ACT_BASE", "2", "ACT_BASE"),
+        ("$STOPMESS", "TRUE", "stop message"),
+    ],
+)
+def test_a_fault_in_motion_is_named(
+    robot: KukaC3Robot, peer: KukaPeer, name: str, value: str, message: str
+) -> None:
+    peer.frozen = True
+    peer.variables[name] = value
+    with pytest.raises(DeviceError, match=message):
+        robot.move_to(TARGET_RAD, 30.0)
+    robot.close()
+    assert peer.stopped.is_set()
+
+
+@pytest.mark.parametrize(("error", "message"), [("1", "unknown command"), ("2", "software limits")])
+def test_the_programs_errors_are_told(
+    robot: KukaC3Robot, peer: KukaPeer, error: str, message: str
+) -> None:
+    peer.error = error
+    with pytest.raises(DeviceError, match=message):
+        robot.move_to(TARGET_RAD, 30.0)
+
+
+def test_a_frozen_robot_is_noticed(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.frozen = True
+    with pytest.raises(DeviceError, match=r"no axis moved for .* HC_ACK 7, wanted HC_ACK 8"):
+        robot.move_to(TARGET_RAD, 30.0)
+
+
+def test_stopping_short_is_noticed(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.short_deg = -0.006
+    with pytest.raises(DeviceError, match=r"A1 9\.994"):
+        robot.move_to(TARGET_RAD, 30.0)
+
+
+def test_a_moving_pose_is_not_rest(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    number = iter(range(1000))
+    original = peer._read
+    peer._read = lambda name: (  # type: ignore[method-assign]
+        peer.pose.replace("1620.5", f"16{next(number):02}.5")
+        if name == "$POS_ACT"
+        else original(name)
+    )
+    with pytest.raises(DeviceError, match="stands or creeps"):
+        robot.move_to(TARGET_RAD, 30.0)
+
+
+@pytest.mark.parametrize("joints", [TARGET_RAD[:5], TARGET_RAD * np.nan])
+def test_bad_targets_never_leave(robot: KukaC3Robot, peer: KukaPeer, joints: Array) -> None:
+    with pytest.raises(DeviceError, match="six finite angles"):
+        robot.move_to(joints, 30.0)
+    assert "write HC_TGT" not in peer.requests
+
+
+@pytest.mark.parametrize("speed", [0.0, 101.0])
+def test_bad_speeds_never_leave(robot: KukaC3Robot, peer: KukaPeer, speed: float) -> None:
+    with pytest.raises(DeviceError, match="1 to 100 %"):
+        robot.move_to(TARGET_RAD, speed)
+    assert "write HC_TGT" not in peer.requests
+
+
+def test_a_stop_gets_through_while_a_call_hangs(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    asked = threading.Event()
+
+    def hang(name: str, reply: bytes) -> list[bytes]:
+        asked.set()
+        return [] if name == "$AXIS_ACT" else [reply]
+
+    peer.mangle = hang
+    failures: list[DeviceError] = []
+
+    def read() -> None:
+        try:
+            robot.read()
+        except DeviceError as error:
+            failures.append(error)
+
+    worker = threading.Thread(target=read)
+    worker.start()
+    assert asked.wait(5)
+    robot.stop()
+    assert peer.stopped.wait(5)
+    worker.join(5)
+    assert "no answer" in str(failures[0])
+    with pytest.raises(DeviceError, match=r"stopped|never answered"):
+        robot.move_to(TARGET_RAD, 30.0)
+
+
+def test_the_runs_stop_ends_a_motion(peer: KukaPeer) -> None:
+    stop = threading.Event()
+    peer.frozen = True
+    options = KukaC3Robot.Options(
+        host="127.0.0.1", port=peer.server.port, smr_mm=(98.0, 0.0, 127.0)
+    )
+    robot = KukaC3Robot(options, WallClock(stop))
+    robot.connect()
+    timer = threading.Timer(0.05, stop.set)
+    timer.start()
+    with pytest.raises(Stopped):
+        robot.move_to(TARGET_RAD, 30.0)
+    robot.close()
+    assert peer.stopped.is_set()
+
+
+def test_only_a_new_connect_takes_a_stop_back(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.moved = robot.stop
+    with pytest.raises(DeviceError):
+        robot.move_to(TARGET_RAD, 30.0)
+    assert peer.stopped.wait(5)
+    peer.moved = lambda: None
+    assert peer.variables["HC_STOP"] == "TRUE"
+    with pytest.raises(DeviceError, match="was stopped"):
+        robot.move_to(TARGET_RAD, 30.0)
+    robot.connect()
+    assert peer.variables["HC_STOP"] == "FALSE"
+    assert robot.move_to(TARGET_RAD, 30.0).still
+
+
+def test_connect_waits_for_an_earlier_sessions_motion() -> None:
+    with KukaPeer(HC_SEQ="8") as peer:
+        peer._steps = 3
+        robot = robot_for(peer)
+        robot.connect()
+        assert peer.variables["HC_ACK"] == "8"
+        robot.close()
+
+
+def test_a_restarted_controller_fails_every_read(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.variables.clear()
+    with pytest.raises(DeviceError, match="refused with error 1"):
+        robot.move_to(TARGET_RAD, 30.0)
+
+
+def test_idle_connections_are_kept_and_a_loss_is_told(
+    peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(keep_alive, "IDLE_S", 0.02)
+    monkeypatch.setattr(keep_alive, "LOOK_S", 0.01)
+    twice = threading.Event()
+
+    def count(name: str, reply: bytes) -> list[bytes]:
+        if peer.requests.count("read $MODE_OP") >= 5:
+            twice.set()
+        return [reply]
+
+    peer.mangle = count
+    robot = robot_for(peer)
+    robot.connect()
+    assert peer.connections == 2
+    assert twice.wait(5)
+    peer.server.drop()
+    assert robot._keeper is not None
+    robot._keeper._thread.join(5)
+    with pytest.raises(DeviceError, match=r"closed the connection|reset|Broken pipe"):
+        robot.read()
+    robot.close()
+
+
+def test_stop_and_close_before_connect_do_nothing(peer: KukaPeer) -> None:
+    robot = robot_for(peer)
+    robot.stop()
+    robot.close()
+    assert peer.requests == []
+
+
+def test_options_are_strict() -> None:
+    with pytest.raises(SettingsError) as caught:
+        convert(
+            {"host": "x", "smr_mm": [1.0, 2.0, 3.0], "prt": 1, "tool": 0}, KukaC3Robot.Options, ""
+        )
+    assert len(caught.value.problems) == 2
+
+
+def test_the_resident_program_declares_what_the_driver_uses() -> None:
+    folder = resources.files("drivers") / "krl"
+    source = (folder / "hilcell.src").read_text("ascii")
+    data = (folder / "hilcell.dat").read_text("ascii")
+    declared = set(re.findall(r"DECL GLOBAL \w+ (HC_\w+)", data))
+    assert declared == {name for name in VARIABLES if name.startswith("HC_")}
+    routines = set(re.findall(r"^DEF(?:FCT BOOL)? (HC_\w+)", source, re.MULTILINE))
+    used = set(re.findall(r"\bHC_[A-Z_]+\b", re.sub(r"(?m)^\s*;.*$", "", source)))
+    assert used == declared | routines
+    assert source.count("\nDEF ") + source.count("\nDEFFCT ") == len(
+        re.findall(r"(?m)^END(?:FCT)?$", source)
+    )
