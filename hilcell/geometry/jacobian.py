@@ -1,0 +1,93 @@
+"""How errors of link parameters move the tool: the differential error model, eqs 3-7.
+
+Each link's error is a small shift and rotation of its own frame {i}, ``dA_i = A_i deltaA_i``;
+``U_{i+1} = A_{i+1} .. A_n {tool}`` carries it into {T}. The trap: eq 7's vectors have the axes of
+{T}; what a tracker sees has those of {B} and is turned by R_T. And eq 5 is a product, not a sum;
+eq 6 follows from it to first order, with U behind the last link being the tool frame alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hilcell.geometry.frames import cross_matrix
+from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
+
+KINDS = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "beta_rad")
+PARAMETERS = (
+    *(f"{kind}[{row}]" for kind in KINDS for row in range(6)),
+    *(f"tool_{axis}_mm" for axis in "xyz"),
+)
+"""Names of the columns: fields of `Arm` by row, then the tool point on the flange."""
+
+
+def link_errors(arm: Arm) -> Array:
+    """Return each link's error in its frame {i} per unit of each parameter, (6 links, 6, 5).
+
+    The second axis is (d, delta) of eq 4: shift in mm, rotation vector in rad; the last is
+    `KINDS`. With eq 2: d = (da, a cos(alpha) dtheta + sin(alpha) dd, -a sin(alpha) dtheta +
+    cos(alpha) dd) and delta = (dalpha, sin(alpha) dtheta, cos(alpha) dtheta), before Hayati's
+    Rot(y, beta), which turns both into its frame and adds dbeta about y. The joint angles do not
+    matter here: seen from {i}, a turn of joint i comes before the whole link.
+    """
+    ca, sa = np.cos(arm.alpha_rad), np.sin(arm.alpha_rad)
+    errors = np.zeros((6, 6, 5))
+    a, alpha, d, offset, beta = range(5)
+    errors[:, 0, a] = 1.0
+    errors[:, 3, alpha] = 1.0
+    errors[:, 1, d], errors[:, 2, d] = sa, ca
+    errors[:, 1, offset], errors[:, 2, offset] = arm.a_mm * ca, -arm.a_mm * sa
+    errors[:, 4, offset], errors[:, 5, offset] = sa, ca
+    R = _turned_about_y(-arm.beta_rad)
+    errors[:, :3], errors[:, 3:] = R @ errors[:, :3], R @ errors[:, 3:]
+    errors[:, 4, beta] = 1.0
+    return errors
+
+
+def tool_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
+    """Return d(shift in mm, rotation vector in rad)/d(`PARAMETERS`), (..., 6, 33), axes of {T}.
+
+    The columns are d^n and delta^n of eq 7, link by link ``U_{i+1}^-1 deltaA_i U_{i+1}`` of
+    eq 6, for joints (..., 6).
+    """
+    links = link_transforms(arm, np.asarray(joints_rad, dtype=float))
+    errors = link_errors(arm)
+    shape = links.shape[:-3]
+    jacobian = np.zeros((*shape, 6, 5, 6))
+    U = np.broadcast_to(arm.tool, (*shape, 4, 4))
+    for row in reversed(range(6)):
+        jacobian[..., row] = _carrier(U) @ errors[row]
+        U = links[..., row, :, :] @ U
+    columns = np.zeros((*shape, 6, len(PARAMETERS)))
+    columns[..., :30] = jacobian.reshape(*shape, 6, 30)
+    columns[..., :3, 30:] = arm.tool[:3, :3].T
+    return columns
+
+
+def parameter_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
+    """Return `tool_jacobian` with the axes of {B}, (..., 6, 33): d in {B} is R_T d^n."""
+    R = forward(arm, np.asarray(joints_rad, dtype=float))[..., :3, :3]
+    turned = tool_jacobian(arm, joints_rad)
+    turned[..., :3, :] = R @ turned[..., :3, :]
+    turned[..., 3:, :] = R @ turned[..., 3:, :]
+    return turned
+
+
+def _carrier(U: Array) -> Array:
+    """Return the (..., 6, 6) that carries (d, delta) through U^-1 . U, for U (..., 4, 4)."""
+    back = np.swapaxes(U[..., :3, :3], -1, -2)
+    carrier = np.zeros((*U.shape[:-2], 6, 6))
+    carrier[..., :3, :3] = carrier[..., 3:, 3:] = back
+    carrier[..., :3, 3:] = -back @ cross_matrix(U[..., :3, 3])  # delta x p
+    return carrier
+
+
+def _turned_about_y(angle_rad: Array) -> Array:
+    """Return Rot(y, angle) (..., 3, 3)."""
+    R = np.zeros((*angle_rad.shape, 3, 3))
+    R[..., 0, 0] = R[..., 2, 2] = np.cos(angle_rad)
+    R[..., 0, 2] = np.sin(angle_rad)
+    R[..., 2, 0] = -R[..., 0, 2]
+    R[..., 1, 1] = 1.0
+    return R

@@ -1,0 +1,150 @@
+"""Eq 8 as written, and what it says of a robot with link errors: joints rule, points do not."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hilcell.cell import load_cell
+from hilcell.compensation.similarity import (
+    SimilarityError,
+    binned,
+    similarity,
+    similarity_pairs,
+)
+from hilcell.geometry.inverse import posture
+from hilcell.geometry.jacobian import PARAMETERS, parameter_jacobian
+from hilcell.geometry.kinematics import forward
+
+CELL = load_cell("paper")
+ARM = CELL.robot.arm()
+LIMITS = CELL.robot.margin_limits_rad
+HOME = np.radians(CELL.robot.home_deg)
+seeds = st.integers(0, 2**32 - 1)
+errors = arrays(float, (3,), elements=st.floats(-5, 5))
+
+
+@given(errors, errors)
+def test_eq_8(one, other):
+    found = similarity(one, other)
+    assert found == similarity(other, one)
+    if (one == other).all():
+        assert found == np.inf
+    elif np.linalg.norm(one - other) > 1e-150:
+        assert found == pytest.approx(1 / np.linalg.norm(one - other))
+
+
+def test_equal_errors_are_infinitely_similar_by_definition():
+    found = similarity([[1.0, 2, 3], [1, 2, 3]], [[1.0, 2, 3], [1, 2, 5]])
+    np.testing.assert_array_equal(found, [np.inf, 0.5])
+
+
+def errors_of(joints: np.ndarray, seed: int) -> np.ndarray:
+    """Return errors (N, 3) in {B} of a robot with random link errors."""
+    rng = np.random.default_rng(seed)
+    sigma = np.array([0.3 if "mm" in name else 3e-4 for name in PARAMETERS])
+    error: np.ndarray = parameter_jacobian(ARM, joints)[:, :3] @ rng.normal(0, sigma)
+    return error
+
+
+def pairs_of(joints: np.ndarray, seed: int):
+    return similarity_pairs(joints, forward(ARM, joints)[:, :3, 3], errors_of(joints, seed))
+
+
+def free_joints(rng: np.random.Generator, count: int = 300) -> np.ndarray:
+    return rng.uniform(LIMITS[0], LIMITS[1], (count, 6))
+
+
+def fixed_joints(rng: np.random.Generator, count: int = 300) -> np.ndarray:
+    """Return joints of random points of the cube, all with one orientation and status."""
+    poses = np.tile(CELL.grid.centre.matrix(), (count, 1, 1))
+    poses[:, :3, 3] += rng.uniform(-450, 450, (count, 3))
+    return posture(ARM, poses, CELL.robot.status, LIMITS, HOME)
+
+
+def clouds(rng: np.random.Generator) -> np.ndarray:
+    """Return joints in clouds, so that pairs of every distance from near to far exist."""
+    centres = free_joints(rng, 20)
+    return (centres[:, None] + rng.normal(0, 0.05, (20, 15, 6))).reshape(-1, 6)
+
+
+@given(seeds)
+def test_similarity_falls_with_joint_distance(seed):
+    pairs = pairs_of(clouds(np.random.default_rng(seed)), seed)
+    bins = binned(pairs.joint_rad, pairs.difference_mm, [0.0, 0.1, 0.2, 0.4, 1.5, 20.0])
+    known = bins.similarity[bins.count > 20]
+    assert len(known) >= 3
+    assert (np.diff(known) < 0).all()
+    assert known[0] > 4 * known[-1]
+
+
+@given(seeds)
+def test_at_one_orientation_and_configuration_points_stand_for_joints(seed):
+    pairs = pairs_of(fixed_joints(np.random.default_rng(seed)), seed)
+    joint = binned(pairs.joint_rad, pairs.difference_mm, np.quantile(pairs.joint_rad, QUARTERS))
+    point = binned(
+        pairs.cartesian_mm, pairs.difference_mm, np.quantile(pairs.cartesian_mm, QUARTERS)
+    )
+    assert (np.diff(joint.similarity) < 0).all()
+    assert (np.diff(point.similarity) < 0).all()
+    assert np.corrcoef(pairs.joint_rad, pairs.cartesian_mm)[0, 1] > 0.7
+
+
+QUARTERS = np.linspace(0, 1, 5)
+
+
+def test_at_free_orientation_and_configuration_they_do_not():
+    """Poses of one point differ in their errors as poses of far points do."""
+    rng = np.random.default_rng(5)
+    joints = np.vstack([same_point(rng) for _ in range(40)])
+    pairs = pairs_of(joints, 5)
+    point = binned(pairs.cartesian_mm, pairs.difference_mm, [0.0, 1.0, 200.0, 4000.0])
+    same = pairs.cartesian_mm < 1.0
+    joint = binned(pairs.joint_rad[same], pairs.difference_mm[same], [0.0, 0.3, 20.0])
+    assert (joint.count > 100).all()
+    assert point.similarity[0] < 2 * point.similarity[-1]
+    assert joint.similarity[0] > 4 * joint.similarity[1]
+
+
+def same_point(rng: np.random.Generator) -> np.ndarray:
+    """Return joints (8, 6) that bring the tool to one point, by orientations of two kinds."""
+    pose = CELL.grid.centre.matrix()
+    pose[:3, 3] += rng.uniform(-300, 300, 3)
+    turned = np.tile(pose, (8, 1, 1))
+    roll = np.radians([0, 1, 2, 3, 178, 179, 180, 181])
+    turn = np.zeros((8, 3, 3))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(roll)
+    turn[:, 1, 0], turn[:, 0, 1], turn[:, 2, 2] = np.sin(roll), -np.sin(roll), 1.0
+    turned[:, :3, :3] = turned[:, :3, :3] @ turn
+    return posture(ARM, turned, CELL.robot.status, LIMITS, HOME)
+
+
+def test_every_pair_once():
+    joints = np.arange(24.0).reshape(4, 6)
+    pairs = similarity_pairs(joints, joints[:, :3], joints[:, 3:])
+    assert len(pairs.joint_rad) == 6
+    np.testing.assert_allclose(pairs.joint_rad / pairs.cartesian_mm, np.sqrt(2))
+    np.testing.assert_allclose(pairs.similarity * pairs.difference_mm, 1.0)
+
+
+def test_bins_hold_their_lower_edge_and_empty_ones_say_so():
+    bins = binned(np.array([0.0, 1, 2]), np.array([1.0, 3, 5]), [0, 1, 2, 9, 10])
+    np.testing.assert_array_equal(bins.count, [1, 1, 1, 0])
+    np.testing.assert_array_equal(bins.difference_mm, [1, 3, 5, np.nan])
+    np.testing.assert_array_equal(bins.centre, [0.5, 1.5, 5.5, 9.5])
+
+
+@pytest.mark.parametrize("edges", [[1.0], [1.0, 1.0], [2.0, 1.0], [0.0, np.nan]])
+def test_edges_that_do_not_rise_are_refused(edges):
+    with pytest.raises(SimilarityError, match="edges"):
+        binned(np.ones(3), np.ones(3), edges)
+
+
+def test_what_makes_no_pairs_is_refused():
+    with pytest.raises(SimilarityError, match="N >= 2"):
+        similarity_pairs(np.zeros((1, 6)), np.zeros((1, 3)), np.zeros((1, 3)))
+    with pytest.raises(SimilarityError, match="shapes"):
+        similarity_pairs(np.zeros((3, 6)), np.zeros((2, 3)), np.zeros((3, 3)))
+    with pytest.raises(SimilarityError, match="finite"):
+        similarity_pairs(np.full((3, 6), np.nan), np.zeros((3, 3)), np.zeros((3, 3)))
