@@ -72,11 +72,11 @@ def clouds(rng: np.random.Generator) -> np.ndarray:
 @given(seeds)
 def test_similarity_falls_with_joint_distance(seed):
     pairs = pairs_of(clouds(np.random.default_rng(seed)), seed)
-    bins = binned(pairs.joint_rad, pairs.difference_mm, [0.0, 0.1, 0.2, 0.4, 1.5, 20.0])
+    bins = binned(pairs.joint_rad, pairs.difference_mm, [0.0, 0.1, 0.2, 0.4, 20.0])
     known = bins.similarity[bins.count > 20]
     assert len(known) >= 3
     assert (np.diff(known) < 0).all()
-    assert known[0] > 4 * known[-1]
+    assert known[0] > 4 * known[-1]  # far poses differ alike, however far
 
 
 @given(seeds)
