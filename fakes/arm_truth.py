@@ -8,6 +8,7 @@ trap: this ideal {B} is not the frame in which the link errors are drawn; `ideal
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -15,10 +16,12 @@ import numpy as np
 
 from hilcell.cell import Cell
 from hilcell.geometry.inverse import posture
-from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
 from hilcell.ports import HilcellError
 
 MEAN_ERROR_MM = 1.2092
+MAX_ERROR_MM = 1.9  # "nearly 2" before calibration; robots beyond it are not the paper's
+DRAWS = 100
 RIPPLE_RAD = 45e-6 / np.sqrt(2.0)  # RMS of each joint
 HALF_GAP_RAD = 15e-6
 PINS, RATIOS = (30, 51), (150, 250)  # gear pins and reducer ratios, cycles a revolution
@@ -52,16 +55,22 @@ class ArmTruth:
         self._nominal = cell.robot.arm()
         self._ripple = _draw_ripple(rng)
         self._half_gap_rad = HALF_GAP_RAD * rng.uniform(0.8, 1.2, 6)
-        drawn = _draw_errors(rng)
         targets_mm, commands_rad = _cube(cell)
         axis_6_rad = np.radians(cell.base_frame.axis_6_deg)
+        for _ in range(DRAWS):
+            drawn = _draw_errors(rng)
 
-        def mean_error_mm(factor: float) -> float:
-            self._take(drawn.scaled(factor), axis_6_rad)
-            errors = self.errors_mm(commands_rad, targets_mm)
-            return float(np.linalg.norm(errors, axis=1).mean())
+            def norms_mm(factor: float, drawn: _Errors = drawn) -> Array:
+                self._take(drawn.scaled(factor), axis_6_rad)
+                norms: Array = np.linalg.norm(self.errors_mm(commands_rad, targets_mm), axis=1)
+                return norms
 
-        _solve(mean_error_mm, MEAN_ERROR_MM)
+            factor = _solved(lambda factor: float(norms_mm(factor).mean()), MEAN_ERROR_MM)
+            if norms_mm(factor).max() <= MAX_ERROR_MM:
+                return
+        raise HilcellError(
+            f"simulated robot: none of {DRAWS} draws keeps its largest error below {MAX_ERROR_MM} mm"
+        )
 
     def _take(self, errors: _Errors, axis_6_rad: Array) -> None:
         nominal = self._nominal
@@ -118,23 +127,24 @@ class ArmTruth:
         Axis 1 is {R}'s own z. Axis 6 at the given joints gives x, and the centre of its circle
         the height, which is nominal by definition.
         """
-        on_axis = _tool_on_axis(self._arm)
         joints = self._true_joints(axis_6_rad) + self._half_gap_rad
-        pose = forward(replace(self._arm, tool=on_axis), joints)
-        nominal = forward(replace(self._nominal, tool=_tool_on_axis(self._nominal)), axis_6_rad)
-        outward = pose[:2, 3] @ pose[:2, 2]
-        x = np.array([pose[0, 2], pose[1, 2], 0.0]) * np.sign(outward)
+        axis, centre_mm = _axis_6(self._arm, joints)
+        nominal_height_mm = _axis_6(self._nominal, axis_6_rad)[1][2]
+        x = np.array([axis[0], axis[1], 0.0]) * np.sign(centre_mm[:2] @ axis[:2])
         x /= np.linalg.norm(x)
         T = np.eye(4)
         T[:3, 0], T[:3, 1] = x, np.cross(T[:3, 2], x)
-        T[2, 3] = pose[2, 3] - nominal[2, 3]
+        T[2, 3] = centre_mm[2] - nominal_height_mm
         return T
 
 
-def _tool_on_axis(arm: Arm) -> Array:
-    tool = arm.tool.copy()
-    tool[:2, 3] = 0.0
-    return tool
+def _axis_6(arm: Arm, joints: Array) -> tuple[Array, Array]:
+    """Return axis 6 (3,) and the centre (3,) of the reflector's circle about it."""
+    links = link_transforms(arm, joints)
+    before = np.linalg.multi_dot(list(links[:5]))
+    axis, on_axis_mm = before[:3, 2], before[:3, 3]
+    reflector_mm = (before @ links[5] @ arm.tool)[:3, 3]
+    return axis, on_axis_mm + ((reflector_mm - on_axis_mm) @ axis) * axis
 
 
 def _draw_errors(rng: np.random.Generator) -> _Errors:
@@ -182,16 +192,15 @@ def _cube(cell: Cell) -> tuple[Array, Array]:
     return targets_mm, posture(robot.arm(), poses, robot.status, robot.margin_limits_rad, home_rad)
 
 
-def _solve(function: Callable[[float], float], wanted: float) -> None:
-    """Bring a rising function to ``wanted`` by the secant method; it is left at the solution."""
+def _solved(function: Callable[[float], float], wanted: float) -> float:
+    """Return the factor that brings a rising function to ``wanted``, by the secant method."""
     factor, before = 1.0, 0.5
     value, value_before = function(factor), function(before)
     for _ in range(50):
         if abs(value - wanted) < 1e-10:
-            function(factor)
-            return
+            return factor
         slope = (value - value_before) / (factor - before)
         before, value_before = factor, value
         factor += (wanted - value) / slope
         value = function(factor)
-    raise HilcellError(f"simulated robot: its mean error stays at {value:.4f} mm, not {wanted} mm")
+    return math.nan

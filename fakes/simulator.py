@@ -157,7 +157,7 @@ def _start(order: bytes) -> tuple[subprocess.Popen[bytes], dict[str, Any]]:
     """Start the process and return it with its first line, decoded."""
     with tempfile.TemporaryFile() as words:
         process = subprocess.Popen(
-            [sys.executable, "-m", "fakes"],
+            [sys.executable, "-P", "-m", "fakes"],  # -P: no `fakes` of the working folder
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=words,

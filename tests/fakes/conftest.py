@@ -1,0 +1,10 @@
+from __future__ import annotations
+
+import pytest
+
+from hilcell.cell import Cell, load_cell
+
+
+@pytest.fixture(scope="session")
+def cell() -> Cell:
+    return load_cell("paper")

@@ -1,0 +1,278 @@
+from __future__ import annotations
+
+import contextlib
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import py_openshowvar  # type: ignore[import-untyped]
+import pytest
+
+from fakes import c3_server
+from fakes.c3_server import C3Server
+from fakes.faults import Faults
+from fakes.krl_controller import KrlController
+from fakes.plant import Plant
+from fakes.time import PlantTime
+from hilcell.cell import Cell
+from tests.fakes.wires import C3Client, connected, exactly
+
+NEAR = [5.0, -85.0, 95.0, 0.0, -30.0, 10.0]
+FAR = [-60.0, -60.0, 60.0, 30.0, -60.0, 90.0]
+
+
+@dataclass
+class Robot:
+    plant: Plant
+    faults: Faults
+    server: C3Server
+    controller: KrlController
+    client: C3Client
+
+
+@pytest.fixture
+def robot(cell: Cell) -> Iterator[Robot]:
+    faults = Faults()
+    plant = Plant(cell, 1, PlantTime(), faults)
+    controller = KrlController(cell, plant.robot, faults, plant.lose_zero)
+    server = C3Server(controller, faults)
+    with contextlib.closing(server):
+        server.start()
+        with connected(server.port) as wire:
+            yield Robot(plant, faults, server, controller, C3Client(wire))
+
+
+def numbers(text: str) -> list[float]:
+    return [float(found) for found in re.findall(r"[A-Z]\d? (-?[\d.]+)", text)]
+
+
+@pytest.mark.parametrize(
+    ("request_hex", "reply_hex"),
+    [
+        ("0100000e00000b24414343555f5354415445", "0100001000000a234348415247455f4f4b000101"),
+        ("0100000e010007244f565f50524f00023335", "010000080100023335000101"),
+        ("0002000b000008244d4f44455f4f50", "00020009000003234558000101"),
+    ],
+)
+def test_golden_bytes(robot: Robot, request_hex: str, reply_hex: str) -> None:
+    robot.client.wire.sendall(bytes.fromhex(request_hex))
+    reply = exactly(robot.client.wire, len(reply_hex) // 2)
+    assert reply.hex() == reply_hex
+
+
+def test_position_request_of_the_page(robot: Robot) -> None:
+    robot.client.wire.sendall(bytes.fromhex("0001000b00000824504f535f414354"))
+    head = exactly(robot.client.wire, 7)
+    assert head[:2] == b"\x00\x01"
+    text = exactly(robot.client.wire, int.from_bytes(head[5:7], "big")).decode()
+    assert text.startswith("{E6POS: X 1895.18069, Y 0.00000, Z 1996.12951, A 0.00000, B 60.00000")
+    assert exactly(robot.client.wire, 3) == b"\x00\x01\x01"
+
+
+def test_split_and_glued_requests(robot: Robot) -> None:
+    ask = bytes.fromhex("0002000b000008244d4f44455f4f50")
+    for byte in ask:
+        robot.client.wire.sendall(bytes([byte]))
+    assert exactly(robot.client.wire, 13).hex() == "00020009000003234558000101"
+    robot.client.wire.sendall(ask * 5)
+    assert exactly(robot.client.wire, 65) == bytes.fromhex("00020009000003234558000101") * 5
+
+
+def test_independent_client_reads_and_writes(robot: Robot) -> None:
+    peer = py_openshowvar.openshowvar("127.0.0.1", robot.server.port)
+    try:
+        assert peer.read("$MODE_OP", debug=False) == b"#EX"
+        assert peer.write("$OV_PRO", "42", debug=False) == b"42"
+        assert peer.read("$OV_PRO", debug=False) == b"42"
+        assert peer.read("$NO_SUCH", debug=False) is None
+    finally:
+        peer.close()
+
+
+def test_unknown_variables_and_bad_values_fail(robot: Robot) -> None:
+    assert robot.client.request(0, "$NO_SUCH")[1] == b"\x00\x01\x00"
+    for name, text in (
+        ("HC_TGT", "{A1 nan}"),
+        ("HC_VEL", "fast"),
+        ("$MODE_OP", "#T1"),
+        ("$OV_PRO", "101"),
+    ):
+        assert robot.client.request(1, name, text)[1] == b"\x00\x01\x00"
+
+
+def test_motion_by_handshake(robot: Robot) -> None:
+    assert robot.client.read("HC_VER") == "1"
+    assert robot.client.go(1, NEAR) >= 2  # it takes a few polls
+    assert robot.client.read("HC_ERR") == "0"
+    assert numbers(robot.client.read("$AXIS_ACT"))[:6] == pytest.approx(NEAR, abs=1e-5)
+    x, y = numbers(robot.client.read("$POS_ACT"))[:2]
+    assert np.degrees(np.arctan2(-y, x)) == pytest.approx(5.0, abs=1.0)  # A1 turns clockwise
+    assert robot.plant.time.now_s() > 0.2
+
+
+def test_stopping_takes_a_connection_of_its_own(robot: Robot) -> None:
+    robot.client.start(1, FAR)
+    robot.client.read("$AXIS_ACT")
+    with connected(robot.server.port) as wire:
+        C3Client(wire).write("HC_STOP", "TRUE")
+    robot.plant.time.advance(5.0)
+    stopped = robot.client.read("$AXIS_ACT")
+    assert robot.client.read("HC_ERR") == "9"
+    assert robot.client.read("HC_ACK") == "0"
+    robot.plant.time.advance(5.0)
+    assert robot.client.read("$AXIS_ACT") == stopped
+    assert numbers(stopped)[0] > FAR[0] + 1
+    robot.client.write("HC_STOP", "FALSE")
+    assert robot.client.read("HC_ACK") == "1"
+    robot.client.go(2, NEAR)
+    assert robot.client.read("HC_ERR") == "0"
+
+
+def test_commands_sent_while_stopped_are_not_carried_out(robot: Robot) -> None:
+    robot.client.write("HC_STOP", "TRUE")
+    robot.client.start(1, FAR)
+    before = robot.client.read("$AXIS_ACT")
+    robot.client.write("HC_STOP", "FALSE")
+    assert robot.client.read("HC_ACK") == "1"
+    assert robot.client.read("HC_ERR") == "9"
+    assert robot.client.read("$AXIS_ACT") == before
+
+
+def test_limits_and_unknown_commands_are_told_in_hc_err(robot: Robot) -> None:
+    robot.client.go(1, [0.0, 0.0, 90.0, 0.0, 0.0, 0.0])
+    assert robot.client.read("HC_ERR") == "2"
+    robot.client.write("HC_CMD", "7")
+    robot.client.write("HC_SEQ", "2")
+    assert robot.client.read("HC_ACK") == "2"
+    assert robot.client.read("HC_ERR") == "1"
+
+
+def test_override_zero_holds_the_motion(robot: Robot) -> None:
+    robot.faults.set("robot.override_zero", after=1)
+    robot.client.start(1, FAR)
+    for _ in range(20):
+        assert robot.client.read("HC_ACK") == "0"
+    assert robot.client.read("$OV_PRO") == "0"
+    robot.client.write("$OV_PRO", "100")
+    assert "1" in [robot.client.read("HC_ACK") for _ in range(10)]
+
+
+@pytest.mark.parametrize(
+    ("fault", "shows"),
+    [
+        ("robot.e_stop", {"$ALARM_STOP": "FALSE", "$PERI_RDY": "FALSE", "$STOPMESS": "TRUE"}),
+        ("robot.stopmess", {"$STOPMESS": "TRUE", "$PRO_STATE1": "#P_STOP"}),
+        ("robot.mode_t1", {"$MODE_OP": "#T1"}),
+        ("robot.deselected", {"$PRO_STATE1": "#P_FREE"}),
+    ],
+)
+def test_faults_stop_the_motion_and_stay(robot: Robot, fault: str, shows: dict[str, str]) -> None:
+    robot.client.start(1, FAR)
+    robot.faults.set(fault)
+    for _ in range(10):
+        robot.client.read("HC_ACK")
+    robot.plant.time.advance(10.0)
+    axes = robot.client.read("$AXIS_ACT")
+    assert numbers(axes)[0] > FAR[0] + 1
+    assert robot.client.read("HC_ACK") == "0"
+    assert {name: robot.client.read(name) for name in shows} == shows
+    robot.controller.restore()
+    robot.client.go(2, NEAR)
+    assert robot.client.read("HC_ERR") == "0"
+
+
+def test_motion_faults(robot: Robot) -> None:
+    robot.faults.set("robot.softlimit")
+    robot.client.go(1, NEAR)
+    assert robot.client.read("HC_ERR") == "2"
+    robot.faults.set("robot.stops_short", 2.0)
+    robot.client.go(2, NEAR)
+    assert numbers(robot.client.read("$AXIS_ACT"))[0] == pytest.approx(NEAR[0] - 2.0)
+    robot.faults.set("robot.ack_previous")
+    robot.client.start(3, FAR)
+    assert {robot.client.read("HC_ACK") for _ in range(10)} == {"2"}
+    robot.controller.restore()
+    robot.faults.set("robot.frozen")
+    robot.client.start(4, NEAR)
+    assert {robot.client.read("HC_ACK") for _ in range(10)} == {"3"}
+
+
+def test_position_faults(robot: Robot) -> None:
+    before = robot.client.read("$AXIS_ACT")
+    robot.faults.set("robot.stale_position", count=0)
+    robot.client.go(1, NEAR)
+    assert robot.client.read("$AXIS_ACT") == before
+    robot.faults.clear()
+    robot.faults.set("robot.bad_number", "NaN")
+    assert robot.client.read("$AXIS_ACT").startswith("{E6AXIS: A1 NaN, A2")
+    robot.faults.set("robot.wrong_tool", 7)
+    assert [robot.client.read("$ACT_TOOL") for _ in range(2)] == ["7", "1"]
+    robot.faults.set("robot.wrong_identity", "#KR6")
+    assert robot.client.read("$TRAFONAME[]") == '"#KR6"'
+    assert robot.client.read("$TRAFONAME[]") == '"#KR210R2700_2 C4 FLR"'
+
+
+def test_wire_faults(robot: Robot) -> None:
+    client, faults = robot.client, robot.faults
+    faults.set("robot.failure_footer", 0)
+    assert client.request(0, "$MODE_OP")[1] == b"\x00\x00\x00"
+    faults.set("robot.restarted", count=2)
+    assert [client.request(0, "$MODE_OP")[1][-1] for _ in range(3)] == [0, 0, 1]
+    faults.set("robot.split_reply")
+    assert client.read("$MODE_OP") == "#EX"
+    faults.set("robot.late_reply", 0.2)
+    began = time.monotonic()
+    assert client.read("$MODE_OP") == "#EX"
+    assert time.monotonic() - began >= 0.2
+    faults.set("robot.tag_mismatch")
+    with pytest.raises(AssertionError):
+        client.read("$MODE_OP")
+    faults.set("robot.no_reply")
+    client.wire.settimeout(0.1)
+    with pytest.raises(TimeoutError):
+        client.read("$MODE_OP")
+    assert client.read("$OV_PRO") == "100"  # and no late answer comes in between
+
+
+def test_half_open_connection_is_silent_but_new_ones_work(robot: Robot) -> None:
+    robot.faults.set("robot.half_open")
+    robot.client.wire.settimeout(0.1)
+    for _ in range(2):
+        with pytest.raises(TimeoutError):
+            robot.client.read("$MODE_OP")
+    with connected(robot.server.port) as wire:
+        assert C3Client(wire).read("$MODE_OP") == "#EX"
+
+
+def test_idle_clients_are_closed(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(c3_server, "IDLE_S", 0.05)
+    with connected(robot.server.port) as wire, pytest.raises(EOFError):
+        exactly(wire, 1)
+    robot.faults.set("robot.idle_close")
+    with pytest.raises(EOFError):
+        robot.client.read("$MODE_OP")
+
+
+def test_vanishes_in_mid_motion(robot: Robot) -> None:
+    robot.client.start(1, FAR)
+    robot.faults.set("robot.vanish")
+    with pytest.raises((EOFError, ConnectionError)):
+        robot.client.read("HC_ACK")
+    with pytest.raises(ConnectionError):
+        connected(robot.server.port).__enter__()
+    assert robot.plant.robot.moving  # the arm itself goes on
+
+
+def test_unknown_types_are_not_answered(robot: Robot) -> None:
+    robot.client.wire.sendall(bytes.fromhex("000900040500012a"))
+    assert robot.client.read("$MODE_OP") == "#EX"  # the first reply is this one's
+
+
+def test_read_is_quick(robot: Robot) -> None:
+    robot.client.read("$POS_ACT")
+    began = time.perf_counter()
+    for _ in range(500):
+        robot.client.read("$POS_ACT")
+    assert (time.perf_counter() - began) / 500 < 1e-3  # 0.05 ms alone on a quiet machine

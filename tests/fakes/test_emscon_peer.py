@@ -1,0 +1,65 @@
+"""The emScon server against an independent client of the protocol."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from CESAPI.command import CommandSync  # type: ignore[import-untyped]
+from CESAPI.connection import Connection  # type: ignore[import-untyped]
+from CESAPI.packet import (  # type: ignore[import-untyped]
+    ES_LU_Millimeter,
+    StationaryModeDataT,
+    SystemUnitsDataT,
+)
+
+from fakes.emscon_device import SERIAL, EmsconDevice
+from fakes.emscon_server import EmsconServer
+from fakes.faults import Faults
+from fakes.plant import Plant
+from fakes.time import PlantTime
+from hilcell.cell import Cell
+
+
+@pytest.fixture
+def plant(cell: Cell) -> Plant:
+    return Plant(cell, 1, PlantTime(math.inf), Faults())
+
+
+@pytest.fixture
+def command(cell: Cell, plant: Plant) -> Iterator[CommandSync]:
+    server = EmsconServer(EmsconDevice(cell, plant.tracker, Faults()), Faults(), plant.time)
+    with contextlib.closing(server):
+        server.start()
+        connection = Connection()
+        connection.connect("127.0.0.1", server.port)
+        try:
+            yield CommandSync(connection)
+        finally:
+            connection.disconnect()
+
+
+def test_a_measurement_from_first_to_last(command: CommandSync, plant: Plant) -> None:
+    assert command.GetSystemStatus().lTrackerSerialNumber == SERIAL
+    command.Initialize()
+    units = SystemUnitsDataT()
+    units.lenUnitType = ES_LU_Millimeter
+    command.SetUnits(units)
+    assert command.GetUnits().unitsSettings.lenUnitType == ES_LU_Millimeter
+    command.SetCoordinateSystemType(0)
+    stationary = StationaryModeDataT()
+    stationary.lMeasTime, stationary.bUseADM = 1000, 1
+    command.SetStationaryModeParams(stationary)
+    command.SetReflector(3)
+    assert command.GetReflector().iInternalReflectorId == 3
+    at = plant.tracker.reflectors()["F2"]
+    command.GoPosition(1, *at)
+    result = command.StartMeasurement()
+    np.testing.assert_allclose((result.dVal1, result.dVal2, result.dVal3), at, atol=0.06)
+    assert 0 < result.dStdTotal < 0.05
+    assert 22 <= result.dTemperature <= 24
+    with pytest.raises(Exception, match="status 4"):
+        command.SetReflector(77)

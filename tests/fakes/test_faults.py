@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fakes.faults import KNOWN, Faults, load_faults
+from hilcell.settings import SettingsError
+
+
+def test_strikes_after_and_as_often_as_wanted() -> None:
+    faults = Faults()
+    faults.set("robot.no_reply", after=2, count=2)
+    struck = [faults.take("robot.no_reply") for _ in range(6)]
+    assert struck == [None, None, True, True, None, None]
+
+
+def test_count_zero_strikes_until_cleared() -> None:
+    faults = Faults()
+    faults.set("tracker.noisy", 0.2, count=0)
+    assert [faults.number("tracker.noisy") for _ in range(50)] == [0.2] * 50
+    faults.clear("tracker.noisy")
+    assert faults.number("tracker.noisy") is None
+
+
+def test_clear_without_a_name_clears_all() -> None:
+    faults = Faults()
+    faults.set("tracker.eof")
+    faults.set("rail.eof")
+    faults.clear()
+    assert faults.take("tracker.eof") is None
+    assert faults.take("rail.eof") is None
+
+
+def test_unknown_name_is_refused_with_the_nearest() -> None:
+    with pytest.raises(SettingsError, match=r'did you mean "rail.heartbeat_loss"'):
+        Faults().set("rail.heartbeat_los")
+
+
+def test_file_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "faults.toml"
+    file.write_text('[[fault]]\nname = "rail.emcy"\nvalue = 0x8611\nafter = 1\n')
+    faults = load_faults(str(file))
+    assert [faults.take("rail.emcy") for _ in range(3)] == [None, 0x8611, None]
+
+
+def test_file_names_all_problems(tmp_path: Path) -> None:
+    file = tmp_path / "faults.toml"
+    file.write_text('[[fault]]\nname = "rail.emci"\n[[fault]]\nname = "tracker.eoff"\n')
+    with pytest.raises(SettingsError) as error:
+        load_faults(str(file))
+    assert len(error.value.problems) == 2
+
+
+def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.toml"
+    broken.write_text("[[fault]\n")
+    for path in (broken, tmp_path / "none.toml"):
+        with pytest.raises(SettingsError, match="cannot be read"):
+            load_faults(str(path))
+
+
+def test_every_fault_states_its_occasion() -> None:
+    assert all(text.count("|") == 1 for text in KNOWN.values())

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fakes.faults import Faults
+from fakes.plant import FLANGE, Plant
+from fakes.time import PlantTime
+from hilcell.cell import Cell
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.kinematics import Array, forward
+
+DEG = np.pi / 180
+
+
+def plant_of(cell: Cell, seed: int = 1, session: int = 1) -> Plant:
+    return Plant(cell, seed, PlantTime(), Faults(), session)
+
+
+def go(plant: Plant, joints_deg: Array, polls: int = 0) -> None:
+    plant.robot.move(np.array(joints_deg) * DEG, 0.3)
+    for _ in range(polls):
+        plant.robot.poll()
+    plant.time.advance(60.0)
+
+
+def visit(plant: Plant, joints_deg: Array, polls: int = 0) -> Array:
+    go(plant, np.array(joints_deg) - 0.5, polls)
+    go(plant, joints_deg, polls)
+    measured = plant.tracker.measure(FLANGE)
+    assert measured is not None
+    return measured.xyz_mm
+
+
+POSES = np.array([[0, -75, 100, 0, -40, 0], [20, -60, 90, 10, -50, 30], [-30, -90, 95, 5, -35, 0]])
+
+
+def test_same_seed_same_figures_however_often_polled(cell: Cell) -> None:
+    figures = []
+    for polls in (0, 3, 50):
+        plant = plant_of(cell)
+        figures.append([visit(plant, pose, polls) for pose in (*POSES, *POSES)])
+    # Time differs, so the slow drift and nothing else may.
+    assert np.array_equal(figures[0], figures[1])
+    assert np.array_equal(figures[0], figures[2])
+
+
+def test_two_visits_of_one_pose_differ_by_repeatability(cell: Cell) -> None:
+    plant = plant_of(cell)
+    visits = []
+    for _ in range(30):
+        visit(plant, POSES[1])
+        visits.append(visit(plant, POSES[0]))
+    off = np.linalg.norm(np.array(visits) - np.mean(visits, axis=0), axis=1)
+    rp_mm = off.mean() + 3 * off.std(ddof=1)
+    assert 0.04 < rp_mm < 0.15  # 0.06 of the robot at its reach, and the tracker
+
+
+def test_sessions_and_seeds_differ(cell: Cell) -> None:
+    first, second, other = (
+        visit(plant_of(cell, seed, session), POSES[0]) for seed, session in ((1, 1), (1, 2), (2, 1))
+    )
+    assert 0 < np.linalg.norm(first - second) < 0.3  # same truth, other noise
+    assert np.linalg.norm(first - other) > 0.5
+
+
+def test_joints_that_did_not_move_keep_their_place(cell: Cell) -> None:
+    plant = plant_of(cell)
+    visit(plant, POSES[0])
+    before = plant.robot.state().landing_rad
+    go(plant, POSES[0] + [0, 0, 0, 0, 0, 10])
+    after = plant.robot.state().landing_rad
+    assert np.array_equal(before[:5], after[:5])
+    assert before[5] != after[5]
+
+
+def test_reflectors_stand_near_their_nominal_places(cell: Cell) -> None:
+    plant = plant_of(cell)
+    at_mm = plant.reflectors_in_world()
+    base = cell.layout.nominal_base(plant.rail.slide_mm())
+    assert set(at_mm) == {
+        *(nest.name for nest in cell.layout.floor + cell.layout.slide), FLANGE,
+    }  # fmt: skip
+    for nest in cell.layout.floor:
+        assert 0 < np.linalg.norm(at_mm[nest.name] - nest.xyz_mm) < cell.layout.nest_tolerance_mm
+    for nest in cell.layout.slide:
+        off = np.linalg.norm(at_mm[nest.name] - apply(base, nest.xyz_mm[None])[0])
+        assert 0 < off < 10.0
+    nominal = base @ forward(cell.robot.arm(), np.radians(cell.robot.home_deg))
+    assert 0.1 < np.linalg.norm(at_mm[FLANGE] - nominal[:3, 3]) < 15.0
+
+
+def test_slide_nests_and_robot_ride_rigidly(cell: Cell) -> None:
+    plant = plant_of(cell)
+    before, base_before = plant.reflectors_in_world(), plant.base_in_world()
+    plant.rail.brake(closed=False)
+    plant.rail.move(1000.0, 250.0, 200.0)
+    plant.time.advance(60.0)
+    after, base_after = plant.reflectors_in_world(), plant.base_in_world()
+    names = [nest.name for nest in cell.layout.slide] + [FLANGE]
+    shapes = [
+        apply(inverse(base), np.array([at[name] for name in names]))
+        for at, base in ((before, base_before), (after, base_after))
+    ]
+    np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-9)
+    assert np.linalg.norm(after["P1"] - before["P1"]) > 900
+    assert np.array_equal(before["F1"], after["F1"])
+
+
+def test_braked_robot_stands_on_its_way(cell: Cell) -> None:
+    plant = plant_of(cell)
+    start = plant.robot.state().joints_rad
+    plant.robot.move(POSES[1] * DEG, 0.3)
+    plant.robot.poll()
+    plant.robot.brake()
+    plant.time.advance(10.0)
+    state = plant.robot.state()
+    moved = np.abs(POSES[1] * DEG - start) > 0
+    share = ((state.joints_rad - start)[moved]) / (POSES[1] * DEG - start)[moved]
+    assert not state.moving
+    assert 0.05 < share[0] < 0.95
+    np.testing.assert_allclose(share, share[0], rtol=1e-9)
+
+
+def test_override_zero_holds_and_then_lets_go_on(cell: Cell) -> None:
+    plant = plant_of(cell)
+    plant.robot.move(POSES[1] * DEG, 0.3)
+    plant.robot.poll()
+    plant.robot.override(0.0)
+    plant.time.advance(60.0)
+    held = plant.robot.state()
+    assert held.moving
+    assert not plant.robot.seen_moving
+    plant.robot.override(1.0)
+    plant.time.advance(60.0)
+    assert not plant.robot.moving
+    np.testing.assert_allclose(plant.robot.state().joints_rad, POSES[1] * DEG)
+
+
+def test_lost_zero_turns_the_tool(cell: Cell) -> None:
+    plant = plant_of(cell)
+    before = plant.reflectors_in_world()[FLANGE]
+    plant.lose_zero(1e-3)
+    moved_mm = float(np.linalg.norm(plant.reflectors_in_world()[FLANGE] - before))
+    reach_mm = float(np.hypot(*forward(cell.robot.arm(), np.radians(cell.robot.home_deg))[:2, 3]))
+    assert moved_mm == pytest.approx(1e-3 * reach_mm, rel=0.01)

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fakes.faults import Faults
+from fakes.time import PlantTime
+from fakes.tracker_truth import TrackerTruth
+from hilcell.cell import Cell
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.kinematics import Array
+
+PLACES = {"far": [-500.0, 0.0, 1000.0], "near": [-500.0, 30.0, 1000.0], "gone": [-9000.0, 0, 0]}
+
+
+def tracker_of(cell: Cell, faults: Faults, time: PlantTime | None = None) -> TrackerTruth:
+    return TrackerTruth(
+        cell, 1, time or PlantTime(), faults, lambda: {k: np.array(v) for k, v in PLACES.items()}
+    )
+
+
+def readings(tracker: TrackerTruth, name: str, count: int) -> Array:
+    found = [tracker.measure(name) for _ in range(count)]
+    return np.array([reading.xyz_mm for reading in found if reading is not None])
+
+
+def test_noise_along_and_across_the_beam(cell: Cell) -> None:
+    tracker = tracker_of(cell, Faults())
+    cloud = readings(tracker, "far", 2000)
+    true_mm = apply(inverse(tracker.pose_in_world), np.array([PLACES["far"]]))[0]
+    range_mm = float(np.linalg.norm(true_mm))
+    along = true_mm / range_mm
+    off = cloud - true_mm
+    radial = off @ along
+    across = off - radial[:, None] * along
+    assert np.std(radial) == pytest.approx(0.0075, rel=0.06)
+    assert np.sqrt((across**2).sum(axis=1).mean() / 2) == pytest.approx(2.5e-6 * range_mm, rel=0.06)
+    assert np.linalg.norm(off.mean(axis=0)) < 0.001
+
+
+def test_finds_the_nearest_in_radius_and_range(cell: Cell) -> None:
+    tracker = tracker_of(cell, Faults())
+    at = tracker.reflectors()
+    assert tracker.find(at["near"] + 5.0, 50.0) == "near"
+    assert tracker.find(at["far"], 50.0) == "far"
+    assert tracker.find(at["far"] + 100.0, 50.0) is None
+    assert tracker.find(at["gone"], 50.0) is None  # more than 10 m away
+    assert tracker.measure("gone") is None
+
+
+def test_another_reflector_can_be_caught(cell: Cell) -> None:
+    faults = Faults()
+    tracker = tracker_of(cell, faults)
+    faults.set("tracker.wrong_target")
+    assert tracker.find(tracker.reflectors()["far"], 50.0) == "near"
+
+
+def test_drift_is_slow_and_small_and_steps_with_time(cell: Cell) -> None:
+    times = (0.0, 3600.0, 7200.0)
+    means = []
+    for at_s in times:
+        time = PlantTime()
+        time.advance(at_s)
+        means.append(readings(tracker_of(cell, Faults(), time), "far", 200).mean(axis=0))
+    # Same draws at each time, so only drift differs.
+    assert 1e-4 < np.linalg.norm(means[1] - means[0]) < 0.02
+    time = PlantTime()
+    time.advance(599.0)
+    assert np.array_equal(
+        readings(tracker_of(cell, Faults(), time), "far", 1),
+        readings(tracker_of(cell, Faults()), "far", 1),
+    )
+
+
+def test_air_keeps_to_the_papers_laboratory(cell: Cell) -> None:
+    time = PlantTime()
+    tracker = tracker_of(cell, Faults(), time)
+    temperatures = []
+    for _ in range(100):
+        time.advance(120.0)
+        temperatures.append(tracker.air().temperature_c)
+    assert min(temperatures) >= 22.0
+    assert max(temperatures) <= 24.0
+    assert max(temperatures) - min(temperatures) > 0.5
+
+
+def test_noisy_spike_and_drift_step(cell: Cell) -> None:
+    faults = Faults()
+    tracker = tracker_of(cell, faults)
+    before = readings(tracker, "far", 1)[0]
+    faults.set("tracker.spike", 2.0)
+    assert np.linalg.norm(readings(tracker, "far", 1)[0] - before) == pytest.approx(2.0, abs=0.1)
+    assert np.linalg.norm(readings(tracker, "far", 1)[0] - before) < 0.1
+    faults.set("tracker.noisy", 0.3)
+    noisy = tracker.measure("far")
+    assert noisy is not None
+    assert np.linalg.norm(noisy.std_mm) == pytest.approx(0.3, rel=0.15)
+    faults.set("tracker.drift_step", 0.5)
+    moved = readings(tracker, "far", 5).mean(axis=0)
+    assert np.linalg.norm(moved - before) == pytest.approx(0.5, abs=0.1)
