@@ -122,6 +122,7 @@ def test_mapping_needs_the_pdo_off_and_the_count_zero() -> None:
     with served() as bench, Master(bench.server.port) as master:
         assert aborted(master.write, 0x1A00, 0, 0, "B") == 0x08000022
         assert aborted(master.write, 0x1800, 1, 0x80000385, "I") == 0x08000022
+        assert aborted(master.write, 0x1801, 1, 0x80000605, "I") == 0x06090030
         master.write(0x1800, 1, 0x80000185, "I")
         assert aborted(master.write, 0x1A00, 1, 0x60640020, "I") == 0x08000022
         master.write(0x1A00, 0, 0, "B")
@@ -164,6 +165,30 @@ def test_transmission_types() -> None:
         assert len(seen) == 2, "every third SYNC"
 
 
+def test_acyclic_sync_sends_changes_only() -> None:
+    with served() as bench, Master(bench.server.port) as master:
+        remap(master, 0, (0x60410010,), kind=0)
+        seen: list[bytes] = []
+        master.network.subscribe(0x185, lambda _id, data, _t: seen.append(bytes(data)))
+        master.network.nmt.send_command(1)
+        for word in (None, None, 0x06, None):
+            if word is not None:
+                master.control(word)
+            master.network.sync.transmit()
+        master.status()
+        assert seen == [b"\x50\x02", b"\x31\x02"]
+
+
+def test_receive_pdo_on_sync_is_held_back() -> None:
+    with served() as bench, Master(bench.server.port) as master:
+        master.write(0x1400, 2, 1, "B")
+        master.network.nmt.send_command(1)
+        master.network.send_message(0x205, b"\x06\x00")
+        assert master.status() & 0x6F == 0x40
+        master.network.sync.transmit()
+        assert master.status() & 0x6F == 0x21
+
+
 def test_event_timer_sends_by_itself() -> None:
     with served() as bench, Master(bench.server.port) as master:
         seen: list[bytes] = []
@@ -202,10 +227,20 @@ def test_lost_heartbeat_is_an_emergency_and_ends_when_it_returns() -> None:
         until(lambda: [e.code for e in master.drive.emcy.active] == [0x8130], "EMCY 8130")
         assert master.read(0x1001, 0, "B") == 0x11
         assert master.read(0x1003, 1) == 0x8130
+        master.network.send_message(0x205, b"\x06\x00")
+        assert master.status() & 0x6F == 0x40, "out of OPERATIONAL: no PDOs"
         beats = master.start_heartbeat()
         until(lambda: not master.drive.emcy.active, "error reset")
         assert master.read(0x1001, 0, "B") == 0
         beats.stop()
+
+
+def test_rewritten_consumer_waits_for_the_first_heartbeat() -> None:
+    with served() as bench, Master(bench.server.port) as master:
+        master.write(0x1016, 1, 127 << 16 | 150, "I")
+        master.network.send_message(0x77F, b"\x05")
+        master.write(0x1016, 1, 127 << 16 | 160, "I")
+        assert master.drive.emcy.wait(timeout=0.4) is None
 
 
 def test_heartbeat_loss_of_one_node() -> None:

@@ -139,6 +139,65 @@ def test_brake_closes_on_leaving_operation_enabled(word: int) -> None:
     assert rail.told[-1] == "brake closed"
 
 
+def in_motion(**objects: int) -> tuple[RailDrive, StillRail]:
+    """Return a drive under way to 5 mm; ``objects`` such as ``x605A`` are set before."""
+    drive, rail = alone(State.SWITCHED_ON)
+    drive.dictionary.download(0x6060, 0, b"\x01")
+    for name, value in objects.items():
+        drive.dictionary.set(int(name[1:], 16), 0, value)
+    drive.dictionary.set(0x607A, 0, 5000)
+    obey(drive, 0x0F)
+    obey(drive, 0x1F)
+    return drive, rail
+
+
+def test_profile_of_a_move() -> None:
+    _, rail = in_motion(x6081=90_000, x607F=80_000, x6083=70_000, x6084=60_000)
+    assert rail.told == ["brake open", "move 5.0 80.0 60.0"]
+
+
+@pytest.mark.parametrize(
+    ("option", "told", "state"),
+    [
+        (0, "brake closed", State.SWITCH_ON_DISABLED),
+        (1, "stop 60.0", State.QUICK_STOP_ACTIVE),
+        (2, "stop 50.0", State.QUICK_STOP_ACTIVE),
+        (5, "stop 60.0", State.QUICK_STOP_ACTIVE),
+        (6, "stop 50.0", State.QUICK_STOP_ACTIVE),
+    ],
+)
+def test_quick_stop_options(option: int, told: str, state: State) -> None:
+    drive, rail = in_motion(x605A=option, x6084=60_000, x6085=50_000)
+    obey(drive, 0x02)
+    assert (rail.told[2], drive.state) == (told, state)
+
+
+def test_no_way_back_from_a_quick_stop_that_ends_disabled() -> None:
+    drive, rail = in_motion(x605A=2)
+    obey(drive, 0x02)
+    obey(drive, 0x0F)
+    assert drive.state is State.QUICK_STOP_ACTIVE
+    drive.observe(rail.poll())
+    assert drive.state is State.SWITCH_ON_DISABLED
+    assert rail.told[-1] == "brake closed"
+
+
+def test_set_point_during_halt_is_not_taken() -> None:
+    drive, rail = alone(State.SWITCHED_ON)
+    drive.dictionary.download(0x6060, 0, b"\x01")
+    obey(drive, 0x0F)
+    obey(drive, 0x11F)
+    assert rail.told == ["brake open"]
+
+
+@pytest.mark.parametrize("command", [b"\x02\x00", b"\x82\x05"])
+def test_leaving_the_network_in_motion_counts_as_a_lost_connection(command: bytes) -> None:
+    drive, _ = in_motion(x6007=3)
+    drive.boot(0.0)
+    drive.receive(0x000, command, 0.0)
+    assert drive.state is State.QUICK_STOP_ACTIVE
+
+
 def test_both_objects_of_a_frame_are_in_place_before_the_set_point() -> None:
     """RPDO 6040 + 607A: the controlword stands first, the target still belongs to it."""
     with served() as bench, Master(bench.server.port) as master:
@@ -221,6 +280,16 @@ def test_relative_set_point() -> None:
         master.control(0x5F)
         until(master.arrived, "arrived")
         assert master.read(0x6064, 0, "i") == 7500
+        master.start(900_000)
+        assert master.read(0x606C, 0, "i") > 0
+        master.control(0x02)
+        until(lambda: master.status() & 0x4F == 0x40, "stopped")
+        stopped = master.read(0x6064, 0, "i")
+        master.enable(1)
+        master.write(0x607A, 0, 1000, "i")
+        master.control(0x5F)
+        until(master.arrived, "arrived")
+        assert abs(master.read(0x6064, 0, "i") - stopped - 1000) <= 1, "from where it stands"
 
 
 def test_halt_and_on() -> None:

@@ -68,9 +68,14 @@ def test_frozen_strip() -> None:
 
 def test_missing_magnet_is_alarm_and_emergency() -> None:
     with synchronised() as (bench, master):
-        bench.faults.set("rail.missing_magnet")
-        assert sync(master)[0][1] == 1
+        master.enable(1)
+        bench.faults.set("rail.missing_magnet", count=2)
+        before = sync(master)[0]
+        assert before[1] == 1
         until(lambda: [e.code for e in master.strip.emcy.active] == [0x7305], "EMCY")
+        master.move(20_000)
+        assert sync(master)[0] == before, "it goes on with the last position"
+        assert sync(master)[0][0] - before[0] > 1900
         assert sync(master)[0][1] == 0
         until(lambda: not master.strip.emcy.active, "error reset")
 
