@@ -69,7 +69,7 @@ class ArmTruth:
             if norms_mm(factor).max() <= MAX_ERROR_MM:
                 return
         raise HilcellError(
-            f"simulated robot: none of {DRAWS} draws keeps its largest error below {MAX_ERROR_MM} mm"
+            f"simulated robot: none of {DRAWS} draws keeps every error below {MAX_ERROR_MM} mm"
         )
 
     def _take(self, errors: _Errors, axis_6_rad: Array) -> None:
