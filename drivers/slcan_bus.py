@@ -31,7 +31,11 @@ class SlcanBus(slcanBus):
         self.bad_lines = 0
         self.refused = 0
         self._bytes = b""
-        super().__init__(channel, bitrate=bitrate, sleep_after_open=0)
+        try:
+            super().__init__(channel, bitrate=bitrate, sleep_after_open=0)
+        except can.CanError:
+            self._close_port(self._link())
+            raise
         self._fd: int = self.serialPortOrig.fileno()
         # A frame must not wait for the acknowledgement of the one before; a real serial port
         # knows no such delay and refuses.
@@ -90,7 +94,18 @@ class SlcanBus(slcanBus):
 
     def shutdown(self) -> None:
         """Close the channel and the port, also when the far side is gone."""
+        link = self._link()
         try:
             super().shutdown()
         finally:
+            self._close_port(link)
+
+    def _link(self) -> socket.socket | None:
+        """Return the socket under the port: pyserial leaks it when the far side is gone first."""
+        return getattr(getattr(self, "serialPortOrig", None), "_socket", None)
+
+    def _close_port(self, link: socket.socket | None) -> None:
+        if hasattr(self, "serialPortOrig"):
             self.serialPortOrig.close()
+        if link is not None:
+            link.close()

@@ -1,0 +1,243 @@
+"""An slcan gateway with a CiA 402 drive and a CiA 406 strip behind it, for tests.
+
+The drive steps a third of its way at each SYNC. Every fault that a test wants is an attribute.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+from collections.abc import Callable
+
+from tests.drivers.peers import Server
+
+DRIVE, STRIP = 5, 6
+HEARTBEAT_S = 0.05
+DISABLED, READY, SWITCHED_ON, ENABLED, QUICK, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
+
+
+def u8(value: int) -> bytes:
+    return struct.pack("<B", value)
+
+
+def u16(value: int) -> bytes:
+    return struct.pack("<H", value)
+
+
+def u32(value: int) -> bytes:
+    return struct.pack("<I", value)
+
+
+def i32(value: int) -> bytes:
+    return struct.pack("<i", value)
+
+
+def pdo_objects(communication: int, mapping: int) -> dict[tuple[int, int], bytes]:
+    objects = {(communication, 1): u32(0), (communication, 2): u8(0), (mapping, 0): u8(0)}
+    return objects | {(mapping, sub): u32(0) for sub in (1, 2)}
+
+
+def common(device_type: int, product: int) -> dict[tuple[int, int], bytes]:
+    return {
+        (0x1000, 0): u32(device_type), (0x1001, 0): u8(0), (0x1017, 0): u16(0),
+        (0x1018, 0): u8(4), (0x1018, 1): u32(0x484), (0x1018, 2): u32(product),
+        (0x1018, 3): u32(1), (0x1018, 4): u32(4711),
+    }  # fmt: skip
+
+
+def drive_objects() -> dict[tuple[int, int], bytes]:
+    words = {index: u16(0) for index in (0x6007, 0x603F, 0x605A)}
+    longs = {index: u32(0) for index in (0x607C, 0x6081, 0x6083, 0x6084, 0x609A)}
+    plain = words | longs | {0x6060: u8(0), 0x6098: u8(0)}
+    return (
+        common(0x00020192, 0x402)
+        | {(index, 0): value for index, value in plain.items()}
+        | {(0x1016, 1): u32(0), (0x6099, 1): u32(0), (0x6099, 2): u32(0)}
+        | pdo_objects(0x1400, 0x1600)
+        | pdo_objects(0x1800, 0x1A00)
+        | pdo_objects(0x1801, 0x1A01)
+    )
+
+
+def strip_objects() -> dict[tuple[int, int], bytes]:
+    return common(0x00080196, 0x406) | {(0x6005, 1): u32(10_000)} | pdo_objects(0x1800, 0x1A00)
+
+
+class Axis:
+    """The drive's state machine and its slide, stepped by SYNC."""
+
+    def __init__(self) -> None:
+        self.state, self.bits = DISABLED, 0x0400
+        self.position, self.target, self.steps = 500_000, 500_000, 0
+        self.mode, self.homing = 0, False
+        self.frozen = self.deaf = self.lies = False
+        self.speed = 100_000
+
+    def control(self, word: int, target: int) -> None:
+        if word & 0x80 and self.state == FAULT:
+            self.state = DISABLED
+        elif self.state != FAULT and not self.deaf:
+            self._transition(word)
+        if self.state == ENABLED and word & 0x10 and not self.bits & 0x1000:
+            self.target = 0 if self.mode == 6 else target
+            self.steps, self.homing = 3, self.mode == 6
+            self.bits = 0 if self.homing else 0x1000
+        if self.mode == 1 and not word & 0x10:
+            self.bits &= ~0x1000
+        if self.mode == 6 and not word & 0x10:
+            self.homing = False
+
+    def _transition(self, word: int) -> None:
+        low = word & 0x8F
+        if not low & 2:
+            self.state = DISABLED
+        elif not low & 4:
+            self.state, self.steps = DISABLED, 0
+        elif low == 6 and self.state != QUICK:
+            self.state = READY
+        elif low == 7 and self.state in (READY, ENABLED):
+            self.state = SWITCHED_ON
+        elif low == 15 and self.state in (READY, SWITCHED_ON):
+            self.state = ENABLED
+
+    def step(self) -> None:
+        if self.lies and self.steps:
+            self.steps, self.bits = 0, self.bits | 0x400
+        if not self.steps or self.frozen:
+            return
+        self.position += round((self.target - self.position) / self.steps)
+        self.steps -= 1
+        if not self.steps:
+            self.bits |= 0x1400 if self.homing else 0x400
+
+    @property
+    def velocity(self) -> int:
+        return self.speed if self.steps and not self.frozen else 0
+
+
+class CanPeer:
+    """The gateway: every frame that comes is in ``heard``; ``tamper`` sees each line that goes."""
+
+    def __init__(self) -> None:
+        self.axis = Axis()
+        self.objects = {DRIVE: drive_objects(), STRIP: strip_objects()}
+        self.strip_offset, self.jitter, self.alarms = 0, 0, 0
+        self.heard: list[tuple[int, bytes]] = []
+        self.silent: set[int] = set()
+        self.nmt = {DRIVE: 0x7F, STRIP: 0x7F}
+        self.quick_stopped, self.beating = threading.Event(), threading.Event()
+        self.tamper: Callable[[bytes], list[bytes]] = lambda line: [line]
+        self.on_sync: Callable[[], None] = lambda: None
+        self.abort: dict[tuple[int, int], int] = {}
+        self.ignore: set[tuple[int, int]] = set()
+        self._lock = threading.RLock()
+        self._connection: socket.socket | None = None
+        self._syncs = 0
+        self._end = threading.Event()
+        self.server = Server(self._serve)
+        self._beats = threading.Thread(target=self._beat, daemon=True)
+        self._beats.start()
+
+    @property
+    def channel(self) -> str:
+        return f"socket://127.0.0.1:{self.server.port}"
+
+    def __enter__(self) -> CanPeer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._beats.join(5)
+        self.server.close()
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        line = f"t{cob_id:03X}{len(data)}{data.hex().upper()}\r".encode()
+        with self._lock, contextlib.suppress(OSError):
+            for piece in self.tamper(line):
+                self.raw(piece)
+
+    def raw(self, data: bytes) -> None:
+        if self._connection is not None:
+            self._connection.sendall(data)
+
+    def frames(self, cob_id: int) -> list[bytes]:
+        return [data for found, data in self.heard if found == cob_id]
+
+    # -- the gateway --------------------------------------------------------------------------
+
+    def _serve(self, connection: socket.socket) -> None:
+        self._connection = connection
+        buffer = b""
+        while data := connection.recv(4096):
+            buffer += data
+            *lines, buffer = buffer.split(b"\r")
+            for line in lines:
+                with self._lock:
+                    self._line(line)
+
+    def _line(self, line: bytes) -> None:
+        if line == b"O":
+            self.raw(b"\r")
+            for node in (DRIVE, STRIP):
+                self.send(0x700 + node, b"\0")
+        elif line.startswith(b"t"):
+            self.raw(b"z\r")
+            self._frame(int(line[1:4], 16), bytes.fromhex(line[5:].decode()))
+        else:
+            self.raw(b"\r")
+
+    def _beat(self) -> None:
+        while not self._end.wait(HEARTBEAT_S):
+            for node, state in self.nmt.items():
+                if node not in self.silent:
+                    self.send(0x700 + node, u8(state))
+
+    def _frame(self, cob_id: int, data: bytes) -> None:
+        self.heard.append((cob_id, data))
+        if cob_id == 0x000:
+            self.nmt[data[1]] = {1: 0x05, 0x80: 0x7F}[data[0]]
+            self.send(0x700 + data[1], u8(self.nmt[data[1]]))
+        elif cob_id == 0x080:
+            self._sync()
+        elif cob_id == 0x200 + DRIVE:
+            word, target = struct.unpack("<Hi", data)
+            self.axis.control(word, target)
+            if word == 0x0002:
+                self.quick_stopped.set()
+        elif cob_id in (0x600 + DRIVE, 0x600 + STRIP):
+            self._sdo(cob_id - 0x600, data)
+        elif cob_id == 0x77F:
+            self.beating.set()
+
+    def _sync(self) -> None:
+        self._syncs += 1
+        self.on_sync()
+        axis = self.axis
+        axis.step()
+        strip = axis.position // 10 + self.strip_offset + self.jitter * (self._syncs % 2)
+        status = axis.state | axis.bits if axis.state != FAULT else FAULT
+        self.send(0x180 + DRIVE, struct.pack("<Hi", status, axis.position))
+        self.send(0x280 + DRIVE, struct.pack("<ib", axis.velocity, axis.mode))
+        self.send(0x180 + STRIP, struct.pack("<iH", strip, self.alarms))
+
+    # -- SDO ----------------------------------------------------------------------------------
+
+    def _sdo(self, node: int, request: bytes) -> None:
+        command, index, sub = struct.unpack_from("<BHB", request)
+        key, objects = (index, sub), self.objects[node]
+        if command == 0x80 or key in self.ignore:
+            return
+        head = request[1:4]
+        code = self.abort.get(key, 0 if key in objects else 0x06020000)
+        if code:
+            self.send(0x580 + node, b"\x80" + head + u32(code))
+        elif command == 0x40:
+            value = objects[key]
+            self.send(0x580 + node, u8(0x43 | (4 - len(value)) << 2) + head + value.ljust(4, b"\0"))
+        else:
+            objects[key] = request[4 : 8 - (command >> 2 & 3)]
+            if key == (0x6060, 0):
+                self.axis.mode = request[4]
+            self.send(0x580 + node, b"\x60" + head + bytes(4))

@@ -1,0 +1,487 @@
+from __future__ import annotations
+
+import contextlib
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from drivers import drive, node_watch, pdo, rail_canopen, rail_setup, sdo
+from drivers.rail_canopen import CanopenRail
+from hilcell.clock import WallClock
+from hilcell.ports import DeviceError, DeviceRefused, Rail, Stopped
+from hilcell.settings import SettingsError, convert
+from tests.drivers import can_peer
+from tests.drivers.can_peer import DRIVE, ENABLED, FAULT, STRIP, CanPeer, u16, u32
+from tests.drivers.peers import wall_clock
+
+
+@pytest.fixture(autouse=True)
+def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, name, value in (
+        (drive, "STALL_S", 0.3), (drive, "POLL_S", 0.002), (rail_canopen, "POLL_S", 0.002),
+        (rail_canopen, "SETTLE_S", 0.3), (rail_canopen, "OPERATIONAL_S", 0.5),
+        (rail_canopen, "RELEASE_S", 0.5), (rail_setup, "FIND_S", 0.5), (pdo, "REPLY_S", 0.1),
+        (node_watch, "HEARTBEAT_AGE_S", 0.6), (sdo, "REPLY_S", 0.1), (sdo, "LATE_S", 0.15),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, value)
+
+
+def rail_for(peer: CanPeer, clock: WallClock | None = None, **options: Any) -> CanopenRail:
+    values = {
+        "channel": peer.channel, "travel_min_mm": 0.0, "travel_max_mm": 3000.0,
+        "speed_mm_s": 250.0, "acceleration_mm_s2": 200.0,
+    }  # fmt: skip
+    return CanopenRail(CanopenRail.Options(**(values | options)), clock or wall_clock())
+
+
+@pytest.fixture
+def peer() -> Iterator[CanPeer]:
+    with CanPeer() as peer:
+        yield peer
+
+
+@pytest.fixture
+def rail(peer: CanPeer) -> Iterator[CanopenRail]:
+    rail = rail_for(peer)
+    rail.connect()
+    yield rail
+    with contextlib.suppress(DeviceError):  # some tests have killed the link
+        rail.close()
+
+
+# -- connecting -------------------------------------------------------------------------------
+
+
+def test_connect_tells_who_answered_and_moves_nothing(peer: CanPeer) -> None:
+    rail = rail_for(peer)
+    drive_identity, strip_identity = rail.connect()
+    assert drive_identity.model == "drive vendor 0x484 product 0x402"
+    assert strip_identity.serial == "4711"
+    assert peer.axis.position == 500_000
+    assert peer.axis.state != ENABLED
+    rail.close()
+
+
+def test_connect_writes_the_self_stop_and_the_mappings(rail: CanopenRail, peer: CanPeer) -> None:
+    objects = peer.objects[DRIVE]
+    assert objects[0x1016, 1] == u32(127 << 16 | 500)
+    assert objects[0x6007, 0] == u16(3)
+    assert objects[0x605A, 0] == u16(2)
+    assert objects[0x6098, 0] == bytes((17,))
+    assert objects[0x6081, 0] == u32(250_000)
+    assert objects[0x6083, 0] == objects[0x6084, 0] == u32(200_000)
+    assert (objects[0x1A00, 1], objects[0x1A00, 2]) == (u32(0x60410010), u32(0x60640020))
+    assert (objects[0x1A01, 1], objects[0x1A01, 2]) == (u32(0x606C0020), u32(0x60610008))
+    assert (objects[0x1600, 1], objects[0x1600, 2]) == (u32(0x60400010), u32(0x607A0020))
+    assert objects[0x1800, 1] == u32(0x185)
+    assert objects[0x1800, 2] == objects[0x1801, 2] == b"\x01"
+    strip = peer.objects[STRIP]
+    assert (strip[0x1A00, 1], strip[0x1A00, 2]) == (u32(0x60040020), u32(0x65030010))
+    assert peer.beating.wait(5)
+    assert peer.frames(0x77F)[0] == b"\x05"
+
+
+@pytest.mark.parametrize(
+    ("node", "key", "value", "message"),
+    [
+        (DRIVE, (0x1000, 0), u32(0x00020191), r"device profile \(1000h\) is 0x191, wanted 0x192"),
+        (DRIVE, (0x1018, 1), u32(1), r"vendor \(1018h:01\) is 0x1, wanted 0x484"),
+        (STRIP, (0x1018, 2), u32(1), r"node 6 \(strip\): product"),
+        (STRIP, (0x6005, 1), u32(5000), r"strip step \(6005h\) is 5000 nm, wanted 10000 nm"),
+        (STRIP, (0x6501, 0), u32(1), r"strip step \(6501h\) is 1 nm"),
+    ],
+)
+def test_another_device_is_refused(
+    peer: CanPeer, node: int, key: tuple[int, int], value: bytes, message: str
+) -> None:
+    peer.objects[node][key] = value
+    with pytest.raises(DeviceRefused, match=message):
+        rail_for(peer).connect()
+
+
+def test_another_serial_is_refused(peer: CanPeer) -> None:
+    with pytest.raises(DeviceRefused, match="serial"):
+        rail_for(peer, drive_serial=1).connect()
+
+
+def test_a_plain_measuring_step_is_understood(peer: CanPeer) -> None:
+    del peer.objects[STRIP][0x6005, 1]
+    peer.objects[STRIP][0x6005, 0] = u32(5000)
+    peer.abort[0x6005, 1] = 0x06090011
+    with pytest.raises(DeviceRefused, match=r"\(6005h\) is 5000 nm"):
+        rail_for(peer).connect()
+
+
+def test_an_absent_measuring_step_is_no_fault(peer: CanPeer) -> None:
+    del peer.objects[STRIP][0x6005, 1]
+    rail = rail_for(peer)
+    rail.connect()
+    rail.close()
+
+
+def test_a_missing_node_is_named(peer: CanPeer) -> None:
+    peer.ignore.add((0x1000, 0))
+    with pytest.raises(DeviceError, match=r"node 5 \(drive\) does not answer"):
+        rail_for(peer).connect()
+
+
+def test_an_abort_is_told_in_the_standards_words(peer: CanPeer) -> None:
+    peer.abort[0x6007, 0] = 0x06010002
+    with pytest.raises(
+        DeviceError, match="6007h:00: SDO abort 0x06010002, Attempt to write a read"
+    ):
+        rail_for(peer).connect()
+
+
+def test_a_setting_that_does_not_hold_is_refused(peer: CanPeer) -> None:
+    class Stubborn(dict[tuple[int, int], bytes]):
+        def __setitem__(self, key: tuple[int, int], value: bytes) -> None:
+            super().__setitem__(key, u16(1) if key == (0x605A, 0) else value)
+
+    peer.objects[DRIVE] = Stubborn(peer.objects[DRIVE])
+    with pytest.raises(DeviceError, match=r"write 605Ah:00: reads back as 1, wanted 2"):
+        rail_for(peer).connect()
+
+
+def test_a_node_that_stays_pre_operational_is_refused(peer: CanPeer) -> None:
+    frame = peer._frame
+    peer._frame = lambda cob, data: frame(cob, data) if (cob, data[:1]) != (0, b"\1") else None  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="NMT states 127, 127 of drive and strip"):
+        rail_for(peer).connect()
+
+
+def test_an_old_fault_is_reset_and_nothing_enabled(peer: CanPeer) -> None:
+    peer.axis.state = FAULT
+    rail = rail_for(peer)
+    rail.connect()
+    words = [struct.unpack("<Hi", data)[0] for data in peer.frames(0x205)]
+    assert 0x0080 in words
+    assert 0x000F not in words
+    assert peer.axis.state == can_peer.DISABLED
+    rail.close()
+
+
+def test_a_fault_that_stays_is_told(peer: CanPeer) -> None:
+    peer.axis.state, peer.axis.control = FAULT, lambda word, target: None  # type: ignore[method-assign]
+    peer.objects[DRIVE][0x603F, 0] = u16(0x8611)
+    with pytest.raises(DeviceError, match=r"stays in fault, error 0x8611 \(following error\)"):
+        rail_for(peer).connect()
+
+
+# -- moving -----------------------------------------------------------------------------------
+
+
+def test_it_is_a_rail(rail: CanopenRail) -> None:
+    port: Rail = rail
+    assert port.read().still
+
+
+def test_a_move_ends_at_standstill_and_holds(rail: CanopenRail, peer: CanPeer) -> None:
+    rail.move_to(1100.25)
+    reading = rail.read()
+    assert (reading.position_mm, reading.strip_mm) == (1100.25, 1100.25)
+    assert reading.still
+    assert reading.powered
+    rail.hold()
+    assert not rail.read().powered
+    assert peer.axis.state == can_peer.READY
+
+
+def test_two_moves_in_a_row_do_not_take_old_bits(rail: CanopenRail, peer: CanPeer) -> None:
+    rail.move_to(900.0)
+    rail.move_to(901.0)
+    assert rail.read().position_mm == 901.0
+    rail.move_to(901.0)
+    assert rail.read().position_mm == 901.0
+
+
+def test_homing_ends_at_zero(rail: CanopenRail, peer: CanPeer) -> None:
+    rail.home()
+    assert rail.read().position_mm == 0.0
+    rail.move_to(10.0)
+    rail.home()
+    assert rail.read().position_mm == 0.0
+    assert peer.axis.mode == 6
+
+
+def test_homing_that_was_done_before_is_not_believed(rail: CanopenRail, peer: CanPeer) -> None:
+    rail.home()
+    peer.axis.bits |= 0x1400
+    control = peer.axis.control
+    peer.axis.control = lambda word, target: control(word & ~0x10, target)  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="wanted homing started"):
+        rail.home()
+
+
+@pytest.mark.parametrize("position", [-0.1, 3000.1, float("nan")])
+def test_targets_out_of_travel_never_leave(
+    rail: CanopenRail, peer: CanPeer, position: float
+) -> None:
+    before = len(peer.frames(0x205))
+    with pytest.raises(DeviceError, match=r"wanted 0\.0 \.\. 3000\.0 mm"):
+        rail.move_to(position)
+    assert len(peer.frames(0x205)) == before
+
+
+def fault(axis: can_peer.Axis) -> None:
+    axis.state = FAULT
+
+
+MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], None], str]] = {
+    "following error": (lambda p: setattr(p.axis, "bits", p.axis.bits | 0x2000), "following error"),
+    "limit": (lambda p: setattr(p.axis, "bits", p.axis.bits | 0x0800), "limit active"),
+    "runaway": (lambda p: setattr(p.axis, "speed", 300_001), "speed 300001 counts/s"),
+    "outside": (
+        lambda p: vars(p.axis).update(position=3_005_100, frozen=True),
+        r"left -5000 \.\. 3005000",
+    ),
+    "fault": (lambda p: fault(p.axis), "drive in fault, error 0x0000"),
+    "power lost": (lambda p: setattr(p.axis, "state", 0x40), "left operation enabled: switch on"),
+    "magnet": (lambda p: setattr(p, "alarms", 1), "missing magnet"),
+    "emcy": (
+        lambda p: p.send(0x085, struct.pack("<HB5x", 0x7305, 1)),
+        r"EMCY 0x7305 \(incremental",
+    ),
+    "strip emcy": (lambda p: p.send(0x086, struct.pack("<HB5x", 0x5000, 1)), "node 6: EMCY"),
+    "reset": (lambda p: p.send(0x705, b"\0"), "node 5: unexpected boot-up"),
+    "heartbeat": (lambda p: p.silent.update((DRIVE, STRIP)), "node [56]: no heartbeat for"),
+    "nmt stop": (lambda p: p.nmt.update({DRIVE: 0x04}), "NMT state 0x04"),
+    "freeze": (lambda p: setattr(p.axis, "frozen", True), "no progress for"),
+    "early": (lambda p: setattr(p.axis, "lies", True), "no progress for .* wanted target reached"),
+    "end of stream": (lambda p: p.server.drop(), "link lost"),
+}
+
+
+@pytest.mark.parametrize("name", MOTION_FAULTS)
+def test_a_fault_in_motion_stops_and_is_named(
+    rail: CanopenRail, peer: CanPeer, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cause, message = MOTION_FAULTS[name]
+    if name in ("heartbeat", "nmt stop"):
+        monkeypatch.setattr(drive, "STALL_S", 2.0)
+        peer.axis.frozen = True
+
+    def strike() -> None:
+        if peer.axis.steps == 2 or peer.axis.frozen:
+            cause(peer)
+
+    peer.on_sync = strike
+    if name in ("freeze", "early"):
+        cause(peer)
+    with pytest.raises(DeviceError, match=message):
+        rail.move_to(1100.0)
+    if name != "end of stream":
+        assert peer.quick_stopped.wait(5)
+    with pytest.raises(DeviceError):
+        rail.move_to(1100.0)
+
+
+def test_a_set_point_never_acknowledged_is_told(rail: CanopenRail, peer: CanPeer) -> None:
+    control = peer.axis.control
+    peer.axis.control = lambda word, target: control(word & ~0x10, target)  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="wanted set-point acknowledged"):
+        rail.move_to(1100.0)
+
+
+def test_a_drive_that_does_not_enable_is_told(rail: CanopenRail, peer: CanPeer) -> None:
+    peer.axis.deaf = True
+    with pytest.raises(DeviceError, match="wanted drive to leave 'switch on disabled'"):
+        rail.move_to(1100.0)
+
+
+def test_a_refused_mode_is_told(rail: CanopenRail, peer: CanPeer) -> None:
+    peer.abort[0x6060, 0] = 0x08000022
+    with pytest.raises(DeviceError, match=r"0x08000022, .*present device state"):
+        rail.move_to(1100.0)
+
+
+# -- reading ----------------------------------------------------------------------------------
+
+
+def test_settling_takes_five_readings_at_rest(rail: CanopenRail, peer: CanPeer) -> None:
+    peer.jitter = 1
+    before = len(peer.frames(0x080))
+    reading = rail.settle()
+    assert len(peer.frames(0x080)) - before >= 5
+    assert reading.strip_mm == pytest.approx(500.0, abs=0.011)
+
+
+def test_a_creeping_slide_does_not_settle(rail: CanopenRail, peer: CanPeer) -> None:
+    peer.on_sync = lambda: setattr(peer, "strip_offset", peer.strip_offset + 1)
+    with pytest.raises(DeviceError, match=r"wanted 5 readings within \+-1 count"):
+        rail.settle()
+
+
+def test_a_reading_is_newer_than_its_request(rail: CanopenRail, peer: CanPeer) -> None:
+    began_s = time.monotonic()
+    assert rail.read().taken_s >= began_s
+
+
+def test_a_lost_tpdo_costs_one_more_sync(rail: CanopenRail, peer: CanPeer) -> None:
+    lost = iter([True])
+    peer.tamper = lambda line: [] if line.startswith(b"t285") and next(lost, False) else [line]
+    assert rail.read().position_mm == 500.0
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda line: [],
+        lambda line: [b"t2854" + line[5:13] + b"\r"],
+        lambda line: [line[:9] + b"\r"],
+        lambda line: [b"\x9f" + line],
+    ],
+)
+def test_stale_and_truncated_tpdos_are_no_reading(
+    rail: CanopenRail, peer: CanPeer, spoil: Callable[[bytes], list[bytes]]
+) -> None:
+    peer.tamper = lambda line: spoil(line) if line.startswith(b"t285") else [line]
+    with pytest.raises(DeviceError, match="no fresh TPDO 0x285 within 3 SYNCs"):
+        rail.read()
+
+
+def test_garbage_and_slices_on_the_line_do_no_harm(peer: CanPeer) -> None:
+    state = {"n": 0}
+
+    def tamper(line: bytes) -> list[bytes]:
+        state["n"] += 1
+        garbage = [b"\xff\r", b"\a", b"t1\r"] if state["n"] % 3 == 0 else []
+        return [*garbage, line[:5], line[5:]]
+
+    peer.tamper = tamper
+    rail = rail_for(peer)
+    rail.connect()
+    rail.move_to(700.0)
+    assert rail.settle().position_mm == 700.0
+    rail.close()
+
+
+# -- stopping ---------------------------------------------------------------------------------
+
+
+def test_a_stop_gets_through_while_a_call_hangs(rail: CanopenRail, peer: CanPeer) -> None:
+    hanging = threading.Event()
+    failures: list[DeviceError] = []
+
+    def read() -> None:
+        try:
+            rail.read()
+        except DeviceError as error:
+            failures.append(error)
+
+    def swallow(line: bytes) -> list[bytes]:
+        hanging.set()
+        return []
+
+    peer.tamper = swallow
+    worker = threading.Thread(target=read)
+    worker.start()
+    assert hanging.wait(5)
+    rail.stop()
+    assert peer.quick_stopped.wait(5)
+    worker.join(5)
+    assert len(failures) == 1
+    peer.tamper = lambda line: [line]
+
+
+def test_after_a_stop_only_a_new_connect_moves(rail: CanopenRail, peer: CanPeer) -> None:
+    rail.stop()
+    with pytest.raises(DeviceError, match="the rail was stopped; resume to connect anew"):
+        rail.move_to(600.0)
+    rail.connect()
+    rail.move_to(600.0)
+    assert rail.read().position_mm == 600.0
+
+
+def test_the_runs_stop_ends_a_motion_on_the_ramp(peer: CanPeer) -> None:
+    stop = threading.Event()
+    rail = rail_for(peer, WallClock(stop))
+    rail.connect()
+    peer.axis.frozen = True
+    threading.Timer(0.05, stop.set).start()
+    with pytest.raises(Stopped):
+        rail.move_to(1100.0)
+    assert peer.quick_stopped.wait(5)
+    peer.axis.frozen = False
+    rail.close()
+    assert peer.axis.state not in (ENABLED, can_peer.QUICK)
+
+
+def test_close_takes_the_power_away_and_ends_the_supervision(peer: CanPeer) -> None:
+    rail = rail_for(peer)
+    rail.connect()
+    rail.move_to(600.0)
+    rail.close()
+    assert peer.axis.state == can_peer.DISABLED
+    assert peer.objects[DRIVE][0x1016, 1] == u32(0)
+    with pytest.raises(DeviceError, match="not connected"):
+        rail.read()
+
+
+def test_close_says_when_the_power_stays(peer: CanPeer) -> None:
+    rail = rail_for(peer)
+    rail.connect()
+    rail.move_to(600.0)
+    peer.axis.deaf = True
+    with pytest.raises(DeviceError, match="the drive keeps its power: operation enabled"):
+        rail.close()
+    assert rail._link is None
+
+
+def test_a_failed_connect_leaves_no_threads(peer: CanPeer) -> None:
+    before = threading.active_count()
+    peer.objects[DRIVE][0x1018, 1] = u32(1)
+    for _ in range(2):
+        with pytest.raises(DeviceRefused):
+            rail_for(peer).connect()
+    peer.server.drop()
+    assert _soon(lambda: threading.active_count() <= before + 2)
+
+
+def _soon(holds: Callable[[], bool]) -> bool:
+    deadline_s = time.monotonic() + 5
+    while not holds() and time.monotonic() < deadline_s:
+        threading.Event().wait(0.01)
+    return holds()
+
+
+def test_nobody_listening_is_named(peer: CanPeer) -> None:
+    channel = peer.channel
+    peer.server.close()
+    options = {"channel": channel, "travel_min_mm": 0.0, "travel_max_mm": 1.0}
+    rail = CanopenRail(
+        CanopenRail.Options(**options, speed_mm_s=1.0, acceleration_mm_s2=1.0),  # type: ignore[arg-type]
+        wall_clock(),
+    )
+    with pytest.raises(DeviceError, match="Rail: connect: slcan socket://"):
+        rail.connect()
+
+
+def test_stop_and_close_before_connect_do_nothing(peer: CanPeer) -> None:
+    rail = rail_for(peer)
+    rail.stop()
+    rail.close()
+    assert peer.heard == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"drive_node": 6}, "must differ"),
+        ({"travel_max_mm": -1.0}, "travel_min_mm must be below"),
+        ({"counts_per_mm": 1e9}, "does not fit 32 bits"),
+        ({"interface": "virtual"}, "interface"),
+        ({"strip_counts": 1}, "did you mean"),
+    ],
+)
+def test_options_are_strict(changed: dict[str, object], message: str) -> None:
+    values: dict[str, object] = {
+        "channel": "can0", "travel_min_mm": 0.0, "travel_max_mm": 3000.0, "speed_mm_s": 250.0,
+        "acceleration_mm_s2": 200.0,
+    }  # fmt: skip
+    with pytest.raises(SettingsError, match=message):
+        convert(values | changed, CanopenRail.Options, "rail")
