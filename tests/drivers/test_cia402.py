@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import pytest
+from canopen.profiles.p402 import State402
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import cia402, cia406, emcy
+from drivers.cia402 import State
+
+
+@pytest.mark.parametrize(
+    ("statusword", "state"),
+    [
+        (0x0000, State.NOT_READY),
+        (0x0640, State.SWITCH_ON_DISABLED),
+        (0x0221, State.READY),
+        (0x0233, State.SWITCHED_ON),
+        (0x1637, State.ENABLED),
+        (0x0627, State.ENABLED),
+        (0x0607, State.QUICK_STOP_ACTIVE),
+        (0x020F, State.FAULT_REACTION),
+        (0x0208, State.FAULT),
+        (0x0028, State.FAULT),
+        (0x0001, State.UNKNOWN),
+    ],
+)
+def test_states_are_told_by_the_statusword(statusword: int, state: State) -> None:
+    assert cia402.state_of(statusword) is state
+
+
+@given(st.integers(0, 0xFFFF))
+def test_an_independent_table_agrees(statusword: int) -> None:
+    theirs = [name for name, (mask, bits) in State402.SW_MASK.items() if statusword & mask == bits]
+    ours = cia402.state_of(statusword)
+    assert theirs == ([] if ours is State.UNKNOWN else [ours.value.upper()])
+
+
+def test_the_way_up_and_none_from_a_fault() -> None:
+    words = [
+        cia402.next_control(s) for s in (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON)
+    ]
+    assert words == [0x06, 0x07, 0x0F]
+    assert cia402.next_control(State.QUICK_STOP_ACTIVE) == 0x00
+    assert cia402.next_control(State.FAULT) is None
+    assert cia402.next_control(State.FAULT_REACTION) is None
+
+
+@pytest.mark.parametrize(
+    ("word", "enables"),
+    [(0x00, False), (0x02, False), (0x06, False), (0x80, False), (0x07, True), (0x0F, True),
+     (0x1F, True), (0x3F, True)],
+)  # fmt: skip
+def test_words_that_may_not_go_out_after_a_stop(word: int, enables: bool) -> None:
+    assert cia402.enables(word) is enables
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [
+        (0x7305, "0x7305 (incremental sensor 1 fault)"),
+        (0x8611, "0x8611 (following error)"),
+        (0x2311, "0x2311 (current at the output)"),
+        (0x8A00, "0x8A00 (monitoring)"),
+        (0xFF01, "0xFF01 (device specific)"),
+        (0xA000, "0xA000 (unknown)"),
+    ],
+)
+def test_emergencies_are_told_in_words(code: int, text: str) -> None:
+    assert emcy.text(code) == text
+
+
+def test_the_end_of_an_error_is_no_error() -> None:
+    assert not emcy.is_error(0x0000)
+    assert emcy.is_error(0x1000)
+
+
+def test_strip_alarms_and_steps() -> None:
+    assert "missing magnet" in cia406.alarm_text(1)
+    assert cia406.alarm_text(0b101).endswith("alarm bit 2 (see the sensor's manual)")
+    assert cia406.alarm_text(0) == ""
+    assert cia406.step_nm(100.0) == 10_000

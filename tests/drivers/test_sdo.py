@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from importlib import resources
+
+import canopen
+import pytest
+
+from drivers import sdo
+from drivers.can_link import CanLink, open_bus
+from drivers.sdo import Aborted, SdoChannel
+from hilcell.ports import DeviceError, Stopped
+from tests.drivers.can_peer import DRIVE, CanPeer, u32
+from tests.drivers.peers import WAIT_S
+
+PROFILE_VELOCITY = (0x6081, 0)
+
+
+@pytest.fixture(autouse=True)
+def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sdo, "REPLY_S", 0.1)
+    monkeypatch.setattr(sdo, "LATE_S", 0.2)
+
+
+@pytest.fixture
+def peer() -> Iterator[CanPeer]:
+    with CanPeer() as peer:
+        peer.objects[DRIVE][PROFILE_VELOCITY] = u32(111)
+        yield peer
+
+
+@contextlib.contextmanager
+def channel_to(peer: CanPeer, check: Callable[[], None] = lambda: None) -> Iterator[SdoChannel]:
+    link = CanLink("Rail", open_bus("Rail", "slcan", peer.channel, 500_000))
+    with resources.as_file(resources.files("drivers") / "eds" / "drive.eds") as path:
+        node = canopen.RemoteNode(DRIVE, canopen.import_od(str(path), DRIVE))
+    channel = SdoChannel("Rail", DRIVE, node, check)
+    link.network.add_node(node)
+    try:
+        yield channel
+    finally:
+        link.close()
+
+
+def test_a_value_is_typed_by_the_eds(peer: CanPeer) -> None:
+    peer.objects[DRIVE][0x607C, 0] = u32(2**32 - 5)
+    with channel_to(peer) as channel:
+        assert channel.read(0x607C) == -5
+        assert channel.read(*PROFILE_VELOCITY) == 111
+
+
+def test_the_request_is_as_published(peer: CanPeer) -> None:
+    with channel_to(peer) as channel, pytest.raises(Aborted):
+        channel.read(0x6064)
+    assert peer.frames(0x605) == [bytes.fromhex("4064600000000000")]
+
+
+def test_a_write_is_read_back(peer: CanPeer) -> None:
+    with channel_to(peer) as channel:
+        channel.write(*PROFILE_VELOCITY, 222)
+    assert peer.objects[DRIVE][PROFILE_VELOCITY] == u32(222)
+    assert peer.frames(0x605)[-1] == bytes.fromhex("4081600000000000")
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (0x06020000, "Object does not exist"),
+        (0x06010002, "read only"),
+        (0x08000022, "present device state"),
+    ],
+)
+def test_an_abort_is_told_and_taints_nothing(peer: CanPeer, code: int, words: str) -> None:
+    peer.abort[0x6007, 0] = code
+    with channel_to(peer) as channel:
+        with pytest.raises(Aborted, match=f"0x{code:08X}, .*{words}") as caught:
+            channel.read(0x6007)
+        assert caught.value.code == code
+        assert channel.read(*PROFILE_VELOCITY) == 111
+
+
+def test_silence_is_told_after_three_tries(peer: CanPeer) -> None:
+    peer.ignore.add(PROFILE_VELOCITY)
+    with (
+        channel_to(peer) as channel,
+        pytest.raises(DeviceError, match=r"no answer within .* 3 times"),
+    ):
+        channel.read(*PROFILE_VELOCITY)
+
+
+def test_a_late_reply_never_answers_the_next_read(peer: CanPeer) -> None:
+    """The first reply, 111, comes after its deadline; meanwhile the value has become 211."""
+    late: list[bytes] = []
+    sent = threading.Event()
+
+    def delay(line: bytes) -> list[bytes]:
+        if line.startswith(b"t58584381600") and not late:
+            late.append(line)
+            peer.objects[DRIVE][PROFILE_VELOCITY] = u32(211)
+            timer = threading.Timer(0.15, lambda: (peer.raw(line), sent.set()))
+            timer.start()
+            return []
+        return [line]
+
+    peer.tamper = delay
+    with channel_to(peer) as channel:
+        assert channel.read(*PROFILE_VELOCITY) == 211
+    assert sent.wait(WAIT_S)
+    assert u32(111).hex().upper().encode() in late[0]
+
+
+def test_values_that_differ_after_a_timeout_are_not_believed(peer: CanPeer) -> None:
+    answers = iter([None, 1, 2, 3, 3])
+
+    def answer(line: bytes) -> list[bytes]:
+        if not line.startswith(b"t58584381600"):
+            return [line]
+        value = next(answers)
+        return [] if value is None else [line[:13] + u32(value).hex().upper().encode() + b"\r"]
+
+    peer.tamper = answer
+    with channel_to(peer) as channel:
+        assert channel.read(*PROFILE_VELOCITY) == 3
+
+
+def test_a_truncated_reply_is_no_answer(peer: CanPeer) -> None:
+    cut = iter([True])
+    peer.tamper = lambda line: (
+        [b"t585443816000\r"] if line.startswith(b"t58584381") and next(cut, False) else [line]
+    )
+    with channel_to(peer) as channel:
+        assert channel.read(*PROFILE_VELOCITY) == 111
+
+
+def test_the_reply_for_another_object_is_no_answer(peer: CanPeer) -> None:
+    other = iter([True])
+    peer.tamper = lambda line: (
+        [line.replace(b"816000", b"836000")]
+        if line.startswith(b"t58584381") and next(other, False)
+        else [line]
+    )
+    with channel_to(peer) as channel:
+        assert channel.read(*PROFILE_VELOCITY) == 111
+
+
+def test_a_stop_ends_the_wait(peer: CanPeer) -> None:
+    peer.ignore.add(PROFILE_VELOCITY)
+    stop = threading.Event()
+
+    def check() -> None:
+        if stop.is_set():
+            raise Stopped("a stop was asked for")
+
+    with channel_to(peer, check) as channel:
+        stop.set()
+        with pytest.raises(Stopped):
+            channel.read(*PROFILE_VELOCITY)
+
+
+def test_two_threads_never_mix_their_answers(peer: CanPeer) -> None:
+    peer.objects[DRIVE][0x6083, 0] = u32(333)
+    wrong: list[int] = []
+
+    def read(index: int, value: int, channel: SdoChannel) -> None:
+        wrong.extend(found for _ in range(50) if (found := channel.read(index)) != value)
+
+    with channel_to(peer) as channel:
+        workers = [
+            threading.Thread(target=read, args=(index, value, channel))
+            for index, value in ((0x6081, 111), (0x6083, 333))
+        ]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join(WAIT_S)
+    assert wrong == []
