@@ -45,7 +45,7 @@ class Plant:
         self._bolted = _bolted(fixed.generator("base"))
         self._floor = _placed(cell.layout.floor, FLOOR_NEST_MM, fixed.generator("floor"))
         self._slide = _placed(cell.layout.slide, SLIDE_NEST_MM, fixed.generator("slide"))
-        self.tracker = TrackerTruth(cell, seed, time, faults, self.reflectors_in_world, session)
+        self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world, session)
 
     def lose_zero(self, axis_1_rad: float) -> None:
         """Turn the robot's axis 1 against its encoder for good, by turning its base."""

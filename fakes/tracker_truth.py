@@ -1,8 +1,8 @@
 """The truth of the tracker: where it stands, what it finds, what it reads, and the air.
 
-Noise is 7.5 um along the beam and 2.5 um/m across it (1 sigma). A slow drift and the air follow
-plant time in steps, so that a moment more or less changes no figure. All positions are in the
-tracker's frame, mm.
+Noise is 7.5 um along the beam and 2.5 um/m across it (1 sigma). All positions are in the tracker's
+frame, mm. The trap: how much plant time passes between two measurements depends a little on the
+machine's speed, so slow drift and air follow the number of measurements, each counted as 5 s.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from fakes.faults import Faults
 from fakes.noise import KeyedNoise
-from fakes.time import PlantTime
 from hilcell.cell import Cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Array
 
 RADIAL_MM, ACROSS = 0.0075, 2.5e-6
 PLACED_MM, TURNED_RAD = 3.0, 1e-3  # 1 sigma of nominal against true pose
-DRIFT_MM, DRIFT_PERIOD_S, DRIFT_STEP_S = 0.002, 4 * 3600.0, 600.0
-AIR_PERIOD_S, AIR_STEP_S = 3 * 3600.0, 60.0
+DRIFT_MM, DRIFT_PERIOD_S = 0.002, 4 * 3600.0
+AIR_PERIOD_S = 3 * 3600.0
+MEASUREMENT_S = 5.0
 
 Scene = Callable[[], dict[str, Array]]  # reflectors (3,) by name
 
@@ -57,14 +57,14 @@ class TrackerTruth:
         self,
         cell: Cell,
         seed: int,
-        time: PlantTime,
         faults: Faults,
         reflectors_in_world: Scene,
         session: int = 1,
     ) -> None:
         rng = KeyedNoise(seed).generator("tracker")
         self._noise = KeyedNoise(seed, f"tracker/{session}")
-        self._time, self._faults, self._reflectors = time, faults, reflectors_in_world
+        self._faults, self._reflectors = faults, reflectors_in_world
+        self._measured = 0
         self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)
         placed = np.eye(4)
         turn = TURNED_RAD * rng.standard_normal(3)
@@ -102,6 +102,7 @@ class TrackerTruth:
         at_mm = self.reflectors()[name]
         if not self._in_range(at_mm):
             return None
+        self._measured += 1
         std_mm = self._faults.number("tracker.noisy")
         self._bump_mm[0] += self._faults.number("tracker.drift_step") or 0.0
         xyz_mm = at_mm + self._bump_mm + self._slow_drift_mm()
@@ -121,8 +122,8 @@ class TrackerTruth:
 
     def air(self) -> Air:
         """Return the air now: 22-24 C as in the paper's laboratory."""
-        step_s = AIR_STEP_S * math.floor(self._time.now_s() / AIR_STEP_S)
-        waves = np.sin(2 * math.pi * step_s / AIR_PERIOD_S + self._air_phases)
+        age = self._measured * MEASUREMENT_S / AIR_PERIOD_S
+        waves = np.sin(2 * math.pi * age + self._air_phases)
         return Air(
             temperature_c=float(23.0 + 0.8 * waves[0]),
             pressure_mbar=float(1009.0 + 2.0 * waves[1]),
@@ -133,7 +134,6 @@ class TrackerTruth:
         return self._range_mm[0] <= float(np.linalg.norm(at_mm)) <= self._range_mm[1]
 
     def _slow_drift_mm(self) -> Array:
-        step_s = DRIFT_STEP_S * math.floor(self._time.now_s() / DRIFT_STEP_S)
-        angle = 2 * math.pi * step_s / DRIFT_PERIOD_S
+        angle = 2 * math.pi * self._measured * MEASUREMENT_S / DRIFT_PERIOD_S
         drift: Array = self._drift[0] * math.sin(angle) + self._drift[1] * (1 - math.cos(angle))
         return drift
