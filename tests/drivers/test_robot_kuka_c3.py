@@ -143,7 +143,7 @@ def test_a_fault_in_motion_is_named(
     with pytest.raises(DeviceError, match=message):
         robot.move_to(TARGET_RAD, 30.0)
     robot.close()
-    assert peer.stopped.is_set()
+    assert peer.stopped.wait(5)
 
 
 @pytest.mark.parametrize(("error", "message"), [("1", "unknown command"), ("2", "software limits")])
@@ -233,7 +233,7 @@ def test_the_runs_stop_ends_a_motion(peer: KukaPeer) -> None:
     with pytest.raises(Stopped):
         robot.move_to(TARGET_RAD, 30.0)
     robot.close()
-    assert peer.stopped.is_set()
+    assert peer.stopped.wait(5)
 
 
 def test_only_a_new_connect_takes_a_stop_back(robot: KukaC3Robot, peer: KukaPeer) -> None:
