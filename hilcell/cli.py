@@ -35,6 +35,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_live(commands)
     _add_past(commands)
     _add_cell(commands)
+    _add_plan(commands)
     _add_files(commands)
     return parser
 
@@ -92,6 +93,15 @@ def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     sim.add_argument("--speed", type=_speed, default=1.0, metavar="X|max", help="default: 1")
     sim.add_argument("--faults", default="", metavar="FILE", help="faults to inject, TOML")
     _command(commands, "diagram", "commands.cell:diagram", "print the state machines as Mermaid")
+
+
+def _add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    plan = _command(commands, "plan", "commands.plan:plan", "choose stations and orders for holes")
+    plan.add_argument("holes", metavar="HOLES.csv", help="holes with normals, or targets, in {W}")
+    _cell_options(plan)
+    plan.add_argument("--free", action="store_true", help="stations anywhere along the rail, too")
+    plan.add_argument("-o", "--output", default="", metavar="OUT", help="CSV: station,order,name")
+    _json_option(plan, "one object")
 
 
 def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -1,69 +1,132 @@
-"""Targets CSV: ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` in {W}, KUKA Z-Y-X angles."""
+"""CSV files of named rows in {W}: strict reading, and writing beside the place, then renaming.
+
+Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with KUKA Z-Y-X angles. The trap: Python
+takes ``1_0`` for 10 and ``nan`` for a number; both are refused here.
+"""
 
 from __future__ import annotations
 
 import csv
 import math
 import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from hilcell.clean import clean
 from hilcell.ports import Array
 from hilcell.settings import SettingsError
 
 HEADER = ["name", "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"]
 
 
+@dataclass(slots=True)
+class NamedRows:
+    """Rows of one file: ``header``, names (N) that differ, finite ``values`` (N) lists."""
+
+    header: list[str]
+    names: list[str] = field(default_factory=list)
+    values: list[list[float]] = field(default_factory=list)
+
+
 def read_targets(path: Path) -> tuple[list[str], Array]:
     """Return names and values (N, 6); raises `SettingsError` with every problem and its line."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
-    if not rows or [cell.strip() for cell in rows[0]] != HEADER:
-        found = ",".join(rows[0]) if rows else "an empty file"
-        raise SettingsError(str(path), [f"header must be {','.join(HEADER)}, found {found}"])
-    problems: list[str] = []
-    names: list[str] = []
-    values: list[list[float]] = []
-    for number, row in enumerate(rows[1:], start=2):
-        if row:
-            _take(row, number, names, values, problems)
-    if not names and not problems:
-        problems.append("no targets")
+    rows = read_named_rows(path, [HEADER], "targets")
+    return rows.names, np.array(rows.values)
+
+
+def read_named_rows(
+    path: Path,
+    headers: Sequence[list[str]],
+    what: str,
+    fault_of: Callable[[list[str], list[float]], str] = lambda header, values: "",
+) -> NamedRows:
+    """Return the rows of a CSV that has one of ``headers``: a name, then numbers.
+
+    ``fault_of`` says in words what is wrong with finite values, or nothing. Raises
+    `SettingsError` with every problem and its line.
+    """
+    lines = _lines(path)
+    header = [cell.strip() for cell in lines[0]] if lines else []
+    if header not in headers:
+        wanted = " or ".join(",".join(each) for each in headers)
+        found = ",".join(lines[0]) if lines else "an empty file"
+        raise SettingsError(str(path), [f"header must be {wanted}, found {found}"])
+    rows, known, problems = NamedRows(header), set[str](), list[str]()
+    for number, cells in enumerate(lines[1:], start=2):
+        if cells:
+            faults = _take(cells, rows, known, fault_of)
+            problems += [f"line {number}: {fault}" for fault in faults]
+    if not rows.names and not problems:
+        problems.append(f"no {what}")
     if problems:
         raise SettingsError(str(path), problems)
-    return names, np.array(values)
+    return rows
+
+
+def _lines(path: Path) -> list[list[str]]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
 
 
 def _take(
-    row: list[str], number: int, names: list[str], values: list[list[float]], problems: list[str]
-) -> None:
-    if len(row) != len(HEADER):
-        problems.append(f"line {number}: {len(HEADER)} fields are wanted, found {len(row)}")
-        return
-    if row[0] in names:
-        problems.append(f"line {number}: name {row[0]!r} was used before")
+    cells: list[str],
+    rows: NamedRows,
+    known: set[str],
+    fault_of: Callable[[list[str], list[float]], str],
+) -> list[str]:
+    """Add one line to ``rows``; return what is wrong with it."""
+    if len(cells) != len(rows.header):
+        return [f"{len(rows.header)} fields are wanted, found {len(cells)}"]
+    name, faults = cells[0], []
+    if name in known:
+        faults.append(f"name {name!r} was used before")
+    elif not name or name != clean(name):
+        faults.append(f"name {name!r} is empty, too long, or has outer spaces or controls")
+    known.add(name)
     try:
-        numbers = [float(cell) for cell in row[1:]]
+        values = [_number(cell) for cell in cells[1:]]
     except ValueError as error:
-        problems.append(f"line {number}: {error}")
-        return
-    if not all(math.isfinite(each) for each in numbers):
-        problems.append(f"line {number}: values must be finite")
-    names.append(row[0])
-    values.append(numbers)
+        return [*faults, str(error)]
+    if all(math.isfinite(each) for each in values):
+        fault = fault_of(rows.header, values)
+        faults += [fault] if fault else []
+    else:
+        faults.append("values must be finite")
+    rows.names.append(name)
+    rows.values.append(values)
+    return faults
+
+
+def _number(cell: str) -> float:
+    if "_" in cell:
+        raise ValueError(f"could not convert string to float: {cell!r}")
+    return float(cell)
 
 
 def write_targets(path: Path, names: list[str], values: Array) -> None:
-    """Write the file beside its place, then rename."""
+    """Write targets (N, 6); raises `SettingsError` as `write_rows` does."""
+    rows = (
+        [name, *(f"{each:.4f}" for each in row[:3]), *(f"{each:.6f}" for each in row[3:])]
+        for name, row in zip(names, values, strict=True)
+    )
+    write_rows(path, HEADER, rows)
+
+
+def write_rows(path: Path, header: list[str], rows: Iterable[list[str]]) -> None:
+    """Write a CSV beside its place, then rename; raises `SettingsError` where that fails."""
     beside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with beside.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(HEADER)
-        for name, row in zip(names, values, strict=True):
-            lengths = [f"{each:.4f}" for each in row[:3]]
-            writer.writerow([name, *lengths, *(f"{each:.6f}" for each in row[3:])])
-    beside.replace(path)
+    try:
+        with beside.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(header)
+            writer.writerows(rows)
+        beside.replace(path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise SettingsError(str(path), [f"cannot be written: {error}"]) from error

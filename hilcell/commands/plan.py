@@ -1,0 +1,83 @@
+"""``plan``: holes in, stations and orders of visit out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from hilcell.cell import Cell, load_cell
+from hilcell.commands.common import say
+from hilcell.faces import print_table
+from hilcell.planning.holes import read_holes
+from hilcell.planning.plan import HolePlan, StationPlan, ratio
+from hilcell.planning.plan import plan as plan_holes
+from hilcell.targets import write_rows
+
+
+def plan(args: argparse.Namespace) -> int:
+    """Print the fewest stations for the holes, and their orders with a lower bound on travel."""
+    cell = load_cell(args.cell, dict(args.set))
+    found = plan_holes(cell, read_holes(Path(args.holes)), free=args.free)
+    if args.output:
+        write_rows(Path(args.output), ["station", "order", "name"], _rows(found))
+    if args.json:
+        say(_facts(found), "", as_json=True)
+    else:
+        _print(cell, found)
+    return 0
+
+
+def _rows(found: HolePlan) -> Iterator[list[str]]:
+    for each in found.stations:
+        for order, name in enumerate(each.holes, start=1):
+            yield [each.station.name, str(order), name]
+
+
+def _facts(found: HolePlan) -> dict[str, object]:
+    return {
+        "stations": [_station_facts(each) for each in found.stations],
+        **_travel(found.travel_mm, found.bound_mm),
+        "unreached": [],  # a plan that leaves holes out is refused
+    }
+
+
+def _station_facts(each: StationPlan) -> dict[str, object]:
+    return {
+        "name": each.station.name,
+        "rail_mm": each.station.rail_mm,
+        "holes": each.holes,
+        "targets": each.poses.round(6).tolist(),  # x, y, z, a, b, c in {W}, in the same order
+        **_travel(each.travel_mm, each.bound_mm),
+    }
+
+
+def _travel(travel_mm: float, bound_mm: float) -> dict[str, object]:
+    return {
+        "travel_mm": travel_mm,
+        "bound_mm": bound_mm,
+        "ratio": ratio(travel_mm, bound_mm),
+    }
+
+
+def _print(cell: Cell, found: HolePlan) -> None:
+    headers = ["station", "rail mm", "holes", "travel mm", "lower bound mm", "ratio"]
+    rows = [
+        [each.station.name, f"{each.station.rail_mm:.2f}", str(len(each.holes)),
+         *_figures(each.travel_mm, each.bound_mm)]
+        for each in found.stations
+    ]  # fmt: skip
+    count = sum(len(each.holes) for each in found.stations)
+    rows.append(["all", "", str(count), *_figures(found.travel_mm, found.bound_mm)])
+    print_table((headers, rows))
+    new = [each.station.name for each in found.stations if each.station not in cell.station]
+    if new:
+        print(
+            f"not in the cell file yet: {', '.join(new)}; add them, with the strip's readings",
+            file=sys.stderr,
+        )
+
+
+def _figures(travel_mm: float, bound_mm: float) -> list[str]:
+    return [f"{travel_mm:.1f}", f"{bound_mm:.1f}", f"{ratio(travel_mm, bound_mm):.4f}"]

@@ -1,0 +1,1 @@
+"""Plans of work: which stations for which holes, in which order."""

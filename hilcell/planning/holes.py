@@ -1,0 +1,74 @@
+"""Holes to drill, in {W}, and the tool orientations that each of them allows.
+
+A hole with a normal fixes the tool's axis, {T}'s z, which points against the part's outward
+normal; the turn about it is free. A target with angles fixes the whole orientation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hilcell.geometry.kinematics import Array
+from hilcell.settings import SettingsError
+from hilcell.targets import HEADER, read_named_rows
+
+NORMALS = ["name", "x_mm", "y_mm", "z_mm", "nx", "ny", "nz"]
+LEAST_NORMAL = 1e-6  # a shorter one is a zero that was rounded
+TURNS = 24  # about the tool's axis, 15 deg apart
+MOST_HOLES = 5000  # routes hold all distances between holes at once
+
+
+@dataclass(frozen=True, slots=True)
+class Holes:
+    """``points_mm`` (N, 3) in {W}; ``tools`` (N, K, 3, 3): allowed orientations of {T} in {W}."""
+
+    names: list[str]
+    points_mm: Array
+    tools: Array
+
+    def poses(self) -> Array:
+        """Return all allowed poses (N, K, 4, 4) of {T} in {W}."""
+        poses = np.zeros((*self.tools.shape[:2], 4, 4))
+        poses[..., :3, :3] = self.tools
+        poses[..., :3, 3] = self.points_mm[:, None]
+        poses[..., 3, 3] = 1.0
+        return poses
+
+
+def read_holes(path: Path) -> Holes:
+    """Read holes with normals, or targets with angles; raises `SettingsError` with all problems."""
+    rows = read_named_rows(path, [NORMALS, HEADER], "holes", _fault_of)
+    if len(rows.names) > MOST_HOLES:
+        problem = f"{len(rows.names)} holes, wanted at most {MOST_HOLES}: split the file"
+        raise SettingsError(str(path), [problem])
+    values = np.array(rows.values)
+    by_normal = rows.header == NORMALS
+    tools = tools_against(values[:, 3:]) if by_normal else _tools_of(values[:, 3:])
+    return Holes(rows.names, values[:, :3], tools)
+
+
+def tools_against(normals: Array) -> Array:
+    """Return orientations (N, `TURNS`, 3, 3) whose z points against normals (N, 3)."""
+    z = -normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    aside = np.eye(3)[np.argmin(np.abs(z), axis=1)]  # never along z
+    x = np.cross(aside, z)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    first = np.stack([x, np.cross(z, x), z], axis=-1)
+    angles_rad = np.arange(TURNS) * 2 * np.pi / TURNS
+    turns = Rotation.from_rotvec(angles_rad[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    tools: Array = np.einsum("nij,kjl->nkil", first, turns)
+    return tools
+
+
+def _tools_of(angles_deg: Array) -> Array:
+    return Rotation.from_euler("ZYX", angles_deg, degrees=True).as_matrix()[:, None]
+
+
+def _fault_of(header: list[str], values: list[float]) -> str:
+    if header == NORMALS and not np.linalg.norm(values[3:]) >= LEAST_NORMAL:
+        return f"normal {values[3:]} has no length"
+    return ""

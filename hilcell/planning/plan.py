@@ -1,0 +1,130 @@
+"""From holes to stations and orders of visit, after the paper's section 2.
+
+As few stations as reach all holes; each hole belongs to the station closest to it among those
+that reach it, and the slide moves only when the next hole is out of reach. The trap: travel is
+counted between the holes of one station; between stations the robot is at its safe pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilcell.cell import Cell, Station
+from hilcell.geometry.frames import kuka_from_pose
+from hilcell.geometry.kinematics import Array
+from hilcell.planning.cover import fewest
+from hilcell.planning.holes import Holes
+from hilcell.planning.reach import Reach, reach
+from hilcell.planning.route import route
+
+RASTER_MM = 50.0  # of free stations along the rail
+
+
+@dataclass(frozen=True, slots=True)
+class StationPlan:
+    """Holes of one station in order, poses (N, 6) in {W} for them, travel and its lower bound."""
+
+    station: Station
+    holes: list[str]
+    poses: Array
+    travel_mm: float
+    bound_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class HolePlan:
+    """Stations in order of visit."""
+
+    stations: list[StationPlan]
+
+    @property
+    def travel_mm(self) -> float:
+        """Return the travel between holes at all stations."""
+        return sum(each.travel_mm for each in self.stations)
+
+    @property
+    def bound_mm(self) -> float:
+        """Return a travel that no orders of these stations' holes are below."""
+        return sum(each.bound_mm for each in self.stations)
+
+
+def ratio(travel_mm: float, bound_mm: float) -> float:
+    """Return travel over bound, 1 where nothing is travelled."""
+    return travel_mm / bound_mm if bound_mm > 0 else 1.0
+
+
+def plan(cell: Cell, holes: Holes, *, free: bool = False) -> HolePlan:
+    """Plan the holes at recorded stations; ``free`` adds a raster along the travel.
+
+    Raises `UnreachableHoles`.
+    """
+    candidates = _candidates(cell, free=free)
+    reached = reach(cell, holes, candidates)
+    off_mm = _off_mm(cell, holes, candidates)
+    new = np.array([station not in cell.station for station in candidates])
+    chosen = fewest(reached.ok, (new + _remoteness(off_mm, reached.ok)) / 2)
+    owner = chosen[_closest(off_mm[:, chosen], reached.ok[:, chosen])]
+    ascending = sorted(set(owner.tolist()), key=lambda each: candidates[each].rail_mm)
+    first, last = candidates[ascending[0]].rail_mm, candidates[ascending[-1]].rail_mm
+    if abs(last) < abs(first):  # homing leaves the slide at 0
+        ascending.reverse()
+    return HolePlan(
+        [_at_station(holes, reached, candidates[each], each, owner) for each in ascending]
+    )
+
+
+def _candidates(cell: Cell, *, free: bool) -> list[Station]:
+    recorded = list(cell.station)
+    if not free:
+        return recorded
+    low = cell.rail.travel_min_mm + cell.rail.back_off_mm
+    raster = RASTER_MM * np.arange(
+        np.ceil(low / RASTER_MM), np.floor(cell.rail.travel_max_mm / RASTER_MM) + 1
+    )
+    known = {station.rail_mm for station in recorded}
+    return recorded + [
+        Station(name=f"at {rail_mm:g} mm", rail_mm=rail_mm, strip_mm=rail_mm)
+        for rail_mm in raster.tolist()
+        if rail_mm not in known
+    ]
+
+
+def _off_mm(cell: Cell, holes: Holes, stations: list[Station]) -> Array:
+    """Return how far along the rail each hole lies from each station, (N, S)."""
+    from_start = holes.points_mm - cell.layout.nominal_base(0.0)[:3, 3]
+    along_mm = from_start @ np.array(cell.layout.rail_direction)
+    rail_mm = np.array([station.rail_mm for station in stations])
+    off_mm: Array = np.abs(along_mm[:, None] - rail_mm)
+    return off_mm
+
+
+def _remoteness(off_mm: Array, ok: NDArray[np.bool_]) -> Array:
+    """Return how far off the holes are that each station reaches, (S,), 0..1."""
+    count = ok.sum(axis=0)
+    mean_mm = np.where(ok, off_mm, 0.0).sum(axis=0) / np.maximum(count, 1)
+    return np.where(count > 0, mean_mm / max(float(off_mm.max()), 1.0), 1.0)
+
+
+def _closest(off_mm: Array, ok: NDArray[np.bool_]) -> NDArray[np.int_]:
+    """Return the closest station of those that reach each hole, (N,)."""
+    closest: NDArray[np.int_] = np.where(ok, off_mm, np.inf).argmin(axis=1)
+    return closest
+
+
+def _at_station(
+    holes: Holes, reached: Reach, station: Station, column: int, owner: NDArray[np.int_]
+) -> StationPlan:
+    own = np.flatnonzero(owner == column)
+    found = route(holes.points_mm[own])
+    visit = own[found.order]
+    poses = holes.poses()[visit, reached.turn[visit, column]]
+    return StationPlan(
+        station,
+        [holes.names[each] for each in visit],
+        kuka_from_pose(poses),
+        found.travel_mm,
+        found.bound_mm,
+    )

@@ -1,0 +1,129 @@
+"""Which holes the robot reaches from which place on the rail, with how much room, and why not.
+
+The configuration is the cell's, for which its errors are known. The trap: the tracker must see
+the hole wherever the robot stands, so range is a matter of the hole alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilcell.cell import Cell, Station
+from hilcell.geometry.frames import inverse
+from hilcell.geometry.inverse import inverse_kinematics, nearest_turns, reach_excess_mm
+from hilcell.geometry.kinematics import Array
+from hilcell.planning.holes import Holes
+from hilcell.ports import HilcellError
+
+NAMED = 5  # holes that one message names
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int_]
+
+
+class UnreachableHoles(HilcellError):
+    """Holes that no candidate station can serve."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Holes against stations, each (N, S): ``ok``, and the turn of the tool with most room."""
+
+    ok: Bools
+    turn: Ints
+
+
+def reach(cell: Cell, holes: Holes, stations: Sequence[Station]) -> Reach:
+    """Return which holes each station reaches; raises `UnreachableHoles` with the reasons."""
+    room_rad = np.empty((len(holes.names), len(stations)))
+    turn = np.empty(room_rad.shape, dtype=int)
+    poses = holes.poses()
+    for number, station in enumerate(stations):
+        room = _room_rad(cell, _in_base(cell, station, poses))
+        turn[:, number] = room.argmax(axis=1)
+        room_rad[:, number] = room.max(axis=1)
+    ok = (room_rad >= 0.0) & _in_range(cell, holes)[:, None]
+    _refuse_unreached(cell, holes, stations, ok)
+    return Reach(ok, turn)
+
+
+def _in_base(cell: Cell, station: Station, poses: Array) -> Array:
+    return inverse(cell.layout.nominal_base(station.rail_mm)) @ poses
+
+
+def _room_rad(cell: Cell, poses: Array) -> Array:
+    """Return the least distance to a joint limit or a straight wrist at poses (..., 4, 4) in {B}.
+
+    Below 0 beyond a limit, -inf where the arm does not reach.
+    """
+    arm, limits = cell.robot.arm(), cell.robot.margin_limits_rad
+    room = np.full(poses.shape[:-2], -np.inf)
+    there = reach_excess_mm(arm, poses, cell.robot.status) == 0
+    joints = inverse_kinematics(arm, poses[there], cell.robot.status)
+    joints = nearest_turns(joints, limits, np.radians(cell.robot.home_deg))
+    inside = np.minimum(joints - limits[0], limits[1] - joints).min(axis=-1)
+    room[there] = np.where(inside >= 0, np.minimum(inside, np.abs(joints[:, 4])), inside)
+    return room
+
+
+def _range_mm(cell: Cell, holes: Holes) -> Array:
+    range_mm: Array = np.linalg.norm(holes.points_mm - cell.tracker.pose.matrix()[:3, 3], axis=1)
+    return range_mm
+
+
+def _range_limits_mm(cell: Cell) -> tuple[float, float]:
+    """Return the tracker's limits less the radius within which it may find a reflector."""
+    margin = cell.tracker.find_radius_mm
+    return cell.tracker.min_range_mm + margin, cell.tracker.max_range_mm - margin
+
+
+def _in_range(cell: Cell, holes: Holes) -> Bools:
+    range_mm, (low, high) = _range_mm(cell, holes), _range_limits_mm(cell)
+    seen: Bools = (range_mm >= low) & (range_mm <= high)
+    return seen
+
+
+def _refuse_unreached(cell: Cell, holes: Holes, stations: Sequence[Station], ok: Bools) -> None:
+    bad = np.flatnonzero(~ok.any(axis=1))
+    if len(bad):
+        named = "".join(
+            f"\n  {holes.names[n]}: {_reason(cell, _one(holes, n), stations)}" for n in bad[:NAMED]
+        )
+        raise UnreachableHoles(
+            f"{len(bad)} of {len(ok)} holes cannot be drilled from any of {len(stations)} stations"
+            f" in status {cell.robot.status}:{named}{f'{chr(10)}  ...' if len(bad) > NAMED else ''}"
+            "\nmove the part or the tracker, or try --free stations"
+        )
+
+
+def _one(holes: Holes, number: int) -> Holes:
+    some = slice(number, number + 1)
+    return Holes(holes.names[some], holes.points_mm[some], holes.tools[some])
+
+
+def _reason(cell: Cell, hole: Holes, stations: Sequence[Station]) -> str:
+    """Return why one hole is reached from no station, at the station where least is missing."""
+    range_mm, (low, high) = float(_range_mm(cell, hole)[0]), _range_limits_mm(cell)
+    if not low <= range_mm <= high:
+        return f"tracker range {range_mm:.0f} mm, wanted {low:.0f} .. {high:.0f} mm"
+    arm, status = cell.robot.arm(), cell.robot.status
+    poses = np.stack([_in_base(cell, station, hole.poses()[0]) for station in stations])
+    excess_mm = reach_excess_mm(arm, poses, status)
+    if excess_mm.min() > 0:
+        at = int(excess_mm.min(axis=1).argmin())
+        return f"out of reach by {excess_mm.min():.1f} mm at {stations[at].name}"
+    room = _room_rad(cell, poses)
+    best = int(room.argmax())
+    station = stations[best // room.shape[1]]
+    limits = cell.robot.margin_limits_rad
+    joints = inverse_kinematics(arm, poses.reshape(-1, 4, 4)[best], status)
+    joints = nearest_turns(joints, limits, np.radians(cell.robot.home_deg))
+    worst = int(np.minimum(joints - limits[0], limits[1] - joints).argmin())
+    low, high = np.degrees(limits[:, worst])
+    return (
+        f"joint limit: A{worst + 1} at {np.degrees(joints[worst]):.2f} deg, wanted {low:.2f} .. "
+        f"{high:.2f} deg, {np.degrees(-room.max()):.2f} deg beyond, at {station.name}"
+    )
