@@ -53,9 +53,16 @@ class Frames:
             travel_mm = station.strip_mm - reference.strip_mm
             shift[:3, 3] = travel_mm * np.array(self.cell.layout.rail_direction)
             return shift @ base
-        T_W_S1 = self._log.matrix(f"station.{reference.name}")
-        T_W_Si = self._log.matrix(f"station.{station.name}")
-        return base_at(T_W_S1, T_W_Si, base)
+        return self._carried("station", station)
+
+    def base_by_three_points(self, station: Station) -> Array:
+        """Return T_W_B (4, 4) as the paper has it: {S} from three points alone."""
+        return self._carried("three_points", station)
+
+    def _carried(self, kind: str, station: Station) -> Array:
+        T_W_S1 = self._log.matrix(f"{kind}.{self.cell.grid.station}")
+        T_W_Si = self._log.matrix(f"{kind}.{station.name}")
+        return base_at(T_W_S1, T_W_Si, self._log.matrix("base"))
 
     def world_from_tracker(self, xyz_mm: Array) -> Array:
         """Carry raw positions (N, 3) into {W}."""

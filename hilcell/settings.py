@@ -69,7 +69,7 @@ def _unknown(path: str, key: str, known: list[str]) -> str:
 
 def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
     inner = _inner_struct(kind)
-    if inner is not None:
+    if inner is not None and value is not None:
         return _struct(value, inner, f"{path}.", problems)
     item = _item_struct(kind)
     if item is not None and isinstance(value, list):

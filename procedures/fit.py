@@ -9,6 +9,7 @@ import numpy as np
 from hilcell.calibration import grid_errors_mm, grid_of
 from hilcell.cell import Cell
 from hilcell.compensation.interpolation import choose, cross_validate
+from hilcell.ports import HilcellError
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log
 from hilcell.run.procedure import Step
@@ -26,7 +27,13 @@ class Fit:
     yields = "the chosen correction"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Return the step."""
+        """Refuse a grid of one cell: nothing in it could be left out."""
+        shape = grid_of(cell).shape
+        if max(shape) < 3:
+            raise HilcellError(
+                f"grid of {' x '.join(map(str, shape))} vertices, wanted three along one axis "
+                "at least; choose a smaller pitch_mm"
+            )
         return Step(self.name, 0, 1.0)
 
     def perform(self, bench: Bench) -> None:

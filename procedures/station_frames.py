@@ -1,4 +1,8 @@
-"""{S} at every station from nests on the slide (section 4.2, eqs 14-17, Fig 7)."""
+"""{S} at every station from nests on the slide (section 4.2, eqs 14-17, Fig 7).
+
+All nests averaged, best fit: the lever arm to the tool multiplies every angle. The trap: the
+station's frame and the reference's both carry noise, and both count.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +26,15 @@ from hilcell.run.procedure import Step
 from procedures.plan import MEASURE_S, check_range
 from procedures.world_frame import check_control_points
 
+THREE = "three_points"
+THREE_SAMPLES = 3  # the paper does not state how many readings it took of each
+
 
 class StationFrames:
-    """Holds each station and measures all slide nests, averaged, before the robot works there."""
+    """Holds each station and measures all slide nests, averaged, before the robot works there.
+
+    The paper's own frame, from three points, is taken beside it for comparison.
+    """
 
     name = "station-frames"
     needs = "the world frame, reflectors in the slide nests"
@@ -38,9 +48,10 @@ class StationFrames:
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), nests_mm)
             check_range(cell, world_mm, f"slide nests at {station.name}")
-        points = len(nests_mm) * len(cell.station)
-        seconds = points * MEASURE_S * cell.layout.nest_samples + 30.0 * len(cell.station)
-        return Step(self.name, points, seconds)
+        readings = len(nests_mm) * cell.layout.nest_samples + 3 * THREE_SAMPLES
+        seconds = 30.0 + readings * MEASURE_S
+        stations = len(cell.station)
+        return Step(self.name, stations * (len(nests_mm) + 3), stations * seconds)
 
     def perform(self, bench: Bench) -> None:
         """Frame the grid's station first: its slide points define {S}."""
@@ -55,8 +66,18 @@ class StationFrames:
         bench.hold_station(station)
         bench.park_robot()
         check_control_points(bench)
-        for nest in bench.cell.layout.slide:
-            bench.slide_point(f"slide/{station.name}/{nest.name}", "frames", station, nest)
+        nests, samples = bench.cell.layout.slide, bench.cell.layout.nest_samples
+        for nest in nests:
+            key = f"slide/{station.name}/{nest.name}"
+            bench.slide_point(key, "frames", station, nest, samples=samples)
+        few = [
+            bench.slide_point(
+                f"three/{station.name}/{nest.name}", THREE, station, nest, samples=THREE_SAMPLES
+            )
+            for nest in nests[:3]
+        ]
+        three_mm = apply(bench.log.matrix("world"), positions_mm(few))
+        bench.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
         fit = station_fit(bench.log, station, reference)
         bench.frame(
             f"station.{station.name}", fit.T, covariance=fit.covariance, rms_mm=fit.rms_mm,

@@ -9,7 +9,7 @@ import numpy as np
 
 from hilcell.calibration import command_mm, grid_errors_mm, grid_of
 from hilcell.cell import Cell, Station
-from hilcell.geometry.frames import apply
+from hilcell.geometry.frames import apply, inverse
 from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, Point, positions_mm
@@ -43,9 +43,12 @@ class Validate:
         grid, errors_mm = grid_of(bench.cell), grid_errors_mm(bench.log)
         for name, targets_mm in targets(bench.cell, bench.seed).items():
             station = bench.cell.station_named(name)
-            commands = {"before": targets_mm}
-            for method in sent_methods(bench.log):
-                commands[method] = command_mm(grid, errors_mm, method, targets_mm)
+            chosen = str(bench.log.verdicts["fit"]["method"])
+            commands = {
+                "before": targets_mm,
+                "idw": command_mm(grid, errors_mm, "idw", by_paper(bench, station, targets_mm)),
+                "chosen": command_mm(grid, errors_mm, chosen, targets_mm),
+            }
             for how, command in commands.items():
                 self._send(bench, station, how, targets_mm, command)
         self._judge(bench)
@@ -91,19 +94,19 @@ class Validate:
         }
 
 
-def sent_methods(log: Log) -> list[str]:
-    """Return the corrections that are sent: the paper's and the chosen one."""
-    return list(dict.fromkeys(["idw", str(log.verdicts["fit"]["method"])]))
+def by_paper(bench: Bench, station: Station, targets_mm: Array) -> Array:
+    """Return targets (N, 3) in {B} where the paper's three-point frame takes {B} to be."""
+    T_W_B = bench.frames.base_in_world(station)
+    return apply(inverse(bench.frames.base_by_three_points(station)) @ T_W_B, targets_mm)
 
 
 def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
-    """Return mean, p95 and max of |e| before, by the paper's IDW and by the chosen method."""
-    chosen = str(log.verdicts["fit"]["method"])
+    """Return mean, p95 and max of |e| before, by the paper's method and by the chosen one."""
     figures: dict[str, Any] = {}
-    for label, how in (("before", "before"), ("idw", "idw"), ("chosen", chosen)):
+    for how in ("before", "idw", "chosen"):
         points = [p for name in stations for p in log.group(f"validate_{how}", name)]
         figures["points"] = len(points)
-        figures[label] = figures_of(errors_mm(log, points))
+        figures[how] = figures_of(errors_mm(log, points))
     return figures
 
 

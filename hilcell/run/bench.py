@@ -228,14 +228,16 @@ class Bench:
         reading = self._measure_in_world(key, nest.xyz_mm, self.cell.layout.nest_samples)
         return self._keep(key, group, "", reading)
 
-    def slide_point(self, key: str, group: str, station: Station, nest: Nest) -> Point:
+    def slide_point(
+        self, key: str, group: str, station: Station, nest: Nest, *, samples: int
+    ) -> Point:
         """Measure a nest on the slide while ``station`` is held."""
         if key in self.log.points:
             return self.log.points[key]
         self.checkpoint()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
-        reading = self._measure_in_world(key, expected, self.cell.layout.nest_samples)
+        reading = self._measure_in_world(key, expected, samples)
         if self.frames.based():
             self._check_expected(key, reading, expected, 2 * self.cell.layout.nest_tolerance_mm)
         return self._keep(key, group, station.name, reading)
