@@ -1,0 +1,95 @@
+"""Holes CSV: both forms, orientations that fit the normals, every problem with its line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilcell.geometry.frames import pose_from_kuka
+from hilcell.planning import holes as module
+from hilcell.planning.holes import NORMALS, TURNS, read_holes, tools_against
+from hilcell.settings import SettingsError
+from hilcell.targets import HEADER
+
+
+def file_of(folder: Path, *lines: str) -> Path:
+    path = folder / "holes.csv"
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    return path
+
+
+def problems_of(path: Path) -> list[str]:
+    with pytest.raises(SettingsError) as told:
+        read_holes(path)
+    return told.value.problems
+
+
+def test_holes_with_normals(tmp_path: Path) -> None:
+    holes = read_holes(
+        file_of(tmp_path, ",".join(NORMALS), "H1,1,2,3,-2,0,0", "", "H2,4,5,6,0,0,1")
+    )
+    assert holes.names == ["H1", "H2"]
+    np.testing.assert_array_equal(holes.points_mm, [[1, 2, 3], [4, 5, 6]])
+    poses = holes.poses()
+    assert poses.shape == (2, TURNS, 4, 4)
+    np.testing.assert_array_equal(poses[1, 5, :3, 3], [4, 5, 6])
+    np.testing.assert_allclose(poses[0, :, :3, 2], np.tile([1.0, 0, 0], (TURNS, 1)), atol=1e-15)
+    np.testing.assert_allclose(poses[1, :, :3, 2], np.tile([0, 0, -1.0], (TURNS, 1)), atol=1e-15)
+
+
+def test_targets_keep_their_whole_orientation(tmp_path: Path) -> None:
+    holes = read_holes(file_of(tmp_path, ",".join(HEADER), "H1,1,2,3,10,75,-5"))
+    assert holes.tools.shape == (1, 1, 3, 3)
+    np.testing.assert_allclose(holes.poses()[0, 0], pose_from_kuka(1, 2, 3, 10, 75, -5), atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_tools_are_right_handed_and_turn_evenly(seed):
+    normals = np.random.default_rng(seed).normal(0, 1, (4, 3))
+    normals[0] = np.eye(3)[seed % 3] * 7.0
+    tools = tools_against(normals)
+    np.testing.assert_allclose(np.linalg.det(tools), 1.0)
+    np.testing.assert_allclose(
+        tools @ np.swapaxes(tools, -1, -2), np.broadcast_to(np.eye(3), tools.shape), atol=1e-12
+    )
+    along = np.einsum("nki,ni->nk", tools[..., 2], normals)
+    np.testing.assert_allclose(along, -np.linalg.norm(normals, axis=1)[:, None] * np.ones(TURNS))
+    step = np.einsum("nki,nki->nk", tools[..., 0], np.roll(tools[..., 0], 1, axis=1))
+    np.testing.assert_allclose(step, np.cos(2 * np.pi / TURNS))
+
+
+def test_all_problems_are_told_with_their_lines(tmp_path: Path) -> None:
+    path = file_of(
+        tmp_path, ",".join(NORMALS), "H1,1,2,3,-1,0,0", "H1,1,2,3,-1,0,0", "H2,1,2,3,0,0,0",
+        "H3,nan,2,3,1,0,0", "H4,1,2,3,0,0,inf", "H5,1,2,3,1e-9,0,0", "H6,1,2,3,1,0",
+        "H7,1,b,3,1,0,0", ",1,2,3,1,0,0", "H8,1_0,2,3,1,0,0",
+    )  # fmt: skip
+    found = problems_of(path)
+    assert [line.split(":")[0] for line in found] == [f"line {n}" for n in range(3, 12)]
+    for line, part in zip(
+        found,
+        ["used before", "no length", "finite", "finite", "no length", "7 fields", "'b'", "empty",
+         "'1_0'"],
+        strict=True,
+    ):  # fmt: skip
+        assert part in line
+
+
+def test_other_headers_are_refused(tmp_path: Path) -> None:
+    for header in ("name,x_mm,y_mm,z_mm", "x,y,z,nx,ny,nz", ""):
+        (problem,) = problems_of(file_of(tmp_path, header))
+        assert ",".join(NORMALS) in problem
+        assert ",".join(HEADER) in problem
+
+
+def test_an_empty_list_is_refused(tmp_path: Path) -> None:
+    assert problems_of(file_of(tmp_path, ",".join(NORMALS))) == ["no holes"]
+
+
+def test_too_many_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_HOLES", 2)
+    lines = [f"H{n},1,2,3,1,0,0" for n in range(3)]
+    (problem,) = problems_of(file_of(tmp_path, ",".join(NORMALS), *lines))
+    assert problem == "3 holes, wanted at most 2: split the file"
