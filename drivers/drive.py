@@ -25,12 +25,17 @@ OVERSPEED = 1.2
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a healthy slide never exceeds, in counts and counts/s."""
+    """What a healthy slide never exceeds, in counts and counts/s, and the scale to tell it in."""
 
+    counts_per_mm: float
     lowest: int
     highest: int
     speed: float
     window: int  # arrived, or progress
+
+    def mm(self, counts: float) -> str:
+        """Return a position, or a speed a second, in words."""
+        return f"{counts / self.counts_per_mm:.3f} mm"
 
 
 class Drive:
@@ -49,9 +54,14 @@ class Drive:
 
     def poll(self, operation: str) -> Snapshot:
         """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
-        self._watch(operation)
-        now = self._image.refresh(self._clock.check)
-        self._watch(operation)
+
+        def look() -> None:
+            self._clock.check()
+            self._watch(operation)
+
+        look()
+        now = self._image.refresh(look)
+        look()
         if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
             code = self._sdo.read(cia402.ERROR_CODE)
             raise DeviceError(
@@ -109,25 +119,26 @@ class Drive:
         self._image.control(cia402.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
             raise DeviceError(
-                DEVICE, operation, f"the drive stands at {now.position} counts",
-                wanted=f"0 +-{tolerance} counts", act="check the drive's homing method and offset",
+                DEVICE, operation, f"the drive stands at {self._limits.mm(now.position)}",
+                wanted=f"0 +-{self._limits.mm(tolerance)}", act="check the homing settings",
             )  # fmt: skip
 
     def move(self, target: int) -> None:
         """Go to ``target`` counts in profile position; return at standstill, still enabled."""
-        operation = f"move to {target} counts"
+        operation = f"move to {self._limits.mm(target)}"
         self._prepare(operation, cia402.PROFILE_POSITION)
         self._image.control(cia402.ENABLE_OPERATION, target)
         self._moving(operation, "last set-point released", lambda s: not s.has(cia402.ACKNOWLEDGED))
         self._image.control(cia402.START, target)
         self._moving(operation, "set-point acknowledged", lambda s: s.has(cia402.ACKNOWLEDGED))
         self._image.control(cia402.ENABLE_OPERATION, target)
-        self._moving(operation, f"target reached at {target} counts, at standstill", lambda s: (
-            s.has(cia402.TARGET_REACHED)
-            and not s.has(cia402.ACKNOWLEDGED)
-            and s.velocity == 0
-            and abs(s.position - target) <= self._limits.window
-        ))  # fmt: skip
+        wanted = f"target reached at {self._limits.mm(target)}, at standstill"
+        self._moving(operation, wanted, lambda now: self._arrived(now, target))
+
+    def _arrived(self, now: Snapshot, target: int) -> bool:
+        """Whether a motion has ended; the drive's bit alone may be the last motion's, or a lie."""
+        reached = now.has(cia402.TARGET_REACHED) and not now.has(cia402.ACKNOWLEDGED)
+        return reached and now.velocity == 0 and abs(now.position - target) <= self._limits.window
 
     # -- steps --------------------------------------------------------------------------------
 
@@ -166,24 +177,27 @@ class Drive:
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:
         limits, found = self._limits, ""
+        where = limits.mm(now.position)
         if now.state is not State.ENABLED:
             found = f"drive left operation enabled: {now.state.value}"
         elif now.has(cia402.MODE_ERROR):
             homing = now.mode == cia402.HOMING
-            found = "homing error" if homing else f"following error at {now.position} counts"
+            found = "homing error" if homing else f"following error at {where}"
         elif now.mode != cia402.HOMING and now.has(cia402.INTERNAL_LIMIT):
-            found = f"limit active at {now.position} counts"
+            found = f"limit active at {where}"
         elif not abs(now.velocity) <= OVERSPEED * limits.speed:
-            found = f"speed {now.velocity} counts/s, allowed {OVERSPEED * limits.speed:.0f}"
+            allowed = limits.mm(OVERSPEED * limits.speed)
+            found = f"speed {limits.mm(now.velocity)}/s, allowed {allowed}/s"
         elif now.mode != cia402.HOMING and not limits.lowest <= now.position <= limits.highest:
-            found = f"position {now.position} counts left {limits.lowest} .. {limits.highest}"
+            found = f"{where} is beyond {limits.mm(limits.lowest)} .. {limits.mm(limits.highest)}"
         if found:
             raise DeviceError(DEVICE, operation, found, act="put the cause right, then resume")
 
     def _stalled(self, operation: str, wanted: str, now: Snapshot) -> DeviceError:
         return DeviceError(
             DEVICE, operation,
-            f"no progress for {STALL_S:.0f} s at {now.position} counts, {now.velocity} counts/s, "
+            f"no progress for {STALL_S:.0f} s at {self._limits.mm(now.position)}, "
+            f"{self._limits.mm(now.velocity)}/s, "
             f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}",
             wanted=wanted, act="check the slide for an obstacle and the drive, then resume",
         )  # fmt: skip

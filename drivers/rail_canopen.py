@@ -237,6 +237,7 @@ class CanopenRail:
     def _limits(self) -> Limits:
         options, scale = self._options, self._options.counts_per_mm
         return Limits(
+            counts_per_mm=scale,
             lowest=round((options.travel_min_mm - SLACK_MM) * scale),
             highest=round((options.travel_max_mm + SLACK_MM) * scale),
             speed=options.speed_mm_s * scale,

@@ -39,14 +39,14 @@ AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 ERRORS = {1: "unknown command", 2: "target outside the software limits", 9: "stopped by HC_STOP"}
 
-# Variable, the values with which work may go on, and what to do otherwise.
+# Variable, the values with which work may go on, and what to do otherwise; causes come first.
 HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
+    "$ALARM_STOP": ((True,), "emergency stop is pressed; release it and acknowledge the message"),
+    "$USER_SAF": ((True,), "the guard is open; close it and acknowledge the message"),
     "$MODE_OP": (
         ("#EX", "#AUT"),
         "an unattended run needs automatic mode; turn the key to AUT or EXT",
     ),
-    "$ALARM_STOP": ((True,), "emergency stop is pressed; release it and acknowledge the message"),
-    "$USER_SAF": ((True,), "the guard is open; close it and acknowledge the message"),
     "$PERI_RDY": ((True,), "the drives have no power; switch them on"),
     "$STOPMESS": ((False,), "a stop message is pending; acknowledge it at the panel"),
     "$PRO_STATE1": (("#P_ACTIVE",), "start the program hilcell at the panel"),
@@ -54,8 +54,8 @@ HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
 # Each poll of a motion looks at one group, so that all are seen within three polls.
 GROUPS = (
     ("$ALARM_STOP", "$MODE_OP", "$OV_PRO"),
-    ("$USER_SAF", "$PRO_STATE1", "$ACT_TOOL"),
-    ("$STOPMESS", "$PERI_RDY", "$ACT_BASE"),
+    ("$USER_SAF", "$PRO_STATE1"),
+    ("$STOPMESS", "$PERI_RDY"),
 )
 
 
@@ -78,6 +78,7 @@ class KukaC3Robot:
         self._line: C3Connection | None = None
         self._stop_line: C3Connection | None = None
         self._keeper: KeepAlive | None = None
+        self._groups = cycle(GROUPS)
         self._sequence = 0
         self._under_way = False
         self._stopped = False
@@ -93,8 +94,7 @@ class KukaC3Robot:
             # The stop must get through while the run is already stopping.
             self._stop_line = C3Connection(DEVICE, host, port, _never)
             identity = self._identify()
-            for name in ("HC_VER", *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE"):
-                self._check(name)
+            self._check("HC_VER", *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
             self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
             self._check_frame("$BASE", (0.0,) * 6)
             self._take_back_stop()
@@ -157,16 +157,22 @@ class KukaC3Robot:
             )  # fmt: skip
         return Identity(DEVICE, model, str(serial), f"{self._options.host}:{self._options.port}")
 
-    def _check(self, name: str) -> None:
-        """Read one variable of the controller's state and refuse to work with a wrong one."""
+    def _check(self, *names: str) -> None:
+        """Refuse to work with a wrong state; the first cause is told, not its consequence."""
+        for name in names:
+            if problem := self._problem(name):
+                raise next(filter(None, map(self._problem, HEALTH)), problem)
+
+    def _problem(self, name: str) -> DeviceError | None:
+        """Read one variable of the controller's state; return what is wrong with it."""
         if name in HEALTH:
             wanted, act = HEALTH[name]
             found = self._value(name)
-            if not any(found == value and type(found) is type(value) for value in wanted):
-                raise self._unwell(
-                    name, clean(str(found)), " or ".join(str(v).upper() for v in wanted), act
-                )
-            return
+            if any(found == value and type(found) is type(value) for value in wanted):
+                return None
+            return self._unwell(
+                name, found, " or ".join(str(value).upper() for value in wanted), act
+            )
         number = self._integer(name)
         low, high, act = {
             "HC_VER": (PROGRAM_VERSION, PROGRAM_VERSION, "install drivers/krl/hilcell.src anew"),
@@ -174,13 +180,14 @@ class KukaC3Robot:
             "$ACT_TOOL": (self._options.tool, self._options.tool, "restart the program hilcell"),
             "$ACT_BASE": (self._options.base, self._options.base, "restart the program hilcell"),
         }[name]
-        if not low <= number <= high:
-            raise self._unwell(name, number, str(low) if low == high else f"{low} to {high}", act)
+        if low <= number <= high:
+            return None
+        return self._unwell(name, number, str(low) if low == high else f"{low} to {high}", act)
 
-    def _unwell(self, name: str, found: object, wanted: str, act: str) -> DeviceError:
-        kind = DeviceError if self._under_way else DeviceRefused
-        return kind(DEVICE, "move" if self._under_way else "check", f"{name} is {found}",
-                    wanted=wanted, act=act)  # fmt: skip
+    def _unwell(self, name: str, found: krl.Value, wanted: str, act: str) -> DeviceError:
+        text = str(found).upper() if isinstance(found, bool) else clean(str(found))
+        kind, operation = (DeviceError, "move") if self._under_way else (DeviceRefused, "check")
+        return kind(DEVICE, operation, f"{name} is {text}", wanted=wanted, act=act)
 
     def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
         found = self._numbers(name, FRAME)
@@ -225,12 +232,11 @@ class KukaC3Robot:
     def _await_acknowledgement(self, number: int) -> None:
         before_deg = np.full(6, np.nan)
         changed_s = time.monotonic()
-        for group in cycle(GROUPS):
+        for group in self._groups:
             acknowledged = self._integer("HC_ACK")
             if acknowledged == number:
                 break
-            for name in group:
-                self._check(name)
+            self._check(*group)
             now_deg = self._axes_deg()
             if not bool(np.all(np.abs(now_deg - before_deg) <= STILL_DEG)):
                 before_deg, changed_s = now_deg, time.monotonic()
@@ -245,8 +251,7 @@ class KukaC3Robot:
             )
 
     def _stalled(self, now_deg: Array, acknowledged: int, number: int) -> DeviceError:
-        for name in (*HEALTH, "$OV_PRO"):
-            self._check(name)
+        self._check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
         return DeviceError(
             DEVICE, "move",
             f"no axis moved for {STALL_S:.0f} s at {_joints_text(now_deg)}, HC_ACK {acknowledged}",
@@ -254,6 +259,8 @@ class KukaC3Robot:
         )  # fmt: skip
 
     def _await_rest(self, target_deg: Array) -> RobotReading:
+        # The pose means something only with the tool and the base that connect has verified.
+        self._check("$ACT_TOOL", "$ACT_BASE")
         deadline_s = time.monotonic() + REST_S
         while True:
             axes_deg = self._axes_deg()

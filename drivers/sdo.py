@@ -64,6 +64,10 @@ class _Client(SdoClient):
                 raise SdoAbortedError(struct.unpack_from("<L", response, 4)[0])
             return response
 
+    def abort(self, abort_code: int = 0x08000000) -> None:
+        """Abort the transfer; canopen's own also prints on a screen that is not its to use."""
+        self.send_request(struct.pack("<BHBL", 0x80, 0, 0, abort_code))  # type: ignore[no-untyped-call]
+
 
 class SdoChannel:
     """Objects of one node; used by one thread at a time."""

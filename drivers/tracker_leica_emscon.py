@@ -48,7 +48,7 @@ class LeicaEmsconTracker:
     REPLY_S = 5.0
     INITIALIZE_S = 90.0
     MOVE_S = 30.0
-    RESULT_S = 10.0  # on top of the time that the measurement takes
+    RESULT_S = 5.0  # on top of the time that the measurement takes
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Where the tracker is, and how it measures."""

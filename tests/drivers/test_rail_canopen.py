@@ -234,10 +234,13 @@ def fault(axis: can_peer.Axis) -> None:
 MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], None], str]] = {
     "following error": (lambda p: setattr(p.axis, "bits", p.axis.bits | 0x2000), "following error"),
     "limit": (lambda p: setattr(p.axis, "bits", p.axis.bits | 0x0800), "limit active"),
-    "runaway": (lambda p: setattr(p.axis, "speed", 300_001), "speed 300001 counts/s"),
+    "runaway": (
+        lambda p: setattr(p.axis, "speed", 300_001),
+        r"speed 300\.001 mm/s, allowed 300\.000 mm/s",
+    ),
     "outside": (
         lambda p: vars(p.axis).update(position=3_005_100, frozen=True),
-        r"left -5000 \.\. 3005000",
+        r"3005\.100 mm is beyond -5\.000 mm \.\. 3005\.000 mm",
     ),
     "fault": (lambda p: fault(p.axis), "drive in fault, error 0x0000"),
     "power lost": (lambda p: setattr(p.axis, "state", 0x40), "left operation enabled: switch on"),

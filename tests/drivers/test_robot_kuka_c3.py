@@ -146,6 +146,22 @@ def test_a_fault_in_motion_is_named(
     assert peer.stopped.wait(5)
 
 
+@pytest.mark.parametrize("name", ["$ACT_TOOL", "$ACT_BASE"])
+def test_a_frame_changed_in_motion_spoils_the_reading(
+    robot: KukaC3Robot, peer: KukaPeer, name: str
+) -> None:
+    peer.moved = lambda: peer.variables.update({name: "5"})
+    with pytest.raises(DeviceError, match=rf"\{name} is 5"):
+        robot.move_to(TARGET_RAD, 30.0)
+
+
+def test_the_cause_is_told_before_its_consequence(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.frozen = True
+    peer.variables |= {"$PRO_STATE1": "#P_STOP", "$PERI_RDY": "FALSE", "$ALARM_STOP": "FALSE"}
+    with pytest.raises(DeviceError, match=r"\$ALARM_STOP is FALSE, wanted TRUE; emergency stop"):
+        robot.move_to(TARGET_RAD, 30.0)
+
+
 @pytest.mark.parametrize(("error", "message"), [("1", "unknown command"), ("2", "software limits")])
 def test_the_programs_errors_are_told(
     robot: KukaC3Robot, peer: KukaPeer, error: str, message: str
