@@ -27,8 +27,7 @@ class Home:
     def perform(self, bench: Bench) -> None:
         """Reference the drive."""
         bench.reach("connect")
-        resumed = bench.log.states["calibration"] != "connected"
-        if not (resumed and bench.rail_referenced()):
+        if not (bench.reached("referenced") and bench.rail_referenced()):
             bench.home_rail()
         bench.reach("reference")
 

@@ -32,9 +32,10 @@ class HoldStation:
         return Step(self.name, 0, 30.0)
 
     def perform(self, bench: Bench) -> None:
-        """Hold the station unless it is held."""
-        bench.hold_station(bench.cell.station_named(bench.cell.grid.station))
-        bench.reach("hold_station")
+        """Hold the station once; who needs it later holds it himself."""
+        if not bench.reached("station_held"):
+            bench.hold_station(bench.cell.station_named(bench.cell.grid.station))
+            bench.reach("hold_station")
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return nothing: the station's figures come with its frame."""

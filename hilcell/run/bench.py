@@ -55,11 +55,15 @@ class Bench:
 
     # -- what was reached ---------------------------------------------------------------------
 
+    def reached(self, state: str) -> bool:
+        """Whether the journal proves this state of the calibration, or a later one."""
+        order = CALIBRATION.states
+        return order.index(self._calibration.state) >= order.index(state)
+
     def reach(self, trigger: str) -> None:
         """Take a step of the calibration machine, unless the journal proves that it was taken."""
-        order = CALIBRATION.states
         target = next(row[2] for row in CALIBRATION.rows if row[0] == trigger)
-        if order.index(self._calibration.state) < order.index(target):
+        if not self.reached(target):
             self._calibration.fire(trigger)
 
     def event(self, what: str, **facts: object) -> None:
@@ -288,6 +292,7 @@ class Bench:
         body = {
             "group": group,
             "station": station,
+            "frame": "tracker",
             "reflector": reading.reflector,
             "xyz_mm": reading.xyz_mm,
             "std_mm": reading.std_mm,

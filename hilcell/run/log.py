@@ -36,7 +36,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     pressure_mbar: float
     humidity_percent: float
     session: int
-    frame: str = "tracker"
+    frame: str
     nominal_mm: tuple[float, float, float] | None = None
     smr_mm: tuple[float, float, float] | None = None
     commanded_deg: tuple[float, ...] | None = None

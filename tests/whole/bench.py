@@ -69,8 +69,8 @@ class Engine:
             self.events.append(json.loads(line))
             if wanted(self.events[-1]):
                 return self.events[-1]
-        _, told = self.process.communicate()
-        raise AssertionError(f"the run ended first: {self.events[-1:]}\n{told}")
+        self.rest()
+        raise AssertionError(f"the run ended first: {self.events[-1:]}\n{self.told}")
 
     def kill(self) -> list[dict[str, Any]]:
         """Kill -9 and return all events that were printed, the torn last line left out."""
@@ -78,8 +78,14 @@ class Engine:
         return self.rest()
 
     def rest(self) -> list[dict[str, Any]]:
-        out, self.told = self.process.communicate(timeout=LIMIT_S)
-        lines = out.splitlines(keepends=True)
+        # communicate() would miss what the line iterator has read ahead.
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        lines = self.process.stdout.readlines()
+        self.told = self.process.stderr.read()
+        self.process.wait(LIMIT_S)
+        self.process.stdout.close()
+        self.process.stderr.close()
         self.events += [json.loads(line) for line in lines if line.endswith("\n")]
         return self.events
 

@@ -96,4 +96,4 @@ def test_the_calibration_corrects_targets(runs: list[Any], tmp_path: Path) -> No
     targets.write_text(head + "TURNED,0,0,1250,0,85,0\n")
     done = hilcell(*words)
     assert done.returncode == 2
-    assert "TURNED by 10" in done.stderr
+    assert "TURNED by" in done.stderr

@@ -70,7 +70,7 @@ def test_twenty_kills_change_nothing(tmp_path: Path) -> None:
     assert measured == {k for k in points_of(events(whole.stdout)) if not k.startswith("control/")}
     found, uninterrupted = figures(end["result"]), figures(wanted)
     for key, value in uninterrupted.items():
-        assert found[key] == pytest.approx(value, abs=0.03), key
+        assert found[key] == pytest.approx(value, abs=0.02), key
 
 
 def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
@@ -89,20 +89,41 @@ def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
     assert resumed.returncode == 2  # the speed of a run is frozen in its journal
 
 
+def faulted(engine: Engine, device: str) -> None:
+    """The run ends safely with exit 3; its journal is whole and names the device."""
+    printed = engine.rest()
+    assert printed[-1]["exit"] == 3, printed[-1]
+    assert printed[-1]["state"] == "faulted"
+    assert device.capitalize() in printed[-1]["reason"]
+    assert any(e["kind"] == "event" and e["what"] == "safe stop" for e in printed)
+    assert "hilcell resume" in engine.told
+    assert judge(printed) == []
+
+
 @pytest.mark.parametrize("device", ["rail", "robot", "tracker"])
 def test_a_device_that_vanishes_in_mid_motion(tmp_path: Path, device: str) -> None:
-    """Safe stop, journal intact, exit 3; with the device back the run goes on to its end."""
+    """Safe stop, journal intact, exit 3; without the device a resume says so."""
     with simulation("--speed", "max") as cell:
         words = sets(SMALL | {"simulation.address": cell.control})
         engine = Engine("run", "--runs", tmp_path, *words)
         engine.until(lambda event: event["kind"] == "point" and event["group"] == "grid")
-        cell.ask(op="fault", name=f"{device}.vanish")
-        printed = engine.rest()
-        assert printed[-1]["exit"] == 3, printed[-1]
-        assert printed[-1]["state"] == "faulted"
-        assert device.capitalize() in printed[-1]["reason"]
-        assert any(e["kind"] == "event" and e["what"] == "safe stop" for e in printed)
-        assert judge(printed) == []
-        cell.ask(op="clear", name=f"{device}.vanish")
+        assert cell.ask(do="fault", name=f"{device}.vanish")["ok"]
+        faulted(engine, device)
+        again = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
+    end = end_of(again)
+    assert end["exit"] == 3
+    assert device.capitalize() in end["reason"]
+
+
+@pytest.mark.parametrize("fault", ["rail.eof", "robot.idle_close", "tracker.eof"])
+def test_a_connection_that_breaks_is_resumed(tmp_path: Path, fault: str) -> None:
+    with simulation("--speed", "max") as cell:
+        words = sets(SMALL | {"simulation.address": cell.control})
+        engine = Engine("run", "--runs", tmp_path, *words)
+        engine.until(lambda event: event["kind"] == "point" and event["group"] == "grid")
+        assert cell.ask(do="fault", name=fault)["ok"]
+        faulted(engine, fault.split(".")[0])
         done = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
     assert end_of(done)["state"] == "finished", done.stderr
+    journal = events(hilcell("watch", engine.run, "--runs", tmp_path, "--json").stdout)
+    assert judge(journal) == []

@@ -26,7 +26,7 @@ def free_port() -> int:
         (["--set", "rail.driver=canopeen"], "is not installed; installed:"),
         (["calibrat"], "'calibrat' is not installed; installed: base-frame, calibrate"),
         (["--set", "layout.slide=" + "[" + ", ".join(
-            f'{{name="P{n}", x_mm={n}00.0, y_mm=0.0, z_mm=0.0}}' for n in range(3)
+            f'{{name="P{n}", x_mm={n + 1}00.0, y_mm=0.0, z_mm=0.0}}' for n in range(3)
         ) + "]"], "lie on one line"),
     ],
 )  # fmt: skip
