@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
+from fakes import faults as faults_module
 from fakes.faults import KNOWN, Faults, load_faults
 from hilcell.settings import SettingsError
 
@@ -62,3 +64,11 @@ def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
 
 def test_every_fault_states_its_occasion() -> None:
     assert all(text.count("|") == 1 for text in KNOWN.values())
+
+
+def test_every_known_fault_is_asked_for_and_no_other() -> None:
+    folder = Path(faults_module.__file__).parent
+    sources = [file for file in folder.glob("*.py") if file.name != "faults.py"]
+    text = "".join(file.read_text("utf-8") for file in sources)
+    asked = set(re.findall(r'"((?:rail|robot|tracker)\.[a-z_0-9]+)"', text))
+    assert asked == set(KNOWN)
