@@ -78,7 +78,7 @@ def robot_of(cell: Cell) -> RobotModel:
 
 def measured(log: Log) -> Measurements:
     """Return the campaign's points as measured targets, with the joints as commanded."""
-    points = log.group("campaign")
+    points = [point for point in log.points.values() if point.group == "campaign"]
     names = [point.key.split("/")[1:] for point in points]
     joints_deg = np.array([point.commanded_deg for point in points])
     return Measurements(

@@ -122,7 +122,7 @@ def test_a_connection_that_breaks_is_resumed(tmp_path: Path, fault: str) -> None
         engine = Engine("run", "--runs", tmp_path, *words)
         engine.until(lambda event: event["kind"] == "point" and event["group"] == "grid")
         assert cell.ask(do="fault", name=fault)["ok"]
-        faulted(engine, fault.split(".")[0])
+        faulted(engine, fault.split(".", maxsplit=1)[0])
         done = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
     assert end_of(done)["state"] == "finished", done.stderr
     journal = events(hilcell("watch", engine.run, "--runs", tmp_path, "--json").stdout)
