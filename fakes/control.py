@@ -65,7 +65,10 @@ class ControlServer:
     def _serve(self, client: socket.socket) -> None:
         with client.makefile("rb") as lines:
             while line := lines.readline(LONGEST):
-                client.sendall(msgspec.json.encode(self._answer(line)) + b"\n")
+                answer = self._answer(line)
+                client.sendall(msgspec.json.encode(answer) + b"\n")
+                if answer.get("leaving"):  # only now, for the end closes this connection too
+                    self._quit()
 
     def _answer(self, line: bytes) -> Answer:
         try:
@@ -104,8 +107,7 @@ class ControlServer:
         return {}
 
     def _leave(self, order: Answer) -> Answer:
-        self._quit()
-        return {}
+        return {"leaving": True}
 
 
 def truth_of(plant: Plant, order: Answer) -> Answer:
