@@ -18,9 +18,12 @@ from scipy.spatial.distance import cdist
 
 from hilcell.geometry.kinematics import Array
 from hilcell.planning.bound import lower_bound
+from hilcell.planning.cuts import cut_bound
 
 GOOD = 1.02  # a route this near to its bound is not worth more search
-KICKS_PER_HOLE = 10
+KICKS_PER_HOLE = 6
+FAR = 1.03  # over its bound: the bound is to blame, as a rule, and worth sharpening
+MOST_CUT = 1000  # holes up to which that is quick
 KICK_SPAN = 50  # holes within which one kick swaps two stretches
 NEAR = 8  # holes that a new edge may lead to
 LONGEST_STRETCH = 3  # holes that Or-opt moves together
@@ -43,6 +46,8 @@ def route(points_mm: Array) -> Route:
     bound_mm = lower_bound(distance, first)
     order = first if len(first) < 4 else _Search(distance, first).run(GOOD * bound_mm)
     travel_mm = float(distance[order[:-1], order[1:]].sum())
+    if travel_mm > FAR * bound_mm and 4 <= len(order) <= MOST_CUT:
+        bound_mm = max(bound_mm, cut_bound(distance, order))
     return Route(order, travel_mm, min(bound_mm, travel_mm))
 
 
