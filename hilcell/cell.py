@@ -231,6 +231,22 @@ class BaseFrameTable(Frozen, frozen=True, kw_only=True):
     points: Annotated[int, Meta(ge=3, le=200)] = 12
 
 
+class SurveyTable(Frozen, frozen=True, kw_only=True):
+    """How the rail is surveyed there and back, and how often a station is approached."""
+
+    from_mm: float = 0.0
+    to_mm: float = 2000.0
+    step_mm: Positive = 100.0
+    repeats: Annotated[int, Meta(ge=4, le=1000)] = 15
+
+    def __post_init__(self) -> None:
+        steps = (self.to_mm - self.from_mm) / self.step_mm
+        if not (round(steps) >= 3 and abs(steps - round(steps)) < 1e-9):
+            raise ValueError(
+                f"{self.from_mm} .. {self.to_mm} mm is not three or more steps of {self.step_mm} mm"
+            )
+
+
 class ValidationTable(Frozen, frozen=True, kw_only=True):
     """Random targets: per grid cell at the grid's station, in all at the other stations."""
 
@@ -274,6 +290,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     station: list[Station]
     grid: GridTable
     base_frame: BaseFrameTable
+    survey: SurveyTable = field(default_factory=SurveyTable)
     validation: ValidationTable = field(default_factory=ValidationTable)
     settle: SettleTable = field(default_factory=SettleTable)
     campaign: CampaignTable | None = None
@@ -290,6 +307,12 @@ class Cell(Frozen, frozen=True, kw_only=True):
             if not low <= station.rail_mm <= high:
                 raise ValueError(
                     f"station {station.name}: rail_mm {station.rail_mm} is outside {low} .. {high}"
+                )
+        for end_mm in (self.survey.from_mm, self.survey.to_mm):
+            if not self.rail.travel_min_mm <= end_mm <= self.rail.travel_max_mm:
+                raise ValueError(
+                    f"survey: {end_mm} mm is outside the travel {self.rail.travel_min_mm} .. "
+                    f"{self.rail.travel_max_mm} mm"
                 )
 
     @cached_property

@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 
 from hilcell.cell import Cell, Six
-from hilcell.geometry.circles import Circle, base_frame, fit_circle
+from hilcell.geometry.circles import Circle, base_frame, base_frame_covariance, fit_circle
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.interlocks import check_joint_limits
-from hilcell.run.log import Log, positions_mm
+from hilcell.run.log import Log, Point, positions_mm
 from hilcell.run.procedure import Step
 from procedures.plan import robot_point_s
+
+ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
+FEWEST_ON_ARC = 5
 
 
 class BaseFrame:
@@ -40,30 +43,76 @@ class BaseFrame:
         """Sweep, fit and frame."""
         if "base" in bench.log.frames:
             return
-        axis_1, axis_6 = (self._swept(bench, axis) for axis in (1, 6))
-        T_W_B = base_frame(axis_1, axis_6, axis_6_height_mm(bench.cell))
+        station = bench.cell.station_named(bench.cell.grid.station)
+        swept = [
+            [
+                bench.flange_point(f"base/axis{axis}/{n:03d}", "base", station, joints)
+                for n, joints in enumerate(sweep(bench.cell, axis))
+            ]
+            for axis in (1, 6)
+        ]
+        T_W_B, axis_1, axis_6 = frame_of_sweeps(bench.cell, bench.log, *swept)
         bench.frame(
             "base", T_W_B,
+            covariance=base_frame_covariance(axis_1, axis_6, axis_6_height_mm(bench.cell)),
             circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
             radius_mm=[axis_1.radius_mm, axis_6.radius_mm],
         )  # fmt: skip
         bench.reach("frame_base")
 
-    def _swept(self, bench: Bench, axis: int) -> Circle:
-        station = bench.cell.station_named(bench.cell.grid.station)
-        points = [
-            bench.flange_point(f"base/axis{axis}/{n:03d}", "base", station, joints)
-            for n, joints in enumerate(sweep(bench.cell, axis))
-        ]
-        world_mm = apply(bench.frames.tracker_in_world(), positions_mm(points))
-        begin_deg, end_deg = sweep_of(bench.cell, axis)[1]
-        turn = bench.cell.robot.joint[axis - 1].sign * (end_deg - begin_deg)
-        return fit_circle(world_mm, turn=turn)
-
     def result(self, log: Log) -> dict[str, Any]:
-        """Return the base in {W} and how round the circles were."""
+        """Return the base in {W}, its uncertainty, and what shorter arcs would have told."""
         frame = log.frames["base"]
-        return {"base": {"T_W_B": frame["matrix"], "circle_rms_mm": frame["circle_rms_mm"]}}
+        u = np.sqrt(np.diag(np.array(frame["covariance"])))
+        return {
+            "base": {
+                "T_W_B": frame["matrix"],
+                "origin_u_mm": u[:3].tolist(),
+                "angle_u_mrad": (u[3:] * 1e3).tolist(),
+                "circle_rms_mm": frame["circle_rms_mm"],
+                "radius_mm": frame["radius_mm"],
+                "arcs": [
+                    {"axis": axis} | each for axis in (1, 6) for each in shorter_arcs(log, axis)
+                ],
+            }
+        }
+
+
+def frame_of_sweeps(
+    cell: Cell, log: Log, swept_1: list[Point], swept_6: list[Point]
+) -> tuple[Array, Circle, Circle]:
+    """Return T_W_B (4, 4) and the circles of axes 1 and 6 from the points of both sweeps."""
+    axis_1, axis_6 = circle_of(cell, log, 1, swept_1), circle_of(cell, log, 6, swept_6)
+    return base_frame(axis_1, axis_6, axis_6_height_mm(cell)), axis_1, axis_6
+
+
+def circle_of(cell: Cell, log: Log, axis: int, points: list[Point]) -> Circle:
+    """Return the circle in {W} through the points of one sweep, or of a part of it."""
+    begin_deg, end_deg = sweep_of(cell, axis)[1]
+    turn = cell.robot.joint[axis - 1].sign * (end_deg - begin_deg)
+    return fit_circle(apply(log.matrix("world"), positions_mm(points)), turn=turn)
+
+
+def shorter_arcs(log: Log, axis: int) -> list[dict[str, float]]:
+    """Return the circle's uncertainties (k = 1) from the middle of the sweep and wider."""
+    cell = log.cell
+    points = [p for p in log.group("base") if p.key.startswith(f"base/axis{axis}/")]
+    begin_deg, end_deg = sweep_of(cell, axis)[1]
+    arcs = []
+    for share in ARC_SHARES:
+        count = max(FEWEST_ON_ARC, round(share * len(points)))
+        first = (len(points) - count) // 2
+        circle = circle_of(cell, log, axis, points[first : first + count])
+        u = np.sqrt(np.diag(circle.covariance))
+        arcs.append(
+            {
+                "arc_deg": abs(end_deg - begin_deg) * (count - 1) / (len(points) - 1),
+                "points": count,
+                "centre_u_mm": float(np.linalg.norm(u[:3])),
+                "axis_u_mrad": float(np.linalg.norm(u[3:]) * 1e3),
+            }
+        )
+    return arcs
 
 
 def sweep(cell: Cell, axis: int) -> Array:

@@ -7,10 +7,12 @@ from typing import Any
 from hilcell.run.procedure import Procedure, Table
 from procedures.base_frame import BaseFrame
 from procedures.fit import Fit
+from procedures.frame_repeatability import FrameRepeatability, frame_repeatability_table
 from procedures.home import Home
+from procedures.rail_survey import RailSurvey, survey_table
 from procedures.repeatability import Repeatability
 from procedures.robot_grid import RobotGrid
-from procedures.station import HoldStation, StationRepeatability
+from procedures.station import HoldStation, StationRepeatability, approach_table
 from procedures.station_frames import StationFrames
 from procedures.validate import Validate
 from procedures.world_frame import WorldFrame
@@ -47,17 +49,6 @@ def station_table(result: dict[str, Any]) -> Table:
     return headers, rows
 
 
-def approach_table(result: dict[str, Any]) -> Table:
-    """Return range, RP and backlash of the slide without and with the strip."""
-    headers = ["approach", "range mm", "RP mm", "backlash mm"]
-    rows = [
-        [how, *(f"{result['station_repeatability'][how][key]:.4f}" for key in keys)]
-        for how in ("plain", "strip")
-        for keys in (("range_mm", "rp_mm", "backlash_mm"),)
-    ]
-    return headers, rows
-
-
 def point_table(result: dict[str, Any]) -> Table:
     """Return how many points of each group were measured."""
     return ["group", "points"], [[name, str(count)] for name, count in result["points"].items()]
@@ -73,6 +64,18 @@ STATION_REPEATABILITY = Procedure(
     "15 approaches of a station without and with the strip",
     (Home(), WorldFrame(), StationRepeatability()),
     approach_table,
+)
+RAIL_SURVEY = Procedure(
+    "rail-survey",
+    "the rail's error there and back, backlash, straightness, angles",
+    (Home(), WorldFrame(), RailSurvey()),
+    survey_table,
+)
+FRAME_REPEATABILITY = Procedure(
+    "frame-repeatability",
+    "six slide points in base and station frames at every station",
+    (*TO_STATION, BaseFrame(), RobotGrid(), StationFrames(), FrameRepeatability()),
+    frame_repeatability_table,
 )
 BASE_FRAME = Procedure("base-frame", "frame {B}", (*TO_STATION, BaseFrame()), point_table)
 ROBOT_GRID = Procedure("robot-grid", "measure the robot's error on the grid", TO_GRID, point_table)

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell, Nest, Station
+from hilcell.cell import Cell
 from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Step, Table
 from procedures.plan import MEASURE_S
 
-REPEATS = 15
 APPROACH_MM = 150.0
 STRIP_LIMIT_MM = 0.035
+HOWS = ("plain", "strip")
 
 
 class HoldStation:
@@ -43,66 +43,79 @@ class HoldStation:
 
 
 class StationRepeatability:
-    """Approaches one station many times from both sides, by drive alone and by the strip."""
+    """Approaches one station many times, by the drive alone and by the strip.
+
+    First always from below, then from a random side: what differs is the direction's effect.
+    """
 
     name = "station-repeatability"
     needs = "the world frame, a reflector on the slide"
     moves = "the slide to and fro around the grid's station"
     measures = "one slide nest after each approach"
-    yields = "range and backlash without and with the strip"
+    yields = "range, repeatability and backlash without and with the strip"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step."""
-        points = 2 * REPEATS
+        points = 4 * cell.survey.repeats
         return Step(self.name, points, points * (20.0 + MEASURE_S * cell.layout.nest_samples))
 
     def perform(self, bench: Bench) -> None:
-        """Approach from alternating sides, first plainly, then held by the strip."""
-        station = bench.cell.station_named(bench.cell.grid.station)
-        nest = bench.cell.layout.slide[0]
-        for number in range(REPEATS):
-            self._visit(bench, station, nest, number, strip=False)
-        for number in range(REPEATS):
-            self._visit(bench, station, nest, number, strip=True)
+        """Approach, measure, go away, come back."""
+        repeats = bench.cell.survey.repeats
+        ways = {"one_side": [-1] * repeats, "random": random_sides(bench.seed, repeats)}
+        for how in HOWS:
+            for way, sides in ways.items():
+                for number, side in enumerate(sides):
+                    self._visit(bench, how, way, number, side)
         result = self.result(bench.log)["station_repeatability"]
         bench.verdict(
             "station-repeatability", holds=result["strip"]["range_mm"] <= STRIP_LIMIT_MM,
             found_mm=result["strip"]["range_mm"], limit_mm=STRIP_LIMIT_MM,
         )  # fmt: skip
 
-    def _visit(
-        self, bench: Bench, station: Station, nest: Nest, number: int, *, strip: bool
-    ) -> None:
-        how = "strip" if strip else "plain"
-        key = f"repeat/{how}/{number:03d}"
+    def _visit(self, bench: Bench, how: str, way: str, number: int, side: int) -> None:
+        key = f"repeat/{how}/{way}/{number:03d}{'+' if side > 0 else '-'}"
         if key in bench.log.points:
             return
-        side = 1 if number % 2 else -1
+        station = bench.cell.station_named(bench.cell.grid.station)
         bench.rail_to(station.rail_mm + side * APPROACH_MM)
-        if strip:
+        if how == "strip":
             bench.hold_station(station, anew=True)
         else:
             bench.rail_to(station.rail_mm)
-        expected = (bench.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
-        bench.slide_now(key, f"repeat_{how}", nest, expected)
+        bench.slide_now(key, f"repeat_{how}_{way}", bench.cell.layout.slide[0].name)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return range, ISO 9283 RP and the effect of the side, along the rail."""
-        how = {name: approach_figures(log, name) for name in ("plain", "strip")}
-        return {"station_repeatability": how | {"repeats": REPEATS}}
+        return {
+            "station_repeatability": {
+                "repeats": log.cell.survey.repeats,
+                **{how: approach_figures(log, how, "random") for how in HOWS},
+                "one_side": {how: approach_figures(log, how, "one_side") for how in HOWS},
+            }
+        }
 
 
-def approach_figures(log: Log, how: str) -> dict[str, float]:
-    """Return range and repeatability of the slide's position along the rail, and the backlash."""
-    points_mm = positions_mm(log.group(f"repeat_{how}"))
+def random_sides(seed: int, repeats: int) -> list[int]:
+    """Return the sides of the approaches, -1 from below, half of each, in random order."""
+    sides = [1 if number % 2 else -1 for number in range(repeats)]
+    return [int(side) for side in np.random.default_rng([seed, 9283]).permutation(sides)]
+
+
+def approach_figures(log: Log, how: str, way: str) -> dict[str, float]:
+    """Return range along the rail, RP of ISO 9283, and the mean from above less that from below."""
+    points = log.group(f"repeat_{how}_{way}")
+    points_mm = positions_mm(points)
     along_mm = along_rail(log, points_mm)
-    from_below, from_above = along_mm[0::2], along_mm[1::2]
     spread_mm = np.linalg.norm(points_mm - points_mm.mean(axis=0), axis=1)
-    return {
+    figures = {
         "range_mm": float(np.ptp(along_mm)),
         "rp_mm": float(spread_mm.mean() + 3 * spread_mm.std(ddof=1)),
-        "backlash_mm": float(from_above.mean() - from_below.mean()),
     }
+    above = np.array([point.key.endswith("+") for point in points])
+    if above.any():
+        figures["backlash_mm"] = float(along_mm[above].mean() - along_mm[~above].mean())
+    return figures
 
 
 def along_rail(log: Log, points_mm: Array) -> Array:
@@ -110,3 +123,20 @@ def along_rail(log: Log, points_mm: Array) -> Array:
     rotation = log.matrix("world")[:3, :3]
     along: Array = points_mm @ rotation.T @ np.array(log.cell.layout.rail_direction)
     return along
+
+
+def approach_table(result: dict[str, Any]) -> Table:
+    """Return range, RP and backlash of the slide without and with the strip."""
+    figures = result["station_repeatability"]
+    rows = [
+        [
+            f"{how}, {'from below' if way == 'one_side' else 'from random sides'}",
+            *(f"{each[key]:.4f}" if key in each else "" for key in _APPROACH_KEYS),
+        ]
+        for how in HOWS
+        for way, each in (("one_side", figures["one_side"][how]), ("random", figures[how]))
+    ]
+    return ["approach", "range mm", "RP mm", "backlash mm"], rows
+
+
+_APPROACH_KEYS = ("range_mm", "rp_mm", "backlash_mm")

@@ -24,6 +24,7 @@ from hilcell.run.log import Log, Point
 from hilcell.run.machine import CALIBRATION, StateMachine
 from hilcell.run.strip import approach_station
 
+FLANGE = "flange"
 FLANGE_TOLERANCE_MM = 20.0
 MEASURE_TRIES = 3
 
@@ -246,12 +247,20 @@ class Bench:
             self._check_expected(key, reading, expected, 2 * self.cell.layout.nest_tolerance_mm)
         return self._keep(key, group, station.name, reading)
 
-    def slide_now(self, key: str, group: str, nest: Nest, expected_mm: Array) -> Point:
-        """Measure a nest on the slide wherever the slide stands now; ``expected_mm`` in {W}."""
+    def slide_now(self, key: str, group: str, name: str) -> Point:
+        """Measure a nest on the slide, or ``flange``, wherever the slide stands, robot parked."""
         if key in self.log.points:
             return self.log.points[key]
-        reading = self._measure_in_world(key, expected_mm, self.cell.layout.nest_samples)
-        return self._keep(key, group, "", reading, nominal_mm=expected_mm)
+        self.checkpoint()
+        rail = self.devices.rail.read()
+        T_W_B = self.cell.layout.nominal_base(rail.strip_mm)
+        if name == FLANGE:
+            expected = (T_W_B @ forward(self._arm, np.radians(self.cell.robot.safe_deg)))[:3, 3]
+        else:
+            nests = {nest.name: nest.xyz_mm for nest in self.cell.layout.slide}
+            expected = (T_W_B @ np.append(nests[name], 1.0))[:3]
+        reading = self._measure_in_world(key, expected, self.cell.layout.nest_samples)
+        return self._keep(key, group, "", reading)
 
     def _measure_in_world(self, key: str, expected_mm: Array, samples: int) -> TrackerReading:
         return self._measure(key, self.frames.tracker_from_world(expected_mm)[0], samples)

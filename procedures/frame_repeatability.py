@@ -1,0 +1,119 @@
+"""Which frame comes back better: the robot's base or the station's (section 4.2, Fig 8)?
+
+Six slide points are measured apart from those that build the frames; at every station they are
+expressed in the base frame built there and in the station frame built there. Both should see
+them where they were at the reference.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from hilcell.cell import Cell, Station
+from hilcell.geometry.frames import apply, inverse
+from hilcell.ports import Array
+from hilcell.run.bench import Bench
+from hilcell.run.log import Log, positions_mm
+from hilcell.run.procedure import Step, Table
+from procedures.base_frame import frame_of_sweeps, sweep
+from procedures.plan import MEASURE_S, robot_point_s
+
+SIX = 6
+MORE_READINGS = 4  # than for a frame, so that the points' own noise does not hide the frames'
+FREEDOMS = 6  # of one frame: its errors move all six points together
+CONFIDENCE = 0.95
+
+
+class FrameRepeatability:
+    """Builds the base frame at every station and measures six slide points again."""
+
+    name = "frame-repeatability"
+    needs = "the stations framed"
+    moves = "the slide from station to station, axes 1 and 6 at each"
+    measures = "circles of axes 1 and 6, six slide points at every station"
+    yields = "how much better the station frame repeats, with an interval"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Return the step; the sweeps' limits were checked for the base frame."""
+        sweeps, six = 2 * cell.base_frame.points, SIX * MORE_READINGS * cell.layout.nest_samples
+        seconds = sweeps * robot_point_s(cell) + six * MEASURE_S
+        return Step(self.name, len(cell.station) * (sweeps + SIX), len(cell.station) * seconds)
+
+    def perform(self, bench: Bench) -> None:
+        """Visit every station."""
+        for station in bench.cell.station:
+            if f"base.{station.name}" not in bench.log.frames:
+                self._frame(bench, station)
+
+    def _frame(self, bench: Bench, station: Station) -> None:
+        samples = MORE_READINGS * bench.cell.layout.nest_samples
+        for nest in bench.cell.layout.slide[-SIX:]:
+            key = f"six/{station.name}/{nest.name}"
+            bench.slide_point(key, "six", station, nest, samples=samples)
+        for axis in (1, 6):
+            for number, joints in enumerate(sweep(bench.cell, axis)):
+                key = f"frames/{station.name}/axis{axis}/{number:03d}"
+                bench.flange_point(key, f"frames_axis{axis}", station, joints)
+        circles = (bench.log.group(f"frames_axis{axis}", station.name) for axis in (1, 6))
+        bench.frame(f"base.{station.name}", frame_of_sweeps(bench.cell, bench.log, *circles)[0])
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the distances per station and point, and the ratio with its interval."""
+        return {"frame_repeatability": repeatability_figures(log)}
+
+
+def repeatability_figures(log: Log) -> dict[str, Any]:
+    """Return how far the six points are from their places at the reference, in both frames.
+
+    The ratio of the root mean squares; its interval is that of an F distribution with six degrees
+    of freedom for every station compared.
+    """
+    cell = log.cell
+    others = [station for station in cell.station if station.name != cell.grid.station]
+    figures: dict[str, Any] = {}
+    for kind in ("base", "station"):
+        reference_mm = seen_from(log, kind, cell.station_named(cell.grid.station))
+        figures[kind] = {
+            station.name: np.linalg.norm(
+                seen_from(log, kind, station) - reference_mm, axis=1
+            ).tolist()
+            for station in others
+        }
+    rms = {kind: _rms(np.array(list(figures[kind].values()))) for kind in ("base", "station")}
+    ratio = rms["base"] / rms["station"]
+    freedoms = FREEDOMS * len(others)
+    spread = float(np.sqrt(stats.f.ppf(0.5 + CONFIDENCE / 2, freedoms, freedoms)))
+    return figures | {
+        "rms_mm": rms,
+        "ratio": ratio,
+        "ratio_interval": [ratio / spread, ratio * spread],
+    }
+
+
+def seen_from(log: Log, kind: str, station: Station) -> Array:
+    """Return the six points (6, 3) in the base or station frame of ``station``."""
+    world_mm = apply(log.matrix("world"), positions_mm(log.group("six", station.name)))
+    return apply(inverse(log.matrix(f"{kind}.{station.name}")), world_mm)
+
+
+def _rms(distances_mm: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(distances_mm))))
+
+
+def frame_repeatability_table(result: dict[str, Any]) -> Table:
+    """Return the distances in both frames, point by point, and the ratio."""
+    figures = result["frame_repeatability"]
+    rows = [
+        [f"{station}, point {n + 1}", f"{base_mm:.4f}", f"{station_mm:.4f}"]
+        for station in figures["base"]
+        for n, (base_mm, station_mm) in enumerate(
+            zip(figures["base"][station], figures["station"][station], strict=True)
+        )
+    ]
+    low, high = figures["ratio_interval"]
+    rows.append(["rms", *(f"{figures['rms_mm'][kind]:.4f}" for kind in ("base", "station"))])
+    rows.append([f"ratio {figures['ratio']:.1f} (95 %: {low:.1f} .. {high:.1f})", "", ""])
+    return ["moved against the reference", "base frame mm", "station frame mm"], rows

@@ -1,0 +1,160 @@
+"""The rail is surveyed there and back with the robot parked (section 2, Fig 1)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from hilcell.cell import Cell
+from hilcell.geometry.frames import apply, rigid_fit, unit
+from hilcell.ports import Array
+from hilcell.run.bench import FLANGE, Bench
+from hilcell.run.log import Log, positions_mm
+from hilcell.run.procedure import Step, Table
+from procedures.plan import MEASURE_S
+
+FORTH, BACK = "forth", "back"
+
+
+class RailSurvey:
+    """Moves in equal steps by the drive alone; measures the flange and all nests at every stop."""
+
+    name = "rail-survey"
+    needs = "the world frame, reflectors on the flange and in the slide nests"
+    moves = "the slide from end to end and back, the robot parked"
+    measures = "the flange reflector and the slide nests at every stop"
+    yields = "the error both ways, backlash, scale, straightness, yaw, pitch and roll"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Return the step."""
+        stops = 2 * len(steps_mm(cell))
+        points = stops * (1 + len(cell.layout.slide))
+        return Step(self.name, points, stops * 10.0 + points * MEASURE_S)
+
+    def perform(self, bench: Bench) -> None:
+        """Go forth and back."""
+        steps = steps_mm(bench.cell)
+        for way, order in ((FORTH, steps), (BACK, steps[::-1])):
+            for number, position_mm in enumerate(order):
+                self._stop(bench, way, number, float(position_mm))
+
+    def _stop(self, bench: Bench, way: str, number: int, position_mm: float) -> None:
+        names = (FLANGE, *(nest.name for nest in bench.cell.layout.slide))
+        keys = {name: f"survey/{way}/{number:03d}/{name}" for name in names}
+        if all(key in bench.log.points for key in keys.values()):
+            return
+        bench.rail_to(position_mm)
+        for name, key in keys.items():
+            bench.slide_now(key, f"survey_{way}", name)
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the survey's figures."""
+        return {"rail_survey": survey_figures(log)}
+
+
+def steps_mm(cell: Cell) -> Array:
+    """Return the nominal positions (N,) of the survey."""
+    table = cell.survey
+    count = round((table.to_mm - table.from_mm) / table.step_mm) + 1
+    return np.linspace(table.from_mm, table.to_mm, count)
+
+
+def survey_figures(log: Log) -> dict[str, Any]:
+    """Return error curves, backlash, scale, straightness and angles, with uncertainties k = 1."""
+    nominal_mm = steps_mm(log.cell)
+    forth_mm = path_mm(log, FORTH, FLANGE)
+    back_mm = path_mm(log, BACK, FLANGE)[::-1]
+    along = rail_axis(log, forth_mm)
+    origin_mm = forth_mm[0] - nominal_mm[0] * along
+    error_forth = (forth_mm - origin_mm) @ along - nominal_mm
+    error_back = (back_mm - origin_mm) @ along - nominal_mm
+    # At both ends the slide was not reached from its way's side.
+    lost_mm = (error_back - error_forth)[1:-1]
+    slope = stats.linregress(nominal_mm, error_forth)
+    return {
+        "curve": {
+            FORTH: np.column_stack([nominal_mm, error_forth]).tolist(),
+            BACK: np.column_stack([nominal_mm, error_back]).tolist(),
+        },
+        "max_error_mm": float(np.abs([error_forth, error_back]).max()),
+        "backlash_mm": {
+            "value": float(lost_mm.mean()),
+            "u": float(lost_mm.std(ddof=1) / np.sqrt(len(lost_mm))),
+        },
+        "scale_ppm": {"value": float(slope.slope * 1e6), "u": float(slope.stderr * 1e6)},
+        "straightness_mm": straightness_mm(forth_mm, along),
+        "angles_mrad": angles_mrad(log, along),
+    }
+
+
+def path_mm(log: Log, way: str, name: str) -> Array:
+    """Return one reflector's positions (N, 3) in {W} in the order of the stops."""
+    points = [p for p in log.group(f"survey_{way}") if p.key.endswith(f"/{name}")]
+    return apply(log.matrix("world"), positions_mm(points))
+
+
+def rail_axis(log: Log, points_mm: Array) -> Array:
+    """Return the direction (3,) of the best line through points (N, 3), along the rail's sense."""
+    axis: Array = np.linalg.svd(points_mm - points_mm.mean(axis=0))[2][0]
+    along: Array = axis * np.sign(axis @ np.array(log.cell.layout.rail_direction))
+    return along
+
+
+def across_axes(along: Array) -> tuple[Array, Array]:
+    """Return the horizontal and the vertical direction (3,) across the rail."""
+    level = unit(np.cross(along, [0.0, 0.0, 1.0]))
+    return level, np.cross(level, along)
+
+
+def straightness_mm(points_mm: Array, along: Array) -> dict[str, float]:
+    """Return peak to peak of the path (N, 3) across its best line."""
+    off_mm = points_mm - points_mm.mean(axis=0)
+    level, upright = across_axes(along)
+    return {
+        "horizontal": float(np.ptp(off_mm @ level)),
+        "vertical": float(np.ptp(off_mm @ upright)),
+    }
+
+
+def angles_mrad(log: Log, along: Array) -> dict[str, list[float]]:
+    """Return the slide's roll, pitch and yaw (N,) against its first stop, from all its nests."""
+    nests = [path_mm(log, FORTH, nest.name) for nest in log.cell.layout.slide]
+    stops_mm = np.stack(nests, axis=1)
+    turns = np.array([turn_rad(stops_mm[0], stop_mm) for stop_mm in stops_mm]) * 1e3
+    level, upright = across_axes(along)
+    axes = {"roll": along, "pitch": level, "yaw": upright}
+    return {name: (turns @ axis).tolist() for name, axis in axes.items()}
+
+
+def turn_rad(before_mm: Array, after_mm: Array) -> Array:
+    """Return the rotation vector (3,) between two sightings of the same points (N, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    turn: Array = Rotation.from_matrix(rigid_fit(before_mm, after_mm).T[:3, :3]).as_rotvec()
+    return turn
+
+
+def survey_table(result: dict[str, Any]) -> Table:
+    """Return the survey's figures for a person to read."""
+    survey = result["rail_survey"]
+    rows = [
+        ["largest error", f"{survey['max_error_mm']:.4f}", "", "mm"],
+        *(
+            [name, f"{survey[key]['value']:.4f}", f"{survey[key]['u']:.4f}", unit_name]
+            for name, key, unit_name in (
+                ("backlash", "backlash_mm", "mm"),
+                ("scale", "scale_ppm", "ppm"),
+            )
+        ),
+        *(
+            [f"straightness, {name}", f"{value:.4f}", "", "mm"]
+            for name, value in survey["straightness_mm"].items()
+        ),
+        *(
+            [f"{name}, peak to peak", f"{float(np.ptp(turns)):.4f}", "", "mrad"]
+            for name, turns in survey["angles_mrad"].items()
+        ),
+    ]
+    return ["figure", "value", "u (k = 1)", "unit"], rows
