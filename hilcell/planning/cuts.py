@@ -91,20 +91,34 @@ class _Program:
         edges, count = self.edges, len(self.edges)
         ends = (edges.T.ravel(), np.tile(np.arange(count), 2))
         degree = csr_array((np.ones(2 * count), ends), shape=(self._size, count))
-        rows = [cut.row(edges) for cut in self._cuts]
+        rows = self._rows()
         found = linprog(  # type: ignore[call-overload] # the stubs know no sparse matrices
             self._cost[edges[:, 0], edges[:, 1]],
             A_eq=degree,
             b_eq=np.full(self._size, 2.0),
-            A_ub=csr_array(-np.array(rows)) if rows else None,
-            b_ub=[-cut.least for cut in self._cuts] if rows else None,
+            A_ub=-rows,
+            b_ub=[-cut.least for cut in self._cuts],
             bounds=(0, 1),
             method="highs",
         )
         if not found.success:
             raise CutError(f"lower bound: {found.message}")
         self._share, self._node_price = found.x, found.eqlin.marginals
-        self._cut_price = np.maximum(-found.ineqlin.marginals, 0.0) if rows else np.zeros(0)
+        self._cut_price = np.maximum(-found.ineqlin.marginals, 0.0)
+
+    def _sets(self) -> tuple[Bools, Ints]:
+        """Return the sets (K, M) of all cuts, and how many each cut has."""
+        count = np.array([len(cut.sets) for cut in self._cuts], dtype=int)
+        none = np.zeros((0, self._size), dtype=bool)
+        return np.vstack([none, *(cut.sets for cut in self._cuts)]), count
+
+    def _rows(self) -> csr_array:
+        """Return how many sets of each cut each edge leaves, (cuts, E)."""
+        sets, count = self._sets()
+        leaves = csr_array(sets[:, self.edges[:, 0]] != sets[:, self.edges[:, 1]], dtype=float)
+        cut = np.repeat(np.arange(len(count)), count)
+        sums = csr_array((np.ones(len(cut)), (cut, np.arange(len(cut)))), (len(count), len(cut)))
+        return csr_array(sums @ leaves)
 
     def add(self, cuts: list[Cut]) -> None:
         """Keep the cuts that have a price, and take new ones."""
@@ -113,8 +127,8 @@ class _Program:
 
     def proven(self) -> tuple[float, Ints]:
         """Return the bound that the prices prove on all edges, and edges (E, 2) that lower it."""
-        sets = np.vstack([np.zeros((0, self._size)), *(cut.sets for cut in self._cuts)])
-        price = np.repeat(self._cut_price, [len(cut.sets) for cut in self._cuts])
+        sets, count = self._sets()
+        price = np.repeat(self._cut_price, count)
         # An edge leaves a set that has one end of it: a + b - 2 a b for memberships a, b.
         node = self._node_price + price @ sets
         reduced = self._cost - node[:, None] - node + 2.0 * (sets.T * price) @ sets

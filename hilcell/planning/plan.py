@@ -67,13 +67,16 @@ def plan(cell: Cell, holes: Holes, *, free: bool = False) -> HolePlan:
     new = np.array([station not in cell.station for station in candidates])
     chosen = fewest(reached.ok, (new + _remoteness(off_mm, reached.ok)) / 2)
     owner = chosen[_closest(off_mm[:, chosen], reached.ok[:, chosen])]
-    ascending = sorted(set(owner.tolist()), key=lambda each: candidates[each].rail_mm)
-    first, last = candidates[ascending[0]].rail_mm, candidates[ascending[-1]].rail_mm
-    if abs(last) < abs(first):  # homing leaves the slide at 0
-        ascending.reverse()
-    return HolePlan(
-        [_at_station(holes, reached, candidates[each], each, owner) for each in ascending]
-    )
+    order = along_rail({each: candidates[each].rail_mm for each in owner.tolist()})
+    return HolePlan([_at_station(holes, reached, candidates[each], each, owner) for each in order])
+
+
+def along_rail(rail_mm: dict[int, float]) -> list[int]:
+    """Return the keys in one sweep, from the end nearer to 0, where homing leaves the slide."""
+    order = sorted(rail_mm, key=lambda each: rail_mm[each])
+    if abs(rail_mm[order[-1]]) < abs(rail_mm[order[0]]):
+        order.reverse()
+    return order
 
 
 def _candidates(cell: Cell, *, free: bool) -> list[Station]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import random
 from array import array
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +22,10 @@ from hilcell.planning.bound import lower_bound
 from hilcell.planning.cuts import cut_bound
 
 GOOD = 1.02  # a route this near to its bound is not worth more search
-KICKS_PER_HOLE = 6
+KICKS_PER_HOLE = 10
 FAR = 1.03  # over its bound: the bound is to blame, as a rule, and worth sharpening
 MOST_CUT = 1000  # holes up to which that is quick
+SLACK = 0.3  # mean steps by which a kicked route may be worse than the best, at first
 KICK_SPAN = 50  # holes within which one kick swaps two stretches
 NEAR = 8  # holes that a new edge may lead to
 LONGEST_STRETCH = 3  # holes that Or-opt moves together
@@ -77,24 +79,28 @@ class _Search:
         self._tour: list[int] = [*order.tolist(), self._hub]
         self._place = [0] * len(self._tour)
         self._number(0, len(self._tour))
-        self._queue: list[int] = []
+        self._queue: dict[int, None] = {}  # nodes around which to look, the latest first
 
     def run(self, good_mm: float) -> NDArray[np.int_]:
         """Shorten until ``good_mm`` or all kicks are spent; return the order."""
-        self._queue = list(range(len(self._tour)))
+        self._look_at(self._tour)
         length_mm = self._length() - self._shortened()
-        chance = random.Random(1)  # noqa: S311 - no secret
-        for _ in range(KICKS_PER_HOLE * self._hub):
-            if length_mm <= good_mm:
+        best_mm, best = length_mm, self._tour.copy()
+        chance, kicks = random.Random(1), KICKS_PER_HOLE * self._hub  # noqa: S311 - no secret
+        for number in range(kicks):
+            if best_mm <= good_mm:
                 break
             tour, place = self._tour.copy(), self._place.copy()
             gain = self._kick(chance) + self._shortened()
-            if gain < -NEGLIGIBLE_MM:
+            worse_mm = SLACK * best_mm / self._hub * (1.0 - number / kicks)
+            if length_mm - gain > best_mm + worse_mm:
                 self._tour, self._place = tour, place
-            else:
-                length_mm -= gain
-        start = self._place[self._hub]
-        return np.array(self._tour[start + 1 :] + self._tour[:start])
+                continue
+            length_mm -= gain
+            if length_mm < best_mm - NEGLIGIBLE_MM:
+                best_mm, best = length_mm, self._tour.copy()
+        start = best.index(self._hub)
+        return np.array(best[start + 1 :] + best[:start])
 
     def _length(self) -> float:
         tour = self._tour
@@ -104,7 +110,7 @@ class _Search:
         """Make moves around the queued nodes until none shortens; return the gain in mm."""
         total = 0.0
         while self._queue:
-            node = self._queue.pop()
+            node, _ = self._queue.popitem()
             while (gain := self._two_opt(node) or self._or_opt(node)) > 0:
                 total += gain
         return total
@@ -123,7 +129,7 @@ class _Search:
                 gain = first + rows[c][d] - rows[b][d]
                 if gain > NEGLIGIBLE_MM:
                     self._reverse(*((b, c) if way > 0 else (a, d)))
-                    self._queue += (a, b, c, d)
+                    self._look_at((a, b, c, d))
                     return gain
         return 0.0
 
@@ -156,7 +162,7 @@ class _Search:
                 gain = out - rows[a][c] - rows[e][d] + rows[c][d]
                 if gain > NEGLIGIBLE_MM and d not in stretch:
                     self._insert(stretch, c, d)
-                    self._queue += (a, b, c, d, e, p)
+                    self._look_at((a, b, c, d, e, p))
                     return gain
         return 0.0
 
@@ -194,8 +200,11 @@ class _Search:
         a, b, c, d, e, f = ends
         tour[i + 1 : k + 1] = tour[j + 1 : k + 1] + tour[i + 1 : j + 1]
         self._number(i + 1, k + 1)
-        self._queue += ends
+        self._look_at(ends)
         return rows[a][b] + rows[c][d] + rows[e][f] - rows[a][d] - rows[e][b] - rows[c][f]
+
+    def _look_at(self, nodes: Iterable[int]) -> None:
+        self._queue.update(dict.fromkeys(nodes))
 
     def _number(self, low: int, high: int) -> None:
         tour, place = self._tour, self._place

@@ -12,7 +12,7 @@ from hilcell.cell import load_cell
 from hilcell.geometry.frames import inverse, pose_from_kuka
 from hilcell.geometry.inverse import posture, reachable
 from hilcell.planning.holes import Holes, tools_against
-from hilcell.planning.plan import plan, ratio
+from hilcell.planning.plan import along_rail, plan, ratio
 from hilcell.planning.reach import UnreachableHoles, reach
 
 CELL = load_cell("paper")
@@ -110,16 +110,9 @@ def test_stations_are_visited_along_the_rail_from_where_homing_leaves_the_slide(
     rails = [each.station.rail_mm for each in plan(CELL, wall(1, 60, 2400.0)).stations]
     assert len(rails) >= 2
     assert rails == sorted(rails)
-    shifted = [msgspec.structs.replace(s, rail_mm=s.rail_mm - 3000.0) for s in CELL.station]
-    base = msgspec.structs.replace(CELL.layout.base, y_mm=CELL.layout.base.y_mm + 3000.0)
-    mirrored = msgspec.structs.replace(
-        CELL,
-        rail=msgspec.structs.replace(CELL.rail, travel_min_mm=-3000.0, travel_max_mm=0.0),
-        layout=msgspec.structs.replace(CELL.layout, base=base),
-        station=shifted,
-    )
-    rails = [each.station.rail_mm for each in plan(mirrored, wall(1, 60, 2400.0)).stations]
-    assert rails == sorted(rails, reverse=True)
+    assert along_rail({4: 300.0, 2: 1900.0, 7: 1100.0}) == [4, 7, 2]
+    assert along_rail({4: -2700.0, 2: -1100.0, 7: -1900.0}) == [2, 7, 4]
+    assert along_rail({1: 5.0}) == [1]
 
 
 def test_one_station_in_the_middle_of_its_holes_where_one_does():

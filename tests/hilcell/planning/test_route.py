@@ -111,7 +111,7 @@ def test_search_keeps_its_books(seed, count):
     points = scattered(seed, count)
     search = _Search(cdist(points, points), np.random.default_rng(seed).permutation(count))
     before = search._length()
-    search._queue = list(range(count + 1))
+    search._look_at(range(count + 1))
     gain = search._shortened()
     assert search._length() == pytest.approx(before - gain, abs=1e-6)
     for place, node in enumerate(search._tour):
@@ -133,11 +133,11 @@ def test_500_holes_of_a_panel_within_5_percent_of_the_bound(kind):
 
 
 def test_a_lattice_of_single_rows_needs_the_cuts():
-    """Held and Karp's bound stays 7 percent below the shortest route known."""
+    """Held and Karp's bound alone would leave more than 5 percent."""
     points = curved(LATTICE, 0)
     found = route(points)
     assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
-    assert lower_bound(cdist(points, points), found.order) < found.travel_mm / 1.07
+    assert lower_bound(cdist(points, points), found.order) < found.travel_mm / 1.05
 
 
 def test_the_same_holes_get_the_same_route():
