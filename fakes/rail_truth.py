@@ -20,12 +20,12 @@ from fakes.noise import KeyedNoise
 from fakes.smooth import SmoothCurve
 from fakes.time import PlantTime
 from hilcell.cell import Cell
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, forward
 
 BACKLASH_MM = 0.2
-CURVE_MM = 0.5  # largest error of Fig 1
+CURVE_MM = 0.4  # largest error of Fig 1 on the way up; the way down adds the backlash
 CURVE_SPAN_MM = 2000.0  # over this much travel from 0
-WAYS_MM = 0.02  # how much the curves up and down differ beside the backlash, 1 sigma
+WAYS_MM = 0.01  # how much the curves up and down differ beside the backlash, 1 sigma
 LANDING_MM, SHORT_LANDING_MM, LONG_MOVE_MM = 0.01, 0.0015, 100.0
 STRAIGHTNESS_MM, LEAN_RAD, RAIL_TILT_RAD = 0.06, 1e-4, 3e-4  # 1 sigma
 STRIP_LONG_MM, STRIP_POLE_MM, POLE_PITCH_MM = 0.004, 0.002, 5.0
@@ -195,10 +195,8 @@ class _Shape:
     """What the seed fixes for good: error curves, straightness, leaning, strip."""
 
     def __init__(self, cell: Cell, rng: np.random.Generator) -> None:
-        self.backlash_mm = BACKLASH_MM * (1.0 + 0.05 * float(rng.standard_normal()))
+        self.backlash_mm = BACKLASH_MM * (1.0 + 0.02 * float(rng.standard_normal()))
         self._curve = SmoothCurve(rng, 1.0, 2 * CURVE_SPAN_MM, 3)
-        positions_mm = np.linspace(0.0, CURVE_SPAN_MM, 201)
-        self._scale = CURVE_MM / max(abs(self._curve(float(s))) for s in positions_mm)
         self._ways = SmoothCurve(rng, WAYS_MM, 1500.0, 2)
         self._strip_long = SmoothCurve(rng, STRIP_LONG_MM, 4000.0, 3)
         self._pole_phase = float(rng.uniform(0.0, 2 * math.pi))
@@ -209,10 +207,30 @@ class _Shape:
         self._base, self._tilt = base, tilt
         self._along = tilt @ np.array(cell.layout.rail_direction)
         self._across = np.linalg.svd(self._along[None])[2][1:]
+        self._share = 1.0
+        flange = forward(cell.robot.arm(), np.radians(cell.robot.safe_deg))[:3, 3]
+        self._share = self._share_as_surveyed(base[:3, :3] @ flange)
+
+    def _share_as_surveyed(self, lever_mm: Array) -> float:
+        """Return what brings the survey of Fig 1 to its largest error.
+
+        It was made at the flange of a parked robot, so it shows the slide's leaning times the
+        lever arm (3,) as well as the rail's own error.
+        """
+        positions_mm = [float(s) for s in np.linspace(0.0, CURVE_SPAN_MM, 201)]
+        seen_mm = [
+            self._curve(s) * CURVE_MM + float(np.cross(self._lean_rad(s), lever_mm) @ self._along)
+            for s in positions_mm
+        ]
+        return CURVE_MM / float(np.abs(seen_mm).max())
+
+    def _lean_rad(self, slide_mm: float) -> Array:
+        return self._share * np.array([curve(slide_mm) for curve in self._lean])
 
     def error_mm(self, play_mm: float, behind: float) -> float:
         """Return Fig 1's error; ``behind`` is 0 on the way up, 1 on the way down."""
-        return self._scale * self._curve(play_mm) + behind * self._ways(play_mm)
+        along_mm = self._share * CURVE_MM * self._curve(play_mm)
+        return along_mm + behind * self._ways(play_mm)
 
     def strip_mm(self, slide_mm: float) -> float:
         """Return what the strip reads, unquantised."""
@@ -222,7 +240,7 @@ class _Shape:
     def pose(self, slide_mm: float) -> Array:
         """Return the slide in {W}, (4, 4)."""
         T = self._base.copy()
-        lean = Rotation.from_rotvec([curve(slide_mm) for curve in self._lean]).as_matrix()
+        lean = Rotation.from_rotvec(self._lean_rad(slide_mm)).as_matrix()
         T[:3, :3] = lean @ self._tilt @ T[:3, :3]
         T[:3, 3] += slide_mm * self._along
         for curve, direction in zip(self._straight, self._across, strict=True):
