@@ -34,6 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_live(commands)
     _add_past(commands)
+    _add_reports(commands)
     _add_cell(commands)
     _add_plan(commands)
     _add_files(commands)
@@ -80,6 +81,22 @@ def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     show = _command(commands, "show", "commands.past:show", "show a run, computed from its journal")
     _run_argument(show)
     _json_option(show, "one object")
+
+
+def _add_reports(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    report = _command(commands, "report", "commands.report:report", "write a run's report as HTML")
+    _run_argument(report)
+    report.add_argument("-o", "--output", required=True, metavar="FILE.html", help="one file")
+    export = _command(commands, "export", "commands.report:export", "export a run's tables")
+    _run_argument(export)
+    forms = export.add_mutually_exclusive_group(required=True)
+    for form, text in (
+        ("csv", "the points"),
+        ("xlsx", "a workbook: run, points, frames, results"),
+        ("json", "everything"),
+    ):
+        forms.add_argument(f"--{form}", dest="form", action="store_const", const=form, help=text)
+    export.add_argument("-o", "--output", required=True, metavar="FILE", help="where to write")
 
 
 def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -1,0 +1,99 @@
+"""What a calibration certificate must state (ISO/IEC 17025:2017, 7.8.2, 7.8.4), item by item.
+
+hilcell fills in what the journal proves; the rest stays a blank line for the laboratory. The
+trap: a filled form is not an accredited certificate, and a simulated run calibrates nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hilcell.report.budget import Budget
+from hilcell.report.facts import Facts
+
+_METHOD = (
+    "Position errors of the flange reflector measured by laser tracker on a grid at one station, "
+    "transferred to the other stations by station frames, corrected by interpolation "
+    "(Tian et al., Chinese Journal of Aeronautics, 2014); validated on targets sent and measured."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One item: its clause, its name and its words; without words it is a blank to fill in."""
+
+    clause: str
+    name: str
+    words: str = ""
+
+
+def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
+    """Return the items in the standard's order."""
+    inputs, cell = facts.inputs, facts.log.cell
+    return [
+        Item("7.8.2.1 b, c", "Laboratory, place of the calibration"),
+        Item("7.8.2.1 d", "Unique identification",
+             f"{facts.run}, journal {facts.fingerprint[:16]}"),
+        Item("7.8.2.1 e", "Customer"),
+        Item("7.8.2.1 e", "Job", inputs.job),
+        Item("7.8.2.1 f", "Method", _method(facts)),
+        Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
+             f"{cell.robot.name}{_robot_serial(facts)}; {len(cell.station)} stations on a rail of "
+             f"{cell.rail.travel_max_mm - cell.rail.travel_min_mm:g} mm"),
+        Item("7.8.2.1 i", "Date of measurement", _dates(facts)),
+        Item("7.8.2.1 j", "Date of issue"),
+        Item("7.8.2.1 o", "Measured by", inputs.operator),
+        Item("7.8.2.1 o", "Authorised by (name, signature)"),
+        Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget)),
+        Item("7.8.4.1 b", "Conditions", _conditions(facts)),
+        Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector, thermometer"),
+        Item("7.8.4.1 d", "Before and after adjustment", "both are reported: `before` is the robot "
+             "commanded by its nominal kinematics, `after` the same robot with corrected targets"),
+        Item("7.8.6.2", "Conformity, decision rule", _conformity(facts)),
+        Item("7.8.2.1 l", "Validity", "the results relate only to the item calibrated, in the "
+             "volume, orientation and temperatures stated here"),
+    ]  # fmt: skip
+
+
+def _method(facts: Facts) -> str:
+    if facts.inputs.procedure == "calibrate":
+        return _METHOD
+    return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
+
+
+def _robot_serial(facts: Facts) -> str:
+    found = [each["serial"] for each in facts.devices if each["device"] == "Robot"]
+    return f", serial {found[0]}" if found else ""
+
+
+def _dates(facts: Facts) -> str:
+    first, last = facts.records[0].t[:10], facts.records[-1].t[:10]
+    return first if first == last else f"{first} to {last}"
+
+
+def _uncertainty(budget: Budget | None) -> str:
+    if budget is None:
+        return "not evaluated: this run measured no position in {W}"
+    words = f"U = {budget.measurement_U_mm:.4f} mm for one coordinate of a measured position"
+    if budget.target:
+        words += f", U = {budget.target_U_mm:.4f} mm for one coordinate of a corrected target"
+    return words + "; k = 2, about 95 % (JCGM 100:2008)"
+
+
+def _conditions(facts: Facts) -> str:
+    points = facts.log.points.values()
+    if not points:
+        return ""
+    celsius = [point.temperature_c for point in points]
+    return f"air {min(celsius):.2f} to {max(celsius):.2f} °C at the tracker; see the table of air"
+
+
+def _conformity(facts: Facts) -> str:
+    limits = facts.log.cell.validation
+    rule = "simple acceptance: the measured figure against the limit, uncertainty not added"
+    if not any(name.startswith("validation.") for name in facts.log.verdicts):
+        return rule
+    return (
+        f"mean ≤ {limits.mean_tolerance_mm:g} mm and maximum ≤ {limits.max_tolerance_mm:g} mm; "
+        + rule
+    )

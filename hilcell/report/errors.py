@@ -1,0 +1,88 @@
+"""Position errors at the targets, from the log alone: what the figures and tables are drawn from.
+
+Everything is in {W}, mm. An unfinished run gives what it has measured so far.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilcell.geometry.frames import apply
+from hilcell.ports import Array
+from hilcell.run.log import Log, Point, positions_mm
+
+HOWS = ("before", "idw", "chosen")
+OTHERS = "others"
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Nominal targets (N, 3) and errors e = actual - nominal (N, 3), in {W}."""
+
+    nominal_mm: Array
+    error_mm: Array
+
+    def __len__(self) -> int:
+        return len(self.error_mm)
+
+    @property
+    def norms_mm(self) -> Array:
+        """Return the 3D errors (N,) of eq 18."""
+        norms: Array = np.linalg.norm(self.error_mm, axis=1)
+        return norms
+
+    @property
+    def mean_mm(self) -> float:
+        """Return the mean 3D error."""
+        return float(self.norms_mm.mean())
+
+    @property
+    def p95_mm(self) -> float:
+        """Return the 3D error that 95 % of the targets keep."""
+        return float(np.quantile(self.norms_mm, 0.95))
+
+    @property
+    def max_mm(self) -> float:
+        """Return the largest 3D error."""
+        return float(self.norms_mm.max())
+
+
+def errors_of(log: Log, points: list[Point]) -> Errors:
+    """Return the errors of points that have a nominal target."""
+    known = [point for point in points if point.nominal_mm is not None]
+    nominal_mm = np.array([point.nominal_mm for point in known], dtype=float).reshape(-1, 3)
+    actual_mm = apply(log.matrix("world"), positions_mm(known))
+    return Errors(nominal_mm, actual_mm - nominal_mm)
+
+
+def validation(log: Log, stations: list[str]) -> dict[str, Errors]:
+    """Return the errors before and after at ``stations``, as far as they were measured."""
+    series: dict[str, Errors] = {}
+    for how in HOWS if "world" in log.frames else ():
+        points = [p for name in stations for p in log.group(f"validate_{how}", name)]
+        if points:
+            series[how] = errors_of(log, points)
+    return series
+
+
+def places(log: Log) -> dict[str, list[str]]:
+    """Return the places of validation with their stations: the grid's, all others, each other."""
+    reference = log.cell.grid.station
+    others = [station.name for station in log.cell.station if station.name != reference]
+    found = {reference: [reference]}
+    if len(others) > 1:
+        found[OTHERS] = others
+    return found | {name: [name] for name in others}
+
+
+def grid_errors(log: Log) -> Errors | None:
+    """Return the errors at the grid's vertices, or nothing where none was measured."""
+    points = log.group("grid")
+    return errors_of(log, points) if points and "world" in log.frames else None
+
+
+def reduction(before_mm: float, after_mm: float) -> float:
+    """Return which share of an error was removed, 1 - after / before (row 16 of the paper)."""
+    return 1.0 - after_mm / before_mm

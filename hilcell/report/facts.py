@@ -1,0 +1,88 @@
+"""A run as its journal proves it, with its result computed anew.
+
+The trap: a report must be the same from the same journal, today and in a year, so nothing here
+asks for the time, for a live engine or for this machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hilcell.devices import load_entry
+from hilcell.ports import HilcellError
+from hilcell.run.journal import Record, chain, read_journal
+from hilcell.run.log import Log, PlanRecord
+from hilcell.run.procedure import Procedure, Table
+from hilcell.runs import JOURNAL
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """One run: its records, what they say, and the result where the run has finished."""
+
+    run: str
+    records: Sequence[Record]
+    log: Log
+    procedure: Procedure
+    result: dict[str, Any]
+    fingerprint: str
+
+    @property
+    def inputs(self) -> PlanRecord:
+        """Return the frozen inputs."""
+        return self.log.inputs
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run came to its end."""
+        return self.log.states["run"] == "finished"
+
+    @property
+    def table(self) -> Table | None:
+        """Return the procedure's own table of its result."""
+        return self.procedure.table(self.result) if self.result else None
+
+    @property
+    def devices(self) -> list[dict[str, str]]:
+        """Return who answered when the devices were last connected."""
+        found: list[dict[str, str]] = []
+        for event in self.log.events:
+            if event.body["what"] == "connected":
+                found = event.body["devices"]
+        return found
+
+
+def read_facts(folder: Path) -> Facts:
+    """Read a run's folder; raises `StorageError` where the journal is not sound."""
+    records = read_journal(folder / JOURNAL)
+    log, run = Log(records), folder.resolve().name
+    if log.plan is None:
+        raise HilcellError(f"run {run}: its journal holds no plan yet; there is nothing to report")
+    procedure: Procedure = load_entry("procedures", log.plan.procedure)
+    return Facts(
+        run, records, log, procedure, _result(run, procedure, log), fingerprint_of(records)
+    )
+
+
+def _result(run: str, procedure: Procedure, log: Log) -> dict[str, Any]:
+    if log.states["run"] != "finished":
+        return {}
+    try:
+        return procedure.result(log)
+    except LookupError as error:
+        wrote = log.inputs.versions.get("hilcell", "unknown")
+        raise HilcellError(
+            f"run {run}: its journal, of hilcell {wrote}, lacks {error} that this version's "
+            f"{procedure.name} needs for its result; open it with the version that wrote it"
+        ) from error
+
+
+def fingerprint_of(records: Sequence[Record]) -> str:
+    """Return the hash at the end of the journal's chain: it identifies every record before it."""
+    digest = b""
+    for record in records:
+        digest = chain(digest, record)
+    return digest.hex()

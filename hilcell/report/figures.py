@@ -1,0 +1,313 @@
+"""The paper's figures, redrawn from what one run holds; what it does not hold is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hilcell.ports import Array
+from hilcell.report.errors import OTHERS, Errors, grid_errors, places, validation
+from hilcell.report.facts import Facts
+from hilcell.report.svg import INK, MUTED, house_style, svg_of
+from hilcell.run.log import Log, positions_mm
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH_IN = 7.1  # the printable width of A4
+COLOURS = {"before": "#c26a2e", "idw": "#8796a5", "chosen": "#12507b"}
+MARKERS = {"before": "o", "idw": "^", "chosen": "o"}
+VIEWS = (("from above", 0, 1), ("from the side", 1, 2), ("from the front", 0, 2))
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """One figure, ready for the page: ``svg`` is trusted, the words are not."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str
+
+
+Drawn = tuple["Figure", str]  # with the caption that belongs to it
+
+
+def drawings(facts: Facts) -> list[Drawing]:
+    """Return every figure that the run's data allow, in the order of a reader's questions."""
+    found: list[tuple[str, str, Callable[[], Drawn | None]]] = [
+        ("targets", "Error at each target, station of the grid (Fig 12)", lambda: fig_12(facts)),
+        ("transferred", "Error at each target, other stations (Fig 13)", lambda: fig_13(facts)),
+        ("sorted", "Errors sorted", lambda: fig_sorted(facts)),
+        ("volume", "Error vectors in the volume, from three sides", lambda: fig_volume(facts)),
+        ("rail", "Position error of the rail, both ways (Fig 1)", lambda: fig_1(facts)),
+        ("frames", "Repeatability of base and station frames (Fig 8)", lambda: fig_8(facts)),
+        ("strip", "Repeatability of a station (Fig 10)", lambda: fig_10(facts)),
+    ]
+    if "world" not in facts.log.frames:
+        return []
+    drawn = []
+    with house_style():
+        for name, title, draw in found:
+            figure = draw()
+            if figure is not None:
+                drawn.append(_finished(facts, name, title, figure))
+    return drawn
+
+
+def _finished(facts: Facts, name: str, title: str, drawn: Drawn) -> Drawing:
+    figure, caption = drawn
+    if facts.inputs.simulated:
+        figure.text(0.5, 0.5, "SIMULATION", ha="center", va="center", fontsize=34, rotation=18,
+                    color=MUTED, alpha=0.13, weight="bold")  # fmt: skip
+    return Drawing(name, title, caption, svg_of(figure, name))
+
+
+def _sheet(height_in: float, rows: int = 1, columns: int = 1, **more: Any) -> tuple[Figure, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **more)
+
+
+def series_name(how: str, facts: Facts) -> str:
+    """Return how a series of targets is called."""
+    method = facts.log.verdicts.get("fit", {}).get("method", "")
+    chosen = f"after, {method}" if method else "after, chosen"
+    return {"before": "before", "idw": "after, IDW (paper)", "chosen": chosen}[how]
+
+
+# -- errors at the targets ------------------------------------------------------------------------
+
+
+def fig_12(facts: Facts) -> Drawn | None:
+    """Draw the errors at the grid's station, target by target."""
+    log = facts.log
+    series = validation(log, [log.cell.grid.station])
+    return _targets(facts, series, "The paper: mean 1.2092 mm before, 0.1168 mm after (135).")
+
+
+def fig_13(facts: Facts) -> Drawn | None:
+    """Draw the errors at the other stations, target by target, with transferred data."""
+    stations = places(facts.log).get(OTHERS) or list(places(facts.log))[1:]
+    series = validation(facts.log, stations)
+    words = f"Stations {' and '.join(stations)}, corrected by data transferred to them. "
+    return _targets(
+        facts, series, words + "The paper: mean 1.2511 mm before, 0.1600 mm after (150)."
+    )
+
+
+def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn | None:
+    if not series:
+        return None
+    figure, axes = _sheet(2.6)
+    ax: Axes = axes[0, 0]
+    for how, errors in series.items():
+        _scatter(ax, how, errors.norms_mm, series_name(how, facts))
+        ax.axhline(errors.mean_mm, color=COLOURS[how], linewidth=0.8, linestyle=(0, (4, 2)))
+    _limits(ax, max(len(errors) for errors in series.values()), 0.0)
+    ax.set_xlabel("target")
+    ax.set_ylabel("3D error, mm")
+    _legend_above(ax)
+    return figure, "Dashed lines: means. " + caption
+
+
+def _scatter(ax: Axes, how: str, y: Array, label: str) -> None:
+    x = np.arange(1, len(y) + 1)
+    face = "none" if how == "before" else COLOURS[how]
+    ax.plot(x, y, linestyle="none", marker=MARKERS[how], markersize=3.0, markeredgewidth=0.8,
+            markerfacecolor=face, markeredgecolor=COLOURS[how], label=label)  # fmt: skip
+
+
+def _limits(ax: Axes, count: int, low: float) -> None:
+    ax.set_xlim(0, count + 1)
+    ax.set_ylim(bottom=low)
+
+
+def _legend_above(ax: Axes) -> None:
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
+
+
+def fig_sorted(facts: Facts) -> Drawn | None:
+    """Draw which share of the targets keeps which error."""
+    found = [
+        (name, series)
+        for name, stations in list(places(facts.log).items())[:2]
+        for series in (validation(facts.log, stations),)
+        if series
+    ]
+    if not found:
+        return None
+    figure, axes = _sheet(2.5, 1, len(found), sharey=True)
+    for ax, (name, series) in zip(axes[0], found, strict=True):
+        for how, errors in series.items():
+            share = 100 * np.arange(1, len(errors) + 1) / len(errors)
+            style = "--" if how == "idw" else "-"
+            ax.plot(share, np.sort(errors.norms_mm), style, color=COLOURS[how],
+                    label=series_name(how, facts), drawstyle="steps-pre")  # fmt: skip
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.set_xlim(0, 100)
+        ax.set_xlabel("share of targets with at most this error, %")
+        ax.set_title("other stations" if name == OTHERS else f"station {name}")
+    axes[0, 0].set_ylabel("3D error, mm")
+    axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.12))
+    return figure, "Logarithmic scale: equal distances are equal ratios."
+
+
+# -- vectors --------------------------------------------------------------------------------------
+
+
+def fig_volume(facts: Facts) -> Drawn | None:
+    """Draw error vectors in {W} from above, the side and the front, before and after."""
+    rows = _vector_rows(facts)
+    if not rows:
+        return None
+    figure, axes = _sheet(2.55 * len(rows) + 0.1, len(rows), 3)
+    for (label, errors), line in zip(rows, axes, strict=True):
+        scale = _magnification(errors)
+        for ax, view in zip(line, VIEWS, strict=True):
+            _vectors(ax, errors, scale, view)
+        line[0].set_title(f"{label}, {scale:g} × enlarged")
+    return figure, (
+        "Each line leads from a nominal place, the dot, along its error in {W}, enlarged as the "
+        "title says. The bar in each panel is as long as the error it names."
+    )
+
+
+def _vector_rows(facts: Facts) -> list[tuple[str, Errors]]:
+    station = facts.log.cell.grid.station
+    series = validation(facts.log, [station])
+    rows = [
+        (f"{station}, {series_name(how, facts)}", series[how])
+        for how in ("before", "chosen")
+        if how in series
+    ]
+    grid = grid_errors(facts.log)
+    return rows or ([(f"{station}, grid", grid)] if grid is not None else [])
+
+
+def _magnification(errors: Errors) -> float:
+    """Return 1, 2 or 5 times a power of ten that draws the largest error a tenth of the volume."""
+    spread_mm = float(np.ptp(errors.nominal_mm, axis=0).max()) or 1000.0
+    wanted = 0.15 * spread_mm / max(errors.max_mm, 1e-6)
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(step for step in (1, 2, 5) if step * power <= wanted * (1 + 1e-9)) * power)
+
+
+def _vectors(ax: Axes, errors: Errors, scale: float, view: tuple[str, int, int]) -> None:
+    seen, across, up = view
+    begin = errors.nominal_mm[:, (across, up)]
+    end = begin + scale * errors.error_mm[:, (across, up)]
+    gap = np.full_like(begin, np.nan)
+    lines = np.stack([begin, end, gap], axis=1).reshape(-1, 2)
+    ax.plot(lines[:, 0], lines[:, 1], color=COLOURS["chosen"], linewidth=0.7)
+    ax.plot(begin[:, 0], begin[:, 1], ".", color=INK, markersize=1.6)
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_xlabel(f"{AXES[across]}, mm ({seen})")
+    ax.set_ylabel(f"{AXES[up]}, mm")
+    _scale_bar(ax, scale, errors)
+
+
+def _scale_bar(ax: Axes, scale: float, errors: Errors) -> None:
+    bar_mm = float(f"{errors.max_mm:.0e}")
+    share = scale * bar_mm / np.ptp(ax.get_xlim())
+    ax.annotate("", (0.03 + share, 0.035), (0.03, 0.035), xycoords="axes fraction",
+                arrowprops={"arrowstyle": "|-|,widthA=0.15,widthB=0.15", "linewidth": 0.8,
+                            "shrinkA": 0, "shrinkB": 0})  # fmt: skip
+    ax.text(0.05 + share, 0.035, f"{bar_mm:g} mm", transform=ax.transAxes, va="center",
+            fontsize=7, color=INK)  # fmt: skip
+
+
+# -- rail, frames, strip --------------------------------------------------------------------------
+
+
+def fig_1(facts: Facts) -> Drawn | None:
+    """Draw the rail's position error, forth and back."""
+    survey = facts.result.get("rail_survey")
+    if survey is None:
+        return None
+    figure, axes = _sheet(2.6)
+    ax: Axes = axes[0, 0]
+    for way, label, how in (("forth", "forth", "chosen"), ("back", "back", "before")):
+        curve = np.array(survey["curve"][way], dtype=float).reshape(-1, 2)
+        curve = curve[np.argsort(curve[:, 0])]
+        ax.plot(curve[:, 0], curve[:, 1], "-", marker=MARKERS[how], markersize=2.6,
+                markerfacecolor="none" if way == "back" else COLOURS[how], color=COLOURS[how],
+                label=label)  # fmt: skip
+    ax.set_xlabel("nominal position on the rail, mm")
+    ax.set_ylabel("position error, mm")
+    _legend_above(ax)
+    backlash = survey["backlash_mm"]
+    return figure, (
+        f"Backlash {backlash['value']:.4f} mm, u = {backlash['u']:.4f} mm. "
+        "The paper: error up to 0.5 mm, backlash about 0.2 mm."
+    )
+
+
+def fig_8(facts: Facts) -> Drawn | None:
+    """Draw how far slide points came out from where the reference's frames have them."""
+    found = facts.result.get("frame_repeatability")
+    if found is None:
+        return None
+    stations = list(found["base"])
+    figure, axes = _sheet(2.5, 1, len(stations), sharey=True)
+    for ax, station in zip(axes[0], stations, strict=True):
+        for kind, how, shift in (("base", "before", -0.2), ("station", "chosen", 0.2)):
+            off_mm = found[kind][station]
+            ax.bar(np.arange(1, len(off_mm) + 1) + shift, off_mm, 0.38, color=COLOURS[how],
+                   label=f"{kind} frame")  # fmt: skip
+        ax.set_title(f"station {station}")
+        ax.set_xlabel("slide point")
+        ax.set_xticks(np.arange(1, len(found["base"][station]) + 1))
+        ax.grid(visible=False, axis="x")
+    axes[0, 0].set_ylabel("deviation, mm")
+    _legend_above(axes[0, -1])
+    low, high = found["ratio_interval"]
+    return figure, (
+        f"Against station {facts.log.cell.grid.station}. The station frame repeats "
+        f"{found['ratio']:.1f} times better, interval {low:.1f} to {high:.1f}. "
+        "The paper: about 4 times."
+    )
+
+
+def fig_10(facts: Facts) -> Drawn | None:
+    """Draw where the slide stood after each approach, by drive alone and held by the strip."""
+    series = {how: along_rail_mm(facts.log, how) for how in ("plain", "strip")}
+    if not len(series["plain"]) and not len(series["strip"]):
+        return None
+    figure, axes = _sheet(2.5)
+    ax: Axes = axes[0, 0]
+    words: Sequence[tuple[str, str, str]] = (
+        ("plain", "before", "by the drive alone"),
+        ("strip", "chosen", "held by the strip"),
+    )
+    caption = []
+    for name, how, label in words:
+        off_mm = series[name] - (series[name].mean() if len(series[name]) else 0.0)
+        _scatter(ax, how, off_mm, label)
+        ax.plot(np.arange(1, len(off_mm) + 1), off_mm, color=COLOURS[how], linewidth=0.7)
+        if len(off_mm):
+            caption.append(f"{label} {np.ptp(off_mm):.4f} mm")
+    count = max(map(len, series.values()))
+    ax.set_xlim(0.5, count + 0.5)
+    ax.set_xticks(range(1, count + 1))
+    ax.set_xlabel("approach")
+    ax.set_ylabel("deviation along the rail, mm")
+    _legend_above(ax)
+    return figure, (
+        f"Deviation from each series' mean. Range: {', '.join(caption)}. "
+        "The paper: at most 0.035 mm with the strip, backlash 0.2 mm without."
+    )
+
+
+def along_rail_mm(log: Log, how: str) -> Array:
+    """Return positions (N,) along the rail's nominal direction of repeated approaches."""
+    raw_mm = positions_mm(log.group(f"repeat_{how}"))
+    along: Array = raw_mm @ log.matrix("world")[:3, :3].T @ np.array(log.cell.layout.rail_direction)
+    return along

@@ -1,0 +1,119 @@
+"""The report: one HTML file that opens offline, needs no script and prints on A4."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hilcell import __version__
+from hilcell.report import tables
+from hilcell.report.budget import budget_of
+from hilcell.report.certificate import certificate
+from hilcell.report.errors import OTHERS, places, reduction, validation
+from hilcell.report.facts import Facts
+from hilcell.report.figures import drawings
+from hilcell.report.words import harmless
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """What a reader wants first: one place, before, after, and what was removed."""
+
+    place: str
+    before_mm: float
+    after_mm: float
+    after_max_mm: float
+    removed: float
+
+
+def report_html(facts: Facts) -> str:
+    """Return the report of a run, the same from the same journal."""
+    budget = budget_of(facts.log)
+    kind, words = standing(facts)
+    return (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            facts=facts,
+            version=__version__,
+            began=facts.records[0].t[:19].replace("T", " "),
+            ended=facts.records[-1].t[:19].replace("T", " "),
+            kind=kind,
+            standing=words,
+            page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
+            headlines=headlines(facts),
+            certificate=certificate(facts, budget),
+            result_sheets=_present(
+                tables.accuracy(facts), tables.paper_rows(facts), tables.verdicts(facts)
+            ),
+            own_sheet=None if validation_of(facts) else tables.own_table(facts),
+            drawings=drawings(facts),
+            frame_sheets=_present(
+                tables.stations(facts), tables.circles(facts), tables.frames(facts)
+            ),
+            budget=budget,
+            budget_sheets=tables.budget_sheets(budget) if budget else [],
+            record_sheets=_present(
+                tables.devices(facts), tables.conditions(facts), tables.groups(facts),
+                tables.software(facts), tables.course(facts),
+            ),
+        )
+    )  # fmt: skip
+
+
+def validation_of(facts: Facts) -> bool:
+    """Whether targets were validated, so that the report has its own table of them."""
+    return any(validation(facts.log, stations) for stations in places(facts.log).values())
+
+
+def standing(facts: Facts) -> tuple[str, str]:
+    """Return how the run stands: a kind for the style sheet, and words."""
+    end, state = facts.log.end, facts.log.states["run"]
+    if facts.finished and end is not None:
+        if end["exit"] == 0:
+            return "good", "in tolerance" if facts.log.verdicts else "finished"
+        return "bad", "out of tolerance"
+    if end is None and state not in ("aborted", "faulted"):
+        return "open", f"not finished: the journal ends while the run is {state}"
+    reason = f": {facts.log.fault}" if facts.log.fault else ""
+    return "open", f"not finished: {state}{reason}"
+
+
+def headlines(facts: Facts) -> list[Headline]:
+    """Return the figures at the grid's station and at the others."""
+    found = []
+    for place, stations in list(places(facts.log).items())[:2]:
+        series = validation(facts.log, stations)
+        if "before" in series and "chosen" in series:
+            before, after = series["before"], series["chosen"]
+            name = f"Stations {' and '.join(stations)}" if place == OTHERS else f"Station {place}"
+            removed = reduction(before.mean_mm, after.mean_mm)
+            found.append(Headline(name, before.mean_mm, after.mean_mm, after.max_mm, removed))
+    return found
+
+
+def _present(*sheets: tables.Sheet | None) -> list[tables.Sheet]:
+    return [sheet for sheet in sheets if sheet is not None]
+
+
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def finalize(value: object) -> object:
+        return harmless(value) if type(value) is str else value
+
+    environment = Environment(
+        loader=PackageLoader("hilcell.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=finalize,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["trusted"] = Markup  # for hilcell's own SVG only
+    return environment

@@ -1,0 +1,238 @@
+"""The tables of a report: words and rounded figures, every column with its unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hilcell.geometry.frames import kuka_from_pose
+from hilcell.report.budget import Budget
+from hilcell.report.errors import OTHERS, Errors, places, reduction, validation
+from hilcell.report.facts import Facts
+from hilcell.report.figures import series_name
+from hilcell.report.uncertainty import Contribution
+
+CONDITIONS = (
+    ("air temperature", "temperature_c", "°C", 2),
+    ("air pressure", "pressure_mbar", "mbar", 1),
+    ("relative humidity", "humidity_percent", "%", 1),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """One table: the first ``words`` columns are text, the others figures."""
+
+    title: str
+    headers: list[str]
+    rows: list[list[str]]
+    words: int = 1
+    note: str = ""
+
+
+def accuracy(facts: Facts) -> Sheet | None:
+    """Return the errors before and after per place, and both ratios of the paper's abstract."""
+    rows: list[list[str]] = []
+    for place, stations in places(facts.log).items():
+        series = validation(facts.log, stations)
+        rows += [
+            _accuracy_row(facts, place if number == 0 else "", series, how)
+            for number, how in enumerate(series)
+        ]
+    if not rows:
+        return None
+    headers = ["station", "error", "targets", "mean mm", "p95 mm", "max mm",
+               "removed by means %", "removed by maxima %"]  # fmt: skip
+    floor = facts.result.get("repeatability", {}).get("floor_mm")
+    note = "Removed: 1 − after / before. Every figure is of targets really sent and measured."
+    if floor is not None:
+        note += f" Repeatability and tracker noise alone would leave {floor:.4f} mm (mean)."
+    return Sheet("Before and after", headers, rows, 2, note)
+
+
+def _accuracy_row(facts: Facts, place: str, series: Mapping[str, Errors], how: str) -> list[str]:
+    errors, before = series[how], series.get("before")
+    removed = ["", ""]
+    if before is not None and how != "before":
+        removed = [
+            f"{100 * reduction(before.mean_mm, errors.mean_mm):.1f}",
+            f"{100 * reduction(before.max_mm, errors.max_mm):.1f}",
+        ]
+    name = "others together" if place == OTHERS else place
+    figures = _mm(errors.mean_mm, errors.p95_mm, errors.max_mm)
+    return [name, series_name(how, facts), str(len(errors)), *figures, *removed]
+
+
+def stations(facts: Facts) -> Sheet | None:
+    """Return what each station's frame is good for."""
+    rows = [
+        [station.name, f"{station.rail_mm:.2f}", f"{station.strip_mm:.2f}",
+         f"{frame['strip_mm']:.2f}", *_mm(frame["rms_mm"], frame["tool_uncertainty_mm"])]
+        for station in facts.log.cell.station
+        for frame in (facts.log.frames.get(f"station.{station.name}"),)
+        if frame is not None
+    ]  # fmt: skip
+    headers = ["station", "rail mm", "strip, wanted mm", "strip, found mm", "fit rms mm",
+               "tool point u mm"]  # fmt: skip
+    note = "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ."
+    return Sheet("Stations", headers, rows, 1, note) if rows else None
+
+
+def frames(facts: Facts) -> Sheet | None:
+    """Return every measured frame as position and KUKA Z-Y-X angles in {W}."""
+    rows = []
+    for name, frame in facts.log.frames.items():
+        x, y, z, a, b, c = kuka_from_pose(np.array(frame["matrix"], dtype=float))
+        rows.append([name, f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{a:.5f}", f"{b:.5f}", f"{c:.5f}"])
+    headers = ["frame", "x mm", "y mm", "z mm", "A °", "B °", "C °"]
+    note = "In {W}; `world` is the tracker in {W}. Angles Z-Y-X."
+    return Sheet("Frames", headers, rows, 1, note) if rows else None
+
+
+def circles(facts: Facts) -> Sheet | None:
+    """Return how round the circles of axes 1 and 6 were."""
+    base = facts.log.frames.get("base", {})
+    if "circle_rms_mm" not in base:
+        return None
+    pairs = zip(base["radius_mm"], base["circle_rms_mm"], strict=True)
+    rows = [[f"axis {axis}", *_mm(*pair)] for axis, pair in zip((1, 6), pairs, strict=True)]
+    return Sheet("Base frame: circles", ["circle", "radius mm", "residual rms mm"], rows)
+
+
+def conditions(facts: Facts) -> Sheet | None:
+    """Return the air at the tracker, smallest, largest and mean over all points."""
+    points = list(facts.log.points.values())
+    if not points:
+        return None
+    rows = []
+    for name, field, unit, digits in CONDITIONS:
+        values = np.array([getattr(point, field) for point in points])
+        figures = (values.min(), values.max(), values.mean())
+        rows.append([f"{name} {unit}", *(f"{each:.{digits}f}" for each in figures)])
+    return Sheet("Air at the tracker", ["quantity", "least", "most", "mean"], rows)
+
+
+def devices(facts: Facts) -> Sheet | None:
+    """Return who answered."""
+    rows = [[each["device"], each["model"], each["serial"], each["address"]]
+            for each in facts.devices]  # fmt: skip
+    headers = ["device", "model", "serial", "address"]
+    return Sheet("Devices", headers, rows, 4) if rows else None
+
+
+def software(facts: Facts) -> Sheet:
+    """Return the versions that measured."""
+    rows = [[name, version] for name, version in facts.inputs.versions.items()]
+    return Sheet("Software that measured", ["package", "version"], rows, 2)
+
+
+def groups(facts: Facts) -> Sheet | None:
+    """Return how many points of each group were measured."""
+    counts: dict[str, int] = {}
+    for point in facts.log.points.values():
+        counts[point.group] = counts.get(point.group, 0) + 1
+    rows = [[name.replace("_", " "), str(count)] for name, count in sorted(counts.items())]
+    return Sheet("Points", ["group", "points"], rows) if rows else None
+
+
+def verdicts(facts: Facts) -> Sheet | None:
+    """Return what was judged, with the figures it was judged by."""
+    rows = [
+        [name, "holds" if body["holds"] else "does not hold", _facts_of(body)]
+        for name, body in facts.log.verdicts.items()
+    ]
+    return Sheet("Verdicts", ["judged", "verdict", "by"], rows, 3) if rows else None
+
+
+def course(facts: Facts) -> Sheet:
+    """Return how the run went: its states, and what happened on the way."""
+    rows = [
+        [record.t[:19].replace("T", " "), record.body["machine"],
+         record.body["to"].replace("_", " "), str(record.body.get("reason", ""))]
+        for record in facts.records
+        if record.kind == "state"
+    ]  # fmt: skip
+    rows += [
+        [record.t[:19].replace("T", " "), "event", record.body["what"], _facts_of(record.body)]
+        for record in facts.log.events
+        if record.body["what"] not in ("connected", "closed")
+    ]
+    return Sheet("Course of the run (UTC)", ["when", "of", "what", "why, how"], sorted(rows), 4)
+
+
+def paper_rows(facts: Facts) -> Sheet | None:
+    """Return the paper's figures beside this run's, where the procedure compares them."""
+    found = facts.result.get("rows")
+    if not isinstance(found, list):
+        return None
+    rows = [
+        [_text(row["row"]), _text(row["paper"]), _text(row["here"]), _text(row["unit"]),
+         "holds" if row["holds"] else "does not hold"]
+        for row in found
+    ]  # fmt: skip
+    headers = ["figure of the paper", "paper", "here", "unit", "verdict"]
+    return Sheet("The paper, row by row", headers, rows)
+
+
+def own_table(facts: Facts) -> Sheet | None:
+    """Return the procedure's own table of its result."""
+    if facts.table is None:
+        return None
+    headers, rows = facts.table
+    return Sheet(facts.procedure.summary.capitalize(), headers, rows)
+
+
+def contributions(title: str, lines: Iterable[Contribution]) -> Sheet:
+    """Return budget lines: estimate, distribution, standard uncertainty, source."""
+    rows = [
+        [line.name, f"{line.how}; {line.source}", f"{line.distribution}, GUM {line.clause}",
+         *_mm(line.estimate_mm, line.u_mm)]
+        for line in lines
+    ]  # fmt: skip
+    headers = ["contribution", "source", "distribution", "estimate mm", "u mm"]
+    return Sheet(title, headers, rows, 3)
+
+
+def budget_sheets(budget: Budget) -> list[Sheet]:
+    """Return the budget's tables, each with its sum."""
+    sheets = [
+        _summed(
+            contributions("A measured position", budget.measurement),
+            budget.measurement_u_mm,
+            budget.measurement_U_mm,
+        )
+    ]
+    if budget.target:
+        sheet = contributions("A corrected target, besides", budget.target)
+        sheets.append(_summed(sheet, budget.target_u_mm, budget.target_U_mm))
+    return sheets
+
+
+def _summed(sheet: Sheet, u_mm: float, expanded_mm: float) -> Sheet:
+    sheet.rows.append(["combined, all lines so far", "root of the sum of squares", "GUM 5.1.2",
+                       "", f"{u_mm:.4f}"])  # fmt: skip
+    sheet.rows.append(["expanded, k = 2", "U = k u, about 95 %", "GUM 6.2.1",
+                       "", f"{expanded_mm:.4f}"])  # fmt: skip
+    return sheet
+
+
+def _mm(*values_mm: float) -> list[str]:
+    return [f"{value:.4f}" for value in values_mm]
+
+
+def _facts_of(body: Mapping[str, Any]) -> str:
+    known = ("holds", "what")
+    return ", ".join(
+        f"{name} {_text(value)}"
+        for name, value in body.items()
+        if name not in known and not isinstance(value, dict | list)
+    )
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4f}" if isinstance(value, float) else str(value)
