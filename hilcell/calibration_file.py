@@ -47,7 +47,7 @@ class Validity(msgspec.Struct, frozen=True):
 
 
 class Provenance(msgspec.Struct, frozen=True):
-    """Where the calibration comes from."""
+    """Where the calibration comes from, and whether its sign was proven on the cell."""
 
     run: str
     cell: str
@@ -57,6 +57,7 @@ class Provenance(msgspec.Struct, frozen=True):
     job: str
     software: str
     written: str
+    sign_checked: bool = False
 
 
 class Calibration(msgspec.Struct, frozen=True):
@@ -87,6 +88,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "provenance": Provenance(
             run, cell.name, log.inputs.digest, log.inputs.simulated, log.inputs.operator,
             log.inputs.job, f"hilcell {__version__}", f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+            bool(log.verdicts.get("sign", {}).get("holds", False)),
         ),
         "validity": Validity(
             tuple(grid.origin_mm.tolist()), tuple(high_mm.tolist()),

@@ -131,11 +131,18 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         commands, "compensate", "commands.files:compensate", "correct targets by a calibration"
     )
     compensate.add_argument("calibration", metavar="CALIBRATION", help="a run or calibration.json")
-    compensate.add_argument("targets", metavar="TARGETS.csv", help="nominal targets in {W}")
+    compensate.add_argument("targets", metavar="TARGETS.csv|PROGRAM.src", help="nominal targets in "
+                            "{W}; a KRL program with its .dat beside it")  # fmt: skip
     compensate.add_argument("--station", required=True, metavar="S", help="where they are reached")
     compensate.add_argument(
-        "-o", "--output", required=True, metavar="OUT", help="corrected targets"
+        "-o", "--output", required=True, metavar="OUT", help="corrected targets, or program"
     )
+    compensate.add_argument("--cell", metavar="CELL", help="refuse a calibration of another cell")
+    _set_option(compensate)
+    compensate.add_argument("--temperature", type=_finite, metavar="T_C", help="the room's: refuse "
+                            "one further than 2 K from the calibrated")  # fmt: skip
+    compensate.add_argument("--max-age", type=_finite, default=180.0, metavar="DAYS",
+                            help="refuse an older calibration (default: 180)")  # fmt: skip
     _runs_option(compensate)
 
 
@@ -176,6 +183,13 @@ def _speed(text: str) -> float:
     value = math.inf if text == "max" else float(text)
     if not value > 0:
         raise argparse.ArgumentTypeError(f"a positive factor or max is wanted, found {text!r}")
+    return value
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"a finite number is wanted, found {text!r}")
     return value
 
 

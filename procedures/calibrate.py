@@ -12,6 +12,7 @@ from procedures.home import Home
 from procedures.rail_survey import RailSurvey, survey_table
 from procedures.repeatability import Repeatability
 from procedures.robot_grid import RobotGrid
+from procedures.sign_check import SignCheck, sign_table
 from procedures.station import HoldStation, StationRepeatability, approach_table
 from procedures.station_frames import StationFrames
 from procedures.validate import Validate
@@ -82,9 +83,15 @@ ROBOT_GRID = Procedure("robot-grid", "measure the robot's error on the grid", TO
 STATION_FRAMES = Procedure(
     "station-frames", "frame the slide at every station", (*TO_GRID, StationFrames()), station_table
 )
+SIGN_CHECK = Procedure(
+    "sign-check",
+    "send one target as it is and corrected, and measure both",
+    (*TO_GRID, StationFrames(), Fit(), SignCheck()),
+    sign_table,
+)
 CALIBRATE = Procedure(
     "calibrate",
     "the paper's calibration, validated before and after at every station",
-    (*TO_GRID, Repeatability(), StationFrames(), Fit(), Validate()),
+    (*TO_GRID, Repeatability(), StationFrames(), Fit(), SignCheck(), Validate()),
     validation_table,
 )

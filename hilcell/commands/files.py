@@ -1,16 +1,20 @@
-"""``fit`` and ``compensate``: measured data in, figures or corrected targets out."""
+"""``fit`` and ``compensate``: measured data, targets or programs in, figures or corrections out."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 
-from hilcell.calibration_file import NAME, compensate_targets, read_calibration
+from hilcell.calibration_file import NAME, Calibration, compensate_targets, read_calibration
+from hilcell.cell import load_cell
 from hilcell.commands.common import say
 from hilcell.faces import print_table
+from hilcell.programs import is_program, load_program, refuse_in_place, write_program
 from hilcell.runs import find_run
 from hilcell.targets import read_targets, write_targets
+from hilcell.validity import check_fitness
 
 
 def fit(args: argparse.Namespace) -> int:
@@ -35,11 +39,48 @@ def fit(args: argparse.Namespace) -> int:
 
 
 def compensate(args: argparse.Namespace) -> int:
-    """Write corrected targets for one station."""
+    """Write corrected targets, or a corrected program, for one station."""
     where = Path(args.calibration)
     path = where if where.is_file() else find_run(args.runs, args.calibration) / NAME
-    names, targets = read_targets(Path(args.targets))
-    command = compensate_targets(read_calibration(path), args.station, targets, names)
-    write_targets(Path(args.output), names, command)
-    print(f"{len(names)} targets corrected for {args.station} into {args.output}", file=sys.stderr)
+    calibration = read_calibration(path)
+    check_fitness(
+        calibration, datetime.now(UTC),
+        max_age_days=args.max_age, temperature_c=args.temperature,
+        digest=load_cell(args.cell, dict(args.set)).digest if args.cell else None,
+    )  # fmt: skip
+    source, out = Path(args.targets), Path(args.output)
+    if is_program(source):
+        count, written = _compensate_program(calibration, args.station, source, out)
+    else:
+        count, written = _compensate_list(calibration, args.station, source, out)
+    print(f"{count} targets corrected for {args.station} into {written}", file=sys.stderr)
+    if calibration.provenance.simulated:
+        print(
+            f"hilcell: SIMULATED: run {calibration.provenance.run} measured no real robot; what "
+            "was written is for trying out, not for a machine",
+            file=sys.stderr,
+        )
     return 0
+
+
+def _compensate_list(
+    calibration: Calibration, station: str, source: Path, out: Path
+) -> tuple[int, str]:
+    names, targets = read_targets(source)
+    refuse_in_place(source, [out])
+    write_targets(out, names, compensate_targets(calibration, station, targets, names))
+    return len(names), str(out)
+
+
+def _compensate_program(
+    calibration: Calibration, station: str, source: Path, out: Path
+) -> tuple[int, str]:
+    program = load_program(source)
+    command = compensate_targets(calibration, station, program.values(), program.names)
+    written = write_program(program.with_positions(command[:, :3]), source, out)
+    for note in program.notes:
+        print(f"{source.name}: {note}", file=sys.stderr)
+    print(
+        f"{source.name}: its targets were taken in {{W}}, its base must be {{W}}", file=sys.stderr
+    )
+    return len(program.targets), " and ".join(map(str, written))

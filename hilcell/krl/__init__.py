@@ -1,0 +1,1 @@
+"""KRL programs as text: which numbers are targets, and whether they can be corrected safely."""

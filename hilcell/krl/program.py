@@ -1,0 +1,344 @@
+"""A KRL program whose targets can be corrected safely; all else is refused, line by line.
+
+Only absolute motions to points that stand as numbers in the program are corrected. The trap: a
+point that the program reads, changes or hands on besides moving to it would carry its correction
+to places that nobody has checked, so that such a program is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+import numpy as np
+
+from hilcell.krl.data import AXES, EXTERNAL, POINTS, POSE, DataList, Datum, Number, declared
+from hilcell.krl.frames import FrameRule, assigned_at
+from hilcell.krl.tokens import KrlError, Statement, Token, closing, statements, text_of
+from hilcell.ports import Array
+from hilcell.settings import SettingsError
+
+ABSOLUTE = ("PTP", "LIN", "SPTP", "SLIN")
+JOINTWISE = ("PTP", "SPTP")
+CIRCLES = ("CIRC", "SCIRC")
+SPLINES = ("SPLINE", "PTP_SPLINE", "SPL")
+EXTERNAL_AXES = ("ASYPTP",)
+APPROXIMATIONS = ("C_PTP", "C_DIS", "C_VEL", "C_ORI", "C_SPL")
+HOMES = ("HOME", "XHOME", *(f"XHOME{n}" for n in range(1, 6)))
+WHERE_IT_IS = "$AXIS_ACT"
+HEADERS = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
+CONTROL = (
+    "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
+    "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS",
+)  # fmt: skip
+DECIMALS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """Characters ``start`` to ``end`` of a file and what is to stand there."""
+
+    start: int
+    end: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A point that motions use: its name, where it stands, its numbers."""
+
+    name: str
+    file: str
+    line: int
+    numbers: dict[str, Number] = field(repr=False)
+
+    @property
+    def where(self) -> str:
+        """Return name, file and line for messages."""
+        return f"{self.name} ({self.file} line {self.line})"
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """Texts by file name, targets in the order of their first motion, and what is told of it."""
+
+    texts: dict[str, str] = field(repr=False)
+    targets: list[Target]
+    notes: list[str]
+
+    @property
+    def names(self) -> list[str]:
+        """Return the targets' names with file and line."""
+        return [target.where for target in self.targets]
+
+    def values(self) -> Array:
+        """Return the targets (N, 6): X, Y, Z in mm, A, B, C in deg, as the program states them."""
+        return np.array([[t.numbers[name].value for name in POSE] for t in self.targets])
+
+    def with_positions(self, positions_mm: Array) -> dict[str, str]:
+        """Return the texts with other X, Y, Z (N, 3); nothing else differs."""
+        edits: dict[str, list[Edit]] = {name: [] for name in self.texts}
+        for target, position in zip(self.targets, positions_mm, strict=True):
+            for name, value_mm in zip(POSE[:3], position, strict=True):
+                number = target.numbers[name]
+                text = formatted(float(value_mm), number.text)
+                edits[target.file].append(Edit(number.start, number.end, text))
+        return {name: _edited(text, edits[name]) for name, text in self.texts.items()}
+
+
+def formatted(value: float, like: str) -> str:
+    """Return a number with at least three decimals, or as many as ``like`` has."""
+    exponent = Decimal(like).as_tuple().exponent
+    decimals = max(DECIMALS, -exponent if isinstance(exponent, int) else 0)
+    text = f"{value:.{decimals}f}"
+    return text if float(text) else text.removeprefix("-")
+
+
+def _edited(text: str, edits: list[Edit]) -> str:
+    parts, at = list[str](), 0
+    for edit in sorted(edits, key=lambda each: each.start):
+        parts += [text[at : edit.start], edit.text]
+        at = edit.end
+    return "".join([*parts, text[at:]])
+
+
+def read_program(source: str, text: str, data: tuple[str, str] | None) -> Program:
+    """Return the program of a ``.src`` (name, text) and its ``.dat`` (name, text), if it has one.
+
+    Raises `SettingsError` with everything that cannot be corrected safely, by file and line.
+    """
+    name, content = data or (source, "")
+    reader = _Reader(source, list(statements(text)), DataList(name, statements(content)))
+    reader.read()
+    if reader.problems:
+        raise SettingsError(source, reader.problems)
+    texts = {source: text} | ({name: content} if data else {})
+    return Program(texts, list(reader.targets.values()), reader.notes())
+
+
+class _Reader:
+    """Goes through the statements once for motions, and once more for other uses of points."""
+
+    def __init__(self, file: str, found: list[Statement], data: DataList) -> None:
+        self.targets: dict[str, Target] = {}
+        self.problems = list(data.problems)
+        self._file, self._found, self._data = file, found, data
+        self._frames = FrameRule(data)
+        self._own = {name for each in found for name in _defined(each)}
+        self._local = {name for each in found for name in _local(each)}
+        self._places: set[int] = set()  # where the names of targets stand in motions
+        self._left: dict[str, int] = {}  # homes and other files' programs, by their first line
+
+    def read(self) -> None:
+        for act in (self._take, self._check_uses):
+            for statement in self._found:
+                try:
+                    act(statement)
+                except KrlError as error:
+                    self.problems.append(f"{self._file} line {statement.line}: {error}")
+        self._check_external()
+        if not self.targets and not self.problems:
+            self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
+
+    def notes(self) -> list[str]:
+        """Return what was left as it is."""
+        used = {target.name for target in self.targets.values()}
+        unused = [d.name for d in self._data.data.values() if d.kind in POINTS]
+        unused = [name for name in unused if name not in used]
+        told = [f"{what} (line {line})" for what, line in self._left.items()]
+        return told + ([f"not used by a motion, left: {', '.join(unused)}"] if unused else [])
+
+    # -- the first pass -----------------------------------------------------------------------
+
+    def _take(self, statement: Statement) -> None:
+        tokens = statement.tokens
+        if _is_header(statement):
+            return
+        if any(token.text in ('"', "'") for token in tokens):
+            raise KrlError("a string does not end on its line")
+        _refuse_motions(statement)
+        labelled = len(tokens) == 2 and tokens[1].text == ":"
+        if any(token.text == ":" for token in _outside_braces(tokens)) and not labelled:
+            raise KrlError("the geometric operator ':' computes a frame at run time")
+        if statement.head in ABSOLUTE:
+            self._motion(statement)
+        else:
+            self._frames.take(statement)
+            self._check_calls(statement)
+
+    def _motion(self, statement: Statement) -> None:
+        target, rest = _target(statement.tokens)
+        self._check_rest(statement, rest)
+        name = text_of(target)
+        if target[0].text == "{":
+            inline = Datum(f"{statement.head} target", "", self._file, statement.line, target)
+            if any(each.startswith("A1") for each in inline.fields()):
+                raise KrlError(_JOINTS.format(f"{statement.head} {name}"))
+            self._frames.move(statement.line)
+            self._add(f"{statement.line}", inline)
+            return
+        self._places.add(target[0].start)
+        if statement.head in JOINTWISE and self._stays(name, statement.line):
+            return
+        self._frames.move(statement.line)
+        for each in self._meant(target):
+            self._add(each.name, each)
+
+    def _check_rest(self, statement: Statement, rest: Sequence[Token]) -> None:
+        while rest and (rest[0].word in APPROXIMATIONS or rest[0].text == ","):
+            rest = rest[1:]
+        if rest and rest[0].word == "WITH":
+            self._frames.take(Statement(statement.line, tuple(rest[1:])))
+        elif rest:
+            raise KrlError(f"{text_of(rest)} after the target makes it one that is computed")
+
+    def _stays(self, name: str, line: int) -> bool:
+        """Whether this is a home move, or one to where the robot is, which are left unchanged."""
+        if name == WHERE_IT_IS:
+            return True
+        kind = self._data.kinds.get(name, "E6AXIS" if name in HOMES else "")
+        if kind not in AXES or name in self._local:
+            return False
+        if name not in HOMES:
+            raise KrlError(_JOINTS.format(name))
+        self._left.setdefault(f"home move {name}: joint targets are left unchanged", line)
+        return True
+
+    def _meant(self, target: Sequence[Token]) -> list[Datum]:
+        """Return the points that a motion's target names: one, or any element of an array."""
+        base, name = target[0].word, text_of(target)
+        if base in self._local:
+            raise KrlError(f"{base} is a variable of the program: its place is not known")
+        names = [name] if name in self._data.data else []
+        if len(target) > 1 and target[2].kind != "number":
+            names = self._data.elements(base)
+        if not names:
+            raise KrlError(f"{name} is not a point with numbers in the program's .dat file")
+        found = [self._data.data[each] for each in names]
+        if found[0].kind in AXES:
+            raise KrlError(_JOINTS.format(name))
+        if found[0].kind not in POINTS:
+            raise KrlError(f"{name} is {found[0].kind}, which is no point")
+        return found
+
+    def _add(self, key: str, datum: Datum) -> None:
+        if key in self.targets:
+            return
+        try:
+            numbers = datum.numbers()
+        except KrlError as error:
+            if datum.file == self._file:
+                raise
+            raise KrlError(f"{datum.name} of {datum.file} line {datum.line}: {error}") from error
+        self.targets[key] = Target(datum.name, datum.file, datum.line, numbers)
+
+    def _check_calls(self, statement: Statement) -> None:
+        tokens = statement.tokens
+        for at, token in enumerate(tokens[:-1]):
+            called = token.kind == "word" and tokens[at + 1].text == "("
+            if not called or token.word in CONTROL:
+                continue
+            handed = tokens[at + 2 : closing(tokens, at + 1)]
+            points = [t.word for t in handed if self._data.kinds.get(t.word, "FDAT") != "FDAT"]
+            if points or any(t.text == "{" for t in handed):
+                raise KrlError(
+                    f"{token.word} is called with the motion parameter "
+                    f"{points[0] if points else text_of(handed)}: where it moves is not known"
+                )
+            if at == 0 and token.word not in self._own:
+                note = f"{token.word} is another program: its motions are not corrected"
+                self._left.setdefault(note, statement.line)
+
+    # -- the second pass ----------------------------------------------------------------------
+
+    def _check_uses(self, statement: Statement) -> None:
+        used = {target.name.partition("[")[0] for target in self.targets.values()}
+        if _is_header(statement):
+            return
+        for at, token in enumerate(statement.tokens):
+            if token.word in used and token.start not in self._places:
+                if assigned_at(statement.tokens, at):
+                    raise KrlError(f"{token.word} is changed at run time")
+                raise KrlError(
+                    f"{token.word} is used besides moving to it: its correction would go there too"
+                )
+
+    def _check_external(self) -> None:
+        """Refuse targets whose external axes differ: the slide would leave its station."""
+        seen: dict[str, tuple[float, str]] = {}
+        for target in self.targets.values():
+            for name in EXTERNAL:
+                if name not in target.numbers:
+                    continue
+                value = target.numbers[name].value
+                first, where = seen.setdefault(name, (value, target.where))
+                if value != first:
+                    self.problems.append(
+                        f"{target.file} line {target.line}: {target.name} has {name} {value:g}, "
+                        f"{where} has {first:g}: a program is corrected for one station"
+                    )
+
+
+_JOINTS = "{}: joint targets are not corrected; state the target as X, Y, Z, A, B, C"
+
+
+def _refuse_motions(statement: Statement) -> None:
+    """Refuse the motions that cannot be corrected, wherever in the statement they stand."""
+    for at, token in enumerate(statement.tokens):
+        word = token.word
+        if word.endswith("_REL") and word.removesuffix("_REL") in (*ABSOLUTE, *CIRCLES):
+            raise KrlError(f"{word} is a relative motion: where it goes is not known")
+        if word in CIRCLES:
+            raise KrlError(f"{word}: a circle through an auxiliary point is not corrected")
+        if word in SPLINES:
+            raise KrlError(f"{word}: splines are not corrected")
+        if word in EXTERNAL_AXES:
+            raise KrlError(f"{word} moves external axes: the slide would leave its station")
+        if word in ABSOLUTE and at:
+            raise KrlError(f"{word} within another statement is not understood")
+
+
+def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
+    """Return the tokens of a motion's target, and those after it."""
+    if len(tokens) < 2 or not (tokens[1].kind == "word" or tokens[1].text == "{"):
+        raise KrlError(f"{tokens[0].word} has no target that is understood")
+    end = 2
+    if tokens[1].text == "{":
+        end = closing(tokens, 1) + 1
+    elif len(tokens) > 2 and tokens[2].text == "[":
+        end = closing(tokens, 2) + 1
+    return tokens[1:end], tokens[end:]
+
+
+def _is_header(statement: Statement) -> bool:
+    """Whether the statement declares programs and their parameters, where ``:`` states a way."""
+    return statement.head in HEADERS or bool(_defined(statement))
+
+
+def _outside_braces(tokens: Sequence[Token]) -> list[Token]:
+    outside, depth = list[Token](), 0
+    for token in tokens:
+        depth += (token.text == "{") - (token.text == "}")
+        if depth == 0:
+            outside.append(token)
+    return outside
+
+
+def _defined(statement: Statement) -> list[str]:
+    """Return the name of the program or function that a statement begins."""
+    words = [token.word for token in statement.tokens if token.kind == "word"]
+    words = words[1:] if words[:1] == ["GLOBAL"] else words
+    if words[:1] == ["DEF"]:
+        return words[1:2]
+    return words[2:3] if words[:1] == ["DEFFCT"] else []
+
+
+def _local(statement: Statement) -> list[str]:
+    """Return the points that a statement declares in the program, and a header's parameters."""
+    if _defined(statement):
+        return [token.word for token in statement.tokens[2:] if token.kind == "word"]
+    try:
+        return [name for _, variables in [declared(statement)] for name, _ in variables]
+    except KrlError:
+        return []

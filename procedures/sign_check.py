@@ -1,0 +1,98 @@
+"""One target is sent as it is and corrected, and both are measured: is the sign right?
+
+The paper's words for the correction have the wrong sign, which doubles every error and looks as
+sound as the right one. So nothing is released before the cell itself has shown that a corrected
+target comes closer.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration import command_mm, grid_errors_mm, grid_of
+from hilcell.cell import Cell
+from hilcell.compensation.grid import Grid
+from hilcell.geometry.frames import apply
+from hilcell.ports import Array
+from hilcell.run.bench import Bench
+from hilcell.run.log import Log, positions_mm
+from hilcell.run.procedure import Step, Table
+from procedures.plan import check_reach, joints_for, robot_point_s
+from procedures.world_frame import check_control_points
+
+CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
+KEYS = {"before": "sign/before", "corrected": "sign/corrected"}
+
+
+class SignCheck:
+    """Takes the middle of the grid's worst cell, where the correction is the largest."""
+
+    name = "sign-check"
+    needs = "the fitted correction"
+    moves = "the robot to one target in the cube, as it is and corrected, at the grid's station"
+    measures = "the flange reflector at both"
+    yields = "whether the correction takes the error away instead of doubling it"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse a grid with a cell out of reach: any may be the worst."""
+        grid = grid_of(cell)
+        cells = list(product(*(range(count - 1) for count in grid.shape)))
+        check_reach(cell, middle_mm(grid, np.array(cells)), "middle of a grid cell")
+        points = len(KEYS) + len(cell.layout.floor)
+        return Step(self.name, points, points * robot_point_s(cell))
+
+    def perform(self, bench: Bench) -> None:
+        """Send both, measure, and journal the verdict."""
+        if "sign" in bench.log.verdicts:
+            return
+        station = bench.cell.station_named(bench.cell.grid.station)
+        target_mm = worst_mm(bench.log)
+        commands = {"before": target_mm, "corrected": self.command(bench.log, target_mm)}
+        nominal_mm = apply(bench.frames.base_in_world(station), target_mm)[0]
+        if not all(key in bench.log.points for key in KEYS.values()):
+            check_control_points(bench)
+        for how, command in commands.items():
+            joints = joints_for(bench.cell, command)[0]
+            bench.flange_point(KEYS[how], f"sign_{how}", station, joints, nominal_mm=nominal_mm)
+        figures = self.result(bench.log)["sign"]
+        holds = figures["corrected_mm"] < CLEARLY * figures["before_mm"]
+        bench.verdict("sign", holds=holds, limit=CLEARLY, **figures)
+
+    def command(self, log: Log, target_mm: Array) -> Array:
+        """Return what to command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
+        method = str(log.verdicts["fit"]["method"])
+        return command_mm(grid_of(log.cell), grid_errors_mm(log), method, target_mm)
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the errors of the target before and corrected, and their ratio."""
+        points = [log.points[key] for key in KEYS.values()]
+        nominal_mm = np.array([point.nominal_mm for point in points])
+        errors_mm = apply(log.matrix("world"), positions_mm(points)) - nominal_mm
+        before_mm, corrected_mm = (float(each) for each in np.linalg.norm(errors_mm, axis=1))
+        ratio = corrected_mm / before_mm
+        return {"sign": {"before_mm": before_mm, "corrected_mm": corrected_mm, "ratio": ratio}}
+
+
+def worst_mm(log: Log) -> Array:
+    """Return the middle (1, 3) in {B} of the cell whose vertices' mean error is the largest."""
+    grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
+    cells = list(product(*(range(count - 1) for count in grid.shape)))
+    mean_mm = [errors_mm[i : i + 2, j : j + 2, k : k + 2].mean(axis=(0, 1, 2)) for i, j, k in cells]
+    worst = int(np.argmax(np.linalg.norm(mean_mm, axis=1)))
+    return middle_mm(grid, np.array([cells[worst]]))
+
+
+def middle_mm(grid: Grid, cells: Array) -> Array:
+    """Return the middles (N, 3) in {B} of cells given by their lowest vertices (N, 3)."""
+    middles: Array = grid.origin_mm + grid.pitch_mm * (cells + 0.5)
+    return middles
+
+
+def sign_table(result: dict[str, Any]) -> Table:
+    """Return the target's error before and corrected."""
+    sign = result["sign"]
+    row = [f"{sign[key]:.4f}" for key in ("before_mm", "corrected_mm", "ratio")]
+    return ["before mm", "corrected mm", "ratio"], [row]
