@@ -8,6 +8,8 @@ eq 6 follows from it to first order, with U behind the last link being the tool 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -72,6 +74,18 @@ def parameter_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
     turned[..., :3, :] = R @ turned[..., :3, :]
     turned[..., 3:, :] = R @ turned[..., 3:, :]
     return turned
+
+
+def moved(arm: Arm, column: int, step: float) -> Arm:
+    """Return the arm with one of `PARAMETERS` changed by ``step``."""
+    if column >= 30:
+        tool = arm.tool.copy()
+        tool[column - 30, 3] += step
+        return replace(arm, tool=tool)
+    kind, row = divmod(column, 6)
+    values: Array = getattr(arm, KINDS[kind]).copy()
+    values[row] += step
+    return replace(arm, **{KINDS[kind]: values})
 
 
 def _carrier(U: Array) -> Array:

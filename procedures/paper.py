@@ -1,0 +1,83 @@
+"""The whole paper in one run: every system and experiment, its figure beside ours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hilcell.cell import Cell
+from hilcell.run.bench import Bench
+from hilcell.run.log import Log
+from hilcell.run.procedure import Part, Procedure, Step, Table
+from procedures.base_frame import BaseFrame
+from procedures.fit import Fit
+from procedures.frame_repeatability import FrameRepeatability
+from procedures.home import Home
+from procedures.paper_rows import ROWS
+from procedures.rail_survey import RailSurvey
+from procedures.repeatability import Repeatability
+from procedures.robot_grid import RobotGrid
+from procedures.station import HoldStation, StationRepeatability
+from procedures.station_frames import StationFrames
+from procedures.validate import Validate
+from procedures.world_frame import WorldFrame
+
+EXPERIMENTS: tuple[Part, ...] = (
+    Home(),
+    WorldFrame(),
+    RailSurvey(),
+    StationRepeatability(),
+    HoldStation(),
+    BaseFrame(),
+    RobotGrid(),
+    Repeatability(),
+    StationFrames(),
+    FrameRepeatability(),
+    Fit(),
+    Validate(),
+)
+
+
+class PaperRows:
+    """Compares what the run found with what the paper reports."""
+
+    name = "paper-rows"
+    needs = "all experiments"
+    moves = "nothing"
+    measures = "nothing"
+    yields = "the paper's figures beside ours"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Return the step."""
+        return Step(self.name, 0, 1.0)
+
+    def perform(self, bench: Bench) -> None:
+        """Do nothing: the rows are computed from the journal."""
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the rows."""
+        found = Procedure("experiments", "", EXPERIMENTS, paper_table).result(log)
+        return {"rows": [row.judged(log, found) for row in ROWS]}
+
+
+def paper_table(result: dict[str, Any]) -> Table:
+    """Return the rows for a person to read."""
+    rows = [
+        [
+            row["row"],
+            "" if row["paper"] is None else f"{row['paper']:g}",
+            f"{row['here']:.4g}",
+            row["unit"],
+            row["criterion"],
+            "holds" if row["holds"] else "does not hold",
+        ]
+        for row in result["rows"]
+    ]
+    return ["row", "paper", "here", "unit", "criterion", ""], rows
+
+
+PAPER = Procedure(
+    "paper",
+    "every system and experiment of the paper, its figures beside ours",
+    (*EXPERIMENTS, PaperRows()),
+    paper_table,
+)
