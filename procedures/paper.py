@@ -16,6 +16,7 @@ from procedures.paper_rows import ROWS
 from procedures.rail_survey import RailSurvey
 from procedures.repeatability import Repeatability
 from procedures.robot_grid import RobotGrid
+from procedures.sign_check import SignCheck
 from procedures.station import HoldStation, StationRepeatability
 from procedures.station_frames import StationFrames
 from procedures.validate import Validate
@@ -33,6 +34,7 @@ EXPERIMENTS: tuple[Part, ...] = (
     StationFrames(),
     FrameRepeatability(),
     Fit(),
+    SignCheck(),
     Validate(),
 )
 

@@ -22,7 +22,8 @@ from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import forward
 from hilcell.planning.holes import Holes
 from hilcell.planning.plan import plan
-from hilcell.run.log import Log
+from hilcell.ports import Array
+from hilcell.run.log import Log, Point
 
 INFINITE = float("inf")
 
@@ -90,7 +91,7 @@ def stations_needed(log: Log, result: dict[str, Any]) -> float:
 def jacobian_error(log: Log, result: dict[str, Any]) -> float:
     """Return how far eqs 1-7 are from central differences at the grid's vertices, relative."""
     arm = log.cell.robot.arm()
-    joints_rad = np.radians([p.commanded_deg for p in log.group("grid")])
+    joints_rad = commanded_rad(log.group("grid"))
     analytic = parameter_jacobian(arm, joints_rad)[:, :3, :]
     worst = 0.0
     for column, parameter in enumerate(PARAMETERS):
@@ -104,12 +105,17 @@ def jacobian_error(log: Log, result: dict[str, Any]) -> float:
     return worst
 
 
+def commanded_rad(points: list[Point]) -> Array:
+    """Return the commanded joints (N, 6)."""
+    return np.radians(np.array([point.commanded_deg for point in points], dtype=float))
+
+
 def similarity_rank(log: Log, result: dict[str, Any]) -> float:
     """Return the rank correlation of joint distance and error difference over the vertices."""
     points = log.group("grid")
     i, j, k = np.array([p.key.split("/")[1].split("-") for p in points], dtype=int).T
     pairs = similarity_pairs(
-        np.radians([p.commanded_deg for p in points]),
+        commanded_rad(points),
         np.array([p.nominal_mm for p in points]),
         grid_errors_mm(log)[i, j, k],
     )
@@ -194,6 +200,7 @@ ROWS = (
     at_most("eq1-7.jacobian", None, "", jacobian_error, 1e-6),
     at_least("eq8.similarity", None, "", similarity_rank, 0.3),
     at_most("eq9.weights", None, "", weights_off_one, 1e-12),
+    at_most("sec3.3.sign", None, "", lambda log, r: r["sign"]["ratio"], 0.5),
     at_most("eq13-17.transfer", None, "mm", transfer_difference, 0.4),
     at_most("fig6.circle.rms", None, "mm", lambda log, r: max(r["base"]["circle_rms_mm"]), 0.08),
     at_most(
@@ -216,7 +223,9 @@ ROWS = (
     between("fig11.vertices", 64, "", count("grid"), 64, 64),
     between("fig11.cells", 27, "", cells, 27, 27),
     between("fig12.targets", 135, "", targets("reference"), 135, 135),
-    between("fig12.before.mean", 1.2092, "mm", validation("reference", "before", "mean"), 1.09, 1.33),
+    between(
+        "fig12.before.mean", 1.2092, "mm", validation("reference", "before", "mean"), 1.09, 1.33
+    ),
     between("fig12.after.mean", 0.1168, "mm", validation("reference", "idw", "mean"), 0.09, 0.15),
     between("fig13.targets", 150, "", targets("others"), 150, 150),
     between("fig13.before.mean", 1.2511, "mm", validation("others", "before", "mean"), 1.0, 1.5),
