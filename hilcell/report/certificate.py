@@ -31,6 +31,7 @@ def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
     """Return the items in the standard's order."""
     inputs, cell = facts.inputs, facts.log.cell
     return [
+        Item("7.8.2.1 a", "Title", title(facts)),
         Item("7.8.2.1 b, c", "Laboratory, place of the calibration"),
         Item("7.8.2.1 d", "Unique identification",
              f"{facts.run}, journal {facts.fingerprint[:16]}"),
@@ -40,19 +41,29 @@ def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
         Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
              f"{cell.robot.name}{_robot_serial(facts)}; {len(cell.station)} stations on a rail of "
              f"{cell.rail.travel_max_mm - cell.rail.travel_min_mm:g} mm"),
+        Item("7.8.2.1 g, h", "Condition of the item, date of receipt"),
         Item("7.8.2.1 i", "Date of measurement", _dates(facts)),
         Item("7.8.2.1 j", "Date of issue"),
-        Item("7.8.2.1 o", "Measured by", inputs.operator),
+        Item("7.5.1", "Measured by", inputs.operator),
         Item("7.8.2.1 o", "Authorised by (name, signature)"),
+        Item("7.8.2.1 m", "Results and units", "the tables of this report; lengths mm, angles °, "
+             "temperatures °C"),
+        Item("7.8.2.1 n", "Deviations from the method"),
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget)),
         Item("7.8.4.1 b", "Conditions", _conditions(facts)),
         Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector, thermometer"),
-        Item("7.8.4.1 d", "Before and after adjustment", "both are reported: `before` is the robot "
-             "commanded by its nominal kinematics, `after` the same robot with corrected targets"),
+        Item("7.8.4.1 d", "Before and after adjustment", "both are reported: “before” is the robot "
+             "commanded by its nominal kinematics, “after” the same robot with corrected targets"),
         Item("7.8.6.2", "Conformity, decision rule", _conformity(facts)),
         Item("7.8.2.1 l", "Validity", "the results relate only to the item calibrated, in the "
              "volume, orientation and temperatures stated here"),
     ]  # fmt: skip
+
+
+def title(facts: Facts) -> str:
+    """Return what kind of report this is."""
+    kind = "Calibration" if facts.inputs.procedure == "calibrate" else "Measurement"
+    return f"{kind} report"
 
 
 def _method(facts: Facts) -> str:

@@ -69,10 +69,16 @@ def _finished(facts: Facts, name: str, title: str, drawn: Drawn) -> Drawing:
 
 
 def _sheet(height_in: float, rows: int = 1, columns: int = 1, **more: Any) -> tuple[Figure, Any]:
+    """Return a figure whose axes stand at the same places in every report."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **more)
+    figure = Figure(figsize=(WIDTH_IN, height_in))
+    axes = figure.subplots(rows, columns, squeeze=False, **more)
+    figure.subplots_adjust(
+        left=0.55 / WIDTH_IN, right=1 - 0.42 / WIDTH_IN, bottom=0.42 / height_in,
+        top=1 - 0.28 / height_in, wspace=0.34 if columns > 2 else 0.1, hspace=0.36,
+    )  # fmt: skip
+    return figure, axes
 
 
 def series_name(how: str, facts: Facts) -> str:
@@ -110,7 +116,11 @@ def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn 
     for how, errors in series.items():
         _scatter(ax, how, errors.norms_mm, series_name(how, facts))
         ax.axhline(errors.mean_mm, color=COLOURS[how], linewidth=0.8, linestyle=(0, (4, 2)))
-    _limits(ax, max(len(errors) for errors in series.values()), 0.0)
+        if how != "idw":  # it would lie on the other mean
+            ax.text(1.008, errors.mean_mm, f"{errors.mean_mm:.3f}", color=COLOURS[how], va="center",
+                    fontsize=7.5, transform=ax.get_yaxis_transform())  # fmt: skip
+    ax.set_xlim(0, max(len(errors) for errors in series.values()) + 1)
+    ax.set_ylim(bottom=0.0)
     ax.set_xlabel("target")
     ax.set_ylabel("3D error, mm")
     _legend_above(ax)
@@ -122,11 +132,6 @@ def _scatter(ax: Axes, how: str, y: Array, label: str) -> None:
     face = "none" if how == "before" else COLOURS[how]
     ax.plot(x, y, linestyle="none", marker=MARKERS[how], markersize=3.0, markeredgewidth=0.8,
             markerfacecolor=face, markeredgecolor=COLOURS[how], label=label)  # fmt: skip
-
-
-def _limits(ax: Axes, count: int, low: float) -> None:
-    ax.set_xlim(0, count + 1)
-    ax.set_ylim(bottom=low)
 
 
 def _legend_above(ax: Axes) -> None:
@@ -156,7 +161,7 @@ def fig_sorted(facts: Facts) -> Drawn | None:
         ax.set_xlabel("share of targets with at most this error, %")
         ax.set_title("other stations" if name == OTHERS else f"station {name}")
     axes[0, 0].set_ylabel("3D error, mm")
-    axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.12))
+    axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.02))
     return figure, "Logarithmic scale: equal distances are equal ratios."
 
 
@@ -168,11 +173,12 @@ def fig_volume(facts: Facts) -> Drawn | None:
     rows = _vector_rows(facts)
     if not rows:
         return None
-    figure, axes = _sheet(2.55 * len(rows) + 0.1, len(rows), 3)
-    for (label, errors), line in zip(rows, axes, strict=True):
+    figure, axes = _sheet(2.65 * len(rows) + 0.2, len(rows), 3)
+    for (how, label, errors), line in zip(rows, axes, strict=True):
         scale = _magnification(errors)
         for ax, view in zip(line, VIEWS, strict=True):
             _vectors(ax, errors, scale, view)
+            ax.lines[0].set_color(COLOURS[how])
         line[0].set_title(f"{label}, {scale:g} × enlarged")
     return figure, (
         "Each line leads from a nominal place, the dot, along its error in {W}, enlarged as the "
@@ -180,24 +186,28 @@ def fig_volume(facts: Facts) -> Drawn | None:
     )
 
 
-def _vector_rows(facts: Facts) -> list[tuple[str, Errors]]:
+def _vector_rows(facts: Facts) -> list[tuple[str, str, Errors]]:
     station = facts.log.cell.grid.station
     series = validation(facts.log, [station])
-    rows = [
-        (f"{station}, {series_name(how, facts)}", series[how])
+    rows: list[tuple[str, str, Errors]] = [
+        (how, f"{station}, {series_name(how, facts)}", series[how])
         for how in ("before", "chosen")
         if how in series
     ]
     grid = grid_errors(facts.log)
-    return rows or ([(f"{station}, grid", grid)] if grid is not None else [])
+    return rows or ([("before", f"{station}, grid", grid)] if grid is not None else [])
 
 
 def _magnification(errors: Errors) -> float:
-    """Return 1, 2 or 5 times a power of ten that draws the largest error a tenth of the volume."""
+    """Return the 1, 2 or 5 times a power of ten that draws the errors large, yet apart."""
     spread_mm = float(np.ptp(errors.nominal_mm, axis=0).max()) or 1000.0
-    wanted = 0.15 * spread_mm / max(errors.max_mm, 1e-6)
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(step for step in (1, 2, 5) if step * power <= wanted * (1 + 1e-9)) * power)
+    return _round_down(0.2 * spread_mm / max(errors.max_mm, 1e-6))
+
+
+def _round_down(value: float) -> float:
+    """Return the largest 1, 2 or 5 times a power of ten that is not above ``value``."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
 
 
 def _vectors(ax: Axes, errors: Errors, scale: float, view: tuple[str, int, int]) -> None:
@@ -206,7 +216,7 @@ def _vectors(ax: Axes, errors: Errors, scale: float, view: tuple[str, int, int])
     end = begin + scale * errors.error_mm[:, (across, up)]
     gap = np.full_like(begin, np.nan)
     lines = np.stack([begin, end, gap], axis=1).reshape(-1, 2)
-    ax.plot(lines[:, 0], lines[:, 1], color=COLOURS["chosen"], linewidth=0.7)
+    ax.plot(lines[:, 0], lines[:, 1], linewidth=0.8)
     ax.plot(begin[:, 0], begin[:, 1], ".", color=INK, markersize=1.6)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel(f"{AXES[across]}, mm ({seen})")
@@ -215,7 +225,7 @@ def _vectors(ax: Axes, errors: Errors, scale: float, view: tuple[str, int, int])
 
 
 def _scale_bar(ax: Axes, scale: float, errors: Errors) -> None:
-    bar_mm = float(f"{errors.max_mm:.0e}")
+    bar_mm = _round_down(max(errors.max_mm, 1e-6))
     share = scale * bar_mm / np.ptp(ax.get_xlim())
     ax.annotate("", (0.03 + share, 0.035), (0.03, 0.035), xycoords="axes fraction",
                 arrowprops={"arrowstyle": "|-|,widthA=0.15,widthB=0.15", "linewidth": 0.8,

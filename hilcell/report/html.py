@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from hilcell import __version__
 from hilcell.report import tables
 from hilcell.report.budget import budget_of
-from hilcell.report.certificate import certificate
+from hilcell.report.certificate import certificate, title
 from hilcell.report.errors import OTHERS, places, reduction, validation
 from hilcell.report.facts import Facts
 from hilcell.report.figures import drawings
@@ -40,10 +40,12 @@ def report_html(facts: Facts) -> str:
         .render(
             facts=facts,
             version=__version__,
-            began=facts.records[0].t[:19].replace("T", " "),
-            ended=facts.records[-1].t[:19].replace("T", " "),
+            title=title(facts),
+            measured=measured(facts),
             kind=kind,
             standing=words,
+            planned=len(facts.log.points) - len(facts.log.group("control")),
+            controls=len(facts.log.group("control")),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             headlines=headlines(facts),
             certificate=certificate(facts, budget),
@@ -81,6 +83,13 @@ def standing(facts: Facts) -> tuple[str, str]:
         return "open", f"not finished: the journal ends while the run is {state}"
     reason = f": {facts.log.fault}" if facts.log.fault else ""
     return "open", f"not finished: {state}{reason}"
+
+
+def measured(facts: Facts) -> str:
+    """Return from when to when the run went, to the second, UTC."""
+    first, last = facts.records[0].t, facts.records[-1].t
+    begin, end = first[:19].replace("T", " "), last[:19].replace("T", " ")
+    return f"{begin} to {end[11:] if end[:10] == begin[:10] else end}"
 
 
 def headlines(facts: Facts) -> list[Headline]:

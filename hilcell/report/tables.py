@@ -88,7 +88,7 @@ def frames(facts: Facts) -> Sheet | None:
         x, y, z, a, b, c = kuka_from_pose(np.array(frame["matrix"], dtype=float))
         rows.append([name, f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{a:.5f}", f"{b:.5f}", f"{c:.5f}"])
     headers = ["frame", "x mm", "y mm", "z mm", "A °", "B °", "C °"]
-    note = "In {W}; `world` is the tracker in {W}. Angles Z-Y-X."
+    note = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X."
     return Sheet("Frames", headers, rows, 1, note) if rows else None
 
 
@@ -149,18 +149,15 @@ def verdicts(facts: Facts) -> Sheet | None:
 
 def course(facts: Facts) -> Sheet:
     """Return how the run went: its states, and what happened on the way."""
-    rows = [
-        [record.t[:19].replace("T", " "), record.body["machine"],
-         record.body["to"].replace("_", " "), str(record.body.get("reason", ""))]
-        for record in facts.records
-        if record.kind == "state"
-    ]  # fmt: skip
-    rows += [
-        [record.t[:19].replace("T", " "), "event", record.body["what"], _facts_of(record.body)]
-        for record in facts.log.events
-        if record.body["what"] not in ("connected", "closed")
-    ]
-    return Sheet("Course of the run (UTC)", ["when", "of", "what", "why, how"], sorted(rows), 4)
+    rows = []
+    for record in facts.records:
+        when, body = record.t[:19].replace("T", " "), record.body
+        if record.kind == "state":
+            what = f"{body['machine']}: {body['to'].replace('_', ' ')}"
+            rows.append([when, what, str(body.get("reason", ""))])
+        elif record.kind == "event" and body["what"] not in ("connected", "closed"):
+            rows.append([when, body["what"], _facts_of(body)])
+    return Sheet("Course of the run", ["UTC", "what", "why, how"], rows, 3)
 
 
 def paper_rows(facts: Facts) -> Sheet | None:
@@ -226,10 +223,15 @@ def _mm(*values_mm: float) -> list[str]:
 def _facts_of(body: Mapping[str, Any]) -> str:
     known = ("holds", "what")
     return ", ".join(
-        f"{name} {_text(value)}"
+        _with_unit(name, value)
         for name, value in body.items()
         if name not in known and not isinstance(value, dict | list)
     )
+
+
+def _with_unit(name: str, value: object) -> str:
+    words = name.removesuffix("_mm").replace("_", " ")
+    return f"{words} {_text(value)}{' mm' if name.endswith('_mm') else ''}"
 
 
 def _text(value: object) -> str:
