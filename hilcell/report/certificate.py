@@ -29,7 +29,7 @@ class Item:
 
 def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
     """Return the items in the standard's order."""
-    inputs, cell = facts.inputs, facts.log.cell
+    inputs, cell = facts.inputs, facts.cell
     return [
         Item("7.8.2.1 a", "Title", title(facts)),
         Item("7.8.2.1 b, c", "Laboratory, place of the calibration"),
@@ -100,7 +100,7 @@ def _conditions(facts: Facts) -> str:
 
 
 def _conformity(facts: Facts) -> str:
-    limits = facts.log.cell.validation
+    limits = facts.cell.validation
     rule = "simple acceptance: the measured figure against the limit, uncertainty not added"
     if not any(name.startswith("validation.") for name in facts.log.verdicts):
         return rule

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilcell.cell import Cell
 from hilcell.geometry.frames import apply
 from hilcell.ports import Array
 from hilcell.run.log import Log, Point, positions_mm
@@ -67,10 +68,10 @@ def validation(log: Log, stations: list[str]) -> dict[str, Errors]:
     return series
 
 
-def places(log: Log) -> dict[str, list[str]]:
+def places(cell: Cell) -> dict[str, list[str]]:
     """Return the places of validation with their stations: the grid's, all others, each other."""
-    reference = log.cell.grid.station
-    others = [station.name for station in log.cell.station if station.name != reference]
+    reference = cell.grid.station
+    others = [station.name for station in cell.station if station.name != reference]
     found = {reference: [reference]}
     if len(others) > 1:
         found[OTHERS] = others

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hilcell.cell import Cell
 from hilcell.devices import load_entry
 from hilcell.ports import HilcellError
 from hilcell.run.journal import Record, chain, read_journal
@@ -26,6 +27,7 @@ class Facts:
     run: str
     records: Sequence[Record]
     log: Log
+    cell: Cell
     procedure: Procedure
     result: dict[str, Any]
     fingerprint: str
@@ -62,9 +64,8 @@ def read_facts(folder: Path) -> Facts:
     if log.plan is None:
         raise HilcellError(f"run {run}: its journal holds no plan yet; there is nothing to report")
     procedure: Procedure = load_entry("procedures", log.plan.procedure)
-    return Facts(
-        run, records, log, procedure, _result(run, procedure, log), fingerprint_of(records)
-    )
+    result = _result(run, procedure, log)
+    return Facts(run, records, log, log.cell, procedure, result, fingerprint_of(records))
 
 
 def _result(run: str, procedure: Procedure, log: Log) -> dict[str, Any]:

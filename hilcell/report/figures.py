@@ -94,13 +94,13 @@ def series_name(how: str, facts: Facts) -> str:
 def fig_12(facts: Facts) -> Drawn | None:
     """Draw the errors at the grid's station, target by target."""
     log = facts.log
-    series = validation(log, [log.cell.grid.station])
+    series = validation(log, [facts.cell.grid.station])
     return _targets(facts, series, "The paper: mean 1.2092 mm before, 0.1168 mm after (135).")
 
 
 def fig_13(facts: Facts) -> Drawn | None:
     """Draw the errors at the other stations, target by target, with transferred data."""
-    stations = places(facts.log).get(OTHERS) or list(places(facts.log))[1:]
+    stations = places(facts.cell).get(OTHERS) or list(places(facts.cell))[1:]
     series = validation(facts.log, stations)
     words = f"Stations {' and '.join(stations)}, corrected by data transferred to them. "
     return _targets(
@@ -142,7 +142,7 @@ def fig_sorted(facts: Facts) -> Drawn | None:
     """Draw which share of the targets keeps which error."""
     found = [
         (name, series)
-        for name, stations in list(places(facts.log).items())[:2]
+        for name, stations in list(places(facts.cell).items())[:2]
         for series in (validation(facts.log, stations),)
         if series
     ]
@@ -187,7 +187,7 @@ def fig_volume(facts: Facts) -> Drawn | None:
 
 
 def _vector_rows(facts: Facts) -> list[tuple[str, str, Errors]]:
-    station = facts.log.cell.grid.station
+    station = facts.cell.grid.station
     series = validation(facts.log, [station])
     rows: list[tuple[str, str, Errors]] = [
         (how, f"{station}, {series_name(how, facts)}", series[how])
@@ -280,7 +280,7 @@ def fig_8(facts: Facts) -> Drawn | None:
     _legend_above(axes[0, -1])
     low, high = found["ratio_interval"]
     return figure, (
-        f"Against station {facts.log.cell.grid.station}. The station frame repeats "
+        f"Against station {facts.cell.grid.station}. The station frame repeats "
         f"{found['ratio']:.1f} times better, interval {low:.1f} to {high:.1f}. "
         "The paper: about 4 times."
     )

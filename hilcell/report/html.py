@@ -69,7 +69,7 @@ def report_html(facts: Facts) -> str:
 
 def validation_of(facts: Facts) -> bool:
     """Whether targets were validated, so that the report has its own table of them."""
-    return any(validation(facts.log, stations) for stations in places(facts.log).values())
+    return any(validation(facts.log, stations) for stations in places(facts.cell).values())
 
 
 def standing(facts: Facts) -> tuple[str, str]:
@@ -95,7 +95,7 @@ def measured(facts: Facts) -> str:
 def headlines(facts: Facts) -> list[Headline]:
     """Return the figures at the grid's station and at the others."""
     found = []
-    for place, stations in list(places(facts.log).items())[:2]:
+    for place, stations in list(places(facts.cell).items())[:2]:
         series = validation(facts.log, stations)
         if "before" in series and "chosen" in series:
             before, after = series["before"], series["chosen"]

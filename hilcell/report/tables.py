@@ -36,7 +36,7 @@ class Sheet:
 def accuracy(facts: Facts) -> Sheet | None:
     """Return the errors before and after per place, and both ratios of the paper's abstract."""
     rows: list[list[str]] = []
-    for place, stations in places(facts.log).items():
+    for place, stations in places(facts.cell).items():
         series = validation(facts.log, stations)
         rows += [
             _accuracy_row(facts, place if number == 0 else "", series, how)
@@ -71,7 +71,7 @@ def stations(facts: Facts) -> Sheet | None:
     rows = [
         [station.name, f"{station.rail_mm:.2f}", f"{station.strip_mm:.2f}",
          f"{frame['strip_mm']:.2f}", *_mm(frame["rms_mm"], frame["tool_uncertainty_mm"])]
-        for station in facts.log.cell.station
+        for station in facts.cell.station
         for frame in (facts.log.frames.get(f"station.{station.name}"),)
         if frame is not None
     ]  # fmt: skip
