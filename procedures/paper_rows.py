@@ -107,7 +107,8 @@ def jacobian_error(log: Log, result: dict[str, Any]) -> float:
 
 def commanded_rad(points: list[Point]) -> Array:
     """Return the commanded joints (N, 6)."""
-    return np.radians(np.array([point.commanded_deg for point in points], dtype=float))
+    joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
+    return np.radians(joints_deg)
 
 
 def similarity_rank(log: Log, result: dict[str, Any]) -> float:

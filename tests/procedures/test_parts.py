@@ -1,0 +1,98 @@
+"""Pure parts of procedures: targets, sides, sweeps, plans."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilcell.calibration import grid_of
+from hilcell.cell import load_cell
+from hilcell.ports import HilcellError
+from procedures.base_frame import axis_6_height_mm, sweep
+from procedures.calibrate import CALIBRATE
+from procedures.paper import PAPER
+from procedures.plan import check_range, check_reach, joints_for, poses_at
+from procedures.station import random_sides
+from procedures.validate import MARGIN_MM, targets
+
+CELL = load_cell("paper")
+
+
+@given(seed=st.integers(0, 2**31))
+def test_targets_fill_every_grid_cell(seed: int) -> None:
+    drawn = targets(CELL, seed)
+    grid = grid_of(CELL)
+    assert {name: len(points) for name, points in drawn.items()} == {
+        "S1100": 135,
+        "S300": 75,
+        "S1900": 75,
+    }
+    for points in drawn.values():
+        assert (points >= grid.origin_mm + MARGIN_MM).all()
+        assert (points <= grid.far_mm - MARGIN_MM).all()
+    cells = np.floor((drawn["S1100"] - grid.origin_mm) / grid.pitch_mm).astype(int)
+    _, counts = np.unique(cells, axis=0, return_counts=True)
+    assert counts.tolist() == [5] * 27
+
+
+def test_targets_follow_the_seed() -> None:
+    assert np.array_equal(targets(CELL, 3)["S300"], targets(CELL, 3)["S300"])
+    assert not np.array_equal(targets(CELL, 3)["S300"], targets(CELL, 4)["S300"])
+
+
+@given(seed=st.integers(0, 2**31), repeats=st.integers(4, 50))
+def test_half_of_the_approaches_come_from_each_side(seed: int, repeats: int) -> None:
+    sides = random_sides(seed, repeats)
+    assert sorted(set(sides)) == [-1, 1]
+    assert abs(sum(sides)) <= 1
+
+
+@pytest.mark.parametrize("axis", [1, 6])
+def test_a_sweep_moves_one_axis(axis: int) -> None:
+    joints = sweep(CELL, axis)
+    moving = np.ptp(joints, axis=0) > 0
+    assert moving.tolist() == [number == axis - 1 for number in range(6)]
+
+
+def test_axis_6_stands_at_its_nominal_height() -> None:
+    """Worked out by hand: A2 -130, A3 150, A5 -20 deg, axis 6 level."""
+    shoulder = 645.0 + 1150.0 * np.sin(np.radians(130.0))
+    fore = np.radians(20.0)
+    wrist = shoulder + 115.0 * np.cos(fore) - 1220.0 * np.sin(fore)
+    assert axis_6_height_mm(CELL) == pytest.approx(wrist, abs=1e-6)
+
+
+def test_what_is_commanded_is_reached_nominally() -> None:
+    from hilcell.geometry.kinematics import forward
+
+    points = targets(CELL, 1)["S1100"]
+    found = forward(CELL.robot.arm(), joints_for(CELL, points))
+    np.testing.assert_allclose(found, poses_at(CELL, points), atol=1e-9)
+
+
+def test_plans_refuse_before_anything_moves() -> None:
+    with pytest.raises(HilcellError, match=r"far 1|out of reach"):
+        check_reach(CELL, np.array([[1850.0, 0.0, 950.0], [3500.0, 0.0, 950.0]]), "far")
+    with pytest.raises(HilcellError, match=r"1 of 2 out of the tracker's range"):
+        check_range(CELL, np.array([[0.0, 0.0, 0.0], [20_000.0, 0.0, 0.0]]), "nests")
+
+
+def test_all_refusals_are_told_at_once() -> None:
+    cell = load_cell("paper", {"tracker.max_range_mm": "4000.0", "grid.centre.x_mm": "2600.0"})
+    with pytest.raises(HilcellError) as told:
+        CALIBRATE.plan(cell, 1)
+    for part in ("world-frame", "robot-grid", "station-frames", "validate"):
+        assert f"\n{part}: " in str(told.value)
+
+
+def test_one_cell_is_no_grid() -> None:
+    cell = load_cell("paper", {"grid.pitch_mm": "900.0"})
+    with pytest.raises(HilcellError, match=r"grid of 2 x 2 x 2 vertices, wanted three"):
+        CALIBRATE.plan(cell, 1)
+
+
+@pytest.mark.parametrize("procedure", [CALIBRATE, PAPER], ids=lambda each: each.name)
+def test_every_part_says_what_it_needs_and_yields(procedure: object) -> None:
+    for part in procedure.parts:  # type: ignore[attr-defined]
+        for word in (part.name, part.needs, part.moves, part.measures, part.yields):
+            assert word, part.name

@@ -1,0 +1,131 @@
+"""The sign check holds for the right sign and fails for the wrong one, on a robot of known error."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.calibration import Frames, grid_of
+from hilcell.cell import load_cell
+from hilcell.geometry.frames import apply
+from hilcell.geometry.kinematics import forward
+from hilcell.ports import Array
+from hilcell.run.journal import Record
+from hilcell.run.log import Log, Point
+from procedures.sign_check import KEYS, SignCheck, worst_mm
+
+CELL = load_cell("paper", {"grid.pitch_mm": "450.0"})
+BASE = CELL.layout.nominal_base(CELL.station_named(CELL.grid.station).rail_mm)
+WORLD = np.eye(4)
+
+
+def error_mm(at_mm: Array) -> Array:
+    """Return errors (N, 3) in {B}, largest in the cell at the far corner."""
+    place = (at_mm - grid_of(CELL).origin_mm) / 900.0
+    error: Array = 0.5 + place @ np.array([[1.0, 0.2, 0.0], [0.0, 0.8, 0.1], [0.3, 0.0, 0.9]])
+    return error
+
+
+class FakeBench:
+    """Measures where a robot with that error goes; keeps records as a journal would."""
+
+    def __init__(self) -> None:
+        self.cell, self.seed = CELL, 1
+        self.log = Log()
+        self.frames = Frames(CELL, self.log)
+        self._count = 0
+        self.keep("frame", "world", {"matrix": WORLD.tolist()})
+        self.keep("frame", "base", {"matrix": BASE.tolist()})
+        values = msgspec.to_builtins(CELL)
+        self.keep("plan", "", {
+            "procedure": "sign-check", "cell": values, "digest": "", "seed": 1, "speed": None,
+            "unattended": True, "operator": "", "job": "", "simulated": True, "versions": {},
+            "settings": {}, "steps": [], "points": 0, "duration_s": 0.0,
+        })  # fmt: skip
+        grid = grid_of(CELL)
+        for (i, j, k), at_mm in zip(grid.serpentine(), grid.serpentine_mm(), strict=True):
+            self.measured(f"grid/{i}-{j}-{k}", "grid", at_mm, apply(BASE, at_mm[None])[0])
+        self.keep("verdict", "fit", {"holds": True, "method": "trilinear"})
+        for nest in CELL.layout.floor:
+            self._point(f"world/{nest.name}", "world", nest.xyz_mm, None)
+
+    def keep(self, kind: Any, key: str, body: dict[str, Any]) -> None:
+        self._count += 1
+        self.log.take(Record(self._count, "", kind, key, body))
+
+    def measured(self, key: str, group: str, at_mm: Array, nominal_mm: Array) -> None:
+        reached_mm = at_mm + error_mm(at_mm[None])[0]
+        self._point(key, group, apply(BASE, reached_mm[None])[0], nominal_mm)
+
+    def _point(self, key: str, group: str, xyz_mm: Array, nominal_mm: Array | None) -> None:
+        self.keep("point", key, {
+            "group": group, "station": CELL.grid.station, "reflector": "", "samples": 1,
+            "xyz_mm": xyz_mm.tolist(), "std_mm": [0.0] * 3, "temperature_c": 20.0,
+            "pressure_mbar": 1000.0, "humidity_percent": 50.0, "session": 1, "frame": "tracker",
+            "nominal_mm": None if nominal_mm is None else nominal_mm.tolist(),
+        })  # fmt: skip
+
+    def flange_point(
+        self, key: str, group: str, station: Any, joints_rad: Array, *, nominal_mm: Array
+    ) -> Point:
+        assert station.name == CELL.grid.station
+        self.measured(key, group, forward(CELL.robot.arm(), joints_rad)[:3, 3], nominal_mm)
+        return self.log.points[key]
+
+    def floor_point(self, key: str, group: str, nest: Any) -> Point:
+        self._point(key, group, nest.xyz_mm, None)
+        return self.log.points[key]
+
+    def verdict(self, key: str, *, holds: bool, **facts: object) -> None:
+        self.keep("verdict", key, {"holds": holds} | facts)
+
+
+class WrongSign(SignCheck):
+    """The correction as the paper's words have it: the error is added."""
+
+    def command(self, log: Log, target_mm: Array) -> Array:
+        return 2 * target_mm - super().command(log, target_mm)
+
+
+@pytest.fixture
+def bench() -> Any:
+    return FakeBench()
+
+
+def test_the_worst_cell_is_chosen(bench: Any) -> None:
+    np.testing.assert_allclose(worst_mm(bench.log), [grid_of(CELL).far_mm - 225.0])
+
+
+def test_the_right_sign_holds(bench: Any) -> None:
+    SignCheck().perform(bench)
+    verdict = bench.log.verdicts["sign"]
+    assert verdict["holds"] is True
+    assert verdict["before_mm"] == pytest.approx(
+        float(np.linalg.norm(error_mm(worst_mm(bench.log)))), abs=1e-6
+    )
+    assert verdict["corrected_mm"] < 0.01
+    assert [bench.log.points[key].group for key in KEYS.values()] == [
+        "sign_before", "sign_corrected",
+    ]  # fmt: skip
+
+
+def test_the_wrong_sign_doubles_the_error_and_fails(bench: Any) -> None:
+    WrongSign().perform(bench)
+    verdict = bench.log.verdicts["sign"]
+    assert verdict["holds"] is False
+    assert verdict["ratio"] == pytest.approx(2.0, abs=0.02)
+
+
+def test_a_resumed_run_does_not_judge_again(bench: Any) -> None:
+    SignCheck().perform(bench)
+    count = len(bench.log.points)
+    WrongSign().perform(bench)
+    assert len(bench.log.points) == count
+    assert bench.log.verdicts["sign"]["holds"] is True
+
+
+def test_the_plan_counts_its_points() -> None:
+    step = SignCheck().plan(CELL, 1)
+    assert step.points == 2 + len(CELL.layout.floor)
+    assert step.duration_s > 0

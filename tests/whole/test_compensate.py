@@ -1,0 +1,40 @@
+"""A program is released only by a calibration whose sign the cell has proven."""
+
+import json
+from pathlib import Path
+
+from tests.whole.bench import SMALL, end_of, events, hilcell, sets
+
+SRC = "DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\nLIN {X 150.0,Y 100.0,Z 1100.0,A 0.0,B 75.0,C 0.0}\r\nEND"
+DAT = "DEFDAT HOLES\r\nDECL E6POS XP1={X -100,Y 50.25,Z 1300.0,A 0,B 75,C 0,S 6,T 19}\r\nENDDAT\r\n"
+
+
+def test_from_sign_check_to_program(tmp_path: Path) -> None:
+    done = hilcell("run", "sign-check", "--json", "--runs", tmp_path / "runs", *sets(SMALL))
+    sign = end_of(done)["result"]["sign"]
+    assert sign["corrected_mm"] < 0.5 * sign["before_mm"]
+    verdicts = {e["key"]: e["holds"] for e in events(done.stdout) if e["kind"] == "verdict"}
+    assert verdicts["sign"] is True
+    source, out = tmp_path / "holes.src", tmp_path / "corrected"
+    source.write_bytes(SRC.encode())
+    (tmp_path / "holes.dat").write_bytes(DAT.encode())
+    words = ("compensate", "last", source, "--station", "S1100", "-o", out)
+    done = hilcell(*words, "--runs", tmp_path / "runs")
+    assert done.returncode == 0, done.stderr
+    assert "SIMULATED" in done.stderr
+    assert done.stdout == ""
+    src, dat = (tmp_path / f"corrected{end}" for end in (".src", ".dat"))
+    assert src.read_bytes().startswith(b"DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\nLIN {X 1")
+    assert src.read_bytes().endswith(b",A 0.0,B 75.0,C 0.0}\r\nEND")
+    assert dat.read_bytes().endswith(b",A 0,B 75,C 0,S 6,T 19}\r\nENDDAT\r\n")
+    assert dat.read_bytes() != DAT.encode()
+    (file,) = (tmp_path / "runs").glob("*/calibration.json")
+    values = json.loads(file.read_text())
+    assert values["provenance"]["sign_checked"] is True
+    values["provenance"]["sign_checked"] = False
+    file.write_text(json.dumps(values))
+    src.unlink()
+    done = hilcell(*words, "--runs", tmp_path / "runs")
+    assert done.returncode == 2
+    assert "sign check" in done.stderr
+    assert not src.exists()

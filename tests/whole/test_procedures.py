@@ -1,0 +1,100 @@
+"""Every procedure runs alone by its name, and its journal keeps every invariant."""
+
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.cell import load_cell
+from hilcell.geometry.kinematics import forward
+from tests.whole.bench import SMALL, end_of, events, hilcell, sets
+from tests.whole.trace import judge
+
+SHORT = SMALL | {"survey.to_mm": "600.0", "survey.step_mm": "200.0", "survey.repeats": "6"}
+NAMES = sorted(entry.name for entry in entry_points(group="hilcell.procedures"))
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("campaign", "paper")])
+def test_alone_by_its_name(tmp_path: Path, name: str) -> None:
+    done = hilcell("run", name, "--json", "--unattended", "--runs", tmp_path, *sets(SHORT))
+    end = end_of(done)
+    assert end["state"] == "finished", done.stderr
+    assert judge(events(done.stdout)) == []
+    shown = hilcell("show", "last", "--runs", tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    assert name in shown.stdout
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    folder = tmp_path_factory.mktemp("paper")
+    done = hilcell("run", "paper", "--json", "--seed", "2", "--runs", folder, limit_s=170)
+    return done, end_of(done)["result"]
+
+
+@pytest.mark.timeout(240)
+def test_every_row_of_the_paper_holds(paper: Any) -> None:
+    done, result = paper
+    rows = {row["row"]: row for row in result["rows"]}
+    assert [name for name, row in rows.items() if not row["holds"]] == [], done.stderr
+    assert judge(events(done.stdout)) == []
+    for name in ("fig1.", "fig2.", "eq1-7.", "eq8.", "eq9.", "sec3.3.", "eq13-17.", "fig6."):
+        assert any(row.startswith(name) for row in rows), name
+    for name in ("fig7.", "fig8.", "fig10.", "sec5.1.", "fig11.", "fig12.", "fig13.", "abstract."):
+        assert any(row.startswith(name) for row in rows), name
+    assert rows["fig12.after.mean"]["paper"] == 0.1168
+    assert set(rows["fig8.ratio"]) == {"row", "paper", "here", "unit", "holds", "criterion"}
+
+
+@pytest.mark.timeout(240)
+def test_the_survey_is_fig_1(paper: Any) -> None:
+    survey = paper[1]["rail_survey"]
+    forth = dict(map(tuple, survey["curve"]["forth"]))
+    back = dict(map(tuple, survey["curve"]["back"]))
+    assert sorted(forth) == sorted(back) == [100.0 * n for n in range(21)]
+    assert abs(survey["backlash_mm"]["value"] - 0.2) <= 0.02
+    assert 0.0 < survey["backlash_mm"]["u"] < 0.02
+    assert all(back[at] > forth[at] for at in list(forth)[1:-1])
+    assert set(survey["angles_mrad"]) == {"roll", "pitch", "yaw"}
+
+
+@pytest.mark.timeout(240)
+def test_longer_arcs_tell_more(paper: Any) -> None:
+    """Fig 6: the uncertainty of an axis falls with the arc."""
+    for axis in (1, 6):
+        arcs = [each for each in paper[1]["base"]["arcs"] if each["axis"] == axis]
+        assert [each["arc_deg"] for each in arcs] == sorted(each["arc_deg"] for each in arcs)
+        assert arcs[-1]["centre_u_mm"] < arcs[0]["centre_u_mm"]
+
+
+def test_a_campaign_comes_back_as_it_was_recorded(tmp_path: Path) -> None:
+    """Joints over the C3 wire, positions over the tracker's: the fit is the file's own."""
+    file = tmp_path / "poses.csv"
+    head = "pose,target,j1_deg,j2_deg,j3_deg,j4_deg,j5_deg,j6_deg,x_mm,y_mm,z_mm"
+    lines = [head]
+    arm = load_cell("replay").robot.arm()
+    for pose in range(24):
+        joints = [((pose * step) % 50) - 25.0 + 0.123456 for step in (7, 11, 13, 17, 19, 23)]
+        flange = forward(arm, np.radians(joints))
+        for number in range(2):
+            on_flange = np.array([40.0 + 30 * number, -20.0 + 60 * number, 25.0, 1.0])
+            xyz = [2000.0, 150.0, -300.0] + (flange @ on_flange)[:3] + 0.1 * np.sin(pose + number)
+            values = ",".join(f"{value:.6f}" for value in (*joints, *xyz))
+            lines.append(f"{pose},SMR{number + 1},{values}")
+    file.write_text("\n".join(lines) + "\n")
+    words = {"campaign.poses": str(file), "simulation.data": str(file)}
+    done = hilcell(
+        "run", "campaign", "--cell", "replay", "--json", "--runs", tmp_path, *sets(words)
+    )
+    end = end_of(done)
+    assert end["state"] == "finished", done.stderr
+    points = {e["key"]: e for e in events(done.stdout) if e["kind"] == "point"}
+    assert len(points) == 48
+    for line in lines[1:]:
+        pose, target, *values = line.split(",")
+        point = points[f"campaign/{pose}/{target}"]
+        assert point["commanded_deg"] == pytest.approx([float(v) for v in values[:6]], abs=1e-9)
+        assert point["xyz_mm"] == pytest.approx([float(v) for v in values[6:]], abs=1e-9)
+    assert judge(events(done.stdout)) == []
