@@ -1,4 +1,4 @@
-"""The sign check holds for the right sign and fails for the wrong one, on a robot of known error."""
+"""The sign check holds for the right sign and fails for the wrong one: a robot of known error."""
 
 from typing import Any
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from tests.whole.bench import SMALL, end_of, events, hilcell, sets
 
-SRC = "DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\nLIN {X 150.0,Y 100.0,Z 1100.0,A 0.0,B 75.0,C 0.0}\r\nEND"
+SRC = "DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\n"
+SRC += "LIN {X 150.0,Y 100.0,Z 1100.0,A 0.0,B 75.0,C 0.0}\r\nEND"
 DAT = "DEFDAT HOLES\r\nDECL E6POS XP1={X -100,Y 50.25,Z 1300.0,A 0,B 75,C 0,S 6,T 19}\r\nENDDAT\r\n"
 
 

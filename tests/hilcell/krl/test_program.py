@@ -1,0 +1,281 @@
+"""KRL programs: what is a target, what is refused and where, and that nothing else changes."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilcell.krl.program import Program, formatted, read_program
+from hilcell.settings import SettingsError
+from tests.hilcell.krl.samples import DAT, SRC
+
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+
+
+def program(src: str = SRC, dat: str | None = DAT) -> Program:
+    return read_program("drill.src", src, None if dat is None else ("drill.dat", dat))
+
+
+def one(body: str, dat: str = "") -> Program:
+    """Return a program whose body begins on line 2."""
+    return program(f"DEF drill()\n{body}\nEND\n", dat)
+
+
+def refusal(body: str, dat: str = "") -> str:
+    with pytest.raises(SettingsError) as told:
+        one(body, dat)
+    return "\n".join(told.value.problems)
+
+
+P1 = "DECL E6POS XP1={X 1.0,Y 2.0,Z 3.0,A 0.0,B 75.0,C 0.0,S 6,T 19,E1 0.0}\n"
+P2 = "DECL E6POS XP2={X 4.0,Y 5.0,Z 6.0,A 0.0,B 75.0,C 0.0,S 6,T 19,E1 0.0}\n"
+
+
+def test_targets_are_the_points_that_motions_use() -> None:
+    read = program()
+    assert read.names == [
+        "XP1 (drill.dat line 8)", "XP2 (drill.dat line 10)", "LIN target (drill.src line 33)",
+        "HOLE[1] (drill.dat line 15)", "HOLE[2] (drill.dat line 16)",
+    ]  # fmt: skip
+    np.testing.assert_array_equal(
+        read.values(),
+        [
+            [-200.0, 100.123456, 1000.5, 0, 75, 0],
+            [100.0, -0.5, 1100.0, 0, 75, 0],
+            [10.5, -20.0, 1250.25, 0, 75, 0],
+            [0.0, 0.0, 1200.0, 0, 75, 0],
+            [0.0, 50.0, 1200.0, 0, 75, 0],
+        ],
+    )
+
+
+def test_what_is_left_is_told() -> None:
+    assert program().notes == [
+        "home move XHOME: joint targets are left unchanged (line 20)",
+        "CHECK_HOLE is another program: its motions are not corrected (line 40)",
+        "home move HOME: joint targets are left unchanged (line 42)",
+        "not used by a motion, left: XP3",
+    ]
+
+
+def test_the_golden_program() -> None:
+    """Every changed line, as it must come out."""
+    read = program()
+    texts = read.with_positions(read.values()[:, :3] + [1.0, -2.0, 0.12345])
+    changed = {
+        name: [
+            new
+            for old, new in zip(before.split("\n"), texts[name].split("\n"), strict=True)
+            if old != new
+        ]
+        for name, before in (("drill.src", SRC), ("drill.dat", DAT))
+    }
+    assert changed["drill.src"] == [
+        "LIN {X 11.500,Y -22.000, Z 1250.373 ,A 0.0,B 75.0,C 0.0} C_DIS"
+    ]
+    xp1 = "DECL E6POS XP1={X -199.000,Y 98.123456,Z 1000.623,A 0.0,B 75.0,C 0.0,S 6,T 19"
+    xp1 += ",E1 0.0,E2 0.0}"
+    assert changed["drill.dat"] == [
+        xp1,
+        "decl pos xp2={pos: x 101.000, y -2.500, z 1100.123, a 0, b 75, c 0, s 6, t 19} ; 2nd",
+        "HOLE[1]={X 1.000,Y -2.000,Z 1200.123,A 0.0,B 75.0,C 0.0}",
+        "HOLE[2]={X 1.000,Y 48.000,Z 1200.123,A 0.0,B 75.0,C 0.0}",
+    ]
+
+
+mm = st.floats(-5000, 5000, allow_nan=False)
+
+
+@given(
+    moves=st.lists(st.tuples(mm, mm, mm), min_size=5, max_size=5),
+    crlf=st.booleans(),
+    comment=st.text(st.characters(min_codepoint=32, max_codepoint=255, exclude_characters="\x85")),
+)
+def test_bytes_outside_the_numbers_stay(
+    moves: list[tuple[float, float, float]], crlf: bool, comment: str
+) -> None:
+    def ends(text: str) -> str:
+        return text.replace("\n", "\r\n") if crlf else text
+
+    src, dat = ends(SRC + f";{comment}\n"), ends(f";{comment}\n" + DAT)
+    read = program(src, dat)
+    texts = read.with_positions(np.array(moves))
+    for name, before in (("drill.src", src), ("drill.dat", dat)):
+        assert NUMBER.sub("#", texts[name]) == NUMBER.sub("#", before)
+    again = program(texts["drill.src"], texts["drill.dat"])
+    np.testing.assert_allclose(again.values()[:, :3], moves, atol=5.001e-4)
+    np.testing.assert_array_equal(again.values()[:, 3:], read.values()[:, 3:])
+
+
+def test_correcting_by_nothing_is_idempotent() -> None:
+    first = program()
+    once = first.with_positions(first.values()[:, :3])
+    second = program(once["drill.src"], once["drill.dat"])
+    np.testing.assert_array_equal(second.values(), first.values())
+    assert second.with_positions(second.values()[:, :3]) == once
+
+
+@pytest.mark.parametrize(
+    ("value", "like", "text"),
+    [
+        (1.0, "1.0", "1.000"),
+        (-1.23456, "0", "-1.235"),
+        (1.23456, "1.00000", "1.23456"),
+        (1234.5, "1.2E3", "1234.500"),
+        (0.00125, "1.5E-4", "0.00125"),
+        (-0.0001, "0.0", "0.000"),
+        (5.0, "+4.", "5.000"),
+        (0.5, "-.5", "0.500"),
+    ],
+)
+def test_numbers_keep_their_decimals(value: float, like: str, text: str) -> None:
+    assert formatted(value, like) == text
+
+
+@pytest.mark.parametrize(
+    ("body", "part"),
+    [
+        ("PTP_REL {Z 10}", "PTP_REL is a relative motion"),
+        ("lin_rel {Z 10} #TOOL", "LIN_REL is a relative motion"),
+        ("CIRC_REL {X 1},{X 2}", "CIRC_REL is a relative motion"),
+        ("SPTP_REL {Z 10}", "SPTP_REL is a relative motion"),
+        ("CIRC XP1,XP2", "CIRC: a circle through an auxiliary point"),
+        ("CIRC XP1,XP2,CA 180.0", "CIRC: a circle"),
+        ("SCIRC XP1,XP2", "SCIRC: a circle"),
+        ("SPLINE", "SPLINE: splines"),
+        ("SPL XP1", "SPL: splines"),
+        ("PTP_SPLINE", "PTP_SPLINE: splines"),
+        ("LIN XP1:XP2", "geometric operator"),
+        ("XP3=XP1:XP2", "geometric operator"),
+        ("XP1.Z=5", "XP1 is changed at run time"),
+        ("xp1 = XP2", "XP1 is changed at run time"),
+        ("XP1={X 1.0}", "XP1 is changed at run time"),
+        ("TRIGGER WHEN DISTANCE=0 DELAY=0 DO XP1.X=5", "XP1 is changed at run time"),
+        ("R=XP1.Z+5", "XP1 is used besides moving to it"),
+        ("PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}", "joint targets are not corrected"),
+        ("PTP XJ", "XJ: joint targets are not corrected"),
+        ("LIN XJ", "XJ: joint targets are not corrected"),
+        ("PTP XNOWHERE", "XNOWHERE is not a point with numbers"),
+        ("PTP $POS_ACT", "$POS_ACT is not a point with numbers"),
+        ("PTP SOME.P", ".P after the target"),
+        ("LIN XP1+XP2", "after the target"),
+        ("LIN INV_POS(XP1)", "after the target"),
+        ("LIN {Z 10}", "leaves out X, Y, A, B, C"),
+        ("PTP {X 1,Y 2,Z 3}", "leaves out A, B, C"),
+        ("PTP {X 1,Y 2,Z 3,A W,B 0,C 0}", "A W is not a number"),
+        ("PTP {X 1,X 1,Y 2,Z 3,A 0,B 0,C 0}", "X is stated twice"),
+        ("PTP {X 1,5,Y 2,Z 3,A 0,B 0,C 0}", "5 is no component"),
+        ("PTP {X 1E999,Y 2,Z 3,A 0,B 0,C 0}", "X 1E999 is not finite"),
+        ("PTP {X 1,Y 2", "is not closed on its line"),
+        ("PTP FP1", "FP1 is FDAT, which is no point"),
+        ("PTP", "no target"),
+        ("$BASE=BASE_DATA[1]\n$BASE=BASE_DATA[2]", "changes the base that line 2 has set"),
+        ("$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nBAS(#BASE,3)", "changes the base that line 2 has set"),
+        ("PTP XP1\n$BASE=BASE_DATA[1]", "changes the base after the motion of line 2"),
+        ("$BASE.X=5", "computed at run time"),
+        ("$BASE=BASE_DATA[I]", "$BASE=BASE_DATA[I] is computed at run time"),
+        ("BASE_DATA[1].X=5", "BASE_DATA is changed at run time"),
+        ("$TOOL=TOOL_DATA[1]\nPTP XP1\n$TOOL=TOOL_DATA[2]", "changes the tool that line 2"),
+        ("PTP XP1\nBAS(#TOOL,2)", "changes the tool after the motion of line 2"),
+        ("PTP XP1\nBAS(#INITMOV,0)", "resets base and tool"),
+        ("BAS(N,0)", "may set another base"),
+        ("$IPO_MODE=#TCP", "carried by the robot"),
+        ("SLIN XP1 WITH $BASE=SBASE(FP1.BASE_NO)", "computed at run time"),
+        ("FDAT_ACT=FP1\nPTP XP1\nFDAT_ACT=FP2\nPTP XP2", "FP2 changes base or tool"),
+        ("FDAT_ACT=FHOME\nPTP XP1", "works in FHOME, whose base and tool are not in"),
+        ("FDAT_ACT=FTCP\nPTP XP1", "IPO_FRAME not #BASE"),
+        ("$BASE=$NULLFRAME\nFDAT_ACT=FP1\nPTP XP1", "while line 2 sets the base too"),
+        ("FDAT_ACT.BASE_NO=3", "sets a base that is not in the .dat"),
+        ("DRILL(XP1)", "DRILL is called with the motion parameter XP1"),
+        ("DRILL({X 1.0})", "DRILL is called with the motion parameter {X1.0}"),
+        ("ASYPTP {E1 100}", "external axes"),
+        ("IF A THEN PTP XP1", "PTP within another statement"),
+        ('MSG("open)', "a string does not end on its line"),
+    ],
+)  # fmt: skip
+def test_refused_with_its_line(body: str, part: str) -> None:
+    dat = (
+        P1 + P2 + "DECL E6AXIS XJ={A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\n"
+        "DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE}\n"
+        "DECL FDAT FP2={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}\n"
+        "DECL FDAT FTCP={TOOL_NO 1,BASE_NO 2,IPO_FRAME #TCP}\n"
+    )
+    # The program works without the line; XP1 and XP2 are its points.
+    told = refusal(f"{body}\nPTP XP1\nLIN XP2", dat)
+    hits = [line for line in told.split("\n") if part in line]
+    assert hits, told
+    where = re.match(r"drill\.src line (\d+): ", hits[0])
+    assert where, hits
+    assert where[1] == str(2 + body.count("\n"))
+
+
+@pytest.mark.parametrize(
+    ("dat", "part"),
+    [
+        (P1 + P1, "drill.dat line 2: XP1 has a value already, line 1"),
+        ("DECL E6POS XP1={X 1.0,Y 2.0,Z 3.0}", "XP1 of drill.dat line 1: XP1 leaves out A, B, C"),
+        ("DECL E6POS XP1={X 1.0,Y 2.0", "drill.dat line 1: '{' is not closed"),
+        ("DECL E6POS XP1", "XP1 is not a point with numbers"),
+        ("DECL E6POS XP1=XP0", "XP0 is no structure of numbers"),
+    ],
+)
+def test_data_that_is_no_point(dat: str, part: str) -> None:
+    assert part in refusal("PTP XP1", dat)
+
+
+def test_faulty_data_that_nobody_moves_to_is_no_matter() -> None:
+    read = one("PTP XP1", P1 + "DECL E6POS XP9={X 1.0}\n")
+    assert read.notes == ["not used by a motion, left: XP9"]
+
+
+def test_external_axes_that_differ() -> None:
+    moved = P2.replace("E1 0.0", "E1 500.0")
+    told = refusal("PTP XP1\nPTP XP2", P1 + moved)
+    assert told == (
+        "drill.dat line 2: XP2 has E1 500, XP1 (drill.dat line 1) has 0: "
+        "a program is corrected for one station"
+    )
+
+
+def test_variables_of_the_program_hide_points() -> None:
+    assert "XP1 is a variable" in refusal("DECL E6POS XP1\nPTP XP1", P1)
+    told = refusal("END\nDEF GO(XP1 :IN)\nPTP XP1", P1)
+    assert told.startswith("drill.src line 4: XP1 is a variable")
+
+
+def test_a_program_without_targets() -> None:
+    assert refusal("PTP HOME") == "no motion to a point with X, Y, Z: nothing to correct"
+
+
+def test_all_problems_are_told_at_once() -> None:
+    told = refusal("PTP_REL {Z 1}\nLIN XP1\nCIRC XP1,XP1", P1).split("\n")
+    assert [line.split(":")[0] for line in told[:2]] == ["drill.src line 2", "drill.src line 4"]
+
+
+def test_what_is_allowed() -> None:
+    """The first base and tool, loops, own subprograms, splines' single motions, home moves."""
+    read = one(
+        "BAS(#INITMOV,0)\n$BASE=BASE_DATA[3]\n$TOOL={X 98,Y 0,Z 127,A 0,B 0,C 0}\nPTP $AXIS_ACT\n"
+        "AGAIN:\nWHILE (TRUE)\nPTP XP1 C_PTP C_DIS\nSLIN XP1 WITH $VEL=SVEL_CP(0.1)\nGO()\n"
+        "ENDWHILE\nIF $IN[1]==TRUE THEN\nGOTO AGAIN\nENDIF\nPTP XHOME\nEND\nDEF GO()\nLIN XP2",
+        P1 + P2,
+    )
+    assert [target.name for target in read.targets] == ["XP1", "XP2"]
+
+
+def test_a_program_without_a_data_list() -> None:
+    read = program("LIN {X 1,Y 2,Z 3,A 0,B 75,C 0}", None)
+    assert read.with_positions(np.array([[1.5, 2.0, 3.0]])) == {
+        "drill.src": "LIN {X 1.500,Y 2.000,Z 3.000,A 0,B 75,C 0}"
+    }
+
+
+@given(st.text(st.sampled_from("PTXLIN12{}[]():=,.+-;\"'&#$ \n\r1\xe4ABCYZ_"), max_size=200))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    try:
+        read = program(text, text)
+    except SettingsError:
+        return
+    assert read.targets

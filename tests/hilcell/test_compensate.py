@@ -1,0 +1,156 @@
+"""`compensate` as a command, in this process, on calibrations whose errors are known."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.calibration_file import write_calibration
+from hilcell.cell import load_cell
+from hilcell.cli import main
+from hilcell.compensation.interpolation import trilinear
+from hilcell.geometry.frames import apply, inverse
+from hilcell.programs import load_program
+from hilcell.targets import read_targets, write_targets
+from tests.hilcell.calibrations import T_W_B, calibration
+from tests.hilcell.krl.samples import DAT, SRC
+
+
+class Desk:
+    """A folder with a calibration and a program, and the command over them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.out = folder / "out.src"
+        self.source = folder / "drill.src"
+        self.calibrate()
+        self.program()
+
+    def calibrate(self, size_mm: float = 1.2, **provenance: Any) -> None:
+        write_calibration(calibration(size_mm, **provenance), self.folder / "calibration.json")
+
+    def program(self, src: str = SRC, dat: str = DAT) -> None:
+        self.source.write_text(src, "latin-1")
+        self.source.with_suffix(".dat").write_text(dat, "latin-1")
+
+    def compensate(self, *words: str, source: Path | None = None, out: Path | None = None) -> int:
+        return main(
+            ["compensate", str(self.folder / "calibration.json"), str(source or self.source),
+             "--station", "S1100", "-o", str(out or self.out), *words]
+        )  # fmt: skip
+
+    @property
+    def files(self) -> list[str]:
+        return sorted(path.name for path in self.folder.iterdir())
+
+
+BEFORE = ["calibration.json", "drill.dat", "drill.src"]
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Desk:
+    return Desk(tmp_path)
+
+
+def test_a_corrected_program_arrives(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    """Command + error at the command = target, to the rounding of three decimals."""
+    assert desk.compensate() == 0
+    nominal, command = load_program(desk.source), load_program(desk.out)
+    made = calibration()
+    in_base = apply(inverse(T_W_B), command.values()[:, :3])
+    arrived = in_base + trilinear(made.grid(), np.array(made.grid_errors_mm), in_base)
+    wanted = apply(inverse(T_W_B), nominal.values()[:, :3])
+    assert np.abs(command.values()[:, :3] - nominal.values()[:, :3]).max() > 0.3
+    np.testing.assert_allclose(arrived, wanted, atol=2e-3)
+    np.testing.assert_array_equal(command.values()[:, 3:], nominal.values()[:, 3:])
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "5 targets corrected for S1100 into" in told.err
+    assert "drill.src: not used by a motion, left: XP3" in told.err
+    assert "its base must be {W}" in told.err
+    assert "SIMULATED" not in told.err
+
+
+def test_program_and_list_agree(desk: Desk, tmp_path: Path) -> None:
+    program = load_program(desk.source)
+    targets, out = tmp_path / "targets.csv", tmp_path / "out.csv"
+    write_targets(targets, [f"H{n}" for n in range(5)], program.values())
+    assert desk.compensate() == 0
+    assert desk.compensate(source=targets, out=out) == 0
+    _, listed = read_targets(out)
+    np.testing.assert_allclose(load_program(desk.out).values()[:, :3], listed[:, :3], atol=6e-4)
+
+
+def test_zero_errors_change_nothing_twice(desk: Desk) -> None:
+    desk.calibrate(0.0)
+    again = desk.folder / "again.src"
+    assert desk.compensate() == 0
+    assert desk.compensate(source=desk.out, out=again) == 0
+    assert again.read_bytes() == desk.out.read_bytes()
+    assert again.with_suffix(".dat").read_bytes() == desk.out.with_suffix(".dat").read_bytes()
+
+
+def test_simulated_is_warned_of(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    desk.calibrate(simulated=True)
+    assert desk.compensate() == 0
+    assert "SIMULATED: run 20261101" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("src", "dat", "words", "part"),
+    [
+        (SRC.replace("lin xp2", "LIN_REL {Z 1}"), DAT, (), "drill.src line 32: LIN_REL"),
+        (SRC, DAT.replace("Z +1000.5", "Z 9000"), (), "XP1 (drill.dat line 8) by "),
+        (SRC, DAT.replace("HOLE[2]={X 0.0,Y 50.0,Z 1200.0,A 0.0,B 75.0", "HOLE[2]={X 0.0,Y 50.0,"
+         "Z 1200.0,A 0.0,B 85.0"), (), "HOLE[2] (drill.dat line 16) by 9.90 deg"),
+        (SRC, DAT, ("--temperature", "40"), "40.0 C is not within 2 K"),
+        (SRC, DAT, ("--cell", "paper"), "another cell"),
+        (SRC, DAT, ("--max-age", "-1"), "days ago, wanted <= -1 days"),
+        (SRC, DAT, ("--station", "S7"), "station 'S7' is not calibrated"),
+    ],
+)  # fmt: skip
+def test_refused_and_nothing_written(
+    desk: Desk,
+    capsys: pytest.CaptureFixture[str],
+    src: str,
+    dat: str,
+    words: tuple[str, ...],
+    part: str,
+) -> None:
+    desk.program(src, dat)
+    assert desk.compensate(*words) == 2
+    assert part in capsys.readouterr().err
+    assert desk.files == BEFORE
+    desk.out.write_text("old")
+    assert desk.compensate(*words) == 2
+    assert desk.out.read_text() == "old"
+    assert desk.files == sorted([*BEFORE, "out.src"])
+
+
+def test_an_unproven_calibration_is_refused(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    desk.calibrate(sign_checked=False)
+    assert desk.compensate() == 2
+    assert "sign check did not hold" in capsys.readouterr().err
+    file = desk.folder / "calibration.json"
+    desk.calibrate()
+    file.write_text(file.read_text().replace(',\n  "sign_checked": true', ""))
+    assert "sign_checked" not in file.read_text()
+    assert desk.compensate() == 2
+    assert desk.files == BEFORE
+
+
+def test_the_right_cell_is_taken(desk: Desk) -> None:
+    desk.calibrate(digest=load_cell("paper", {"grid.pitch_mm": "450.0"}).digest)
+    assert desk.compensate("--cell", "paper", "--set", "grid.pitch_mm=450.0") == 0
+    assert desk.compensate("--cell", "paper") == 2
+
+
+@pytest.mark.parametrize("out", ["drill.src", "drill", "targets.csv"])
+def test_nominal_targets_are_not_replaced(desk: Desk, out: str) -> None:
+    targets = desk.folder / "targets.csv"
+    write_targets(targets, ["H1"], np.array([[0.0, 0, 1200, 0, 75, 0]]))
+    source = targets if out.endswith("csv") else desk.source
+    before = source.read_bytes()
+    assert desk.compensate(source=source, out=desk.folder / out) == 2
+    assert source.read_bytes() == before
