@@ -1,0 +1,102 @@
+"""Small synthetic journals, written as a run writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hilcell.cell import load_cell
+from hilcell.ports import Array
+from hilcell.report.facts import Facts, read_facts
+from hilcell.run.journal import Journal
+from hilcell.runs import JOURNAL
+
+DEVICES = [{"device": "Robot", "model": "KR 210", "serial": "860112", "address": "127.0.0.1:1"}]
+# Errors (mm) whose norms, means and ratios are plain to the eye.
+BEFORE_MM = [(1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 3.0), (0.0, 0.0, 2.0)]
+AFTER_MM = [(0.1, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.3), (0.0, 0.0, 0.2)]
+
+
+class Writer:
+    """A journal in the making; {W} is the tracker's frame, so that figures are easy to foretell."""
+
+    def __init__(self, folder: Path, **plan: Any) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        self.journal = Journal(folder / JOURNAL, folder.name, create=True)
+        self.journal.append("plan", "", plan_record() | plan)
+
+    def began(self, devices: list[dict[str, str]] | None = None) -> Writer:
+        self.state("run", "checking")
+        self.journal.append(
+            "event", "", {"what": "connected", "devices": DEVICES if devices is None else devices}
+        )
+        self.state("run", "running")
+        self.frame("world")
+        return self
+
+    def state(self, machine: str, to: str, **more: str) -> None:
+        self.journal.append("state", "", {"machine": machine, "to": to} | more)
+
+    def frame(self, key: str, **more: Any) -> None:
+        self.journal.append("frame", key, {"matrix": np.eye(4)} | more)
+
+    def point(self, key: str, group: str, xyz_mm: Any, station: str = "", **more: Any) -> None:
+        body = {
+            "group": group, "station": station, "frame": "tracker", "reflector": "SMR 1.5in",
+            "xyz_mm": tuple(map(float, xyz_mm)), "std_mm": (0.01, 0.01, 0.01), "samples": 1,
+            "temperature_c": 22.0, "pressure_mbar": 1013.0, "humidity_percent": 45.0, "session": 1,
+        }  # fmt: skip
+        self.journal.append("point", key, body | more)
+
+    def validated(self, station: str, how: str, errors_mm: list[tuple[float, ...]]) -> Writer:
+        for number, error_mm in enumerate(errors_mm):
+            nominal_mm = np.array([100.0 * number, 50.0 * number, 900.0 + 70.0 * number])
+            self.point(
+                f"validate/{station}/{how}/{number:03d}", f"validate_{how}", nominal_mm + error_mm,
+                station, nominal_mm=tuple(nominal_mm), smr_mm=(0.0, 0.0, 0.0),
+                commanded_deg=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+            )  # fmt: skip
+        return self
+
+    def visited(self, clouds_mm: list[Array]) -> Writer:
+        for place, cloud in enumerate(clouds_mm):
+            for visit, xyz_mm in enumerate(cloud):
+                key = f"repeatability/{place}/{visit:03d}"
+                self.point(key, f"repeatability_{place}", xyz_mm, "S1100", smr_mm=(0.0, 0.0, 0.0))
+        return self
+
+    def ended(self, state: str = "finished", code: int = 0, reason: str = "") -> Path:
+        self.state("run", state, reason=reason)
+        end = {"state": state, "exit": code, "result": {}}
+        self.journal.append("end", "", end)
+        return self.left()
+
+    def left(self) -> Path:
+        """Close the file as a crash would leave it."""
+        self.journal.close()
+        return self.folder
+
+    def facts(self) -> Facts:
+        return read_facts(self.ended())
+
+
+def plan_record() -> dict[str, Any]:
+    cell = load_cell("paper")
+    return {
+        "procedure": "home", "cell": msgspec.to_builtins(cell), "digest": cell.digest, "seed": 7,
+        "speed": None, "unattended": True, "operator": "A. Technician", "job": "J-17",
+        "simulated": True, "versions": {"hilcell": "0.1.0", "python": "3.11"}, "settings": {},
+        "steps": [], "points": 8, "duration_s": 60.0,
+    }  # fmt: skip
+
+
+def validated_run(folder: Path, **plan: Any) -> Writer:
+    """Return a run with targets before and after at two stations."""
+    writer = Writer(folder, **plan).began()
+    for station in ("S1100", "S300"):
+        writer.validated(station, "before", BEFORE_MM).validated(station, "chosen", AFTER_MM)
+    return writer

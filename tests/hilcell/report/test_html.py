@@ -1,0 +1,210 @@
+"""The page: its structure, its figures, its refusals and its harmlessness."""
+
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.report.facts import Facts, read_facts
+from hilcell.report.html import report_html
+from hilcell.report.svg import compact
+from tests.hilcell.report.journals import BEFORE_MM, Writer, validated_run
+from tests.hilcell.report.pages import Page
+
+HOSTILE = "<script>alert(1)</script>\x1b[2J\u202egnp.exe\u2066\"'&${x} {{ 7*7 }}\x00"
+
+
+def page_of(facts: Facts) -> Page:
+    return Page(report_html(facts))
+
+
+def figures_of(page: Page) -> set[str]:
+    return {each.removeprefix("figure-") for each in page.ids if each.startswith("figure-")}
+
+
+def test_a_validated_run(tmp_path: Path) -> None:
+    page = page_of(validated_run(tmp_path / "r1").facts())
+    assert page.tags["html"] == page.tags["main"] == page.tags["h1"] == 1
+    assert figures_of(page) == {"targets", "transferred", "sorted", "volume"}
+    assert len(set(page.ids)) == len(page.ids)
+    for words in (
+        "hilcell is not a safety function", "A. Technician", "J-17", "860112", "r1",
+        "22.00 to 22.00 °C", "7.8.2.1 d", "combined, all lines so far",
+    ):  # fmt: skip
+        assert words in page.text
+
+
+def test_means_maxima_and_both_ratios(tmp_path: Path) -> None:
+    cells = page_of(validated_run(tmp_path / "r1").facts()).of("td")
+    at = cells.index("S1100")
+    assert cells[at : at + 6] == ["S1100", "before", "4", "2.0000", "2.8500", "3.0000"]
+    after = ["after, chosen", "4", "0.2000", "0.2850", "0.3000", "90.0", "90.0"]
+    assert cells[at + 6 : at + 13] == after
+
+
+def test_nothing_is_fetched_and_nothing_runs(tmp_path: Path) -> None:
+    html = report_html(validated_run(tmp_path / "r1").facts())
+    page = Page(html)
+    assert not {"script", "link", "img", "iframe", "object", "embed", "form"} & set(page.tags)
+    assert page.links
+    assert all(link.startswith("#") for link in page.links)
+    assert {link[1:] for link in page.links} <= set(page.ids)
+    assert all(found == "#" for found in re.findall(r"url\(\s*['\"]?(.)", html))
+    assert "://" not in re.sub(r"<td>[^<]*</td>", "", html)  # addresses of devices are words
+    assert "@import" not in html
+    assert not [name for name, _ in page.attributes if name.startswith("on")]
+
+
+def test_every_svg_is_well_formed(tmp_path: Path) -> None:
+    html = report_html(validated_run(tmp_path / "r1").facts())
+    drawn = re.findall(r"<svg.*?</svg>", html, re.DOTALL)
+    assert len(drawn) == 4
+    for each in drawn:
+        words = "".join(ET.fromstring(each).itertext())
+        assert "mm" in words
+        assert "SIMULATION" in words
+
+
+def test_a_simulated_run_says_so_on_every_page(tmp_path: Path) -> None:
+    html = report_html(validated_run(tmp_path / "r1").facts())
+    page = Page(html)
+    assert ("class", "watermark") in page.attributes
+    assert page.of("title")[0].startswith("SIMULATION")
+    assert '@bottom-center { content: "SIMULATION"; }' in html
+
+
+def test_a_real_run_does_not(tmp_path: Path) -> None:
+    facts = validated_run(tmp_path / "r1", simulated=False).facts()
+    assert "SIMULATION" not in report_html(facts)
+
+
+def test_the_same_journal_gives_the_same_bytes(tmp_path: Path) -> None:
+    folder = validated_run(tmp_path / "r1").ended()
+    first, again = (report_html(read_facts(folder)) for _ in range(2))
+    assert first == again
+
+
+def test_hostile_strings_are_shown_harmless(tmp_path: Path) -> None:
+    devices = [{"device": "Robot", "model": HOSTILE, "serial": HOSTILE, "address": HOSTILE}]
+    writer = Writer(
+        tmp_path / "r<b>1", operator=HOSTILE, job=HOSTILE, settings={HOSTILE: HOSTILE}
+    ).began(devices)
+    writer.validated("S1100", "before", BEFORE_MM)
+    writer.journal.append("event", "", {"what": HOSTILE, "reason": HOSTILE})
+    writer.journal.append("verdict", HOSTILE, {"holds": False, "found": HOSTILE})
+    folder = writer.ended("faulted", 3, HOSTILE)
+    html = report_html(read_facts(folder))
+    page = Page(html)
+    assert page.tags["script"] == page.tags["b"] == 0
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f\u202a-\u202e\u2066-\u2069]", html)
+    shown = "<script>alert(1)</script>\ufffd[2J\ufffdgnp.exe\ufffd\"'&${x} {{ 7*7 }}\ufffd"
+    assert page.text.count(shown) >= 8
+    assert "49" not in page.of("dd")
+
+
+def test_a_folder_cannot_write_style(tmp_path: Path) -> None:
+    html = report_html(Writer(tmp_path / 'a"; } body { display: none').began().facts())
+    assert 'content: "a_____body___display__none"' in html
+
+
+@pytest.mark.parametrize(
+    ("state", "code", "words"),
+    [
+        ("faulted", 3, "not finished: faulted: Rail: no answer"),
+        ("aborted", 4, "not finished: aborted"),
+        ("finished", 0, "finished"),
+        ("finished", 1, "out of tolerance"),
+    ],
+)
+def test_how_the_run_ended(tmp_path: Path, state: str, code: int, words: str) -> None:
+    writer = Writer(tmp_path / "r1").began()
+    writer.validated("S1100", "before", BEFORE_MM[:1])
+    page = page_of(read_facts(writer.ended(state, code, "Rail: no answer")))
+    assert words in page.of("strong")
+    assert ("Not finished." in page.of("strong")) == (state != "finished")
+    assert "targets" in figures_of(page)
+
+
+def test_a_run_that_a_crash_left(tmp_path: Path) -> None:
+    page = page_of(read_facts(Writer(tmp_path / "r1").began().left()))
+    assert "not finished: the journal ends while the run is running" in page.of("strong")
+    assert figures_of(page) == set()
+    assert "This run holds no result." in page.text
+
+
+def test_a_run_of_the_plan_alone(tmp_path: Path) -> None:
+    page = page_of(read_facts(Writer(tmp_path / "r1").left()))
+    assert "not finished: the journal ends while the run is idle" in page.of("strong")
+
+
+RESULTS: dict[str, dict[str, Any]] = {
+    "rail": {
+        "rail_survey": {
+            "curve": {
+                "forth": [[0.0, 0.0], [1000.0, 0.4], [2000.0, 0.5]],
+                "back": [[2000.0, 0.4], [1000.0, 0.2], [0.0, -0.2]],
+            },
+            "backlash_mm": {"value": 0.2012, "u": 0.0031},
+        }
+    },
+    "frames": {
+        "frame_repeatability": {
+            "base": {"S300": [0.3, 0.2, 0.4, 0.3, 0.2, 0.1], "S1900": [0.2] * 6},
+            "station": {"S300": [0.05] * 6, "S1900": [0.06] * 6},
+            "ratio": 4.21,
+            "ratio_interval": [3.1, 5.6],
+        }
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("rail", "Backlash 0.2012 mm, u = 0.0031 mm"), ("frames", "repeats 4.2 times better")],
+)
+def test_figures_of_results(tmp_path: Path, name: str, words: str) -> None:
+    facts = Writer(tmp_path / "r1").began().facts()
+    page = page_of(replace(facts, result=RESULTS[name] | {"points": {}}))
+    assert figures_of(page) == {name}
+    assert words in page.text
+
+
+def test_approaches_of_a_station(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r1").began()
+    for number in range(4):
+        writer.point(f"repeat/plain/{number}", "repeat_plain", (0, 0.2 * (number % 2), 0))
+        writer.point(f"repeat/strip/{number}", "repeat_strip", (0, 0.01 * (number % 2), 0))
+    page = page_of(writer.facts())
+    assert figures_of(page) == {"strip"}
+    assert "by the drive alone 0.2000 mm, held by the strip 0.0100 mm" in page.text
+
+
+def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r1").began()
+    for number, at_mm in enumerate(np.eye(3) * 900):
+        writer.point(f"grid/0-0-{number}", "grid", at_mm + 1.0, nominal_mm=tuple(at_mm))
+    assert figures_of(page_of(writer.facts())) == {"volume"}
+
+
+def test_rows_of_the_paper(tmp_path: Path) -> None:
+    row = {"row": "fig12.after.mean", "paper": 0.1168, "here": 0.1234, "unit": "mm", "holds": True}
+    facts = Writer(tmp_path / "r1").began().facts()
+    page = page_of(replace(facts, result={"rows": [row], "points": {}}))
+    cells = page.of("td")
+    at = cells.index("fig12.after.mean")
+    assert cells[at : at + 5] == ["fig12.after.mean", "0.1168", "0.1234", "mm", "holds"]
+
+
+def test_compact_keeps_words_and_links() -> None:
+    svg = (
+        '<svg xmlns="s"><metadata>x</metadata><g id="axes_1"><path id="m1" d="M 1.23456 2"/>'
+        '<use xlink:href="#m1" clip-path="url(#m1)"/><text>0.123456</text></g></svg>'
+    )
+    assert compact(svg, "f") == (
+        '<svg> <g><path id="f-m1" d="M 1.23 2"/>'
+        '<use href="#f-m1" clip-path="url(#f-m1)"/><text>0.123456</text></g></svg>'
+    )

@@ -1,0 +1,172 @@
+"""The report and the exports of a calibration that was really run, by the commands."""
+
+import json
+import os
+import re
+import shutil
+import sqlite3
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from hilcell.cli import main
+from hilcell.runs import JOURNAL
+from tests.hilcell.report.browser import browse
+from tests.hilcell.report.pages import Page
+from tests.whole.bench import HILCELL, SMALL, end_of, hilcell, sets
+
+RUST, BLUE = (194, 106, 46), (18, 80, 123)  # the figures' colours before and after
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Return the folder of a small calibration and its result."""
+    runs = tmp_path_factory.mktemp("runs")
+    done = hilcell("run", "--json", "--runs", runs, "--operator", "B. Operator", *sets(SMALL))
+    end = end_of(done)
+    return runs / end["run"], end["result"]
+
+
+@pytest.fixture(scope="module")
+def page(calibrated: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return its report."""
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    done = hilcell("report", calibrated[0], "-o", path)
+    assert done.returncode == 0, done.stderr
+    assert str(path) in done.stderr
+    assert done.stdout == ""
+    return path
+
+
+def test_figures_are_those_of_the_result(
+    page: Path, calibrated: tuple[Path, dict[str, Any]]
+) -> None:
+    cells = Page(page.read_text("utf-8")).of("td")
+    for place, name in (("S1100", "S1100"), ("others", "others together"), ("S300", "S300")):
+        figures = calibrated[1]["validation"][place]
+        at = cells.index(name)
+        wanted = [f"{figures['before'][key]:.4f}" for key in ("mean", "p95", "max")]
+        assert cells[at + 3 : at + 6] == wanted
+        after = cells[at + 6 : at + 13]
+        assert after[2:5] == [f"{figures['idw'][key]:.4f}" for key in ("mean", "p95", "max")]
+        ratio = 100 * (1 - figures["idw"]["mean"] / figures["before"]["mean"])
+        assert after[5] == f"{ratio:.1f}"
+
+
+def test_it_holds_every_figure_of_a_calibration_and_is_small(page: Path) -> None:
+    found = Page(page.read_text("utf-8"))
+    ids = {each for each in found.ids if each.startswith("figure-")}
+    assert ids >= {"figure-targets", "figure-transferred", "figure-sorted", "figure-volume"}
+    assert page.stat().st_size <= 2_000_000
+    for words in ("B. Operator", "402871", "Model residual", "Robot repeatability", "tool point u"):
+        assert words in found.text
+
+
+def test_another_machine_writes_the_same_bytes(
+    page: Path, calibrated: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    elsewhere = tmp_path / calibrated[0].name
+    shutil.copytree(calibrated[0], elsewhere)
+    rc = tmp_path / "matplotlibrc"
+    rc.write_text("font.size: 20\nlines.linewidth: 9\n")
+    other = {"PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo", "LC_ALL": "C", "MATPLOTLIBRC": str(rc)}
+    again = tmp_path / "again.html"
+    subprocess.run(
+        [*HILCELL, "report", str(elsewhere), "-o", str(again)],
+        env=os.environ | other, check=True, capture_output=True, timeout=100,
+    )  # fmt: skip
+    assert again.read_bytes() == page.read_bytes()
+
+
+@pytest.mark.parametrize("form", ["csv", "xlsx", "json"])
+def test_exports(form: str, calibrated: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    out = tmp_path / f"out.{form}"
+    assert main(["export", str(calibrated[0]), f"--{form}", "-o", str(out)]) == 0
+    if form == "json":
+        assert json.loads(out.read_bytes())["result"] == calibrated[1]
+    elif form == "csv":
+        wanted = sum(calibrated[1]["points"].values())
+        assert len(out.read_text("utf-8").splitlines()) == 1 + wanted
+    else:
+        assert out.read_bytes()[:2] == b"PK"
+    assert [each.name for each in tmp_path.iterdir()] == [out.name]
+
+
+def test_a_changed_journal_is_refused(
+    calibrated: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "changed"
+    shutil.copytree(calibrated[0], folder)
+    with sqlite3.connect(folder / JOURNAL) as base:
+        base.execute("DROP TRIGGER record_is_never_changed")
+        base.execute("UPDATE record SET body = replace(body, 'B. Operator', 'C. Operator')")
+    base.close()
+    out = tmp_path / "report.html"
+    out.write_text("the report of before")
+    assert main(["report", str(folder), "-o", str(out)]) == 7
+    assert "was changed or damaged" in capsys.readouterr().err
+    assert out.read_text() == "the report of before"
+
+
+@pytest.mark.parametrize("where", ["no/such/folder/report.html", "."])
+def test_a_place_that_cannot_be_written(
+    where: str,
+    calibrated: tuple[Path, dict[str, Any]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["report", str(calibrated[0]), "-o", str(tmp_path / where)]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    assert not list(tmp_path.parent.glob("*.part"))
+
+
+def test_a_journal_that_lacks_what_its_result_needs(
+    calibrated: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hilcell.run.journal import Journal, read_journal
+
+    folder = tmp_path / "older"
+    folder.mkdir()
+    journal = Journal(folder / JOURNAL, "older", create=True)
+    for record in read_journal(calibrated[0] / JOURNAL):
+        if record.key != "base":
+            journal.append(record.kind, record.key, record.body)
+    journal.close()
+    assert main(["report", str(folder), "-o", str(tmp_path / "x.html")]) == 2
+    assert "lacks 'base'" in capsys.readouterr().err
+
+
+def test_seen_in_a_browser(page: Path, tmp_path: Path) -> None:
+    shown = tmp_path / "report.html"
+    shutil.copy(page, shown)
+    picture = tmp_path / "screen.png"
+    browse(shown, "--window-size=900,3000", f"--screenshot={picture}")
+    pixels = np.round(imread(picture)[..., :3] * 255).astype(int)
+    assert pixels.shape == (3000, 900, 3)
+    white = float(np.mean(np.all(pixels == 255, axis=2)))
+    assert 0.4 < white < 0.95
+    for colour in (RUST, BLUE):
+        near = np.all(np.abs(pixels - colour) < 24, axis=2)
+        assert near.sum() > 300, f"the figures' colour {colour} is not to be seen"
+
+
+def test_printed_on_a4(page: Path, tmp_path: Path) -> None:
+    shown = tmp_path / "report.html"
+    shutil.copy(page, shown)
+    paper = tmp_path / "report.pdf"
+    browse(shown, f"--print-to-pdf={paper}")
+    content = paper.read_bytes()
+    assert content.startswith(b"%PDF-")
+    pages = re.findall(rb"/Type\s*/Page\b", content)
+    assert 4 <= len(pages) <= 15
+    boxes = {
+        tuple(round(float(side)) for side in box.split())
+        for box in re.findall(rb"/MediaBox\s*\[([^\]]*)\]", content)
+    }
+    assert boxes <= {(0, 0, 595, 842), (0, 0, 596, 842)}
+    assert boxes
