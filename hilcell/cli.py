@@ -137,7 +137,8 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     compensate.add_argument(
         "-o", "--output", required=True, metavar="OUT", help="corrected targets, or program"
     )
-    compensate.add_argument("--cell", metavar="CELL", help="refuse a calibration of another cell")
+    compensate.add_argument("--cell", metavar="CELL", help="refuse a calibration of "
+                            "another cell, and turns (T) that change")  # fmt: skip
     _set_option(compensate)
     compensate.add_argument("--temperature", type=_finite, metavar="T_C", help="the room's: refuse "
                             "one further than 2 K from the calibrated")  # fmt: skip

@@ -8,12 +8,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hilcell.calibration_file import NAME, Calibration, compensate_targets, read_calibration
-from hilcell.cell import load_cell
+from hilcell.cell import Cell, load_cell
 from hilcell.commands.common import say
 from hilcell.faces import print_table
 from hilcell.programs import is_program, load_program, refuse_in_place, write_program
 from hilcell.runs import find_run
 from hilcell.targets import read_targets, write_targets
+from hilcell.turns import check_turns
 from hilcell.validity import check_fitness
 
 
@@ -43,14 +44,15 @@ def compensate(args: argparse.Namespace) -> int:
     where = Path(args.calibration)
     path = where if where.is_file() else find_run(args.runs, args.calibration) / NAME
     calibration = read_calibration(path)
+    cell = load_cell(args.cell, dict(args.set)) if args.cell else None
     check_fitness(
         calibration, datetime.now(UTC),
         max_age_days=args.max_age, temperature_c=args.temperature,
-        digest=load_cell(args.cell, dict(args.set)).digest if args.cell else None,
+        digest=cell.digest if cell else None,
     )  # fmt: skip
     source, out = Path(args.targets), Path(args.output)
     if is_program(source):
-        count, written = _compensate_program(calibration, args.station, source, out)
+        count, written = _compensate_program(calibration, args.station, source, out, cell)
     else:
         count, written = _compensate_list(calibration, args.station, source, out)
     print(f"{count} targets corrected for {args.station} into {written}", file=sys.stderr)
@@ -73,10 +75,14 @@ def _compensate_list(
 
 
 def _compensate_program(
-    calibration: Calibration, station: str, source: Path, out: Path
+    calibration: Calibration, station: str, source: Path, out: Path, cell: Cell | None
 ) -> tuple[int, str]:
     program = load_program(source)
     command = compensate_targets(calibration, station, program.values(), program.names)
+    if cell is not None:
+        check_turns(cell, calibration, station, program, command)
+    elif any(target.posture is not None for target in program.targets):
+        print(f"{source.name}: turns (T) were not checked; --cell CELL does", file=sys.stderr)
     written = write_program(program.with_positions(command[:, :3]), source, out)
     for note in program.notes:
         print(f"{source.name}: {note}", file=sys.stderr)

@@ -59,6 +59,11 @@ class Datum:
             )
         return {name: _number(name, fields[name]) for name in (*POSE, *EXTERNAL) if name in fields}
 
+    def posture(self) -> int | None:
+        """Return S where S and T fix the posture with its whole turns; raises `KrlError`."""
+        fields = self.fields()
+        return _integer("S", fields["S"]) if "S" in fields and "T" in fields else None
+
 
 def aggregate(tokens: Sequence[Token]) -> dict[str, Sequence[Token]]:
     """Return the tokens of each component of ``{X 1.0,...}`` or ``{POS: X 1.0,...}``."""
@@ -85,6 +90,15 @@ def _number(name: str, tokens: Sequence[Token]) -> Number:
     if not math.isfinite(float(text)):
         raise KrlError(f"{name} {text} is not finite")
     return Number(text, tokens[0].start, tokens[-1].end)
+
+
+def _integer(name: str, tokens: Sequence[Token]) -> int:
+    """Return ``6`` or ``'B110'``."""
+    text = text_of(tokens)
+    try:
+        return int(text[2:-1], 2) if text.startswith("'B") else int(text)
+    except ValueError as error:
+        raise KrlError(f"{name} {text} is not a whole number") from error
 
 
 def declared(statement: Statement) -> tuple[str, list[tuple[str, Sequence[Token]]]]:

@@ -46,12 +46,16 @@ class Edit:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A point that motions use: its name, where it stands, its numbers."""
+    """A point that motions use: its name, where it stands, its numbers.
+
+    ``posture`` is S where a motion by joints uses it and S and T fix its joints to whole turns.
+    """
 
     name: str
     file: str
     line: int
     numbers: dict[str, Number] = field(repr=False)
+    posture: int | None = None
 
     @property
     def where(self) -> str:
@@ -176,14 +180,14 @@ class _Reader:
             if any(each.startswith("A1") for each in inline.fields()):
                 raise KrlError(_JOINTS.format(f"{statement.head} {name}"))
             self._frames.move(statement.line)
-            self._add(f"{statement.line}", inline)
+            self._add(f"{statement.line}", inline, by_joints=statement.head in JOINTWISE)
             return
         self._places.add(target[0].start)
         if statement.head in JOINTWISE and self._stays(name, statement.line):
             return
         self._frames.move(statement.line)
         for each in self._meant(target):
-            self._add(each.name, each)
+            self._add(each.name, each, by_joints=statement.head in JOINTWISE)
 
     def _check_rest(self, statement: Statement, rest: Sequence[Token]) -> None:
         while rest and (rest[0].word in APPROXIMATIONS or rest[0].text == ","):
@@ -222,16 +226,17 @@ class _Reader:
             raise KrlError(f"{name} is {found[0].kind}, which is no point")
         return found
 
-    def _add(self, key: str, datum: Datum) -> None:
-        if key in self.targets:
+    def _add(self, key: str, datum: Datum, *, by_joints: bool) -> None:
+        known = self.targets.get(key)
+        if known is not None and (known.posture is not None or not by_joints):
             return
         try:
-            numbers = datum.numbers()
+            numbers, posture = datum.numbers(), datum.posture() if by_joints else None
         except KrlError as error:
             if datum.file == self._file:
                 raise
             raise KrlError(f"{datum.name} of {datum.file} line {datum.line}: {error}") from error
-        self.targets[key] = Target(datum.name, datum.file, datum.line, numbers)
+        self.targets[key] = Target(datum.name, datum.file, datum.line, numbers, posture)
 
     def _check_calls(self, statement: Statement) -> None:
         tokens = statement.tokens

@@ -154,3 +154,35 @@ def test_nominal_targets_are_not_replaced(desk: Desk, out: str) -> None:
     before = source.read_bytes()
     assert desk.compensate(source=source, out=desk.folder / out) == 2
     assert source.read_bytes() == before
+
+
+def near_zero(posture: str) -> str:
+    """Return a data list whose point the correction takes from -0.2 to about 0.3 mm beside A1."""
+    x, y, z = apply(T_W_B, np.array([[1850.0, -0.2, 950.0]]))[0]
+    return f"DECL E6POS XP1={{X {x:.4f},Y {y:.4f},Z {z:.4f},A 0,B 75,C 0{posture}}}"
+
+
+@pytest.mark.parametrize(
+    ("motion", "posture", "code"),
+    [
+        ("PTP", ",S 6,T 19", 2),
+        ("PTP", ",S 'B110',T 'B10011'", 2),
+        ("LIN", ",S 6,T 19", 0),
+        ("PTP", ",S 6", 0),
+    ],
+)
+def test_turns_that_the_correction_changes(
+    desk: Desk, capsys: pytest.CaptureFixture[str], motion: str, posture: str, code: int
+) -> None:
+    desk.calibrate(digest=load_cell("paper").digest)
+    desk.program(f"{motion} XP1", near_zero(posture))
+    assert desk.compensate("--cell", "paper") == code
+    told = capsys.readouterr().err
+    assert ("XP1 (drill.dat line 1): A1 goes from 0.00" in told) == (code == 2)
+    assert desk.out.exists() == (code == 0)
+
+
+def test_turns_nobody_checked_are_told(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    desk.program("PTP XP1", near_zero(",S 6,T 19"))
+    assert desk.compensate() == 0
+    assert "turns (T) were not checked; --cell CELL does" in capsys.readouterr().err

@@ -168,6 +168,7 @@ def test_numbers_keep_their_decimals(value: float, like: str, text: str) -> None
         ("PTP {X 1,X 1,Y 2,Z 3,A 0,B 0,C 0}", "X is stated twice"),
         ("PTP {X 1,5,Y 2,Z 3,A 0,B 0,C 0}", "5 is no component"),
         ("PTP {X 1E999,Y 2,Z 3,A 0,B 0,C 0}", "X 1E999 is not finite"),
+        ("PTP {X 1,Y 2,Z 3,A 0,B 0,C 0,S 1.5,T 2}", "S 1.5 is not a whole number"),
         ("PTP {X 1,Y 2", "is not closed on its line"),
         ("PTP FP1", "FP1 is FDAT, which is no point"),
         ("PTP", "no target"),
@@ -263,6 +264,18 @@ def test_what_is_allowed() -> None:
         P1 + P2,
     )
     assert [target.name for target in read.targets] == ["XP1", "XP2"]
+
+
+@pytest.mark.parametrize(
+    ("body", "posture"),
+    [
+        ("PTP XP1", 6), ("LIN XP1", None), ("LIN XP1\nPTP XP1", 6), ("PTP XP1\nLIN XP1", 6),
+        ("SPTP {X 1,Y 2,Z 3,A 0,B 75,C 0,S 'B010',T 1}", 2),
+        ("PTP {X 1,Y 2,Z 3,A 0,B 75,C 0,S 2}", None),
+    ],
+)  # fmt: skip
+def test_which_targets_fix_their_joints(body: str, posture: int | None) -> None:
+    assert [target.posture for target in one(body, P1).targets] == [posture]
 
 
 def test_a_program_without_a_data_list() -> None:
