@@ -1,12 +1,14 @@
 """Which base and tool a program's motions work in: one of each, or the program is refused.
 
 Targets are taken in {W}: the base that is in force must be {W} at the station. A base is set by
-``$BASE=``, ``BAS(#BASE,n)`` or the frame data of inline forms (``FDAT_ACT=FP1``). The trap: home
-moves bring frame data of their own, which count for nothing as long as only home moves use them.
+``$BASE=``, ``BAS(#BASE,n)`` or the frame data of inline forms, ``FDAT_ACT=FP1`` for all motions
+that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. The trap: home moves bring frame data of
+their own, which count for nothing as long as only home moves use them.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from hilcell.krl.data import DataList, aggregate
@@ -19,6 +21,9 @@ NEVER_SET = (
 BAS_SETS = {"#BASE": "base", "#TOOL": "tool"}
 BAS_RESETS = ("#INITMOV",)
 BAS_REFUSED = ("#EX_BASE",)
+WITH_FORM = re.compile(
+    r"\$BASE=SBASE\((\w+)\.BASE_NO\)|\$TOOL=STOOL2\((\w+)\)|\$IPO_MODE=SIPO_MODE\((\w+)\.IPO_FRAME\)"
+)
 
 
 class FrameRule:
@@ -40,12 +45,13 @@ class FrameRule:
             elif assigned_at(tokens, at):
                 self._assign(token.word, tokens[at + 1 :], statement.line)
 
-    def move(self, line: int) -> None:
-        """Take a motion to a Cartesian target; raises `KrlError`."""
+    def move(self, line: int, clause: Sequence[Token] = ()) -> None:
+        """Take a motion to a Cartesian target and its ``WITH`` clause; raises `KrlError`."""
+        form = _form_of(clause, line) or self._form
         self._moved = self._moved or line
-        if self._form is None:
+        if form is None:
             return
-        name, set_on = self._form
+        name, set_on = form
         numbers = self._numbers(name)
         if self._set:
             what, line_set = next(iter(self._set.items()))
@@ -108,6 +114,19 @@ def assigned_at(tokens: Sequence[Token], at: int) -> bool:
     while at < len(tokens) and tokens[at].text in (".", "["):
         at = closing(tokens, at) + 1 if tokens[at].text == "[" else at + 2
     return at < len(tokens) and tokens[at].text == "="
+
+
+def _form_of(clause: Sequence[Token], line: int) -> tuple[str, int] | None:
+    """Return the frame data that a ``WITH`` clause names for base and tool alike."""
+    parts = [text_of(part) for part in split(clause, ",")]
+    framing = [p for p in parts if p.startswith(("$BASE", "$TOOL", "$IPO_MODE", *NEVER_SET))]
+    matches = [WITH_FORM.fullmatch(part) for part in framing]
+    names = {match[match.lastindex or 0] if match else "" for match in matches}
+    if not names:
+        return None
+    if len(names) > 1 or "" in names or not any(p.startswith("$BASE") for p in framing):
+        raise KrlError(f"{', '.join(framing)}: one frame data for base and tool is wanted")
+    return names.pop(), line
 
 
 def _plain_name(name: str, rest: Sequence[Token]) -> str:

@@ -173,29 +173,21 @@ class _Reader:
 
     def _motion(self, statement: Statement) -> None:
         target, rest = _target(statement.tokens)
-        self._check_rest(statement, rest)
+        clause = _clause(rest)
         name = text_of(target)
         if target[0].text == "{":
             inline = Datum(f"{statement.head} target", "", self._file, statement.line, target)
             if any(each.startswith("A1") for each in inline.fields()):
                 raise KrlError(_JOINTS.format(f"{statement.head} {name}"))
-            self._frames.move(statement.line)
+            self._frames.move(statement.line, clause)
             self._add(f"{statement.line}", inline, by_joints=statement.head in JOINTWISE)
             return
         self._places.add(target[0].start)
         if statement.head in JOINTWISE and self._stays(name, statement.line):
             return
-        self._frames.move(statement.line)
+        self._frames.move(statement.line, clause)
         for each in self._meant(target):
             self._add(each.name, each, by_joints=statement.head in JOINTWISE)
-
-    def _check_rest(self, statement: Statement, rest: Sequence[Token]) -> None:
-        while rest and (rest[0].word in APPROXIMATIONS or rest[0].text == ","):
-            rest = rest[1:]
-        if rest and rest[0].word == "WITH":
-            self._frames.take(Statement(statement.line, tuple(rest[1:])))
-        elif rest:
-            raise KrlError(f"{text_of(rest)} after the target makes it one that is computed")
 
     def _stays(self, name: str, line: int) -> bool:
         """Whether this is a home move, or one to where the robot is, which are left unchanged."""
@@ -319,6 +311,15 @@ def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
 def _is_header(statement: Statement) -> bool:
     """Whether the statement declares programs and their parameters, where ``:`` states a way."""
     return statement.head in HEADERS or bool(_defined(statement))
+
+
+def _clause(rest: Sequence[Token]) -> Sequence[Token]:
+    """Return what follows ``WITH`` after a target; refuse all else but approximations."""
+    while rest and (rest[0].word in APPROXIMATIONS or rest[0].text == ","):
+        rest = rest[1:]
+    if rest and rest[0].word != "WITH":
+        raise KrlError(f"{text_of(rest)} after the target makes it one that is computed")
+    return rest[1:]
 
 
 def _outside_braces(tokens: Sequence[Token]) -> list[Token]:

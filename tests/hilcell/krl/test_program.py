@@ -183,7 +183,13 @@ def test_numbers_keep_their_decimals(value: float, like: str, text: str) -> None
         ("PTP XP1\nBAS(#INITMOV,0)", "resets base and tool"),
         ("BAS(N,0)", "may set another base"),
         ("$IPO_MODE=#TCP", "carried by the robot"),
-        ("SLIN XP1 WITH $BASE=SBASE(FP1.BASE_NO)", "computed at run time"),
+        ("SLIN XP1 WITH $BASE=BASE_DATA[2]", "one frame data for base and tool is wanted"),
+        ("SLIN XP1 WITH $TOOL=STOOL2(FP1)", "one frame data for base and tool is wanted"),
+        ("SLIN XP1 WITH $BASE=SBASE(FP1.BASE_NO), $TOOL=STOOL2(FP2)", "one frame data"),
+        ("SLIN XP1 WITH $ROBROOT=W", "one frame data"),
+        ("SLIN XP1 WITH $BASE=SBASE(FNONE.BASE_NO)", "works in FNONE, whose base and tool"),
+        ("SLIN XP1 WITH $BASE=SBASE(FP1.BASE_NO)\nSLIN XP2 WITH $BASE=SBASE(FP2.BASE_NO)",
+         "FP2 changes base or tool"),
         ("FDAT_ACT=FP1\nPTP XP1\nFDAT_ACT=FP2\nPTP XP2", "FP2 changes base or tool"),
         ("FDAT_ACT=FHOME\nPTP XP1", "works in FHOME, whose base and tool are not in"),
         ("FDAT_ACT=FTCP\nPTP XP1", "IPO_FRAME not #BASE"),
@@ -244,6 +250,18 @@ def test_variables_of_the_program_hide_points() -> None:
     assert "XP1 is a variable" in refusal("DECL E6POS XP1\nPTP XP1", P1)
     told = refusal("END\nDEF GO(XP1 :IN)\nPTP XP1", P1)
     assert told.startswith("drill.src line 4: XP1 is a variable")
+
+
+def test_inline_forms_of_single_splines() -> None:
+    """Frame data of one motion hold for it alone; those of home moves do not count."""
+    form = "$VEL_AXIS[1] = SVEL_JOINT(100.0), $TOOL = STOOL2({0}), $BASE = SBASE({0}.BASE_NO), "
+    form += "$IPO_MODE = SIPO_MODE({0}.IPO_FRAME), $LOAD = SLOAD({0}.TOOL_NO)"
+    read = one(
+        f"SPTP XHOME WITH {form.format('FHOME')}\nSPTP XP1 C_SPL WITH {form.format('FP1')}\n"
+        f"SLIN XP2 WITH {form.format('FP1')}",
+        P1 + P2 + "DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE}\n",
+    )
+    assert [target.name for target in read.targets] == ["XP1", "XP2"]
 
 
 def test_a_program_without_targets() -> None:
