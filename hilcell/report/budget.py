@@ -161,7 +161,7 @@ def _visits_mm(log: Log) -> list[Array]:
 
 
 def _strip(log: Log) -> Contribution:
-    again = log.group("repeat_strip")
+    again = log.group("repeat_strip_random")
     if len(again) > 1:
         along_mm = apply(log.matrix("world"), positions_mm(again)) @ log.cell.layout.rail_direction
         how = f"{len(again)} approaches of a station by the strip, along the rail"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,9 @@ COLOURS = {"before": "#c26a2e", "idw": "#8796a5", "chosen": "#12507b"}
 MARKERS = {"before": "o", "idw": "^", "chosen": "o"}
 VIEWS = (("from above", 0, 1), ("from the side", 1, 2), ("from the front", 0, 2))
 AXES = ("x", "y", "z")
+TURNS = (("roll", "idw"), ("pitch", "before"), ("yaw", "chosen"))
+WAYS = {"one_side": "from one side", "random": "from random sides"}
+HELD = {"plain": ("before", "drive alone"), "strip": ("chosen", "by the strip")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +49,7 @@ def drawings(facts: Facts) -> list[Drawing]:
         ("sorted", "Errors sorted", lambda: fig_sorted(facts)),
         ("volume", "Error vectors in the volume, from three sides", lambda: fig_volume(facts)),
         ("rail", "Position error of the rail, both ways (Fig 1)", lambda: fig_1(facts)),
+        ("slide", "Roll, pitch and yaw of the slide", lambda: fig_slide(facts)),
         ("frames", "Repeatability of base and station frames (Fig 8)", lambda: fig_8(facts)),
         ("strip", "Repeatability of a station (Fig 10)", lambda: fig_10(facts)),
     ]
@@ -75,7 +79,7 @@ def _sheet(height_in: float, rows: int = 1, columns: int = 1, **more: Any) -> tu
     figure = Figure(figsize=(WIDTH_IN, height_in))
     axes = figure.subplots(rows, columns, squeeze=False, **more)
     figure.subplots_adjust(
-        left=0.55 / WIDTH_IN, right=1 - 0.42 / WIDTH_IN, bottom=0.42 / height_in,
+        left=0.64 / WIDTH_IN, right=1 - 0.42 / WIDTH_IN, bottom=0.42 / height_in,
         top=1 - 0.28 / height_in, wspace=0.34 if columns > 2 else 0.1, hspace=0.36,
     )  # fmt: skip
     return figure, axes
@@ -135,7 +139,8 @@ def _scatter(ax: Axes, how: str, y: Array, label: str) -> None:
 
 
 def _legend_above(ax: Axes) -> None:
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2,
+              handlelength=1.4, handletextpad=0.5, columnspacing=1.2)  # fmt: skip
 
 
 def fig_sorted(facts: Facts) -> Drawn | None:
@@ -173,12 +178,11 @@ def fig_volume(facts: Facts) -> Drawn | None:
     rows = _vector_rows(facts)
     if not rows:
         return None
-    figure, axes = _sheet(2.65 * len(rows) + 0.2, len(rows), 3)
+    figure, axes = _sheet(2.32 * len(rows) + 0.3, len(rows), 3)
     for (how, label, errors), line in zip(rows, axes, strict=True):
         scale = _magnification(errors)
         for ax, view in zip(line, VIEWS, strict=True):
-            _vectors(ax, errors, scale, view)
-            ax.lines[0].set_color(COLOURS[how])
+            _vectors(ax, errors, scale, view, COLOURS[how])
         line[0].set_title(f"{label}, {scale:g} × enlarged")
     return figure, (
         "Each line leads from a nominal place, the dot, along its error in {W}, enlarged as the "
@@ -210,28 +214,41 @@ def _round_down(value: float) -> float:
     return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
 
 
-def _vectors(ax: Axes, errors: Errors, scale: float, view: tuple[str, int, int]) -> None:
+def _vectors(
+    ax: Axes, errors: Errors, scale: float, view: tuple[str, int, int], colour: str
+) -> None:
     seen, across, up = view
     begin = errors.nominal_mm[:, (across, up)]
     end = begin + scale * errors.error_mm[:, (across, up)]
     gap = np.full_like(begin, np.nan)
     lines = np.stack([begin, end, gap], axis=1).reshape(-1, 2)
-    ax.plot(lines[:, 0], lines[:, 1], linewidth=0.8)
+    ax.plot(lines[:, 0], lines[:, 1], color=colour, linewidth=0.8)
     ax.plot(begin[:, 0], begin[:, 1], ".", color=INK, markersize=1.6)
-    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_aspect("equal")
+    low, high = _cube(errors, scale)
+    ax.set_xlim(low[across], high[across])
+    ax.set_ylim(low[up], high[up])
     ax.set_xlabel(f"{AXES[across]}, mm ({seen})")
     ax.set_ylabel(f"{AXES[up]}, mm")
-    _scale_bar(ax, scale, errors)
+    _scale_bar(ax, low[across], low[up], (high - low)[0], scale, errors)
 
 
-def _scale_bar(ax: Axes, scale: float, errors: Errors) -> None:
+def _cube(errors: Errors, scale: float) -> tuple[Array, Array]:
+    """Return the low and high corners (3,) of the cube that holds every drawn line."""
+    ends = np.concatenate([errors.nominal_mm, errors.nominal_mm + scale * errors.error_mm])
+    middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
+    half = 0.58 * (float(np.ptp(ends, axis=0).max()) or 1.0)
+    return middle - half, middle + half
+
+
+def _scale_bar(
+    ax: Axes, left: float, bottom: float, span: float, scale: float, errors: Errors
+) -> None:
     bar_mm = _round_down(max(errors.max_mm, 1e-6))
-    share = scale * bar_mm / np.ptp(ax.get_xlim())
-    ax.annotate("", (0.03 + share, 0.035), (0.03, 0.035), xycoords="axes fraction",
-                arrowprops={"arrowstyle": "|-|,widthA=0.15,widthB=0.15", "linewidth": 0.8,
-                            "shrinkA": 0, "shrinkB": 0})  # fmt: skip
-    ax.text(0.05 + share, 0.035, f"{bar_mm:g} mm", transform=ax.transAxes, va="center",
-            fontsize=7, color=INK)  # fmt: skip
+    begin, height = left + 0.03 * span, bottom + 0.035 * span
+    end = begin + scale * bar_mm
+    ax.plot([begin, end], [height, height], "|-", color=INK, markersize=4, linewidth=1.0)
+    ax.text(end + 0.02 * span, height, f"{bar_mm:g} mm", va="center", fontsize=7, color=INK)
 
 
 # -- rail, frames, strip --------------------------------------------------------------------------
@@ -244,19 +261,41 @@ def fig_1(facts: Facts) -> Drawn | None:
         return None
     figure, axes = _sheet(2.6)
     ax: Axes = axes[0, 0]
-    for way, label, how in (("forth", "forth", "chosen"), ("back", "back", "before")):
-        curve = np.array(survey["curve"][way], dtype=float).reshape(-1, 2)
-        curve = curve[np.argsort(curve[:, 0])]
-        ax.plot(curve[:, 0], curve[:, 1], "-", marker=MARKERS[how], markersize=2.6,
-                markerfacecolor="none" if way == "back" else COLOURS[how], color=COLOURS[how],
-                label=label)  # fmt: skip
+    for way, how in (("forth", "chosen"), ("back", "before")):
+        nominal_mm, error_mm = np.array(survey["curve"][way], dtype=float).reshape(-1, 2).T
+        ax.plot(nominal_mm, error_mm, marker=MARKERS[how], markersize=2.8, color=COLOURS[how],
+                markerfacecolor="none" if how == "before" else COLOURS[how], label=way)  # fmt: skip
     ax.set_xlabel("nominal position on the rail, mm")
     ax.set_ylabel("position error, mm")
     _legend_above(ax)
-    backlash = survey["backlash_mm"]
     return figure, (
-        f"Backlash {backlash['value']:.4f} mm, u = {backlash['u']:.4f} mm. "
+        f"Backlash {_with_u(survey['backlash_mm'], 'mm')}; "
+        f"scale {_with_u(survey['scale_ppm'], 'ppm')}. "
         "The paper: error up to 0.5 mm, backlash about 0.2 mm."
+    )
+
+
+def _with_u(figure: Mapping[str, float], unit: str) -> str:
+    return f"{figure['value']:.4g} {unit} (u = {figure['u']:.2g} {unit})"
+
+
+def fig_slide(facts: Facts) -> Drawn | None:
+    """Draw how the slide turns along the rail."""
+    survey = facts.result.get("rail_survey")
+    if survey is None:
+        return None
+    figure, axes = _sheet(2.2)
+    ax: Axes = axes[0, 0]
+    nominal_mm = [stop[0] for stop in survey["curve"]["forth"]]
+    for (name, how), style in zip(TURNS, ("-", "--", ":"), strict=True):
+        ax.plot(nominal_mm, survey["angles_mrad"][name], style, color=COLOURS[how], label=name)
+    ax.set_xlabel("nominal position on the rail, mm")
+    ax.set_ylabel("angle, mrad")
+    _legend_above(ax)
+    off_mm = survey["straightness_mm"]
+    return figure, (
+        "Forth, against the first stop, from the slide's nests. Straightness of the path, peak to "
+        f"peak: {off_mm['horizontal']:.3f} mm horizontal, {off_mm['vertical']:.3f} mm vertical."
     )
 
 
@@ -288,36 +327,32 @@ def fig_8(facts: Facts) -> Drawn | None:
 
 def fig_10(facts: Facts) -> Drawn | None:
     """Draw where the slide stood after each approach, by drive alone and held by the strip."""
-    series = {how: along_rail_mm(facts.log, how) for how in ("plain", "strip")}
-    if not len(series["plain"]) and not len(series["strip"]):
+    ways = [way for way in WAYS if any(len(along_rail_mm(facts.log, how, way)) for how in HELD)]
+    if not ways:
         return None
-    figure, axes = _sheet(2.5)
-    ax: Axes = axes[0, 0]
-    words: Sequence[tuple[str, str, str]] = (
-        ("plain", "before", "by the drive alone"),
-        ("strip", "chosen", "held by the strip"),
-    )
-    caption = []
-    for name, how, label in words:
-        off_mm = series[name] - (series[name].mean() if len(series[name]) else 0.0)
-        _scatter(ax, how, off_mm, label)
-        ax.plot(np.arange(1, len(off_mm) + 1), off_mm, color=COLOURS[how], linewidth=0.7)
-        if len(off_mm):
-            caption.append(f"{label} {np.ptp(off_mm):.4f} mm")
-    count = max(map(len, series.values()))
-    ax.set_xlim(0.5, count + 0.5)
-    ax.set_xticks(range(1, count + 1))
-    ax.set_xlabel("approach")
-    ax.set_ylabel("deviation along the rail, mm")
-    _legend_above(ax)
+    figure, axes = _sheet(2.6, 1, len(ways), sharey=True)
+    ranges = []
+    for ax, way in zip(axes[0], ways, strict=True):
+        for name, (how, label) in HELD.items():
+            off_mm = along_rail_mm(facts.log, name, way)
+            if len(off_mm):
+                off_mm = off_mm - off_mm.mean()
+                ranges.append(f"{WAYS[way]}, {label} {np.ptp(off_mm):.4f} mm")
+                _scatter(ax, how, off_mm, label)
+                ax.plot(np.arange(1, len(off_mm) + 1), off_mm, color=COLOURS[how], linewidth=0.7)
+        ax.set_title(WAYS[way])
+        ax.set_xlabel("approach")
+        ax.set_xticks(range(1, len(ax.lines[0].get_ydata()) + 1, 2))
+    axes[0, 0].set_ylabel("deviation along the rail, mm")
+    _legend_above(axes[0, -1])
     return figure, (
-        f"Deviation from each series' mean. Range: {', '.join(caption)}. "
+        f"Deviation from each series' mean. Ranges: {'; '.join(ranges)}. "
         "The paper: at most 0.035 mm with the strip, backlash 0.2 mm without."
     )
 
 
-def along_rail_mm(log: Log, how: str) -> Array:
+def along_rail_mm(log: Log, how: str, way: str) -> Array:
     """Return positions (N,) along the rail's nominal direction of repeated approaches."""
-    raw_mm = positions_mm(log.group(f"repeat_{how}"))
+    raw_mm = positions_mm(log.group(f"repeat_{how}_{way}"))
     along: Array = raw_mm @ log.matrix("world")[:3, :3].T @ np.array(log.cell.layout.rail_direction)
     return along

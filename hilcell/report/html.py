@@ -44,7 +44,6 @@ def report_html(facts: Facts) -> str:
             measured=measured(facts),
             kind=kind,
             standing=words,
-            planned=len(facts.log.points) - len(facts.log.group("control")),
             controls=len(facts.log.group("control")),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             headlines=headlines(facts),

@@ -166,11 +166,11 @@ def paper_rows(facts: Facts) -> Sheet | None:
     if not isinstance(found, list):
         return None
     rows = [
-        [_text(row["row"]), _text(row["paper"]), _text(row["here"]), _text(row["unit"]),
+        [row["row"], _figure(row["paper"]), _figure(row["here"]), row["unit"], row["criterion"],
          "holds" if row["holds"] else "does not hold"]
         for row in found
     ]  # fmt: skip
-    headers = ["figure of the paper", "paper", "here", "unit", "verdict"]
+    headers = ["figure of the paper", "paper", "here", "unit", "holds if", "verdict"]
     return Sheet("The paper, row by row", headers, rows)
 
 
@@ -185,12 +185,12 @@ def own_table(facts: Facts) -> Sheet | None:
 def contributions(title: str, lines: Iterable[Contribution]) -> Sheet:
     """Return budget lines: estimate, distribution, standard uncertainty, source."""
     rows = [
-        [line.name, f"{line.how}; {line.source}", f"{line.distribution}, GUM {line.clause}",
+        [line.name, f"{line.how}; {line.source}", line.distribution, line.clause,
          *_mm(line.estimate_mm, line.u_mm)]
         for line in lines
     ]  # fmt: skip
-    headers = ["contribution", "source", "distribution", "estimate mm", "u mm"]
-    return Sheet(title, headers, rows, 3)
+    headers = ["contribution", "source", "distribution", "GUM", "estimate mm", "u mm"]
+    return Sheet(title, headers, rows, 4)
 
 
 def budget_sheets(budget: Budget) -> list[Sheet]:
@@ -209,10 +209,10 @@ def budget_sheets(budget: Budget) -> list[Sheet]:
 
 
 def _summed(sheet: Sheet, u_mm: float, expanded_mm: float) -> Sheet:
-    sheet.rows.append(["combined, all lines so far", "root of the sum of squares", "GUM 5.1.2",
-                       "", f"{u_mm:.4f}"])  # fmt: skip
-    sheet.rows.append(["expanded, k = 2", "U = k u, about 95 %", "GUM 6.2.1",
-                       "", f"{expanded_mm:.4f}"])  # fmt: skip
+    sheet.rows.append(["combined u", "root of the sum of all squares so far", "", "5.1.2", "",
+                       f"{u_mm:.4f}"])  # fmt: skip
+    sheet.rows.append(["expanded U", "U = k u, k = 2, about 95 %", "normal", "6.2.1", "",
+                       f"{expanded_mm:.4f}"])  # fmt: skip
     return sheet
 
 
@@ -232,6 +232,10 @@ def _facts_of(body: Mapping[str, Any]) -> str:
 def _with_unit(name: str, value: object) -> str:
     words = name.removesuffix("_mm").replace("_", " ")
     return f"{words} {_text(value)}{' mm' if name.endswith('_mm') else ''}"
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"
 
 
 def _text(value: object) -> str:

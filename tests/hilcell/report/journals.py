@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ class Writer:
         }  # fmt: skip
         self.journal.append("point", key, body | more)
 
-    def validated(self, station: str, how: str, errors_mm: list[tuple[float, ...]]) -> Writer:
+    def validated(self, station: str, how: str, errors_mm: Sequence[tuple[float, ...]]) -> Writer:
         for number, error_mm in enumerate(errors_mm):
             nominal_mm = np.array([100.0 * number, 50.0 * number, 900.0 + 70.0 * number])
             self.point(

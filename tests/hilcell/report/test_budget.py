@@ -82,7 +82,7 @@ def test_a_corrected_target(tmp_path: Path) -> None:
 def test_the_strip_by_its_repeats(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "strip").visited([CLOUD_MM])
     for number, along_mm in enumerate((0.0, 0.02, 0.04)):  # std 0.02 along y, the rail
-        writer.point(f"repeat/strip/{number}", "repeat_strip", (0, along_mm, 0))
+        writer.point(f"repeat/strip/random/{number}", "repeat_strip_random", (0, along_mm, 0))
     strip = by_name(budget_of(writer.facts().log))["Strip"]
     assert strip.estimate_mm == pytest.approx(0.02)
     assert strip.u_mm == pytest.approx(0.02 / math.sqrt(3))

@@ -33,7 +33,7 @@ def test_a_validated_run(tmp_path: Path) -> None:
     assert len(set(page.ids)) == len(page.ids)
     for words in (
         "hilcell is not a safety function", "A. Technician", "J-17", "860112", "r1",
-        "22.00 to 22.00 °C", "7.8.2.1 d", "combined, all lines so far",
+        "22.00 to 22.00 °C", "7.8.2.1 d", "combined u",
     ):  # fmt: skip
         assert words in page.text
 
@@ -149,6 +149,9 @@ RESULTS: dict[str, dict[str, Any]] = {
                 "back": [[2000.0, 0.4], [1000.0, 0.2], [0.0, -0.2]],
             },
             "backlash_mm": {"value": 0.2012, "u": 0.0031},
+            "scale_ppm": {"value": 131.2, "u": 78.4},
+            "straightness_mm": {"horizontal": 0.3751, "vertical": 0.2},
+            "angles_mrad": {"roll": [0.0, 0.1, 0.2], "pitch": [0.0] * 3, "yaw": [0.0] * 3},
         }
     },
     "frames": {
@@ -163,24 +166,29 @@ RESULTS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
-    [("rail", "Backlash 0.2012 mm, u = 0.0031 mm"), ("frames", "repeats 4.2 times better")],
+    ("name", "ids", "words"),
+    [
+        ("rail", {"rail", "slide"}, "Backlash 0.2012 mm (u = 0.0031 mm)"),
+        ("frames", {"frames"}, "repeats 4.2 times better"),
+    ],
 )
-def test_figures_of_results(tmp_path: Path, name: str, words: str) -> None:
+def test_figures_of_results(tmp_path: Path, name: str, ids: set[str], words: str) -> None:
     facts = Writer(tmp_path / "r1").began().facts()
     page = page_of(replace(facts, result=RESULTS[name] | {"points": {}}))
-    assert figures_of(page) == {name}
+    assert figures_of(page) == ids
     assert words in page.text
 
 
 def test_approaches_of_a_station(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1").began()
     for number in range(4):
-        writer.point(f"repeat/plain/{number}", "repeat_plain", (0, 0.2 * (number % 2), 0))
-        writer.point(f"repeat/strip/{number}", "repeat_strip", (0, 0.01 * (number % 2), 0))
+        for how, off_mm in (("plain", 0.2), ("strip", 0.01)):
+            at_mm = (0.0, off_mm * (number % 2), 0.0)
+            writer.point(f"repeat/{how}/random/{number}", f"repeat_{how}_random", at_mm)
     page = page_of(writer.facts())
     assert figures_of(page) == {"strip"}
-    assert "by the drive alone 0.2000 mm, held by the strip 0.0100 mm" in page.text
+    assert "from random sides, drive alone 0.2000 mm" in page.text
+    assert "from random sides, by the strip 0.0100 mm" in page.text
 
 
 def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
@@ -191,12 +199,13 @@ def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
 
 
 def test_rows_of_the_paper(tmp_path: Path) -> None:
-    row = {"row": "fig12.after.mean", "paper": 0.1168, "here": 0.1234, "unit": "mm", "holds": True}
+    row = {"row": "fig12.after.mean", "paper": 0.1168, "here": 0.1234, "unit": "mm", "holds": True,
+           "criterion": "0.09 .. 0.15"}  # fmt: skip
     facts = Writer(tmp_path / "r1").began().facts()
     page = page_of(replace(facts, result={"rows": [row], "points": {}}))
     cells = page.of("td")
     at = cells.index("fig12.after.mean")
-    assert cells[at : at + 5] == ["fig12.after.mean", "0.1168", "0.1234", "mm", "holds"]
+    assert cells[at + 1 : at + 6] == ["0.1168", "0.1234", "mm", "0.09 .. 0.15", "holds"]
 
 
 def test_compact_keeps_words_and_links() -> None:
