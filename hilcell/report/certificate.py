@@ -61,13 +61,16 @@ def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
 
 
 def title(facts: Facts) -> str:
-    """Return what kind of report this is."""
-    kind = "Calibration" if facts.inputs.procedure == "calibrate" else "Measurement"
-    return f"{kind} report"
+    """Return what kind of report this is: without a validated correction nothing is calibrated."""
+    return "Calibration report" if _calibrated(facts) else "Measurement report"
+
+
+def _calibrated(facts: Facts) -> bool:
+    return facts.log.states["calibration"] == "validated"
 
 
 def _method(facts: Facts) -> str:
-    if facts.inputs.procedure == "calibrate":
+    if _calibrated(facts):
         return _METHOD
     return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
 

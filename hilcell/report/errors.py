@@ -63,8 +63,9 @@ def validation(log: Log, stations: list[str]) -> dict[str, Errors]:
     series: dict[str, Errors] = {}
     for how in HOWS if "world" in log.frames else ():
         points = [p for name in stations for p in log.group(f"validate_{how}", name)]
-        if points:
-            series[how] = errors_of(log, points)
+        errors = errors_of(log, points)
+        if len(errors):
+            series[how] = errors
     return series
 
 

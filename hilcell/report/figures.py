@@ -12,6 +12,7 @@ from hilcell.ports import Array
 from hilcell.report.errors import OTHERS, Errors, grid_errors, places, validation
 from hilcell.report.facts import Facts
 from hilcell.report.svg import INK, MUTED, house_style, svg_of
+from hilcell.report.words import harmless
 from hilcell.run.log import Log, positions_mm
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def _sheet(height_in: float, rows: int = 1, columns: int = 1, **more: Any) -> tu
 
 def series_name(how: str, facts: Facts) -> str:
     """Return how a series of targets is called."""
-    method = facts.log.verdicts.get("fit", {}).get("method", "")
+    method = harmless(str(facts.log.verdicts.get("fit", {}).get("method", "")))
     chosen = f"after, {method}" if method else "after, chosen"
     return {"before": "before", "idw": "after, IDW (paper)", "chosen": chosen}[how]
 

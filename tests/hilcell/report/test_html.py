@@ -27,7 +27,10 @@ def figures_of(page: Page) -> set[str]:
 
 
 def test_a_validated_run(tmp_path: Path) -> None:
-    page = page_of(validated_run(tmp_path / "r1").facts())
+    writer = validated_run(tmp_path / "r1")
+    writer.state("calibration", "validated")
+    page = page_of(writer.facts())
+    assert page.of("h1") == ["Calibration report"]
     assert page.tags["html"] == page.tags["main"] == page.tags["h1"] == 1
     assert figures_of(page) == {"targets", "transferred", "sorted", "volume"}
     assert len(set(page.ids)) == len(page.ids)
@@ -95,6 +98,8 @@ def test_hostile_strings_are_shown_harmless(tmp_path: Path) -> None:
     ).began(devices)
     writer.validated("S1100", "before", BEFORE_MM)
     writer.journal.append("event", "", {"what": HOSTILE, "reason": HOSTILE})
+    writer.journal.append("verdict", "fit", {"holds": True, "method": HOSTILE})
+    writer.validated("S1100", "chosen", BEFORE_MM)
     writer.journal.append("verdict", HOSTILE, {"holds": False, "found": HOSTILE})
     folder = writer.ended("faulted", 3, HOSTILE)
     html = report_html(read_facts(folder))
@@ -186,6 +191,7 @@ def test_approaches_of_a_station(tmp_path: Path) -> None:
             at_mm = (0.0, off_mm * (number % 2), 0.0)
             writer.point(f"repeat/{how}/random/{number}", f"repeat_{how}_random", at_mm)
     page = page_of(writer.facts())
+    assert page.of("h1") == ["Measurement report"]
     assert figures_of(page) == {"strip"}
     assert "from random sides, drive alone 0.2000 mm" in page.text
     assert "from random sides, by the strip 0.0100 mm" in page.text
