@@ -154,6 +154,8 @@ def fig_sorted(facts: Facts) -> Drawn | None:
     ]
     if not found:
         return None
+    from matplotlib.ticker import LogFormatter
+
     figure, axes = _sheet(2.5, 1, len(found), sharey=True)
     for ax, (name, series) in zip(axes[0], found, strict=True):
         for how, errors in series.items():
@@ -163,6 +165,7 @@ def fig_sorted(facts: Facts) -> Drawn | None:
                     label=series_name(how, facts), drawstyle="steps-pre")  # fmt: skip
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter(LogFormatter())  # plain words, where decades are few
         ax.set_xlim(0, 100)
         ax.set_xlabel("share of targets with at most this error, %")
         ax.set_title("other stations" if name == OTHERS else f"station {name}")

@@ -80,8 +80,7 @@ def standing(facts: Facts) -> tuple[str, str]:
         return "bad", "out of tolerance"
     if end is None and state not in ("aborted", "faulted"):
         return "open", f"not finished: the journal ends while the run is {state}"
-    reason = f": {facts.log.fault}" if facts.log.fault else ""
-    return "open", f"not finished: {state}{reason}"
+    return "open", f"not finished: {state}"
 
 
 def measured(facts: Facts) -> str:

@@ -119,7 +119,7 @@ def test_a_folder_cannot_write_style(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("state", "code", "words"),
     [
-        ("faulted", 3, "not finished: faulted: Rail: no answer"),
+        ("faulted", 3, "not finished: faulted"),
         ("aborted", 4, "not finished: aborted"),
         ("finished", 0, "finished"),
         ("finished", 1, "out of tolerance"),
@@ -127,10 +127,12 @@ def test_a_folder_cannot_write_style(tmp_path: Path) -> None:
 )
 def test_how_the_run_ended(tmp_path: Path, state: str, code: int, words: str) -> None:
     writer = Writer(tmp_path / "r1").began()
-    writer.validated("S1100", "before", BEFORE_MM[:1])
+    writer.validated("S1100", "before", BEFORE_MM)
     page = page_of(read_facts(writer.ended(state, code, "Rail: no answer")))
     assert words in page.of("strong")
     assert ("Not finished." in page.of("strong")) == (state != "finished")
+    assert ("Rail: no answer." in page.text) == (state == "faulted")
+    assert "$" not in page.text
     assert "targets" in figures_of(page)
 
 
