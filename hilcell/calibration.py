@@ -16,12 +16,17 @@ from hilcell.cell import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.interpolation import METHODS
+from hilcell.compensation.outliers import deleted_residuals_mm
 from hilcell.compensation.transfer import base_at
 from hilcell.geometry.frames import apply, inverse
 from hilcell.ports import Array
 
 if TYPE_CHECKING:
     from hilcell.run.log import Log
+
+
+OUTLIER_SIGMAS = 4.0
+OUTLIER_LEAST_MM = 0.3  # gear ripple alone does not reach it
 
 
 class Frames:
@@ -111,3 +116,16 @@ def command_mm(
     return corrected(
         grid, targets_mm, lambda at_mm: interpolate(grid, errors_mm, at_mm), names=names
     )
+
+
+def outlying_vertices(log: Log) -> list[str]:
+    """Return the keys of vertices whose error does not go with those around them."""
+    cell = log.cell
+    errors_mm = grid_errors_mm(log)
+    off_mm = deleted_residuals_mm(errors_mm)
+    limit_mm = max(OUTLIER_SIGMAS * 1.4826 * float(np.median(off_mm)), OUTLIER_LEAST_MM)
+    return [
+        f"grid/{i}-{j}-{k}"
+        for i, j, k in grid_of(cell).serpentine()
+        if not off_mm[i, j, k] <= limit_mm
+    ]

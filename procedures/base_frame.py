@@ -40,9 +40,12 @@ class BaseFrame:
         return Step(self.name, points, points * robot_point_s(cell))
 
     def perform(self, bench: Bench) -> None:
-        """Sweep, fit and frame."""
-        if "base" in bench.log.frames:
-            return
+        """Sweep, fit and frame, once."""
+        if "base" not in bench.log.frames:
+            self._construct(bench)
+        bench.reach("frame_base")
+
+    def _construct(self, bench: Bench) -> None:
         station = bench.cell.station_named(bench.cell.grid.station)
         swept = [
             [
@@ -58,7 +61,6 @@ class BaseFrame:
             circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
             radius_mm=[axis_1.radius_mm, axis_6.radius_mm],
         )  # fmt: skip
-        bench.reach("frame_base")
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the base in {W}, its uncertainty, and what shorter arcs would have told."""

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from hilcell.calibration import grid_errors_mm, grid_of
+from hilcell.calibration import grid_errors_mm, grid_of, outlying_vertices
 from hilcell.cell import Cell
 from hilcell.compensation.interpolation import choose, cross_validate
 from hilcell.ports import HilcellError
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log
 from hilcell.run.procedure import Step
-
-OUTLIER_SIGMAS = 6.0
 
 
 class Fit:
@@ -46,17 +42,7 @@ class Fit:
     def result(self, log: Log) -> dict[str, Any]:
         """Return the method and its cross-validation."""
         loocv = cross_validate(grid_of(log.cell), grid_errors_mm(log))
-        return {"method": choose(loocv), "fit": {"loocv": loocv, "outliers": outliers(log)}}
-
-
-def outliers(log: Log) -> list[str]:
-    """Return the keys of vertices whose error stands out from the grid's by many sigmas."""
-    points = log.group("grid")
-    world_mm = np.array([point.nominal_mm for point in points])
-    errors_mm = log.matrix("world")[:3, :3] @ np.array([p.xyz_mm for p in points]).T
-    errors_mm = errors_mm.T + log.matrix("world")[:3, 3] - world_mm
-    off_mm = np.linalg.norm(errors_mm - np.median(errors_mm, axis=0), axis=1)
-    limit_mm = OUTLIER_SIGMAS * 1.4826 * float(np.median(off_mm))
-    return [
-        point.key for point, each_mm in zip(points, off_mm, strict=True) if not each_mm <= limit_mm
-    ]
+        return {
+            "method": choose(loocv),
+            "fit": {"loocv": loocv, "outliers": outlying_vertices(log)},
+        }

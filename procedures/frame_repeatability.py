@@ -10,11 +10,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from hilcell.cell import Cell, Station
 from hilcell.geometry.frames import apply, inverse
-from hilcell.ports import Array
+from hilcell.ports import Array, HilcellError
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step, Table
@@ -37,7 +36,9 @@ class FrameRepeatability:
     yields = "how much better the station frame repeats, with an interval"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Return the step; the sweeps' limits were checked for the base frame."""
+        """Refuse a cell with one station: frames are compared between stations."""
+        if len(cell.station) < 2:
+            raise HilcellError("one station, wanted two or more: frames are compared between them")
         sweeps, six = 2 * cell.base_frame.points, SIX * MORE_READINGS * cell.layout.nest_samples
         seconds = sweeps * robot_point_s(cell) + six * MEASURE_S
         return Step(self.name, len(cell.station) * (sweeps + SIX), len(cell.station) * seconds)
@@ -71,6 +72,8 @@ def repeatability_figures(log: Log) -> dict[str, Any]:
     The ratio of the root mean squares; its interval is that of an F distribution with six degrees
     of freedom for every station compared.
     """
+    from scipy import stats
+
     cell = log.cell
     others = [station for station in cell.station if station.name != cell.grid.station]
     figures: dict[str, Any] = {}

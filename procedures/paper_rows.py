@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from hilcell.calibration import Frames, grid_errors_mm, grid_of
 from hilcell.compensation.interpolation import idw_weights
@@ -113,6 +112,8 @@ def commanded_rad(points: list[Point]) -> Array:
 
 def similarity_rank(log: Log, result: dict[str, Any]) -> float:
     """Return the rank correlation of joint distance and error difference over the vertices."""
+    from scipy import stats
+
     points = log.group("grid")
     i, j, k = np.array([p.key.split("/")[1].split("-") for p in points], dtype=int).T
     pairs = similarity_pairs(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from hilcell.cell import Cell
 from hilcell.geometry.frames import apply, rigid_fit, unit
@@ -63,6 +62,8 @@ def steps_mm(cell: Cell) -> Array:
 
 def survey_figures(log: Log) -> dict[str, Any]:
     """Return error curves, backlash, scale, straightness and angles, with uncertainties k = 1."""
+    from scipy import stats
+
     nominal_mm = steps_mm(log.cell)
     forth_mm = path_mm(log, FORTH, FLANGE)
     back_mm = path_mm(log, BACK, FLANGE)[::-1]

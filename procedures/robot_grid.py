@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from hilcell.calibration import grid_of
+from hilcell.calibration import grid_of, outlying_vertices
 from hilcell.cell import Cell
 from hilcell.geometry.frames import apply
+from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log
 from hilcell.run.procedure import Step
 from procedures.plan import check_range, check_reach, joints_for, robot_point_s
 
+Vertex = tuple[str, Array, Array]  # key, joints (6,) in rad, nominal position (3,) in {W}
+
 
 class RobotGrid:
-    """Visits the vertices in serpentine order, every axis from below, and records the joints."""
+    """Visits the vertices in serpentine order, every axis from below, and records the joints.
+
+    A vertex that does not go with its neighbours is measured once more; the retake counts.
+    """
 
     name = "robot-grid"
     needs = "world and base frame, the grid's station held"
@@ -40,13 +44,21 @@ class RobotGrid:
         grid = grid_of(cell)
         vertices_mm = grid.serpentine_mm()
         world_mm = apply(bench.frames.base_in_world(station), vertices_mm)
-        for joints, vertex_mm, nominal_mm in zip(
-            joints_for(cell, vertices_mm), vertices_mm, world_mm, strict=True
-        ):
-            i, j, k = np.round((vertex_mm - grid.origin_mm) / grid.pitch_mm).astype(int)
-            key = f"grid/{i}-{j}-{k}"
+        keys = [f"grid/{i}-{j}-{k}" for i, j, k in grid.serpentine()]
+        vertices = list(zip(keys, joints_for(cell, vertices_mm), world_mm, strict=True))
+        for key, joints, nominal_mm in vertices:
             bench.flange_point(key, "grid", station, joints, nominal_mm=nominal_mm)
+        for key, joints, nominal_mm in self._doubtful(bench, vertices):
+            bench.flange_point(key, "grid", station, joints, nominal_mm=nominal_mm, retake=True)
         bench.reach("measure_grid")
+
+    def _doubtful(self, bench: Bench, vertices: list[Vertex]) -> list[Vertex]:
+        """Return the vertices that stand out and were not measured a second time yet."""
+        keys = set(outlying_vertices(bench.log))
+        doubtful = [v for v in vertices if v[0] in keys and not bench.log.points[v[0]].retaken]
+        for key, _, _ in doubtful:
+            bench.event("outlier measured again", key=key)
+        return doubtful
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return nothing of its own: the errors are judged by fit and validation."""

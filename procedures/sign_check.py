@@ -41,8 +41,7 @@ class SignCheck:
         grid = grid_of(cell)
         cells = list(product(*(range(count - 1) for count in grid.shape)))
         check_reach(cell, middle_mm(grid, np.array(cells)), "middle of a grid cell")
-        points = len(KEYS) + len(cell.layout.floor)
-        return Step(self.name, points, points * robot_point_s(cell))
+        return Step(self.name, len(KEYS), len(KEYS) * robot_point_s(cell))
 
     def perform(self, bench: Bench) -> None:
         """Send both, measure, and journal the verdict."""

@@ -85,13 +85,13 @@ class Validate:
         """Return the errors at the grid's station and at the others together."""
         reference = log.cell.grid.station
         others = [station.name for station in log.cell.station if station.name != reference]
-        return {
-            "validation": {
-                reference: station_figures(log, [reference]) | {"floor": floor(log)},
-                "others": station_figures(log, others) | {"floor": floor(log)},
-                **{name: station_figures(log, [name]) for name in others},
-            }
-        }
+        places = {reference: [reference]}
+        places |= ({"others": others} if others else {}) | {name: [name] for name in others}
+        figures = {where: station_figures(log, names) for where, names in places.items()}
+        for where in (reference, "others"):
+            if where in figures:
+                figures[where]["floor"] = floor(log)
+        return {"validation": figures}
 
 
 def by_paper(bench: Bench, station: Station, targets_mm: Array) -> Array:

@@ -37,13 +37,16 @@ class WorldFrame:
         """Measure the nests and build the frame, or check the frame that the journal holds."""
         if "world" in bench.log.frames:
             check_control_points(bench)
-            return
+        else:
+            self._construct(bench)
+        bench.reach("frame_world")
+
+    def _construct(self, bench: Bench) -> None:
         nests = bench.cell.layout.floor
         points = [bench.floor_point(f"world/{nest.name}", "world", nest) for nest in nests]
         measured_mm = positions_mm(points)
         check_distances(bench.cell, measured_mm)
         bench.frame("world", world_from_tracker(bench.cell, measured_mm))
-        bench.reach("frame_world")
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the tracker in {W}."""

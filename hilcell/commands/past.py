@@ -35,7 +35,7 @@ def _summary(folder: Path) -> dict[str, Any]:
     try:
         log = read_log(folder)
         inputs = log.inputs
-    except (HilcellError, LookupError) as error:
+    except HilcellError as error:
         return {"run": folder.name, "state": "unreadable", "reason": str(error)}
     live = live_engine(folder) is not None
     return {

@@ -187,9 +187,13 @@ class Bench:
         joints_rad: Array,
         *,
         nominal_mm: Array | None = None,
+        retake: bool = False,
     ) -> Point:
-        """Send the reflector on the flange to joints (6,) and measure it, once in a run's life."""
-        if key in self.log.points:
+        """Send the reflector on the flange to joints (6,) and measure it, once in a run's life.
+
+        ``retake`` measures it anew; the later point supersedes, the earlier stays journalled.
+        """
+        if key in self.log.points and not retake:
             return self.log.points[key]
         self.checkpoint()
         self.hold_station(station)
@@ -202,7 +206,7 @@ class Bench:
             key, group, station.name, reading,
             nominal_mm=nominal_mm, smr_mm=self.cell.robot.smr_mm,
             commanded_deg=np.degrees(joints_rad), joints_deg=np.degrees(robot.joints_rad),
-            pose=robot.pose,
+            pose=robot.pose, retaken=retake,
         )  # fmt: skip
 
     def pose_points(

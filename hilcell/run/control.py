@@ -13,6 +13,7 @@ import socketserver
 import tempfile
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -73,18 +74,21 @@ class _Handler(socketserver.StreamRequestHandler):
     timeout = ANSWER_S
 
     def handle(self) -> None:
-        line = self.rfile.readline(LONGEST)
+        with suppress(OSError):  # whoever asked has left
+            line = self.rfile.readline(LONGEST)
+            if line:
+                self.wfile.write(msgspec.json.encode(self._answer(line)) + b"\n")
+
+    def _answer(self, line: bytes) -> dict[str, object]:
         try:
             command = msgspec.json.decode(line, type=dict[str, str]).get("command", "")
         except msgspec.DecodeError:
             command = ""
         if command not in COMMANDS:
-            answer: dict[str, object] = {"ok": False, "error": f"commands: {', '.join(COMMANDS)}"}
-        else:
-            if command != "status":
-                self.server.post(command)
-            answer = {"ok": True} | self.server.status()
-        self.wfile.write(msgspec.json.encode(answer) + b"\n")
+            return {"ok": False, "error": f"commands: {', '.join(COMMANDS)}"}
+        if command != "status":
+            self.server.post(command)
+        return {"ok": True} | self.server.status()
 
 
 def send_command(folder: Path, command: str) -> dict[str, object]:
@@ -95,7 +99,7 @@ def send_command(folder: Path, command: str) -> dict[str, object]:
     engine = live_engine(folder)
     if engine is None:
         raise HilcellError(
-            f"run {folder.name}: no engine is running; `hilcell resume` continues it"
+            f"run {folder.name}: no engine is running; `hilcell show` tells how it ended"
         )
     with socket.socket(socket.AF_UNIX) as link:
         link.settimeout(ANSWER_S)

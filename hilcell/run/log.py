@@ -14,7 +14,7 @@ import numpy as np
 
 from hilcell.cell import Cell
 from hilcell.ports import Array
-from hilcell.run.journal import Record
+from hilcell.run.journal import Record, StorageError
 from hilcell.settings import convert
 
 
@@ -37,6 +37,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     humidity_percent: float
     session: int
     frame: str
+    retaken: bool = False
     nominal_mm: tuple[float, float, float] | None = None
     smr_mm: tuple[float, float, float] | None = None
     commanded_deg: tuple[float, ...] | None = None
@@ -70,6 +71,7 @@ class Log:
 
     def __init__(self, records: Iterable[Record] = ()) -> None:
         self.plan: PlanRecord | None = None
+        self._cell: Cell | None = None
         self.points: dict[str, Point] = {}
         self.frames: dict[str, dict[str, Any]] = {}
         self.verdicts: dict[str, dict[str, Any]] = {}
@@ -78,6 +80,7 @@ class Log:
         self.session = 0
         self.end: dict[str, Any] | None = None
         self.fault = ""
+        self.moved = False  # in this session
         for record in records:
             self.take(record)
 
@@ -87,6 +90,7 @@ class Log:
         match record.kind:
             case "plan":
                 self.plan = msgspec.convert(body, PlanRecord)
+                self._cell = None
             case "state":
                 self._take_state(body)
             case "point":
@@ -100,7 +104,7 @@ class Log:
             case "end":
                 self.end = body
             case "intent":
-                pass
+                self.moved = True
 
     def _take_state(self, body: dict[str, Any]) -> None:
         self.states[body["machine"]] = body["to"]
@@ -108,19 +112,22 @@ class Log:
             return
         if body["to"] == "checking":
             self.session, self.end, self.fault = self.session + 1, None, ""
+            self.moved = False
         if body["to"] == "faulted" and not self.fault:
             self.fault = str(body.get("reason", ""))
 
     @property
     def cell(self) -> Cell:
         """Return the cell as it was frozen when the run began."""
-        return convert(self.inputs.cell, Cell, "the journal's cell")
+        if self._cell is None:
+            self._cell = convert(self.inputs.cell, Cell, "the journal's cell")
+        return self._cell
 
     @property
     def inputs(self) -> PlanRecord:
         """Return the frozen inputs; a run writes them first."""
         if self.plan is None:
-            raise LookupError("the journal holds no plan yet")
+            raise StorageError("the journal holds no plan: the run died before its first record")
         return self.plan
 
     def group(self, name: str, station: str = "") -> list[Point]:

@@ -18,7 +18,14 @@ from dataclasses import dataclass
 
 from hilcell.cell import Cell
 from hilcell.devices import Devices, connect_all
-from hilcell.exits import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE, exit_code
+from hilcell.exits import (
+    EXIT_FAULT,
+    EXIT_OK,
+    EXIT_OUT_OF_TOLERANCE,
+    EXIT_REFUSED,
+    EXIT_STORAGE,
+    exit_code,
+)
 from hilcell.ports import Clock, DeviceError, HilcellError, Stopped
 from hilcell.run.bench import Bench
 from hilcell.run.journal import Journal, StorageError
@@ -191,6 +198,8 @@ class Runner:
                 self._fault = error = caught
         self._judge(error)
         code = exit_code(error)
+        if code == EXIT_REFUSED and self.log.moved:
+            code = EXIT_FAULT  # "refused" is said only before anything moved
         body = {"state": self._life.state, "exit": code, "result": {}, "reason": str(error)}
         self._journal.append("end", "", body)
         return code

@@ -65,7 +65,7 @@ class Trace:
 
     def _point(self, event: dict[str, Any]) -> None:
         key, station = event["key"], event["station"]
-        if key in self._points:
+        if key in self._points and not event.get("retaken"):
             self._say("I8", event, f"{key} counted twice")
         self._points.add(key)
         if self._state in ENDED:

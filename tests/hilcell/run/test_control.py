@@ -57,7 +57,7 @@ def test_nonsense_is_answered_and_harmless(tmp_path: Path, line: bytes) -> None:
 
 
 def test_a_dead_engine_is_told(tmp_path: Path) -> None:
-    with pytest.raises(HilcellError, match="no engine is running; `hilcell resume`"):
+    with pytest.raises(HilcellError, match="no engine is running; `hilcell show`"):
         send_command(tmp_path, "pause")
     (tmp_path / "engine.json").write_text('{"pid": 1, "socket": "/nowhere/control"}')
     assert live_engine(tmp_path) is None
