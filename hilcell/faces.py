@@ -5,6 +5,7 @@ A face only listens. Whatever happens to it, a closed pipe or a lost terminal, t
 
 from __future__ import annotations
 
+import io
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -17,6 +18,8 @@ from hilcell.cell import Cell
 from hilcell.run.journal import Record
 from hilcell.run.log import Log
 from hilcell.run.procedure import Plan, Procedure, Table
+
+WIDEST = 500  # columns of a table
 
 
 class Face:
@@ -41,6 +44,9 @@ class Face:
     def already(self, points: int) -> None:
         """Hear how many points a resumed run already has."""
 
+    def close(self, code: int, log: Log, fault: Exception | None) -> None:
+        """Say the end where the journal could not take it."""
+
     def take(self, record: Record) -> None:
         """Show one record; a face that fails is dropped."""
         if not self._lost:
@@ -64,7 +70,16 @@ class _JsonFace(Face):
         self._run = run
 
     def show(self, record: Record) -> None:
-        sys.stdout.buffer.write(msgspec.json.encode(record.event(self._run)) + b"\n")
+        self._write(record.event(self._run))
+
+    def close(self, code: int, log: Log, fault: Exception | None) -> None:
+        if log.end is None and not self._lost:
+            end = {"run": self._run, "kind": "end", "state": log.states["run"], "exit": code}
+            with suppress(OSError, ValueError):
+                self._write(end | {"result": {}, "reason": str(fault)})
+
+    def _write(self, event: dict[str, Any]) -> None:
+        sys.stdout.buffer.write(msgspec.json.encode(event) + b"\n")
         sys.stdout.buffer.flush()
 
 
@@ -126,17 +141,22 @@ class _ProgressFace(Face):
 
 
 def print_table(table: Table) -> None:
-    """Print a table on stdout."""
+    """Print a table on stdout, at its full width: names must stay whole to be copied."""
     from rich.console import Console
+    from rich.measure import Measurement
     from rich.table import Table as RichTable
 
     headers, rows = table
     drawn = RichTable()
     for column, header in enumerate(headers):
-        drawn.add_column(header, justify="left" if column == 0 else "right")
+        drawn.add_column(header, justify="left" if column == 0 else "right", no_wrap=True)
     for row in rows:
         drawn.add_row(*row)
-    Console(markup=False, highlight=False).print(drawn)
+    text = io.StringIO()
+    wide = Console(file=text, markup=False, highlight=False, width=WIDEST)
+    wide.width = Measurement.get(wide, wide.options, drawn).maximum
+    wide.print(drawn)
+    sys.stdout.write(text.getvalue())
 
 
 def print_end(
@@ -148,7 +168,9 @@ def print_end(
     if face.as_json:
         return
     if log.end is not None and log.end["result"]:
-        print_table(procedure.table(log.end["result"]))
+        with suppress(OSError):  # a run is what it is, also when nobody reads its table
+            print_table(procedure.table(log.end["result"]))
+            sys.stdout.flush()
     for key, verdict in log.verdicts.items():
         if not verdict["holds"]:
             print(f"out of tolerance: {key}: {_facts(verdict)}", file=sys.stderr)

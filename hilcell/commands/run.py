@@ -21,15 +21,15 @@ from hilcell.calibration_file import calibration_of, write_calibration
 from hilcell.cell import Cell, load_cell
 from hilcell.clock import WallClock
 from hilcell.devices import build_devices, check_options, load_entry, start_simulation
-from hilcell.exits import RESUMABLE
+from hilcell.exits import RESUMABLE, exit_code
 from hilcell.faces import Face, json_face, print_dry_run, print_end, progress_face
-from hilcell.ports import HilcellError
+from hilcell.ports import HilcellError, Stopped
 from hilcell.run.control import Control, live_engine, send_command
 from hilcell.run.journal import Journal
 from hilcell.run.lock import lock_of_address, lock_of_name, locked
 from hilcell.run.log import Log
 from hilcell.run.procedure import Plan, Procedure
-from hilcell.run.runner import Runner
+from hilcell.run.runner import Runner, finish, stopped_by_signals
 from hilcell.runs import JOURNAL, find_run, new_run, read_log
 
 
@@ -64,16 +64,20 @@ def resume(args: argparse.Namespace) -> int:
         print(f"run {folder.name}: asked to go on; it was {answer.get('state')}", file=sys.stderr)
         return 0
     log = read_log(folder)
-    if log.states["run"] == "finished":
-        raise HilcellError(f"run {folder.name} is finished; start a new one with `hilcell run`")
     cell, inputs = log.cell, log.inputs
+    if log.states["run"] == "finished" and log.end is not None and _calibrated(log, folder):
+        raise HilcellError(f"run {folder.name} is finished; start a new one with `hilcell run`")
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     with locked(lock_of_name(folder.parent, cell.name), f"cell {cell.name}", folder.name):
         journal = Journal(folder / JOURNAL, folder.name, create=False)
         journal.listen(log.take)
         face = _face(args.json, folder.name, inputs.points, journal)
-        face.already(len(log.points))
+        face.already(sum(point.group != "control" for point in log.points.values()))
         return _perform(cell, procedure, journal, log, face, folder, unattended=args.unattended)
+
+
+def _calibrated(log: Log, folder: Path) -> bool:
+    return "fit" not in log.verdicts or (folder / CALIBRATION_NAME).is_file()
 
 
 def _perform(
@@ -86,34 +90,58 @@ def _perform(
     *,
     unattended: bool,
 ) -> int:
-    stop = threading.Event()
-    inputs = log.inputs
+    """Run to an end, write the calibration, and say how it went."""
     with ExitStack() as stack:
         stack.callback(journal.close)
         stack.enter_context(face)
-        simulated = start_simulation(
-            cell, seed=inputs.seed, speed=inputs.speed or math.inf, session=log.session + 1
-        )
-        if simulated is not None:
-            stack.callback(simulated.close)
-        addresses = simulated.options if simulated is not None else {}
-        for address in _addresses(cell, addresses):
-            stack.enter_context(locked(lock_of_address(address), f"device {address}", journal.run))
-        clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
-        devices = build_devices(cell, addresses, clock)
-        runner = Runner(
-            cell, procedure, journal, log,
-            devices=devices, clock=clock, stop=stop, unattended=unattended,
-        )  # fmt: skip
-        stack.callback(Control(folder, runner.post, runner.status).close)
-        code = runner.run()
-        if code in (0, 1) and "fit" in log.verdicts:
+        if log.states["run"] == "finished":
+            code, fault = finish(procedure, journal, log), None
+        else:
+            code, fault = _run(cell, procedure, journal, log, folder, unattended=unattended)
+        if log.states["run"] == "finished" and "fit" in log.verdicts:
             write_calibration(calibration_of(log, journal.run), folder / CALIBRATION_NAME)
-    print_end(folder, log, procedure, face, runner.fault)
+    face.close(code, log, fault)
+    print_end(folder, log, procedure, face, fault)
     if code in RESUMABLE:
         runs = "" if folder.parent == Path("runs") else f" --runs {folder.parent}"
         print(f"resume with: hilcell resume {folder.name}{runs}", file=sys.stderr)
     return code
+
+
+def _run(
+    cell: Cell,
+    procedure: Procedure,
+    journal: Journal,
+    log: Log,
+    folder: Path,
+    *,
+    unattended: bool,
+) -> tuple[int, Exception | None]:
+    """Bring up devices and perform; what fails before the runner lives is journalled here."""
+    inputs, stop = log.inputs, threading.Event()
+    try:
+        with ExitStack() as stack, stopped_by_signals():
+            simulated = start_simulation(
+                cell, seed=inputs.seed, speed=inputs.speed or math.inf, session=log.session + 1
+            )
+            if simulated is not None:
+                stack.callback(simulated.close)
+            addresses = simulated.options if simulated is not None else {}
+            for each in _addresses(cell, addresses):
+                stack.enter_context(locked(lock_of_address(each), f"device {each}", journal.run))
+            clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
+            devices = build_devices(cell, addresses, clock)
+            runner = Runner(
+                cell, procedure, journal, log,
+                devices=devices, clock=clock, stop=stop, unattended=unattended,
+            )  # fmt: skip
+            stack.callback(Control(folder, runner.post, runner.status).close)
+            return runner.run(), runner.fault
+    except (HilcellError, Stopped) as error:
+        code, state = exit_code(error), log.states["run"]
+        body = {"state": state, "exit": code, "result": {}, "reason": str(error)}
+        journal.append("end", "", body)
+        return code, error
 
 
 def _face(as_json: bool, run: str, points: int, journal: Journal) -> Face:

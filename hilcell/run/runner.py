@@ -12,9 +12,10 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from hilcell.cell import Cell
 from hilcell.devices import Devices, connect_all
@@ -207,12 +208,9 @@ class Runner:
     def _finish(self) -> int:
         if self._life.allows("proceed"):  # a pause that came after the last checkpoint
             self._life.fire("proceed")
-        result = self._procedure.result(self.log)
-        in_tolerance = all(verdict["holds"] for verdict in self.log.verdicts.values())
-        code = EXIT_OK if in_tolerance else EXIT_OUT_OF_TOLERANCE
+        self._procedure.result(self.log)  # what cannot be computed is a fault, not a finish
         self._life.fire("finish")
-        self._journal.append("end", "", {"state": "finished", "exit": code, "result": result})
-        return code
+        return finish(self._procedure, self._journal, self.log)
 
     def _judge(self, error: Exception) -> None:
         if isinstance(error, Stopped):
@@ -245,22 +243,48 @@ class Runner:
         except StorageError as error:
             self._fault = self._fault or error
 
-    @contextmanager
-    def _signals(self) -> Iterator[None]:
+    def _signals(self) -> AbstractContextManager[None]:
         """Ctrl-C pauses, a second one stops; SIGTERM stops; a lost terminal pauses if attended."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
         hangup = "stay" if self._unattended else "pause"
         commands = {signal.SIGINT: "interrupt", signal.SIGTERM: "stop", signal.SIGHUP: hangup}
-        before = {number: signal.getsignal(number) for number in commands}
-        for number in commands:
-            signal.signal(number, lambda number, _: self.post(commands[signal.Signals(number)]))
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
+        return handled(
+            dict.fromkeys(commands, lambda number, _: self.post(commands[signal.Signals(number)]))
+        )
+
+
+def finish(procedure: Procedure, journal: Journal, log: Log) -> int:
+    """Write the end of a finished run, unless the journal holds it; return the exit code."""
+    in_tolerance = all(verdict["holds"] for verdict in log.verdicts.values())
+    code = EXIT_OK if in_tolerance else EXIT_OUT_OF_TOLERANCE
+    if log.end is None:
+        result = procedure.result(log)
+        journal.append("end", "", {"state": "finished", "exit": code, "result": result})
+    return code
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """Turn SIGTERM, SIGINT and SIGHUP into `Stopped` while nothing moves yet."""
+
+    def stopped(number: int, _: object) -> None:
+        raise Stopped(f"stopped by {signal.Signals(number).name} before anything moved")
+
+    with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), stopped)):
+        yield
+
+
+@contextmanager
+def handled(handlers: Mapping[signal.Signals, Callable[[int, Any], None]]) -> Iterator[None]:
+    """Install signal handlers for a while, where this is the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _each(acts: dict[str, Callable[[], None]], limit_s: float) -> dict[str, str]:
