@@ -15,7 +15,10 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from hilcell.clean import clean
 from hilcell.ports import HilcellError
+
+LONGEST_VALUE = 80
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -32,15 +35,24 @@ class SettingsError(HilcellError):
 def convert(values: Mapping[str, object], kind: type[T], source: str) -> T:
     """Build ``kind`` from plain values; raises `SettingsError` naming all problems at once."""
     problems: list[str] = []
-    built = _struct(values, kind, "", problems)
+    try:
+        built = _struct(values, kind, "", problems)
+    except RecursionError:
+        raise SettingsError(source, ["nested too deeply"]) from None
     if problems:
         raise SettingsError(source, problems)
     return typing.cast("T", built)
 
 
+def refuse(problems: list[str]) -> None:
+    """Refuse a table in its ``__post_init__``, for several reasons at once."""
+    if problems:
+        raise ValueError("\n".join(problems))
+
+
 def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: list[str]) -> Any:
     if not isinstance(values, Mapping):
-        problems.append(f"{path or 'file'}: a table is expected, found {values!r}")
+        problems.append(f"{_where(path)}: a table is expected, found {_short(values)}")
         return None
     fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
     unknown = [key for key in values if key not in fields]
@@ -57,14 +69,26 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
     try:
         return kind(**built)
     except ValueError as error:
-        problems.append(f"{path.rstrip('.') or 'file'}: {error}")
+        problems += [f"{_where(path)}: {line}" for line in str(error).splitlines()]
         return None
 
 
+def _where(path: str) -> str:
+    return path.rstrip(".") or "file"
+
+
+def _short(value: object) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        text = "a huge number"
+    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
+
+
 def _unknown(path: str, key: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(key, known, n=1)
+    near = difflib.get_close_matches(key[:LONGEST_VALUE], known, n=1)
     hint = f'; did you mean "{near[0]}"?' if near else f"; known here: {', '.join(sorted(known))}"
-    return f"{path}: unknown key{hint}"
+    return f"{clean(path)}: unknown key{hint}"
 
 
 def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
@@ -75,13 +99,26 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
     if item is not None and isinstance(value, list):
         return [_struct(each, item, f"{path}[{n}].", problems) for n, each in enumerate(value)]
     if not _finite(value):
-        problems.append(f"{path}: {value} is not a finite number")
+        problems.append(f"{path}: {_short(value)} is not a finite number")
         return None
     try:
         return msgspec.convert(value, kind, strict=True)
     except msgspec.ValidationError as error:
-        problems.append(f"{path}: {error}, found {value!r}")
+        allowed = range_text(kind)
+        hint = f"; allowed: {allowed}" if allowed else ""
+        problems.append(f"{path}: {error}, found {_short(value)}{hint}")
         return None
+
+
+def range_text(kind: Any) -> str:
+    """Return the bounds of a number, or of a tuple's members, as words; empty without bounds."""
+    if typing.get_origin(kind) is tuple:
+        kind = typing.get_args(kind)[0]
+    bounds = []
+    for meta in getattr(kind, "__metadata__", ()):
+        limits = ((">", meta.gt), (">=", meta.ge), ("<", meta.lt), ("<=", meta.le))
+        bounds += [f"{sign} {limit:g}" for sign, limit in limits if limit is not None]
+    return ", ".join(bounds)
 
 
 def _inner_struct(kind: Any) -> type[msgspec.Struct] | None:

@@ -31,8 +31,8 @@ def test_all_problems_are_told_at_once_with_the_nearest_key() -> None:
     assert problems == [
         'rail.travel_mx_mm: unknown key; did you mean "travel_max_mm"?',
         "robot.speed_percent: nan is not a finite number",
-        "tracker.samples: Expected `int`, got `str`, found 'three'",
-        "grid.pitch_mm: Expected `float` > 0.0, found -1.0",
+        "tracker.samples: Expected `int`, got `str`, found 'three'; allowed: >= 1, <= 1000",
+        "grid.pitch_mm: Expected `float` > 0.0, found -1.0; allowed: > 0",
     ]
 
 
