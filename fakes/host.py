@@ -32,7 +32,6 @@ class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     seed: int = 1
     speed: float | None = None
     faults: str = ""
-    session: int = 1
 
 
 class Host:
@@ -85,4 +84,4 @@ class Host:
 def _plant(cell: Cell, order: Order, time: PlantTime, faults: Faults) -> Plant | ReplayPlant:
     if cell.simulation is not None and cell.simulation.data:
         return ReplayPlant(cell, Path(cell.simulation.data), time, faults)
-    return Plant(cell, order.seed, time, faults, order.session)
+    return Plant(cell, order.seed, time, faults)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 
 class KeyedNoise:
-    """Draws of unit normal noise for one seed; ``scope`` keeps devices and sessions apart."""
+    """Draws of unit normal noise for one seed; ``scope`` keeps devices apart."""
 
     def __init__(self, seed: int, scope: str = "") -> None:
         self._root = f"{seed}/{scope}"

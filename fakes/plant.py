@@ -2,7 +2,8 @@
 
 Frames: {W} world, {S} the slide as the cell file thinks it (nominal {B}), {R} the robot's own
 base frame, which is bolted a little askew on the slide, {T} the reflector on the flange. The
-seed fixes the truth; seed and session fix the noise. The trap: nominal {B} is not {R} and neither
+seed fixes the truth and the noise; a cell that is started anew draws it anew from its
+beginning. The trap: nominal {B} is not {R} and neither
 is what a calibration finds; that is `base_in_world`.
 """
 
@@ -32,12 +33,10 @@ FLANGE = "flange"
 class Plant:
     """One simulated cell."""
 
-    def __init__(
-        self, cell: Cell, seed: int, time: PlantTime, faults: Faults, session: int = 1
-    ) -> None:
-        fixed, landing = KeyedNoise(seed), KeyedNoise(seed, f"robot/{session}")
+    def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
+        fixed, landing = KeyedNoise(seed), KeyedNoise(seed, "robot")
         self.cell, self.time = cell, time
-        self.rail = RailTruth(cell, seed, time, faults, session)
+        self.rail = RailTruth(cell, seed, time, faults)
         self.robot = RobotMotion(
             cell, time, lambda key: AXIS_REPEATABILITY_RAD * landing.normal(key, 6)
         )
@@ -45,7 +44,7 @@ class Plant:
         self._bolted = _bolted(fixed.generator("base"))
         self._floor = _placed(cell.layout.floor, FLOOR_NEST_MM, fixed.generator("floor"))
         self._slide = _placed(cell.layout.slide, SLIDE_NEST_MM, fixed.generator("slide"))
-        self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world, session)
+        self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
 
     def lose_zero(self, axis_1_rad: float) -> None:
         """Turn the robot's axis 1 against its encoder for good, by turning its base."""

@@ -54,12 +54,10 @@ class RailTruth:
     It takes the faults ``rail.backlash`` and ``rail.slip`` itself; all others are the servers'.
     """
 
-    def __init__(
-        self, cell: Cell, seed: int, time: PlantTime, faults: Faults, session: int = 1
-    ) -> None:
+    def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
         self._lock = threading.RLock()
         self._time, self._faults = time, faults
-        self._noise = KeyedNoise(seed, f"rail/{session}")
+        self._noise = KeyedNoise(seed, "rail")
         self._shape = _Shape(cell, KeyedNoise(seed).generator("rail"))
         self._low_mm = cell.rail.travel_min_mm - SWITCH_MM
         self._high_mm = cell.rail.travel_max_mm + SWITCH_MM

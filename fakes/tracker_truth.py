@@ -59,10 +59,9 @@ class TrackerTruth:
         seed: int,
         faults: Faults,
         reflectors_in_world: Scene,
-        session: int = 1,
     ) -> None:
         rng = KeyedNoise(seed).generator("tracker")
-        self._noise = KeyedNoise(seed, f"tracker/{session}")
+        self._noise = KeyedNoise(seed, "tracker")
         self._faults, self._reflectors = faults, reflectors_in_world
         self._measured = 0
         self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)

@@ -80,15 +80,13 @@ def check_options(cell: Cell) -> None:
 
 
 def start_simulation(
-    cell: Cell, *, seed: int, speed: float, session: int, faults: str = ""
+    cell: Cell, *, seed: int, speed: float, faults: str = ""
 ) -> SimulatedCell | None:
     """Start the simulated cell beside the engine, where the cell file asks for one."""
     if cell.simulation is None:
         return None
     simulator = load_entry("simulators", cell.simulation.simulator)
-    simulated: SimulatedCell = simulator(
-        cell, seed=seed, speed=speed, faults=faults, session=session
-    )
+    simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, faults=faults)
     return simulated
 
 

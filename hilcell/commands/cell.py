@@ -42,9 +42,7 @@ def check(args: argparse.Namespace) -> int:
 def sim(args: argparse.Namespace) -> int:
     """Run the simulated cell by itself and print where its devices listen."""
     cell = load_cell(args.cell, dict(args.set))
-    simulated = start_simulation(
-        cell, seed=args.seed, speed=args.speed, session=1, faults=args.faults
-    )
+    simulated = start_simulation(cell, seed=args.seed, speed=args.speed, faults=args.faults)
     if simulated is None:
         raise HilcellError(f"cell {cell.name} is real: it names no simulator")
     ended = threading.Event()

@@ -121,9 +121,8 @@ def _run(
     inputs, stop = log.inputs, threading.Event()
     try:
         with ExitStack() as stack, stopped_by_signals():
-            simulated = start_simulation(
-                cell, seed=inputs.seed, speed=inputs.speed or math.inf, session=log.session + 1
-            )
+            speed = inputs.speed or math.inf
+            simulated = start_simulation(cell, seed=inputs.seed, speed=speed)
             if simulated is not None:
                 stack.callback(simulated.close)
             addresses = simulated.options if simulated is not None else {}

@@ -1,6 +1,7 @@
 """kill -9 at any moment, then resume: nothing acknowledged is lost or measured twice."""
 
 import random
+import sqlite3
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,67 @@ def test_twenty_kills_change_nothing(tmp_path: Path) -> None:
     assert measured == {k for k in points_of(events(whole.stdout)) if not k.startswith("control/")}
     found, uninterrupted = figures(end["result"]), figures(wanted)
     for key, value in uninterrupted.items():
-        assert found[key] == pytest.approx(value, abs=0.02), key
+        # Over 4 targets a station, and with three points measured at another landing, the
+        # paper's method scatters; the chosen one rests on all nests.
+        limit_mm = 0.06 if key.endswith(".idw") else 0.02
+        assert found[key] == pytest.approx(value, abs=limit_mm), key
+
+
+def cut(whole: Path, folder: Path, seq: int) -> None:
+    """Copy a run's journal as it was when record ``seq`` had just become durable."""
+    folder.mkdir()
+    source = sqlite3.connect(whole / "journal.sqlite")
+    copy = sqlite3.connect(folder / "journal.sqlite")
+    source.backup(copy)
+    source.close()
+    copy.executescript("DROP TRIGGER record_is_never_deleted")
+    copy.execute("DELETE FROM record WHERE seq > ?", (seq,))
+    copy.commit()
+    copy.close()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
+    folder = tmp_path_factory.mktemp("cuts")
+    done = hilcell("run", "--json", "--runs", folder, *sets(SMALL))
+    return folder / str(end_of(done)["run"]), events(done.stdout)
+
+
+def after_every_kind(printed: list[dict[str, Any]]) -> list[int]:
+    """Return the records after which a death is the most awkward: frames and states."""
+    frames = ("world", "base", "station.S1100", "station.S1900")
+    return [e["seq"] for e in printed if e["kind"] == "state" or e.get("key") in (*frames, "fit")]
+
+
+@pytest.mark.timeout(400)
+def test_a_run_resumes_from_between_any_two_records(
+    tmp_path: Path, whole: tuple[Path, list[dict[str, Any]]]
+) -> None:
+    run, printed = whole
+    wanted = figures(printed[-1]["result"])
+    for seq in after_every_kind(printed):
+        folder = tmp_path / f"cut-{seq}"
+        cut(run, folder, seq)
+        done = hilcell("resume", folder.name, "--runs", tmp_path, "--json")
+        end = end_of(done)
+        assert end["state"] == "finished", (seq, done.stderr)
+        assert (folder / "calibration.json").is_file(), seq
+        for key, value in figures(end["result"]).items():
+            limit_mm = 0.06 if key.endswith(".idw") else 0.03
+            assert value == pytest.approx(wanted[key], abs=limit_mm), (seq, key)
+
+
+def test_a_lost_calibration_file_is_written_again(
+    tmp_path: Path, whole: tuple[Path, list[dict[str, Any]]]
+) -> None:
+    run, printed = whole
+    cut(run, tmp_path / "copy", printed[-1]["seq"])
+    done = hilcell("resume", "copy", "--runs", tmp_path, "--json")
+    assert done.returncode == printed[-1]["exit"], done.stderr
+    assert (tmp_path / "copy" / "calibration.json").is_file()
+    again = hilcell("resume", "copy", "--runs", tmp_path)
+    assert again.returncode == 2
+    assert "is finished" in again.stderr
 
 
 def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
