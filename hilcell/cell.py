@@ -7,10 +7,12 @@ Lengths mm, angles deg in the file; properties give rad. Frames: {W} world (thre
 from __future__ import annotations
 
 import hashlib
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib import resources
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,28 +22,49 @@ from msgspec import Meta, field
 from scipy.spatial.transform import Rotation
 
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.settings import SettingsError, convert
+from hilcell.settings import SettingsError, convert, refuse
 
-Positive = Annotated[float, Meta(gt=0)]
+MOST_POINTS = 100_000  # of the grid, and of targets in it
+MOST_STEPS = 10_000
+MOST_NESTS = 100
+MOST_STATIONS = 1000
+LEAST_ARC_DEG = 10.0
+APART_MM = 20.0  # nests closer than this are one nest, or their reflectors touch
+
+Length = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Size = Annotated[float, Meta(gt=0, le=1e6)]
+Step = Annotated[float, Meta(ge=0.01, le=1e6)]
+Angle = Annotated[float, Meta(ge=-3600, le=3600)]
+Speed = Annotated[float, Meta(ge=0.1, le=1e5)]
+Acceleration = Annotated[float, Meta(ge=1, le=1e6)]
+Wait = Annotated[float, Meta(ge=0, le=3600)]
 Percent = Annotated[float, Meta(gt=0, le=100)]
+Count = Annotated[int, Meta(ge=1, le=1000)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.\- ]{0,63}$")]
-Point = tuple[float, float, float]
-Six = tuple[float, float, float, float, float, float]
+Point = tuple[Length, Length, Length]
+Sweep = tuple[Angle, Angle]
+Six = tuple[Angle, Angle, Angle, Angle, Angle, Angle]
 
 
 class Frozen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
     """A table of the cell file."""
 
 
+def _refuse_descending(table: Frozen, low: str, high: str) -> None:
+    least, most = getattr(table, low), getattr(table, high)
+    if not least < most:
+        raise ValueError(f"{low} {least} must be below {high} {most}")
+
+
 class Pose(Frozen, frozen=True, kw_only=True):
     """A frame: position in mm and KUKA Z-Y-X angles in deg."""
 
-    x_mm: float
-    y_mm: float
-    z_mm: float
-    a_deg: float = 0.0
-    b_deg: float = 0.0
-    c_deg: float = 0.0
+    x_mm: Length
+    y_mm: Length
+    z_mm: Length
+    a_deg: Angle = 0.0
+    b_deg: Angle = 0.0
+    c_deg: Angle = 0.0
 
     def matrix(self) -> Array:
         """Return the homogeneous matrix (4, 4)."""
@@ -57,42 +80,44 @@ class Station(Frozen, frozen=True, kw_only=True):
     """A place on the rail where the robot works: the strip's recorded reading defines it."""
 
     name: Name
-    rail_mm: float
-    strip_mm: float
+    rail_mm: Length
+    strip_mm: Length
 
 
 class RailTable(Frozen, frozen=True, kw_only=True):
     """The rail, its drive and its strip."""
 
     driver: Name
-    travel_min_mm: float
-    travel_max_mm: float
-    speed_mm_s: Positive
-    acceleration_mm_s2: Positive
-    back_off_mm: Positive = 1.0
-    strip_tolerance_mm: Positive = 0.01
-    slip_limit_mm: Positive = 2.0
+    travel_min_mm: Length
+    travel_max_mm: Length
+    speed_mm_s: Speed
+    acceleration_mm_s2: Acceleration
+    back_off_mm: Size = 1.0
+    strip_tolerance_mm: Size = 0.01
+    slip_limit_mm: Size = 2.0
     max_approaches: Annotated[int, Meta(ge=1, le=20)] = 8
     options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _refuse_descending(self, "travel_min_mm", "travel_max_mm")
 
 
 class Joint(Frozen, frozen=True, kw_only=True):
     """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits."""
 
-    a_mm: float
-    alpha_deg: float
-    d_mm: float
-    offset_deg: float
+    a_mm: Length
+    alpha_deg: Angle
+    d_mm: Length
+    offset_deg: Angle
     sign: Annotated[int, Meta(ge=-1, le=1)] = 1
-    min_deg: float = -180.0
-    max_deg: float = 180.0
-    speed_deg_s: Positive = 100.0
+    min_deg: Angle = -180.0
+    max_deg: Angle = 180.0
+    speed_deg_s: Speed = 100.0
 
     def __post_init__(self) -> None:
         if not self.sign:
             raise ValueError("sign must be 1 or -1")
-        if not self.min_deg < self.max_deg:
-            raise ValueError(f"min_deg {self.min_deg} must be below max_deg {self.max_deg}")
+        _refuse_descending(self, "min_deg", "max_deg")
 
 
 class RobotTable(Frozen, frozen=True, kw_only=True):
@@ -106,13 +131,24 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     safe_deg: Six
     status: Annotated[int, Meta(ge=0, le=7)]
     speed_percent: Percent = 30.0
-    approach_deg: Positive = 0.5
-    joint_margin_deg: Annotated[float, Meta(ge=0)] = 2.0
+    approach_deg: Annotated[float, Meta(gt=0, le=90)] = 0.5
+    joint_margin_deg: Annotated[float, Meta(ge=0, le=90)] = 2.0
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.joint) != 6:
             raise ValueError(f"six joints are wanted, found {len(self.joint)}")
+        refuse(
+            [
+                f"{key}: A{n} at {deg} deg is outside its limits "
+                f"{joint.min_deg} .. {joint.max_deg} deg"
+                for key in ("home_deg", "safe_deg")
+                for n, (joint, deg) in enumerate(
+                    zip(self.joint, getattr(self, key), strict=True), 1
+                )
+                if not joint.min_deg <= deg <= joint.max_deg
+            ]
+        )
 
     def arm(self) -> Arm:
         """Return the nominal arm; its tool point is the reflector's centre."""
@@ -146,21 +182,24 @@ class TrackerTable(Frozen, frozen=True, kw_only=True):
     driver: Name
     reflector: str
     pose: Pose
-    min_range_mm: Positive = 500.0
-    max_range_mm: Positive = 10_000.0
-    max_std_mm: Positive = 0.05
-    find_radius_mm: Positive = 5.0
-    samples: Annotated[int, Meta(ge=1, le=1000)] = 1
+    min_range_mm: Size = 500.0
+    max_range_mm: Size = 10_000.0
+    max_std_mm: Size = 0.05
+    find_radius_mm: Size = 5.0
+    samples: Count = 1
     options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _refuse_descending(self, "min_range_mm", "max_range_mm")
 
 
 class Nest(Frozen, frozen=True, kw_only=True):
     """A magnet nest that carries a reflector: on the floor in {W}, on the slide in nominal {B}."""
 
     name: Name
-    x_mm: float
-    y_mm: float
-    z_mm: float
+    x_mm: Length
+    y_mm: Length
+    z_mm: Length
 
     @property
     def xyz_mm(self) -> Array:
@@ -175,22 +214,39 @@ class Layout(Frozen, frozen=True, kw_only=True):
     rail_direction: Point
     floor: list[Nest]
     slide: list[Nest]
-    nest_tolerance_mm: Positive = 5.0
-    nest_samples: Annotated[int, Meta(ge=1, le=1000)] = 10
+    nest_tolerance_mm: Size = 5.0
+    nest_samples: Count = 10
 
     def __post_init__(self) -> None:
         if not abs(np.linalg.norm(self.rail_direction) - 1) < 1e-6:
             raise ValueError("rail_direction must have length 1")
-        for nests, least in ((self.floor, 3), (self.slide, 3)):
-            if len(nests) < least:
-                raise ValueError(f"at least {least} nests are needed, found {len(nests)}")
+        for nests in (self.floor, self.slide):
+            if not 3 <= len(nests) <= MOST_NESTS:
+                raise ValueError(f"3 .. {MOST_NESTS} nests are needed, found {len(nests)}")
+        names = [nest.name for nest in (*self.floor, *self.slide)]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"nest names must differ, found {name} twice")
+        for nests in (self.floor, self.slide):
+            _refuse_collinear(nests[:3])  # they make the frame's axes
             _refuse_collinear(nests)
+            _refuse_close(nests)
 
     def nominal_base(self, rail_mm: float) -> Array:
         """Return nominal {B} in {W} (4, 4) with the slide at ``rail_mm``."""
         T = self.base.matrix()
         T[:3, 3] += rail_mm * np.array(self.rail_direction)
         return T
+
+
+def _refuse_close(nests: list[Nest]) -> None:
+    for one, other in combinations(nests, 2):
+        apart_mm = float(np.linalg.norm(one.xyz_mm - other.xyz_mm))
+        if not apart_mm >= APART_MM:
+            raise ValueError(
+                f"nests {one.name} and {other.name} are {apart_mm:.1f} mm apart, "
+                f"wanted at least {APART_MM} mm"
+            )
 
 
 def _refuse_collinear(nests: list[Nest]) -> None:
@@ -210,7 +266,7 @@ class GridTable(Frozen, frozen=True, kw_only=True):
     station: Name
     centre: Pose
     size_mm: Point
-    pitch_mm: Positive
+    pitch_mm: Step
 
     def __post_init__(self) -> None:
         for size in self.size_mm:
@@ -219,24 +275,42 @@ class GridTable(Frozen, frozen=True, kw_only=True):
                 raise ValueError(
                     f"size {size} mm is not a whole number of pitches {self.pitch_mm} mm"
                 )
+        vertices = math.prod(count + 1 for count in self.cells)
+        if not vertices <= MOST_POINTS:
+            raise ValueError(f"{vertices} vertices, at most {MOST_POINTS} are measured")
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """Return the number of grid cells along x, y and z."""
+        return tuple(round(size / self.pitch_mm) for size in self.size_mm)
 
 
 class BaseFrameTable(Frozen, frozen=True, kw_only=True):
     """How {B} is found from circles of axes 1 and 6 (section 4.2)."""
 
     axis_1_deg: Six
-    axis_1_sweep_deg: tuple[float, float]
+    axis_1_sweep_deg: Sweep
     axis_6_deg: Six
-    axis_6_sweep_deg: tuple[float, float]
+    axis_6_sweep_deg: Sweep
     points: Annotated[int, Meta(ge=3, le=200)] = 12
+
+    def __post_init__(self) -> None:
+        sweeps = {"axis_1": self.axis_1_sweep_deg, "axis_6": self.axis_6_sweep_deg}
+        refuse(
+            [
+                f"{axis}_sweep_deg: {begin} .. {end} deg is no arc; sweep at least {LEAST_ARC_DEG}"
+                for axis, (begin, end) in sweeps.items()
+                if not abs(end - begin) >= LEAST_ARC_DEG
+            ]
+        )
 
 
 class SurveyTable(Frozen, frozen=True, kw_only=True):
     """How the rail is surveyed there and back, and how often a station is approached."""
 
-    from_mm: float = 0.0
-    to_mm: float = 2000.0
-    step_mm: Positive = 100.0
+    from_mm: Length = 0.0
+    to_mm: Length = 2000.0
+    step_mm: Step = 100.0
     repeats: Annotated[int, Meta(ge=4, le=1000)] = 15
 
     def __post_init__(self) -> None:
@@ -245,15 +319,17 @@ class SurveyTable(Frozen, frozen=True, kw_only=True):
             raise ValueError(
                 f"{self.from_mm} .. {self.to_mm} mm is not three or more steps of {self.step_mm} mm"
             )
+        if not steps <= MOST_STEPS:
+            raise ValueError(f"{steps:.0f} steps, at most {MOST_STEPS} are driven")
 
 
 class ValidationTable(Frozen, frozen=True, kw_only=True):
     """Random targets: per grid cell at the grid's station, in all at the other stations."""
 
-    per_cell: Annotated[int, Meta(ge=1)] = 5
-    others: Annotated[int, Meta(ge=1)] = 150
-    mean_tolerance_mm: Positive = 0.2
-    max_tolerance_mm: Positive = 1.0
+    per_cell: Count = 5
+    others: Annotated[int, Meta(ge=1, le=100_000)] = 150
+    mean_tolerance_mm: Size = 0.2
+    max_tolerance_mm: Size = 1.0
 
 
 class CampaignTable(Frozen, frozen=True, kw_only=True):
@@ -265,9 +341,9 @@ class CampaignTable(Frozen, frozen=True, kw_only=True):
 class SettleTable(Frozen, frozen=True, kw_only=True):
     """Times in the cell's clock, and the oldest reading that an interlock believes."""
 
-    robot_s: Annotated[float, Meta(ge=0)] = 1.0
-    rail_s: Annotated[float, Meta(ge=0)] = 2.0
-    reading_age_s: Positive = 0.5
+    robot_s: Wait = 1.0
+    rail_s: Wait = 2.0
+    reading_age_s: Annotated[float, Meta(ge=0.01, le=10)] = 0.5
 
 
 class SimulationTable(Frozen, frozen=True, kw_only=True):
@@ -297,20 +373,49 @@ class Cell(Frozen, frozen=True, kw_only=True):
     simulation: SimulationTable | None = None
 
     def __post_init__(self) -> None:
+        if not 1 <= len(self.station) <= MOST_STATIONS:
+            raise ValueError(f"1 .. {MOST_STATIONS} stations are needed, found {len(self.station)}")
         names = [station.name for station in self.station]
         if len(set(names)) != len(names):
             raise ValueError(f"station names must differ, found {', '.join(names)}")
         if self.grid.station not in names:
             raise ValueError(f"grid.station {self.grid.station!r} is none of {', '.join(names)}")
-        for station in self.station:
-            low, high = self.rail.travel_min_mm + self.rail.back_off_mm, self.rail.travel_max_mm
-            if not low <= station.rail_mm <= high:
-                raise ValueError(
-                    f"station {station.name}: rail_mm {station.rail_mm} is outside {low} .. {high}"
+        refuse([*self._bad_stations(), *self._bad_counts(), *self._bad_survey()])
+
+    def _bad_stations(self) -> Iterator[str]:
+        rail = self.rail
+        low_mm, high_mm = rail.travel_min_mm + rail.back_off_mm, rail.travel_max_mm
+        for n, station in enumerate(self.station):
+            if not low_mm <= station.rail_mm <= high_mm:
+                yield (
+                    f"station {station.name}: rail_mm {station.rail_mm} is outside "
+                    f"{low_mm} .. {high_mm}"
                 )
+            if not abs(station.rail_mm - station.strip_mm) <= rail.slip_limit_mm:
+                yield (
+                    f"station {station.name}: strip_mm {station.strip_mm} and rail_mm "
+                    f"{station.rail_mm} differ by more than rail.slip_limit_mm {rail.slip_limit_mm}"
+                )
+            for other in self.station[:n]:
+                if not abs(station.strip_mm - other.strip_mm) > rail.strip_tolerance_mm:
+                    yield (
+                        f"station {station.name}: strip_mm {station.strip_mm} is also that of "
+                        f"station {other.name} ({other.strip_mm} mm); they must differ by more "
+                        f"than {rail.strip_tolerance_mm} mm"
+                    )
+
+    def _bad_counts(self) -> Iterator[str]:
+        per_cell, cells = self.validation.per_cell, math.prod(self.grid.cells)
+        if not per_cell * cells <= MOST_POINTS:
+            yield (
+                f"validation: {per_cell} targets in each of {cells} grid cells are "
+                f"{per_cell * cells}, at most {MOST_POINTS}"
+            )
+
+    def _bad_survey(self) -> Iterator[str]:
         for end_mm in (self.survey.from_mm, self.survey.to_mm):
             if not self.rail.travel_min_mm <= end_mm <= self.rail.travel_max_mm:
-                raise ValueError(
+                yield (
                     f"survey: {end_mm} mm is outside the travel {self.rail.travel_min_mm} .. "
                     f"{self.rail.travel_max_mm} mm"
                 )
@@ -345,7 +450,7 @@ def _read(where: str) -> dict[str, Any]:
     else:
         path = Path(where)
         try:
-            text = path.read_text("utf-8")
+            text = path.read_text("utf-8-sig")  # editors of Windows write a mark
         except FileNotFoundError:
             known = ", ".join(built_in_cells())
             raise SettingsError(
@@ -353,9 +458,15 @@ def _read(where: str) -> dict[str, Any]:
             ) from None
         except (OSError, UnicodeDecodeError) as error:
             raise SettingsError(where, [f"cannot be read: {error}"]) from error
+    return _parsed(text, where)
+
+
+def _parsed(text: str, where: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError:
+        raise SettingsError(where, ["nested too deeply"]) from None
+    except ValueError as error:  # also an integer of more digits than Python reads
         raise SettingsError(where, [f"not valid TOML: {error}"]) from error
 
 
@@ -369,9 +480,13 @@ def built_in_cells() -> list[str]:
 
 def _override(values: dict[str, Any], key: str, text: str) -> None:
     """Set ``a.b.c`` to a TOML value, or to the bare text where it is not one."""
+    if "\n" in text:  # it could set other keys
+        raise SettingsError("--set", [f"{key}: a value on one line is wanted, found {text!r}"])
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except RecursionError:
+        raise SettingsError("--set", [f"{key}: nested too deeply"]) from None
+    except ValueError:
         value = text
     *path, last = key.split(".")
     table: Any = values

@@ -1,5 +1,6 @@
 """Cell files: every problem at once, the nearest key, nothing that is not finite."""
 
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -32,7 +33,7 @@ def test_all_problems_are_told_at_once_with_the_nearest_key() -> None:
         'rail.travel_mx_mm: unknown key; did you mean "travel_max_mm"?',
         "robot.speed_percent: nan is not a finite number",
         "tracker.samples: Expected `int`, got `str`, found 'three'; allowed: >= 1, <= 1000",
-        "grid.pitch_mm: Expected `float` > 0.0, found -1.0; allowed: > 0",
+        "grid.pitch_mm: Expected `float` >= 0.01, found -1.0; allowed: >= 0.01, <= 1e+06",
     ]
 
 
@@ -58,12 +59,126 @@ def test_collinear_slide_nests_are_refused() -> None:
         ("rail.travel_max_mm", "1500.0", "station S1900: rail_mm 1900.0 is outside"),
         ("robot.joint", "[]", "six joints are wanted, found 0"),
         ("name", '"a/b"', "Expected `str` matching regex"),
-        ("rail", "3", "a table is expected"),
+        ("rail", "3", "rail: a table is expected, found 3"),
+        ("grid.size_mm", "[9000.0, 9000.0, 9000.0]", "29791 vertices, at most 1000"),
+        ("grid.pitch_mm", "0.1", "vertices, at most 1000"),
+        ("grid.pitch_mm", "5e-324", "allowed: >= 0.01, <= 1e+06"),
+        ("station", "[]", "1 .. 1000 stations are needed, found 0"),
+        ("layout.floor", "[]", "3 .. 100 nests are needed, found 0"),
+        (
+            "validation.per_cell",
+            "200",
+            "200 targets in each of 27 grid cells are 5400, at most 1000",
+        ),
+        ("validation.per_cell", "1001", "allowed: >= 1, <= 1000"),
+        ("validation.others", "100001", "allowed: >= 1, <= 100000"),
+        ("survey.step_mm", "0.01", "200000 steps, at most 10000"),
+        ("settle.robot_s", "3601.0", "allowed: >= 0, <= 3600"),
+        ("settle.rail_s", "-1.0", "allowed: >= 0, <= 3600"),
+        ("settle.reading_age_s", "0.001", "allowed: >= 0.01, <= 10"),
+        ("settle.reading_age_s", "11.0", "allowed: >= 0.01, <= 10"),
+        ("rail.acceleration_mm_s2", "0.5", "allowed: >= 1, <= 1e+06"),
+        ("rail.speed_mm_s", "1e-9", "allowed: >= 0.1, <= 100000"),
+        ("rail.travel_max_mm", "1e7", "allowed: >= -1e+06, <= 1e+06"),
+        ("rail.travel_max_mm", "-1.0", "travel_min_mm 0.0 must be below travel_max_mm -1.0"),
+        ("robot.smr_mm", "[1e9, 0.0, 0.0]", "allowed: >= -1e+06, <= 1e+06"),
+        ("robot.home_deg", "[1e9, 0.0, 0.0, 0.0, 0.0, 0.0]", "allowed: >= -3600, <= 3600"),
+        (
+            "robot.safe_deg",
+            "[186.0, -100.0, 110.0, 0.0, -30.0, 0.0]",
+            "safe_deg: A1 at 186.0 deg is outside its limits -185.0 .. 185.0 deg",
+        ),
+        (
+            "robot.home_deg",
+            "[0.0, -1.0, 169.0, 0.0, -30.0, 0.0]",
+            "home_deg: A3 at 169.0 deg is outside its limits -120.0 .. 168.0 deg",
+        ),
+        ("tracker.min_range_mm", "20000.0", "min_range_mm 20000.0 must be below max_range_mm"),
+        ("base_frame.axis_1_sweep_deg", "[0.0, 0.0]", "axis_1_sweep_deg: 0.0 .. 0.0 deg is no arc"),
+        ("base_frame.axis_6_sweep_deg", "[30.0, 30.0]", "axis_6_sweep_deg: 30.0 .. 30.0 deg is"),
         ("simulation.simulator", "5", "Expected `str`, got `int`"),
     ],
 )
 def test_what_makes_no_sense_is_refused(key: str, value: str, part: str) -> None:
     assert any(part in line for line in refused({key: value}))
+
+
+@pytest.fixture(autouse=True)
+def _small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep what the tests could build small, should a limit fail."""
+    monkeypatch.setattr("hilcell.cell.MOST_POINTS", 1000)
+
+
+def stations(*rows: tuple[str, float, float]) -> dict[str, str]:
+    tables = (f'{{name="{n}", rail_mm={rail}, strip_mm={strip}}}' for n, rail, strip in rows)
+    return {"station": f"[{', '.join(tables)}]"}
+
+
+def test_two_stations_at_one_strip_reading_are_refused() -> None:
+    problems = refused(stations(("S300", 300.0, 300.0), ("S1100", 1100.0, 300.0)))
+    assert (
+        "file: station S1100: strip_mm 300.0 is also that of station S300 (300.0 mm); "
+        "they must differ by more than 0.01 mm" in problems
+    )
+
+
+def test_a_station_whose_strip_and_rail_disagree_is_refused() -> None:
+    problems = refused(stations(("S300", 300.0, 300.0), ("S1100", 1100.0, 1103.0)))
+    wanted = "strip_mm 1103.0 and rail_mm 1100.0 differ by more than rail.slip_limit_mm 2.0"
+    assert problems == [f"file: station S1100: {wanted}"]
+    assert load_cell("paper", stations(("S1100", 1100.0, 1101.9))).station[0].strip_mm == 1101.9
+
+
+def nests(*rows: tuple[str, float, float, float]) -> str:
+    tables = (f'{{name="{n}", x_mm={x}, y_mm={y}, z_mm={z}}}' for n, x, y, z in rows)
+    return f"[{', '.join(tables)}]"
+
+
+TRIANGLE = (("P1", 100.0, 0.0, 0.0), ("P2", 0.0, 100.0, 0.0), ("P3", -100.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("table", ["floor", "slide"])
+def test_the_first_three_nests_form_a_triangle(table: str) -> None:
+    line = (("N1", 100.0, 0.0, 0.0), ("N2", 200.0, 0.0, 0.0), ("N3", 300.0, 0.0, 0.0))
+    rows = (*line, ("N4", 0.0, 900.0, 0.0))
+    (problem,) = refused({f"layout.{table}": nests(*rows)})
+    assert "nests N1, N2, N3 lie on one line" in problem
+
+
+def test_nests_have_names_of_their_own() -> None:
+    problems = refused({"layout.slide": nests(*TRIANGLE, ("F1", 0.0, -100.0, 0.0))})
+    assert problems == ["layout: nest names must differ, found F1 twice"]
+
+
+def test_nests_at_one_place_are_refused() -> None:
+    problems = refused({"layout.slide": nests(*TRIANGLE, ("P4", 110.0, 10.0, 0.0))})
+    assert problems == ["layout: nests P1 and P4 are 14.1 mm apart, wanted at least 20.0 mm"]
+
+
+def test_all_problems_of_a_table_are_told_at_once() -> None:
+    safe = "[186.0, -4.0, 110.0, 0.0, -30.0, 0.0]"
+    assert len(refused({"robot.safe_deg": safe})) == 2
+
+
+def test_a_byte_order_mark_is_no_problem(tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    built_in = resources.files("hilcell.cells") / "paper.toml"
+    file.write_text("\ufeff" + built_in.read_text("utf-8"), "utf-8")
+    assert load_cell(str(file)).name == "paper"
+
+
+@pytest.mark.parametrize("value", ["[" * 5000 + "]" * 5000, "9" * 5000])
+def test_what_toml_cannot_hold_is_refused(tmp_path: Path, value: str) -> None:
+    file = tmp_path / "cell.toml"
+    file.write_text(f"name = {value}", "utf-8")
+    with pytest.raises(SettingsError, match=r"nested too deeply|not valid TOML"):
+        load_cell(str(file))
+
+
+def test_an_override_is_one_line() -> None:
+    assert refused({"rail.speed_mm_s": "250.0\nname = 'x'"}) == [
+        "rail.speed_mm_s: a value on one line is wanted, found \"250.0\\nname = 'x'\""
+    ]
 
 
 def test_missing_keys_are_named(tmp_path: Path) -> None:

@@ -152,7 +152,8 @@ def test_what_nobody_reaches_is_refused_with_the_reason(point, normal, reason):
 def test_joint_limits_are_named_with_values():
     joints = [msgspec.structs.replace(j, max_deg=60.0) if n == 2 else j
               for n, j in enumerate(CELL.robot.joint)]  # fmt: skip
-    robot = msgspec.structs.replace(CELL.robot, joint=joints)
+    rest_deg = (0.0, -90.0, 50.0, 0.0, -30.0, 0.0)
+    robot = msgspec.structs.replace(CELL.robot, joint=joints, home_deg=rest_deg, safe_deg=rest_deg)
     with pytest.raises(
         UnreachableHoles, match=r"joint limit: A3 at .* wanted -118\.00 \.\. 58\.00 deg"
     ):
