@@ -6,7 +6,6 @@ hold at every station.
 
 from __future__ import annotations
 
-import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from hilcell.geometry.frames import apply, inverse, kuka_from_pose, pose_from_ku
 from hilcell.ports import Array, HilcellError
 from hilcell.run.log import Log
 from hilcell.settings import SettingsError
+from hilcell.writing import write_whole
 
 SCHEMA = 1
 ORIENTATION_TOLERANCE_DEG = 2.0
@@ -115,11 +115,9 @@ def _entry(log: Log, base: Array, station: str) -> StationEntry:
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
-    """Write the file beside its place, then rename, so that nobody reads half of it."""
+    """Write the file whole; raises `NotWritten`."""
     text = msgspec.json.format(msgspec.json.encode(calibration), indent=1)
-    beside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    beside.write_bytes(text + b"\n")
-    beside.replace(path)
+    write_whole(path, text + b"\n")
 
 
 def read_calibration(path: Path) -> Calibration:

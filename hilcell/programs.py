@@ -1,17 +1,18 @@
 """KRL programs on disk: ``NAME.src`` with its ``NAME.dat``, read and written as a pair.
 
 Files are taken as latin-1, in which every byte is a character, so that what is not edited is
-written back byte for byte. The trap: the two files belong together; both are written beside
-their places before either is renamed.
+written back byte for byte. The trap: the two files belong together, read and written.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from hilcell.krl.program import Program, read_program
 from hilcell.settings import SettingsError
+from hilcell.writing import NotWritten, write_together
 
 ENCODING = "latin-1"
 SOURCE, DATA = ".src", ".dat"
@@ -28,33 +29,22 @@ def load_program(path: Path) -> Program:
     return read_program(path.name, _text(path), (data.name, _text(data)) if data else None)
 
 
-def write_program(texts: dict[str, str], source: Path, out: Path) -> list[Path]:
+def write_program(
+    texts: dict[str, str], source: Path, out: Path, *, inputs: Iterable[Path] = ()
+) -> list[Path]:
     """Write a program's texts, by their names at ``source``, under another stem; return the paths.
 
-    ``out`` may end in ``.src``. Raises `SettingsError`; then no file has changed.
+    ``out`` may end in ``.src``. Raises `NotWritten` as `write_together` does; the nominal program
+    is an input as well: corrected again, it would be corrected twice.
     """
-    paths = {name: _sibling(out, Path(name).suffix) for name in texts}
-    refuse_in_place(source, list(paths.values()))
-    beside = {
-        name: path.with_name(f"{path.name}.{os.getpid()}.part") for name, path in paths.items()
+    if os.path.isdir(out):  # noqa: PTH112 - Path.is_dir raises for a name too long
+        raise NotWritten(f"{out} is a folder; name a program in it")
+    contents = {
+        _sibling(out, Path(name).suffix): text.encode(ENCODING) for name, text in texts.items()
     }
-    try:
-        for name, path in beside.items():
-            _refuse_folder(paths[name])
-            path.write_bytes(texts[name].encode(ENCODING))
-        for name, path in beside.items():
-            path.replace(paths[name])
-    except OSError as error:
-        for path in beside.values():
-            path.unlink(missing_ok=True)
-        raise SettingsError(str(out), [f"cannot be written: {error}"]) from error
-    return list(paths.values())
-
-
-def refuse_in_place(source: Path, paths: list[Path]) -> None:
-    """Refuse to replace the nominal targets: corrected again, they would be corrected twice."""
-    if source.resolve() in [path.resolve() for path in paths]:
-        raise SettingsError(str(source), ["is what is read; write the corrected one elsewhere"])
+    read = [source, *(source.with_name(name) for name in texts), *inputs]
+    write_together(contents, inputs=read)
+    return list(contents)
 
 
 def _data_beside(path: Path) -> Path | None:
@@ -84,8 +74,3 @@ def _text(path: Path) -> str:
 def _sibling(out: Path, suffix: str) -> Path:
     stem = out.stem if out.suffix.lower() in (SOURCE, DATA) else out.name
     return out.with_name(stem + suffix)
-
-
-def _refuse_folder(path: Path) -> None:
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder")

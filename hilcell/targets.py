@@ -1,4 +1,4 @@
-"""CSV files of named rows in {W}: strict reading, and writing beside the place, then renaming.
+"""CSV files of named rows in {W}: strict reading, whole writing.
 
 Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with KUKA Z-Y-X angles. The trap: Python
 takes ``1_0`` for 10 and ``nan`` for a number; both are refused here.
@@ -7,8 +7,8 @@ takes ``1_0`` for 10 and ``nan`` for a number; both are refused here.
 from __future__ import annotations
 
 import csv
+import io
 import math
-import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from hilcell.clean import clean
 from hilcell.ports import Array
 from hilcell.settings import SettingsError
+from hilcell.writing import write_whole
 
 HEADER = ["name", "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"]
 
@@ -109,24 +110,23 @@ def _number(cell: str) -> float:
     return float(cell)
 
 
-def write_targets(path: Path, names: list[str], values: Array) -> None:
-    """Write targets (N, 6); raises `SettingsError` as `write_rows` does."""
+def write_targets(
+    path: Path, names: list[str], values: Array, *, inputs: Iterable[Path] = ()
+) -> None:
+    """Write targets (N, 6); raises `NotWritten` as `write_whole` does."""
     rows = (
         [name, *(f"{each:.4f}" for each in row[:3]), *(f"{each:.6f}" for each in row[3:])]
         for name, row in zip(names, values, strict=True)
     )
-    write_rows(path, HEADER, rows)
+    write_rows(path, HEADER, rows, inputs=inputs)
 
 
-def write_rows(path: Path, header: list[str], rows: Iterable[list[str]]) -> None:
-    """Write a CSV beside its place, then rename; raises `SettingsError` where that fails."""
-    beside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        with beside.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            writer.writerows(rows)
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise SettingsError(str(path), [f"cannot be written: {error}"]) from error
+def write_rows(
+    path: Path, header: list[str], rows: Iterable[list[str]], *, inputs: Iterable[Path] = ()
+) -> None:
+    """Write a CSV; raises `NotWritten` as `write_whole` does."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_whole(path, text.getvalue().encode(), inputs=inputs)

@@ -11,7 +11,7 @@ from hilcell.calibration_file import NAME, Calibration, compensate_targets, read
 from hilcell.cell import Cell, load_cell
 from hilcell.commands.common import say
 from hilcell.faces import print_table
-from hilcell.programs import is_program, load_program, refuse_in_place, write_program
+from hilcell.programs import is_program, load_program, write_program
 from hilcell.runs import find_run
 from hilcell.targets import read_targets, write_targets
 from hilcell.turns import check_turns
@@ -51,10 +51,11 @@ def compensate(args: argparse.Namespace) -> int:
         digest=cell.digest if cell else None,
     )  # fmt: skip
     source, out = Path(args.targets), Path(args.output)
+    inputs = [source, path, Path(args.cell or source)]
     if is_program(source):
-        count, written = _compensate_program(calibration, args.station, source, out, cell)
+        count, written = _compensate_program(calibration, args.station, inputs, out, cell)
     else:
-        count, written = _compensate_list(calibration, args.station, source, out)
+        count, written = _compensate_list(calibration, args.station, inputs, out)
     print(f"{count} targets corrected for {args.station} into {written}", file=sys.stderr)
     if calibration.provenance.simulated:
         print(
@@ -66,24 +67,26 @@ def compensate(args: argparse.Namespace) -> int:
 
 
 def _compensate_list(
-    calibration: Calibration, station: str, source: Path, out: Path
+    calibration: Calibration, station: str, inputs: list[Path], out: Path
 ) -> tuple[int, str]:
-    names, targets = read_targets(source)
-    refuse_in_place(source, [out])
-    write_targets(out, names, compensate_targets(calibration, station, targets, names))
+    names, targets = read_targets(inputs[0])
+    command = compensate_targets(calibration, station, targets, names)
+    write_targets(out, names, command, inputs=inputs)
     return len(names), str(out)
 
 
 def _compensate_program(
-    calibration: Calibration, station: str, source: Path, out: Path, cell: Cell | None
+    calibration: Calibration, station: str, inputs: list[Path], out: Path, cell: Cell | None
 ) -> tuple[int, str]:
+    source = inputs[0]
     program = load_program(source)
     command = compensate_targets(calibration, station, program.values(), program.names)
     if cell is not None:
         check_turns(cell, calibration, station, program, command)
     elif any(target.posture is not None for target in program.targets):
         print(f"{source.name}: turns (T) were not checked; --cell CELL does", file=sys.stderr)
-    written = write_program(program.with_positions(command[:, :3]), source, out)
+    texts = program.with_positions(command[:, :3])
+    written = write_program(texts, source, out, inputs=inputs)
     for note in program.notes:
         print(f"{source.name}: {note}", file=sys.stderr)
     print(

@@ -21,7 +21,10 @@ def plan(args: argparse.Namespace) -> int:
     cell = load_cell(args.cell, dict(args.set))
     found = plan_holes(cell, read_holes(Path(args.holes)), free=args.free)
     if args.output:
-        write_rows(Path(args.output), ["station", "order", "name"], _rows(found))
+        header = ["station", "order", "name"]
+        write_rows(
+            Path(args.output), header, _rows(found), inputs=map(Path, (args.holes, args.cell))
+        )
     if args.json:
         say(_facts(found), "", as_json=True)
     else:

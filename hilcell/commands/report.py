@@ -6,17 +6,19 @@ import argparse
 import sys
 from pathlib import Path
 
+from hilcell.calibration_file import NAME
 from hilcell.report.facts import read_facts
-from hilcell.report.place import write_whole
-from hilcell.runs import find_run
+from hilcell.runs import JOURNAL, find_run
+from hilcell.writing import write_whole
 
 
 def report(args: argparse.Namespace) -> int:
     """Write one self-contained HTML file."""
     from hilcell.report.html import report_html
 
-    facts = read_facts(find_run(args.runs, args.run))
-    write_whole(Path(args.output), report_html(facts).encode())
+    folder = find_run(args.runs, args.run)
+    facts = read_facts(folder)
+    write_whole(Path(args.output), report_html(facts).encode(), inputs=_files(folder))
     print(f"report of run {facts.run} in {args.output}", file=sys.stderr)
     return 0
 
@@ -26,7 +28,13 @@ def export(args: argparse.Namespace) -> int:
     from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 
     forms = {"csv": csv_bytes, "xlsx": xlsx_bytes, "json": json_bytes}
-    facts = read_facts(find_run(args.runs, args.run))
-    write_whole(Path(args.output), forms[args.form](facts))
+    folder = find_run(args.runs, args.run)
+    facts = read_facts(folder)
+    write_whole(Path(args.output), forms[args.form](facts), inputs=_files(folder))
     print(f"{args.form} of run {facts.run} in {args.output}", file=sys.stderr)
     return 0
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return what a run is made of: none of it can be made again from the others."""
+    return [*folder.glob(f"{JOURNAL}*"), folder / NAME]

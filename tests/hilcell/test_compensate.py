@@ -156,6 +156,37 @@ def test_nominal_targets_are_not_replaced(desk: Desk, out: str) -> None:
     assert source.read_bytes() == before
 
 
+@pytest.mark.parametrize("kind", ["program", "list"])
+@pytest.mark.parametrize("where", [".", "/", "n" * 300, "nowhere/out", "file/out"])
+def test_places_that_cannot_be_written_are_told_in_one_line(
+    desk: Desk, capsys: pytest.CaptureFixture[str], kind: str, where: str
+) -> None:
+    (desk.folder / "file").write_text("")
+    targets = desk.folder / "targets.csv"
+    write_targets(targets, ["H1"], np.array([[0.0, 0, 1200, 0, 75, 0]]))
+    before = desk.files
+    source = desk.source if kind == "program" else targets
+    assert desk.compensate(source=source, out=desk.folder / where) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len([line for line in told if "not checked" not in line]) == 1
+    assert ("is a folder" in told[-1]) == (where in "./")
+    assert desk.files == before
+
+
+def test_the_calibration_is_not_written_over(
+    desk: Desk, capsys: pytest.CaptureFixture[str]
+) -> None:
+    targets = desk.folder / "targets.csv"
+    write_targets(targets, ["H1"], np.array([[0.0, 0, 1200, 0, 75, 0]]))
+    file = desk.folder / "calibration.json"
+    before = file.read_bytes()
+    assert desk.compensate(source=targets, out=file) == 2
+    assert "is what is read" in capsys.readouterr().err
+    (desk.folder / "link.src").symlink_to(file)
+    assert desk.compensate(out=desk.folder / "link.src") == 2
+    assert file.read_bytes() == before
+
+
 def near_zero(posture: str) -> str:
     """Return a data list whose point the correction takes from -0.2 to about 0.3 mm beside A1."""
     x, y, z = apply(T_W_B, np.array([[1850.0, -0.2, 950.0]]))[0]

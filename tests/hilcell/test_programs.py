@@ -6,6 +6,7 @@ import pytest
 
 from hilcell.programs import load_program, write_program
 from hilcell.settings import SettingsError
+from hilcell.writing import NotWritten
 from tests.hilcell.krl.samples import DAT, SRC
 
 
@@ -48,7 +49,7 @@ def test_nothing_is_written_where_one_file_cannot(tmp_path: Path) -> None:
     program = load_program(source)
     (tmp_path / "out.src").write_text("old")
     (tmp_path / "out.dat").mkdir()
-    with pytest.raises(SettingsError, match=r"out\.dat is a folder"):
+    with pytest.raises(NotWritten, match=r"out\.dat is a folder"):
         write_program(program.texts, source, tmp_path / "out.src")
     assert (tmp_path / "out.src").read_text() == "old"
     assert not list(tmp_path.glob("*.part"))
@@ -57,8 +58,11 @@ def test_nothing_is_written_where_one_file_cannot(tmp_path: Path) -> None:
 def test_a_program_is_not_replaced_by_itself(tmp_path: Path) -> None:
     source = pair(tmp_path)
     program = load_program(source)
-    with pytest.raises(SettingsError, match="is what is read"):
+    with pytest.raises(NotWritten, match="is what is read"):
         write_program(program.texts, source, tmp_path / "drill")
+    (tmp_path / "out.src").symlink_to(tmp_path / "drill.dat")
+    with pytest.raises(NotWritten, match="is what is read"):
+        write_program(program.texts, source, tmp_path / "out")
 
 
 def test_files_that_are_no_programs(tmp_path: Path) -> None:

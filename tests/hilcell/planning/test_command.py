@@ -87,3 +87,13 @@ def test_a_place_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFi
     words = ["plan", str(holes_file(tmp_path)), "-o", str(tmp_path / "no" / "plan.csv")]
     assert main(words) == 2
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_the_holes_are_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = holes_file(tmp_path)
+    before = file.read_bytes()
+    (tmp_path / "link.csv").symlink_to(file)
+    for out in (file, tmp_path / "link.csv"):
+        assert main(["plan", str(file), "-o", str(out)]) == 2
+        assert "is what is read" in capsys.readouterr().err
+    assert file.read_bytes() == before

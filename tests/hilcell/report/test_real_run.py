@@ -112,7 +112,7 @@ def test_a_changed_journal_is_refused(
     assert out.read_text() == "the report of before"
 
 
-@pytest.mark.parametrize("where", ["no/such/folder/report.html", "."])
+@pytest.mark.parametrize("where", ["no/such/folder/report.html", ".", "n" * 300])
 def test_a_place_that_cannot_be_written(
     where: str,
     calibrated: tuple[Path, dict[str, Any]],
@@ -120,9 +120,23 @@ def test_a_place_that_cannot_be_written(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["report", str(calibrated[0]), "-o", str(tmp_path / where)]) == 2
-    assert "cannot be written" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "is a folder" in told if where == "." else "cannot be written" in told
+    assert told.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
     assert not list(tmp_path.parent.glob("*.part"))
+
+
+@pytest.mark.parametrize("name", [JOURNAL, "calibration.json"])
+def test_a_run_is_not_written_over(
+    name: str, calibrated: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = calibrated[0] / name
+    before = file.read_bytes()
+    assert main(["report", str(calibrated[0]), "-o", str(file)]) == 2
+    assert main(["export", str(calibrated[0]), "--json", "-o", str(file)]) == 2
+    assert capsys.readouterr().err.count("is what is read") == 2
+    assert file.read_bytes() == before
 
 
 def test_a_journal_that_lacks_what_its_result_needs(

@@ -1,0 +1,98 @@
+"""Files appear whole or not at all: written beside their place, then renamed.
+
+The trap: a rename replaces whatever has the name, a device, a pipe or a link as well. So links
+are followed, and what is no regular file is opened and written to.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import stat
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from hilcell.clean import clean
+from hilcell.ports import HilcellError
+
+
+class NotWritten(HilcellError):
+    """A file that cannot, or must not, be written."""
+
+
+def write_whole(path: Path, content: bytes, *, inputs: Iterable[Path] = ()) -> None:
+    """Write one file; raises `NotWritten` as `write_together` does."""
+    write_together({path: content}, inputs=inputs)
+
+
+def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = ()) -> None:
+    """Write files that belong together: all are ready beside their places before one is renamed.
+
+    Existing files keep their mode. Raises `NotWritten`, and leaves what was there, where a path
+    is a folder, cannot be written, or is one of ``inputs``, the files that were read.
+    """
+    read = list(inputs)
+    modes = {path: _mode(path, read) for path in contents}
+    ready: dict[Path, Path] = {}
+    try:
+        for path, mode in modes.items():
+            if mode is None or stat.S_ISREG(mode):
+                # A short name of its own: it fits wherever the file's own name does.
+                beside = _place(path).with_name(f".{secrets.token_hex(8)}.part")
+                with _told(path), beside.open("xb") as file:
+                    ready[path] = beside
+                    if mode is not None:
+                        beside.chmod(stat.S_IMODE(mode))
+                    file.write(contents[path])
+        for path, content in contents.items():
+            with _told(path):
+                if path in ready:
+                    ready[path].replace(_place(path))
+                else:
+                    _pour(path, content)
+    finally:
+        for beside in ready.values():
+            beside.unlink(missing_ok=True)
+
+
+def _mode(path: Path, inputs: list[Path]) -> int | None:
+    """Return the mode of the file that is there, or None; raises `NotWritten`."""
+    with _told(path):
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            return None
+        if stat.S_ISDIR(found.st_mode):
+            raise NotWritten(f"{_name(path)} is a folder; name a file")
+        if not os.access(path, os.W_OK):
+            raise PermissionError(0, "Permission denied")
+    if stat.S_ISREG(found.st_mode) and any(_is_same(found, each) for each in inputs):
+        raise NotWritten(f"{_name(path)} is what is read; write elsewhere")
+    return found.st_mode
+
+
+def _is_same(found: os.stat_result, other: Path) -> bool:
+    return other.exists() and os.path.samestat(found, other.stat())
+
+
+def _place(path: Path) -> Path:
+    return Path(os.path.realpath(path))
+
+
+def _pour(path: Path, content: bytes) -> None:
+    with os.fdopen(os.open(path, os.O_WRONLY), "wb") as file:
+        file.write(content)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise NotWritten(f"{_name(path)}: cannot be written: {reason}") from error
+
+
+def _name(path: Path) -> str:
+    return clean(str(path))
