@@ -24,7 +24,8 @@ from hilcell.robotfile import Measurements, RobotModel
 NEIGHBOURS = 8  # training poses that one prediction is interpolated from
 FOLDS = 5
 BAD_ROW_MM = 1.0  # rows that miss by more count less (soft L1), so one bad row moves nothing
-ABSURD_MM = 20.0  # a median miss beyond this is no robot's error
+ABSURD_MM = 20.0  # a miss beyond this is no robot's error
+NAMED = 5  # rows that one message names
 ITERATIONS = 100
 CONVERGED = 1e-9
 
@@ -94,18 +95,43 @@ def place(arm: Arm, rows: Measurements) -> Placement:
         if step <= CONVERGED:
             break
     placement = Placement(arm, T, dict(zip(targets, smr, strict=True)))
-    miss_mm = np.linalg.norm(rows.xyz_mm - placement.predicted_mm(rows), axis=1)
-    if not np.median(miss_mm) <= ABSURD_MM:
-        raise FitError(
-            f"nominal kinematics miss half of the measured targets by {np.median(miss_mm):.1f} mm "
-            f"or more, wanted <= {ABSURD_MM} mm: check the robot file, joint signs and units"
-        )
+    _refuse_another_robot(placement, rows, "the training set")
     if not step <= CONVERGED:
         raise FitError(
             f"base and reflectors do not settle: the last of {ITERATIONS} steps is {step:.3g}, "
             f"wanted <= {CONVERGED}: measure more poses with other orientations"
         )
     return placement
+
+
+def _refuse_another_robot(placement: Placement, rows: Measurements, which: str) -> None:
+    """Refuse rows half of which miss absurdly: their robot, joint signs or units are others."""
+    half_mm = np.median(_miss_mm(placement, rows))
+    if not half_mm <= ABSURD_MM:
+        raise FitError(
+            f"{which}: nominal kinematics miss half of the measured targets by {half_mm:.4g} mm "
+            f"or more, wanted <= {ABSURD_MM:g} mm: check the robot file, joint signs and units"
+        )
+
+
+def _refuse_gross(placement: Placement, rows: Measurements) -> None:
+    """Refuse single absurd rows: they hardly move the base, but spoil what is learnt near them."""
+    miss_mm = _miss_mm(placement, rows)
+    bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
+    if len(bad):
+        named = ", ".join(
+            f"pose {rows.pose[n]} target {rows.target[n]} by {miss_mm[n]:.4g} mm"
+            for n in bad[:NAMED]
+        )
+        raise FitError(
+            f"{len(bad)} of {len(rows)} training rows miss grossly, wanted <= {ABSURD_MM:g} mm: "
+            f"{named}{', ...' if len(bad) > NAMED else ''}; mend or remove them"
+        )
+
+
+def _miss_mm(placement: Placement, rows: Measurements) -> Array:
+    miss: Array = np.linalg.norm(rows.xyz_mm - placement.predicted_mm(rows), axis=1)
+    return miss
 
 
 def nominal(placement: Placement, train: Measurements, test: Measurements) -> Array:
@@ -151,10 +177,13 @@ def fit(robot: RobotModel, train: Measurements, test: Measurements | None = None
     """
     start_s = time.perf_counter()
     arm = robot.arm()
+    placement = place(arm, train)
+    _refuse_gross(placement, train)
+    if test is not None:
+        _refuse_another_robot(placement, test, "the test set")
     validated = {name: figures_of(miss) for name, miss in cross_validate(arm, train).items()}
     methods = validated
     if test is not None:
-        placement = place(arm, train)
         methods = {
             name: figures_of(test.xyz_mm - predict(placement, train, test))
             for name, predict in METHODS.items()

@@ -8,7 +8,6 @@ joints read back while the robot moves spoil a fit; give the commanded ones.
 from __future__ import annotations
 
 import csv
-import math
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,19 +21,22 @@ from msgspec import Meta
 from hilcell.cell import Joint, arm_from_joints
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.settings import SettingsError, convert
+from hilcell.targets import MOST, MOST_DEG, numbers
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
 LABELS = 2
 MOST_PROBLEMS = 20  # named in one message
+Length = Annotated[float, Meta(ge=-MOST, le=MOST)]
+Angle = Annotated[float, Meta(ge=-MOST_DEG, le=MOST_DEG)]
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One DH row of ``robot.toml``."""
 
-    a_mm: float
-    alpha_deg: float
-    d_mm: float
-    offset_deg: float
+    a_mm: Length
+    alpha_deg: Angle
+    d_mm: Length
+    offset_deg: Angle
     sign: Annotated[int, Meta(ge=-1, le=1)] = 1
 
 
@@ -112,10 +114,10 @@ def read_measurements(path: Path) -> Measurements:
             str(path), [f"line 1: header {','.join(header)!r}, wanted {','.join(HEADER)!r}"]
         )
     problems: list[str] = []
-    labels, numbers = [], []
+    labels, rows = [], []
     for cells in reader:
         try:
-            numbers.append(_numbers(cells))
+            rows.append(_numbers(cells))
             labels.append(cells[:LABELS])
         except ValueError as error:
             problems.append(f"line {reader.line_num}: {error}")
@@ -125,7 +127,7 @@ def read_measurements(path: Path) -> Measurements:
         hidden = len(problems) - MOST_PROBLEMS
         more = [f"and {hidden} more"] if hidden > 0 else []
         raise SettingsError(str(path), problems[:MOST_PROBLEMS] + more)
-    values = np.array(numbers)
+    values = np.array(rows)
     return Measurements(
         [pose for pose, _ in labels],
         [target for _, target in labels],
@@ -141,16 +143,7 @@ def _numbers(cells: list[str]) -> list[float]:
     for name, cell in zip(HEADER[:LABELS], cells, strict=False):
         if not cell.strip():
             raise ValueError(f"{name} is empty")
-    numbers = []
-    for name, cell in zip(HEADER[LABELS:], cells[LABELS:], strict=True):
-        try:
-            value = float(cell)
-        except ValueError:
-            raise ValueError(f"{name} is {cell!r}, wanted a number like -12.5") from None
-        if not math.isfinite(value):
-            raise ValueError(f"{name} is {cell}, wanted a finite number")
-        numbers.append(value)
-    return numbers
+    return numbers(HEADER[LABELS:], cells[LABELS:])
 
 
 def _text(path: Path) -> str:

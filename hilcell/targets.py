@@ -1,7 +1,7 @@
 """CSV files of named rows in {W}: strict reading, whole writing.
 
 Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with KUKA Z-Y-X angles. The trap: Python
-takes ``1_0`` for 10 and ``nan`` for a number; both are refused here.
+takes ``1_0`` for 10, digits of any script, and ``nan`` for a number; all are refused here.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from hilcell.ports import Array
 from hilcell.settings import SettingsError
 from hilcell.writing import write_whole
 
+MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
+SHOWN = 40  # characters of a bad field
 HEADER = ["name", "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"]
 
 
@@ -91,23 +93,35 @@ def _take(
         faults.append(f"name {name!r} is empty, too long, or has outer spaces or controls")
     known.add(name)
     try:
-        values = [_number(cell) for cell in cells[1:]]
+        values = numbers(rows.header[1:], cells[1:])
     except ValueError as error:
         return [*faults, str(error)]
-    if all(math.isfinite(each) for each in values):
-        fault = fault_of(rows.header, values)
-        faults += [fault] if fault else []
-    else:
-        faults.append("values must be finite")
+    fault = fault_of(rows.header, values)
+    faults += [fault] if fault else []
     rows.names.append(name)
     rows.values.append(values)
     return faults
 
 
-def _number(cell: str) -> float:
-    if "_" in cell:
-        raise ValueError(f"could not convert string to float: {cell!r}")
-    return float(cell)
+def numbers(columns: Sequence[str], cells: Sequence[str]) -> list[float]:
+    """Return plain finite numbers of sane size; raises ValueError naming the column."""
+    return [_number(column, cell) for column, cell in zip(columns, cells, strict=True)]
+
+
+def _number(column: str, cell: str) -> float:
+    shown = repr(cell if len(cell) <= SHOWN else f"{cell[:SHOWN]}...")
+    try:
+        value = float(cell) if cell.isascii() and "_" not in cell else None
+    except ValueError:
+        value = None
+    if value is None:
+        raise ValueError(f"{column} is {shown}, wanted a number like -12.5")
+    if not math.isfinite(value):
+        raise ValueError(f"{column} is {shown}, wanted a finite number")
+    most = MOST_DEG if column.endswith("_deg") else MOST
+    if not abs(value) <= most:
+        raise ValueError(f"{column} is {shown}, wanted within +-{most:g}")
+    return value
 
 
 def write_targets(

@@ -241,6 +241,29 @@ def test_rows_of_another_robot_or_unit_are_refused(joint_factor, xyz_factor, say
         fit(IRB120, spoilt)
 
 
+def test_a_test_set_of_another_robot_is_refused():
+    rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
+    other = replace(test, joints_rad=test.joints_rad[::-1])
+    with pytest.raises(FitError, match=r"the test set: .* miss half of .* wanted <= 20 mm"):
+        fit(IRB120, rows, other)
+
+
+@pytest.mark.parametrize("test", [None, measured(2, 20, ["SMR1", "SMR2"])])
+def test_gross_training_rows_are_named(test):
+    rows = measured(1, 40, ["SMR1", "SMR2"])
+    rows.xyz_mm[7, 0] += 5000.0
+    rows.xyz_mm[10, 2] -= 25.0
+    with pytest.raises(FitError) as told:
+        fit(IRB120, rows, test)
+    said = str(told.value)
+    assert "pose 1003 target SMR2 by 5" in said
+    assert "pose 1005 target SMR1 by 2" in said
+    assert said.count("target SMR") == 2
+    rows.xyz_mm[7, 0] -= 5000.0
+    rows.xyz_mm[10, 2] += 25.0 + 10.0
+    fit(IRB120, rows, test)
+
+
 def test_files_lead_to_the_same_figures(tmp_path):
     """Written as the data's files are, with micrometres and micro-degrees."""
     rows = measured(1, 40, ["SMR1", "SMR2"])

@@ -56,6 +56,8 @@ def test_all_problems_of_a_robot_come_at_once(written):
         (ROBOT + 5 * ROW + ROW + "sign = 0\n", "joint 6: sign must be 1 or -1"),
         (ROBOT + 5 * ROW + ROW + "sign = 2\n", "robot.joint[5].sign"),
         (ROBOT.replace('"arm"', "3") + 6 * ROW, "robot.name"),
+        (ROBOT + (6 * ROW).replace("d_mm = 20.5", "d_mm = 1e308", 1), "robot.joint[0].d_mm"),
+        (ROBOT + (6 * ROW).replace("-90.0", "-1e308", 1), "robot.joint[0].alpha_deg"),
         ("[robot\n", "not valid TOML"),
         ("", "robot: missing"),
     ],
@@ -91,16 +93,24 @@ def test_every_bad_line_is_named(written):
         LINE.replace("SMR1", " "),
         "",
         LINE.replace("2439.1", "1e999"),
+        LINE.replace("2439.1", "1_0"),
+        LINE.replace("2439.1", "\u0661\u0662"),
+        LINE.replace("2439.1", "1e308"),
+        LINE.replace("33.9", "10001"),
     ]
     said = problems_of(read_measurements, written("\n".join(lines)))
     assert "line 2" not in said
-    assert "line 3: j2_deg is nan, wanted a finite number" in said
+    assert "line 3: j2_deg is 'nan', wanted a finite number" in said
     assert "line 4: 12 fields, wanted 11" in said
-    assert "line 5: x_mm is inf" in said
+    assert "line 5: x_mm is 'inf'" in said
     assert "line 6: x_mm is '2439.1 mm', wanted a number" in said
     assert "line 7: target is empty" in said
     assert "line 8: 0 fields" in said
-    assert "line 9: x_mm is 1e999" in said
+    assert "line 9: x_mm is '1e999'" in said
+    assert "line 10: x_mm is '1_0', wanted a number" in said
+    assert "line 11: x_mm is '\u0661\u0662', wanted a number" in said
+    assert "line 12: x_mm is '1e308', wanted within +-1e+06" in said
+    assert "line 13: j2_deg is '10001', wanted within +-10000" in said
 
 
 def test_a_long_list_of_bad_lines_is_cut(written):

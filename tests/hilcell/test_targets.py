@@ -29,16 +29,22 @@ def test_round_trip(tmp_path: Path) -> None:
 def test_all_problems_are_told_with_their_lines(tmp_path: Path) -> None:
     path = file_of(
         tmp_path, HEAD, "H1,1,2,3,0,0,0", "H1,1,2,3,0,0,0", "H2,1,2,3,0,0", "H3,a,2,3,0,0,0",
-        "H4,nan,2,3,0,0,0", "H5,inf,2,3,0,0,0",
+        "H4,nan,2,3,0,0,0", "H5,inf,2,3,0,0,0", "H6,1_0,2,3,0,0,0", "H7,\u0661,2,3,0,0,0",
+        "H8,1,2,-1.1e6,0,0,10001", "H9,1e308,2,3,0,0,0", f"H10,{300 * '9'},2,3,0,0,0",
     )  # fmt: skip
     with pytest.raises(SettingsError) as told:
         read_targets(path)
     assert told.value.problems == [
         "line 3: name 'H1' was used before",
         "line 4: 7 fields are wanted, found 6",
-        "line 5: could not convert string to float: 'a'",
-        "line 6: values must be finite",
-        "line 7: values must be finite",
+        "line 5: x_mm is 'a', wanted a number like -12.5",
+        "line 6: x_mm is 'nan', wanted a finite number",
+        "line 7: x_mm is 'inf', wanted a finite number",
+        "line 8: x_mm is '1_0', wanted a number like -12.5",
+        "line 9: x_mm is '\u0661', wanted a number like -12.5",
+        "line 10: z_mm is '-1.1e6', wanted within +-1e+06",
+        "line 11: x_mm is '1e308', wanted within +-1e+06",
+        f"line 12: x_mm is '{40 * '9'}...', wanted within +-1e+06",
     ]
 
 
