@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilcell.cell import load_cell
 from hilcell.robotfile import HEADER, read_measurements, read_robot
 from hilcell.settings import SettingsError
 
