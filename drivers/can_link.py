@@ -23,6 +23,7 @@ JOIN_S = 1.0
 OPERATIONAL = b"\x05"
 
 Callback = Callable[[int, bytearray, float], None]
+Failed = Callable[[Exception], None]
 
 
 def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.BusABC:
@@ -38,12 +39,32 @@ def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.Bus
         ) from error  # fmt: skip
 
 
+class LinkLost(DeviceError):
+    """The gateway or the bus under the link is gone; trying again on this link is of no use."""
+
+
+class _Network(canopen.Network):
+    """canopen's network, whose SDO client then also fails as a device does."""
+
+    def __init__(self, bus: can.BusABC, check: Callable[[], None], fail: Failed) -> None:
+        super().__init__(bus)
+        self._check_link, self._fail_link = check, fail
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        self._check_link()
+        try:
+            super().send_message(can_id, data, remote)
+        except (can.CanError, OSError, ValueError) as error:
+            self._fail_link(error)
+            self._check_link()
+
+
 class CanLink:
     """A bus with its canopen network, receiving in a thread of its own."""
 
     def __init__(self, device: str, bus: can.BusABC) -> None:
         self.device = device
-        self.network = canopen.Network(bus)
+        self.network = _Network(bus, self.check, self._fail)
         self.malformed = 0
         self._bus = bus
         self._failure = ""
@@ -56,18 +77,13 @@ class CanLink:
         self.network.subscribe(cob_id, callback)
 
     def send(self, cob_id: int, data: bytes) -> None:
-        """Send a frame from any thread; raises `DeviceError`."""
-        self.check()
-        try:
-            self.network.send_message(cob_id, data)
-        except (can.CanError, OSError) as error:
-            self._fail(error)
-            self.check()
+        """Send a frame from any thread; raises `LinkLost`."""
+        self.network.send_message(cob_id, data)
 
     def check(self) -> None:
-        """Raise `DeviceError` when the link is lost."""
+        """Raise `LinkLost` when the link is lost."""
         if self._failure:
-            raise DeviceError(
+            raise LinkLost(
                 self.device, "CAN", f"link lost: {self._failure}",
                 act="check the gateway, the cable and the terminators, then resume",
             )  # fmt: skip
@@ -85,7 +101,7 @@ class CanLink:
             thread.join(JOIN_S)
         try:
             self._bus.shutdown()
-        except (can.CanError, OSError) as error:
+        except (can.CanError, OSError, ValueError) as error:
             self._fail(error)
 
     def _receive(self) -> None:

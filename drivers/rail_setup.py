@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers import cia402, cia406
+from drivers.can_link import LinkLost
 from drivers.node_watch import HEARTBEAT_PERIOD_MS
 from drivers.sdo import ABSENT, Aborted, SdoChannel
 from hilcell.clean import clean
@@ -39,12 +40,15 @@ class Expected:
 
 
 def find_node(sdo: SdoChannel, expected: Expected, clock: Clock) -> int:
-    """Return the node's device type as soon as it answers; raises `DeviceError` after `FIND_S`."""
+    """Return the node's device type as soon as it answers; raises `DeviceError` after `FIND_S`.
+
+    A lost link is told at once as `LinkLost`.
+    """
     deadline_s = time.monotonic() + FIND_S
     while True:
         try:
             return sdo.read(DEVICE_TYPE)
-        except Aborted:
+        except (Aborted, LinkLost):
             raise
         except DeviceError as error:
             if time.monotonic() > deadline_s:

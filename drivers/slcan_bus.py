@@ -33,7 +33,7 @@ class SlcanBus(slcanBus):
         self._bytes = b""
         try:
             super().__init__(channel, bitrate=bitrate, sleep_after_open=0)
-        except can.CanError:
+        except (can.CanError, OSError, ValueError):
             self._close_port(self._link())
             raise
         self._fd: int = self.serialPortOrig.fileno()
