@@ -24,6 +24,7 @@ from hilcell.settings import SettingsError
 ANSWER_S = 10.0
 END_S = 5.0
 LONGEST_WORDS = 2000
+LAST_PORT = 65535
 DEVICES = ("rail", "robot", "tracker")
 
 
@@ -105,11 +106,13 @@ class Control:
     def __init__(self, address: str) -> None:
         self._lock = threading.Lock()
         self._address = address
-        host, _, port = address.rpartition(":")
         try:
-            self._socket = socket.create_connection((host, int(port)), ANSWER_S)
-        except (OSError, ValueError, OverflowError) as error:
-            raise self._gone("connect", error) from error
+            self._socket = socket.create_connection(_host_and_port(address), ANSWER_S)
+        except OSError as error:
+            raise DeviceError(
+                "Simulated cell", "connect", f"nobody answers at {address}: {error}",
+                act="start it with `hilcell sim` and give the address that it prints",
+            ) from error  # fmt: skip
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._lines = self._socket.makefile("rb")
 
@@ -146,6 +149,14 @@ class Control:
     def _gone(self, do: str, reason: object) -> DeviceError:
         where = f"control channel {self._address} does not answer: {reason}"
         return DeviceError("Simulated cell", do, where, act="start it anew, then resume")
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    host, _, port = address.rpartition(":")
+    known = ":" not in host and port.isdecimal() and len(port) <= 5 and int(port) <= LAST_PORT
+    if not (host and known):
+        raise SettingsError("simulation.address", [f"HOST:PORT is wanted, found {address[:80]!r}"])
+    return host, int(port)
 
 
 def _start(order: bytes) -> tuple[subprocess.Popen[bytes], dict[str, Any]]:

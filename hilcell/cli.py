@@ -14,6 +14,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hilcell import __version__
+from hilcell.clean import clean
+
+LEAST_SPEED, MOST_SPEED = 0.001, 1e6
+MOST_SEED = 2**63 - 1
 
 EPILOG = """\
 exit codes: 0 in tolerance; 1 measured, out of tolerance; 2 refused before anything moved;
@@ -45,14 +49,16 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run = _command(commands, "run", "commands.run:run", "perform a procedure on a cell")
     run.add_argument("procedure", nargs="?", default="calibrate", help="default: calibrate")
     _cell_options(run)
-    run.add_argument("--seed", type=int, default=1, metavar="N", help="of random targets; of the "
+    run.add_argument("--seed", type=_seed, default=1, metavar="N", help="of random targets; of the "
                      "simulated cell's truth (default: 1)")  # fmt: skip
     _runs_option(run)
     run.add_argument("--speed", type=_speed, metavar="X|max", help="of a simulated cell's time: a "
                      "factor, or as fast as it goes (default: max)")  # fmt: skip
     run.add_argument("--unattended", action="store_true", help="nobody is there to ask")
-    run.add_argument("--operator", default="", metavar="NAME", help="kept in the journal")
-    run.add_argument("--job", default="", metavar="ID", help="kept in the journal")
+    run.add_argument(
+        "--operator", type=clean, default="", metavar="NAME", help="kept in the journal"
+    )
+    run.add_argument("--job", type=clean, default="", metavar="ID", help="kept in the journal")
     run.add_argument("--dry-run", action="store_true", help="check and show the plan; open nothing")
     _json_option(run, "one event a line, as journalled")
     resume = _command(commands, "resume", "commands.run:resume", "continue a run, or a paused one")
@@ -106,7 +112,7 @@ def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _json_option(check, "one object")
     sim = _command(commands, "sim", "commands.cell:sim", "run the simulated cell by itself")
     _cell_options(sim)
-    sim.add_argument("--seed", type=int, default=1, metavar="N", help="of the truth (default: 1)")
+    sim.add_argument("--seed", type=_seed, default=1, metavar="N", help="of the truth (default: 1)")
     sim.add_argument("--speed", type=_speed, default=1.0, metavar="X|max", help="default: 1")
     sim.add_argument("--faults", default="", metavar="FILE", help="faults to inject, TOML")
     _command(commands, "diagram", "commands.cell:diagram", "print the state machines as Mermaid")
@@ -180,24 +186,42 @@ def _json_option(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("--json", action="store_true", help=f"print JSON: {text}")
 
 
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
 def _speed(text: str) -> float:
-    value = math.inf if text == "max" else float(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"a positive factor or max is wanted, found {text!r}")
+    value = math.inf if text == "max" else _number(text)
+    if not (text == "max" or LEAST_SPEED <= value <= MOST_SPEED):
+        raise argparse.ArgumentTypeError(
+            f"a factor of {LEAST_SPEED:g} .. {MOST_SPEED:g}, or max, is wanted, found {text[:80]!r}"
+        )
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text) if text.isdecimal() and len(text) < 20 else -1
+    if not 0 <= value <= MOST_SEED:
+        raise argparse.ArgumentTypeError(
+            f"a whole number of 0 .. {MOST_SEED} is wanted, found {text[:80]!r}"
+        )
     return value
 
 
 def _finite(text: str) -> float:
-    value = float(text)
+    value = _number(text)
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"a finite number is wanted, found {text!r}")
+        raise argparse.ArgumentTypeError(f"a finite number is wanted, found {text[:80]!r}")
     return value
 
 
 def _assignment(text: str) -> tuple[str, str]:
     key, sign, value = text.partition("=")
-    if not (key and sign):
-        raise argparse.ArgumentTypeError(f"KEY=VALUE is wanted, found {text!r}")
+    if not (key and sign) or "\n" in text:
+        raise argparse.ArgumentTypeError(f"KEY=VALUE on one line is wanted, found {text[:80]!r}")
     return key.strip(), value.strip()
 
 

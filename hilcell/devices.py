@@ -68,13 +68,21 @@ def driver_options(
 
 
 def check_options(cell: Cell) -> None:
-    """Check the options of all three drivers; raises `SettingsError` with all problems."""
+    """Check the options of all three drivers, and that the simulator is installed.
+
+    Raises `SettingsError` with all problems.
+    """
     problems: list[str] = []
     for table, group in TABLES:
         try:
             driver_options(cell, table, group, {})
         except SettingsError as error:
             problems += [f"{table}.options: {line}" for line in error.problems]
+    if cell.simulation is not None:
+        try:
+            load_entry("simulators", cell.simulation.simulator)
+        except SettingsError as error:
+            problems += [f"simulation.simulator: {line}" for line in error.problems]
     if problems:
         raise SettingsError(cell.name, problems)
 

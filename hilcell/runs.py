@@ -7,10 +7,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hilcell.ports import HilcellError
-from hilcell.run.journal import read_journal
+from hilcell.run.journal import StorageError, read_journal
 from hilcell.run.log import Log
 
 JOURNAL = "journal.sqlite"
+LONGEST_NAME = 200  # longer is no path that a file system takes
 
 
 def new_run(procedure: str) -> str:
@@ -19,16 +20,20 @@ def new_run(procedure: str) -> str:
 
 
 def run_folders(runs: Path) -> list[Path]:
-    """Return the folders that hold a journal, oldest first."""
-    if not runs.is_dir():
-        return []
-    return sorted(path.parent for path in runs.glob(f"*/{JOURNAL}"))
+    """Return the folders that hold a journal, oldest first; raises `StorageError`."""
+    try:
+        folders = list(runs.iterdir())
+        return sorted(folder for folder in folders if (folder / JOURNAL).is_file())
+    except FileNotFoundError:
+        return []  # no run was ever made there
+    except OSError as error:
+        raise StorageError(f"runs folder {runs} cannot be used: {error.strerror}") from error
 
 
 def find_run(runs: Path, name: str) -> Path:
     """Return the folder of one run; raises `HilcellError` where none or several are meant."""
     direct = Path(name)
-    if (direct / JOURNAL).is_file():
+    if len(name) <= LONGEST_NAME and (direct / JOURNAL).is_file():
         return direct
     folders = run_folders(runs)
     if name == "last" and folders:
@@ -40,7 +45,7 @@ def find_run(runs: Path, name: str) -> Path:
     if meant:
         raise HilcellError(f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which")
     newest = ", ".join(folder.name for folder in folders[-3:]) or "none"
-    raise HilcellError(f"run {name!r} is not in {runs}; newest there: {newest}")
+    raise HilcellError(f"run {name[:80]!r} is not in {runs}; newest there: {newest}")
 
 
 def read_log(folder: Path) -> Log:

@@ -12,8 +12,10 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 from hilcell.ports import HilcellError
+from hilcell.run.journal import StorageError
 
 
 class CellLocked(HilcellError):
@@ -27,15 +29,17 @@ def lock_of_name(runs: Path, cell: str) -> Path:
 
 def lock_of_address(address: str) -> Path:
     """Return the lock of a device's address on this machine."""
-    folder = Path(tempfile.gettempdir()) / f"hilcell-locks-{os.getuid()}"
-    return folder / hashlib.sha256(address.encode()).hexdigest()
+    return _locks() / hashlib.sha256(address.encode()).hexdigest()
+
+
+def _locks() -> Path:
+    return Path(tempfile.gettempdir()) / f"hilcell-locks-{os.getuid()}"
 
 
 @contextmanager
 def locked(path: Path, what: str, run: str) -> Iterator[None]:
-    """Hold the lock at ``path``; raises `CellLocked` naming who holds it."""
-    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    with path.open("a+", encoding="utf-8") as file:
+    """Hold the lock at ``path``; raises `CellLocked` naming who holds it, and `StorageError`."""
+    with _opened(path) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -48,3 +52,13 @@ def locked(path: Path, what: str, run: str) -> Iterator[None]:
         file.write(f"run {run} (pid {os.getpid()})")
         file.flush()
         yield
+
+
+def _opened(path: Path) -> TextIO:
+    folder = path.parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        return path.open("a+", encoding="utf-8")
+    except OSError as error:
+        kind = "locks" if folder == _locks() else "runs"
+        raise StorageError(f"{kind} folder {folder} cannot be used: {error.strerror}") from error

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -170,8 +171,16 @@ def test_attaches_to_a_running_cell_and_leaves_it_running(cell: Cell, simulated:
 def test_nobody_at_the_address_is_said_so(cell: Cell) -> None:
     assert cell.simulation is not None
     nowhere = msgspec.structs.replace(cell.simulation, address="127.0.0.1:1")
-    with pytest.raises(DeviceError, match="does not answer"):
+    with pytest.raises(DeviceError, match=r"nobody answers at 127.0.0.1:1: .*`hilcell sim`"):
         PaperCell(msgspec.structs.replace(cell, simulation=nowhere), seed=1)
+
+
+@pytest.mark.parametrize("address", [":::", "x", "127.0.0.1:", "127.0.0.1:-1", "127.0.0.1:65536"])
+def test_what_is_no_address_is_refused(cell: Cell, address: str) -> None:
+    assert cell.simulation is not None
+    there = msgspec.structs.replace(cell.simulation, address=address)
+    with pytest.raises(SettingsError, match=r"HOST:PORT is wanted, found '" + re.escape(address)):
+        PaperCell(msgspec.structs.replace(cell, simulation=there), seed=1)
 
 
 def test_faults_over_the_control_channel(simulated: PaperCell) -> None:

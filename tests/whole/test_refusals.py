@@ -123,6 +123,53 @@ def test_speed_is_for_simulated_cells(tmp_path: Path) -> None:
     assert "is real" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["--seed", "-1"], "a whole number of 0 .. 9223372036854775807 is wanted, found '-1'"),
+        (["--seed", "9223372036854775808"], "a whole number of 0 .. "),
+        (["--speed", "banana"], "a factor of 0.001 .. 1e+06, or max, is wanted, found 'banana'"),
+        (["--speed", "nan"], "or max, is wanted"),
+        (["--speed", "1e7"], "or max, is wanted"),
+        (["--set", "rail.speed_mm_s=1.0\nname='x'"], "KEY=VALUE on one line is wanted"),
+    ],
+)
+def test_numbers_on_the_command_line(words: list[str], part: str) -> None:
+    done = hilcell("run", *words)
+    assert done.returncode == 2
+    assert part in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_check_tells_all_drivers_problems_and_an_unknown_simulator() -> None:
+    values = {
+        "simulation.simulator": "papper",
+        "rail.options.bitrate": "5",
+        "robot.options.prot": "1",
+        "tracker.driver": "leika",
+    }
+    done = hilcell("check", "paper", *sets(values))
+    assert done.returncode == 2
+    for part in ("4 problems", "'papper' is not installed", "bitrate", "prot: unknown", "'leika'"):
+        assert part in done.stderr
+
+
+@pytest.mark.parametrize("folder", ["/etc/passwd", "/proc/x", "x" * 300])
+def test_a_runs_folder_that_cannot_be_used(folder: str) -> None:
+    done = hilcell("run", "--runs", folder)
+    assert done.returncode == 7
+    assert done.stderr.startswith(f"hilcell: runs folder {folder} cannot be used: ")
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("address", "code"), [("127.0.0.1:1", 3), (":::", 2), ("x", 2)])
+def test_a_simulated_cell_that_is_not_there(tmp_path: Path, address: str, code: int) -> None:
+    done = hilcell("run", "--runs", tmp_path, "--set", f"simulation.address={address}")
+    assert done.returncode == code, done.stderr
+    assert address in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 @pytest.mark.parametrize("words", [["dance"], ["run", "--speed", "0"], ["run", "--set", "x"], []])
 def test_words_nobody_knows(words: list[str]) -> None:
     done = hilcell(*words)

@@ -11,7 +11,9 @@ import pytest
 
 from hilcell.ports import HilcellError
 from hilcell.run.control import Control, EngineFile, live_engine, send_command
+from hilcell.run.journal import StorageError
 from hilcell.run.lock import CellLocked, lock_of_address, lock_of_name, locked
+from hilcell.runs import find_run, run_folders
 
 
 def engine(folder: Path, posted: list[str]) -> Control:
@@ -66,6 +68,7 @@ def test_a_dead_engine_is_told(tmp_path: Path) -> None:
 HOLD = """
 import sys
 from pathlib import Path
+from hilcell.run.journal import StorageError
 from hilcell.run.lock import locked
 with locked(Path(sys.argv[1]), "cell paper", "other"):
     print("held", flush=True)
@@ -94,3 +97,24 @@ def test_another_process_holds_the_cell_until_it_dies(tmp_path: Path) -> None:
 
 def test_addresses_have_locks_of_their_own(tmp_path: Path) -> None:
     assert lock_of_address("robot 10.0.0.1:7000") != lock_of_address("robot 10.0.0.2:7000")
+
+
+@pytest.mark.parametrize("folder", ["/etc/passwd", "/proc/x", "x" * 300])
+def test_a_folder_that_cannot_be_used_is_named(folder: str) -> None:
+    with (
+        pytest.raises(StorageError, match=f"runs folder {folder} cannot be used: "),
+        locked(lock_of_name(Path(folder), "paper"), "cell paper", "mine"),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("folder", ["/etc/passwd", "x" * 300])
+def test_runs_are_not_looked_for_where_none_can_be(folder: str) -> None:
+    with pytest.raises(StorageError, match="cannot be used"):
+        run_folders(Path(folder))
+
+
+def test_a_run_of_an_endless_name_is_not_there(tmp_path: Path) -> None:
+    assert run_folders(tmp_path / "none") == []
+    with pytest.raises(HilcellError, match="is not in"):
+        find_run(tmp_path, "x" * 5000)
