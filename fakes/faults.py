@@ -104,6 +104,9 @@ KNOWN = {
 }
 
 
+TEXTS = frozenset({"robot.bad_number", "robot.wrong_identity", "tracker.bad_number"})
+
+
 class FaultLine(Struct, frozen=True, kw_only=True):
     """One ``[[fault]]`` of a faults file."""
 
@@ -136,9 +139,9 @@ class Faults:
     def set(self, name: str, value: Value = True, *, after: int = 0, count: int = 1) -> None:
         """Arm a fault: let ``after`` occasions pass, then strike ``count`` times (0: for ever).
 
-        Raises `SettingsError` for an unknown name.
+        Raises `SettingsError` for an unknown name, and for text where a number belongs.
         """
-        if problem := _unknown(name):
+        if problem := _problem(name, value):
             raise SettingsError("fault", [problem])
         left = count if count != UNTIL_CLEARED else -1
         with self._lock:
@@ -184,7 +187,7 @@ def load_faults(path: str) -> Faults:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise SettingsError(path, [f"cannot be read: {error}"]) from error
     lines = convert(values, FaultFile, path).fault
-    problems = [problem for line in lines if (problem := _unknown(line.name))]
+    problems = [problem for line in lines if (problem := _problem(line.name, line.value))]
     if problems:
         raise SettingsError(path, problems)
     for line in lines:
@@ -192,9 +195,17 @@ def load_faults(path: str) -> Faults:
     return faults
 
 
-def _unknown(name: str) -> str:
-    if name in KNOWN:
+def _problem(name: str, value: Value) -> str:
+    """Return what is wrong with a fault; ``true`` is the default value of every fault."""
+    if name not in KNOWN:
+        return _unknown(name)
+    wanted = "text" if name in TEXTS else "a number"
+    if value is True or isinstance(value, str) == (name in TEXTS):
         return ""
+    return f"fault {name!r}: the value {value!r:.80} is not {wanted}"
+
+
+def _unknown(name: str) -> str:
     near = difflib.get_close_matches(name, KNOWN, n=1)
     hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(KNOWN)}"
     return f"fault {name!r} is unknown; {hint}"

@@ -54,6 +54,23 @@ def test_file_names_all_problems(tmp_path: Path) -> None:
     assert len(error.value.problems) == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "wanted"),
+    [
+        ("rail.emcy", '"0x8611"', "a number"),
+        ("tracker.noisy", '"much"', "a number"),
+        ("tracker.bad_number", "3.0", "text"),
+    ],
+)
+def test_a_value_of_the_wrong_type_is_refused(
+    tmp_path: Path, name: str, value: str, wanted: str
+) -> None:
+    file = tmp_path / "faults.toml"
+    file.write_text(f'[[fault]]\nname = "{name}"\nvalue = {value}\n')
+    with pytest.raises(SettingsError, match=f"fault '{name}': the value .* is not {wanted}"):
+        load_faults(str(file))
+
+
 def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
     broken = tmp_path / "broken.toml"
     broken.write_text("[[fault]\n")
