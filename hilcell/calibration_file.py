@@ -1,19 +1,23 @@
 """The calibration file: what a finished calibration is for others, one JSON schema with a version.
 
 All lengths mm, frames as homogeneous matrices; the errors of the grid stand in {B}, so that they
-hold at every station.
+hold at every station. The trap: one changed digit corrects every target wrongly, so the file is
+sealed, and judged by `hilcell.calibration_check`, before it is used.
 """
 
 from __future__ import annotations
 
+import hashlib
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from hilcell import __version__
 from hilcell.calibration import Frames, command_mm, grid_errors_mm, grid_of
+from hilcell.calibration_check import MOST_MM, problems_of
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.frames import apply, inverse, kuka_from_pose, pose_from_kuka
 from hilcell.ports import Array, HilcellError
@@ -21,7 +25,8 @@ from hilcell.run.log import Log
 from hilcell.settings import SettingsError
 from hilcell.writing import write_whole
 
-SCHEMA = 1
+SCHEMA = 2  # 2: sealed
+SEAL = "seal"
 ORIENTATION_TOLERANCE_DEG = 2.0
 NAME = "calibration.json"
 
@@ -115,23 +120,45 @@ def _entry(log: Log, base: Array, station: str) -> StationEntry:
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
-    """Write the file whole; raises `NotWritten`."""
-    text = msgspec.json.format(msgspec.json.encode(calibration), indent=1)
-    write_whole(path, text + b"\n")
+    """Write the file whole, with its seal; raises `NotWritten`."""
+    content = msgspec.json.decode(msgspec.json.encode(calibration))
+    text = msgspec.json.encode(content | {SEAL: _seal(content)})
+    write_whole(path, msgspec.json.format(text, indent=1) + b"\n")
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read the file; raises `SettingsError` for anything that is not one of this version."""
+    """Read the file; raises `SettingsError` for anything that is not one, whole and of sense."""
     try:
         data = path.read_bytes()
         schema = msgspec.json.decode(data, type=_Head).schema
         if schema != SCHEMA:
-            raise SettingsError(str(path), [f"schema {schema}, this hilcell reads {SCHEMA}"])
-        return msgspec.json.decode(data, type=Calibration)
+            raise SettingsError(str(path), [f"schema {schema:.6g}, this hilcell reads {SCHEMA}"])
+        content = msgspec.json.decode(data)
+        problems = _seal_problems(content)
+        calibration = msgspec.convert(content, Calibration)
     except OSError as error:
         raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError, OverflowError) as error:
         raise SettingsError(str(path), [f"not a calibration file: {error}"]) from error
+    problems += problems_of(calibration)
+    if problems:
+        raise SettingsError(str(path), problems)
+    return calibration
+
+
+def _seal(content: dict[str, Any]) -> str:
+    """Return SHA-256 over the canonical JSON of everything but the seal.
+
+    It tells damage and edits by hand; it does not prove who wrote the file.
+    """
+    rest = {key: value for key, value in content.items() if key != SEAL}
+    return hashlib.sha256(msgspec.json.encode(rest, order="sorted")).hexdigest()
+
+
+def _seal_problems(content: dict[str, Any]) -> list[str]:
+    if content.get(SEAL) == _seal(content):
+        return []
+    return ["was changed after it was written: its seal does not hold; take the run's own file"]
 
 
 class _Head(msgspec.Struct):
@@ -148,6 +175,12 @@ def compensate_targets(
     if station not in calibration.stations:
         known = ", ".join(calibration.stations)
         raise HilcellError(f"station {station!r} is not calibrated; calibrated: {known}")
+    far = [name for name, at in zip(names, targets, strict=True) if not np.abs(at).max() <= MOST_MM]
+    if far:
+        raise HilcellError(
+            f"{len(far)} targets are not in the cell, wanted within +-{MOST_MM:g} mm and deg: "
+            f"{', '.join(far[:5])}"
+        )
     T_W_B = np.array(calibration.stations[station].T_W_B)
     poses = np.array([pose_from_kuka(*target) for target in targets])
     in_base = inverse(T_W_B) @ poses

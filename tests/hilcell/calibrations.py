@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration_file import Calibration, Provenance, StationEntry, Validity
+from hilcell.calibration_file import SCHEMA, Calibration, Provenance, StationEntry, Validity
 from hilcell.geometry.frames import pose_from_kuka
 
 LOW_MM = np.array([1400.0, -450.0, 500.0])
@@ -33,7 +33,7 @@ def calibration(size_mm: float = 1.2, **provenance: Any) -> Calibration:
     high_mm = LOW_MM + PITCH_MM * (np.array(SHAPE) - 1)
     entry = StationEntry(T_W_B.tolist(), np.eye(4).tolist(), np.eye(6).tolist(), 0.01, 1100.0)
     values = {
-        "schema": 1,
+        "schema": SCHEMA,
         "provenance": msgspec.structs.replace(made, **provenance),
         "validity": Validity(
             tuple(LOW_MM.tolist()), tuple(high_mm.tolist()),

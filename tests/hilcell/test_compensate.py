@@ -104,6 +104,7 @@ def test_simulated_is_warned_of(desk: Desk, capsys: pytest.CaptureFixture[str]) 
         (SRC, DAT.replace("Z +1000.5", "Z 9000"), (), "XP1 (drill.dat line 8) by "),
         (SRC, DAT.replace("HOLE[2]={X 0.0,Y 50.0,Z 1200.0,A 0.0,B 75.0", "HOLE[2]={X 0.0,Y 50.0,"
          "Z 1200.0,A 0.0,B 85.0"), (), "HOLE[2] (drill.dat line 16) by 9.90 deg"),
+        (SRC, DAT.replace("Z +1000.5", "Z 1E308"), (), "1 targets are not in the cell"),
         (SRC, DAT, ("--temperature", "40"), "40.0 C is not within 2 K"),
         (SRC, DAT, ("--cell", "paper"), "another cell"),
         (SRC, DAT, ("--max-age", "-1"), "days ago, wanted <= -1 days"),
@@ -137,6 +138,7 @@ def test_an_unproven_calibration_is_refused(desk: Desk, capsys: pytest.CaptureFi
     file.write_text(file.read_text().replace(',\n  "sign_checked": true', ""))
     assert "sign_checked" not in file.read_text()
     assert desk.compensate() == 2
+    assert "was changed after it was written" in capsys.readouterr().err
     assert desk.files == BEFORE
 
 

@@ -1,5 +1,6 @@
 """Robot file and measurements: strict, all problems at once, with lines and nearest keys."""
 
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from hilcell.cell import load_cell
 from hilcell.robotfile import HEADER, read_measurements, read_robot
 from hilcell.settings import SettingsError
+from hilcell.targets import read_targets
 
 ROW = "[[robot.joint]]\na_mm = 10\nalpha_deg = -90.0\nd_mm = 20.5\noffset_deg = 0\n"
 ROBOT = '[robot]\nname = "arm"\nconvention = "standard-dh"\n'
@@ -37,6 +39,15 @@ def test_robot_is_read(written):
     np.testing.assert_allclose(arm.alpha_rad, 6 * [-np.pi / 2])
     np.testing.assert_array_equal(arm.sign, [1, 1, 1, 1, 1, -1])
     np.testing.assert_array_equal(arm.tool, np.eye(4))
+
+
+def test_a_byte_order_mark_is_taken_in_every_file(written, tmp_path):
+    assert read_robot(written("\ufeff" + ROBOT + 6 * ROW)).name == "arm"
+    targets = "\ufeffname,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,1,2,3,0,0,0\n"
+    assert read_targets(written(targets))[0] == ["H1"]
+    built_in = (resources.files("hilcell.cells") / "paper.toml").read_text("utf-8")
+    (tmp_path / "cell.toml").write_text("\ufeff" + built_in, "utf-8")
+    assert load_cell(str(tmp_path / "cell.toml")).digest == load_cell("paper").digest
 
 
 def test_all_problems_of_a_robot_come_at_once(written):

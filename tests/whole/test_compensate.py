@@ -3,6 +3,9 @@
 import json
 from pathlib import Path
 
+import msgspec
+
+from hilcell.calibration_file import read_calibration, write_calibration
 from tests.whole.bench import SMALL, end_of, events, hilcell, sets
 
 SRC = "DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\n"
@@ -33,8 +36,14 @@ def test_from_sign_check_to_program(tmp_path: Path) -> None:
     values = json.loads(file.read_text())
     assert values["provenance"]["sign_checked"] is True
     values["provenance"]["sign_checked"] = False
+    proven = read_calibration(file)
     file.write_text(json.dumps(values))
     src.unlink()
+    done = hilcell(*words, "--runs", tmp_path / "runs")
+    assert done.returncode == 2
+    assert "was changed after it was written" in done.stderr
+    provenance = msgspec.structs.replace(proven.provenance, sign_checked=False)
+    write_calibration(msgspec.structs.replace(proven, provenance=provenance), file)
     done = hilcell(*words, "--runs", tmp_path / "runs")
     assert done.returncode == 2
     assert "sign check" in done.stderr
