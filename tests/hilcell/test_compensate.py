@@ -189,6 +189,12 @@ def test_the_calibration_is_not_written_over(
     assert file.read_bytes() == before
 
 
+def test_a_calibration_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("nowhere.json", "n" * 300):
+        assert main(["compensate", name, "targets.csv", "--station", "S1100", "-o", "out"]) == 2
+        assert capsys.readouterr().err.startswith("hilcell: run 'n")
+
+
 def near_zero(posture: str) -> str:
     """Return a data list whose point the correction takes from -0.2 to about 0.3 mm beside A1."""
     x, y, z = apply(T_W_B, np.array([[1850.0, -0.2, 950.0]]))[0]
