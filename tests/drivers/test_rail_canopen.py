@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import struct
 import threading
 import time
@@ -17,7 +16,7 @@ from hilcell.ports import DeviceError, DeviceRefused, Rail, Stopped
 from hilcell.settings import SettingsError, convert
 from tests.drivers import can_peer
 from tests.drivers.can_peer import DRIVE, ENABLED, FAULT, STRIP, CanPeer, u16, u32
-from tests.drivers.peers import Server, wall_clock
+from tests.drivers.peers import wall_clock
 
 
 @pytest.fixture(autouse=True)
@@ -451,35 +450,6 @@ def _soon(holds: Callable[[], bool]) -> bool:
     while not holds() and time.monotonic() < deadline_s:
         threading.Event().wait(0.01)
     return holds()
-
-
-@pytest.mark.parametrize("frames", [0, 1, 2])
-def test_a_gateway_that_hangs_up_while_connecting_is_told(frames: int) -> None:
-    """Wherever in the connecting it happens, reading or writing: a lost link, told within 2 s."""
-
-    def hangs_up(connection: socket.socket) -> None:
-        heard = 0
-        while heard < frames and (data := connection.recv(100)):
-            heard += data.count(b"t")
-        connection.shutdown(socket.SHUT_RDWR)
-
-    with Server(hangs_up) as server:
-        options = {"channel": f"socket://127.0.0.1:{server.port}", "travel_min_mm": 0.0}
-        rail = CanopenRail(
-            CanopenRail.Options(
-                **options,
-                travel_max_mm=1.0,
-                speed_mm_s=1.0,
-                acceleration_mm_s2=1.0,  # type: ignore[arg-type]
-            ),
-            wall_clock(),
-        )
-        started_s = time.monotonic()
-        with pytest.raises(
-            DeviceError, match=r"Rail: (CAN: link lost:|connect: slcan) .*; check the "
-        ):
-            rail.connect()
-        assert time.monotonic() - started_s < 2.0
 
 
 def test_nobody_listening_is_named(peer: CanPeer) -> None:
