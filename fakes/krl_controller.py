@@ -23,7 +23,7 @@ from fakes.krl import (
 )
 from fakes.robot_motion import RobotMotion
 from hilcell.cell import Cell
-from hilcell.geometry.frames import kuka_from_pose
+from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.inverse import ReachError, status_of, turn_of
 from hilcell.geometry.kinematics import Array, forward
 
@@ -53,7 +53,7 @@ class KrlController:
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
         model = cell.robot.name.replace(" ", "").replace("-", "_")
         self._name = f"#{model} C4 FLR"
-        self._tool = dict(zip(FRAME, kuka_from_pose(self._arm.tool).tolist(), strict=True))
+        self._tool = dict(zip(FRAME, zyx_from_pose(self._arm.tool).tolist(), strict=True))
         self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
         self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0}
         self._acknowledged = self._error = 0
@@ -169,7 +169,7 @@ class KrlController:
 
     def _position_texts(self, joints_rad: Array) -> dict[str, str]:
         axes = dict(zip(AXES, np.degrees(joints_rad).tolist(), strict=True))
-        pose = kuka_from_pose(forward(self._arm, joints_rad)).tolist()
+        pose = zyx_from_pose(forward(self._arm, joints_rad)).tolist()
         turns = {"S": self._status(joints_rad), "T": int(turn_of(joints_rad))}
         frame: dict[str, float | int] = dict(zip(FRAME, pose, strict=True)) | turns
         return {

@@ -19,7 +19,7 @@ from hilcell import __version__
 from hilcell.calibration import Frames, command_mm, grid_errors_mm, grid_of
 from hilcell.calibration_check import MOST_MM, problems_of
 from hilcell.compensation.grid import Grid
-from hilcell.geometry.frames import apply, inverse, kuka_from_pose, pose_from_kuka
+from hilcell.geometry.frames import apply, inverse, pose_from_zyx, zyx_from_pose
 from hilcell.ports import Array, HilcellError
 from hilcell.run.log import Log
 from hilcell.settings import SettingsError
@@ -182,13 +182,13 @@ def compensate_targets(
             f"{', '.join(far[:5])}"
         )
     T_W_B = np.array(calibration.stations[station].T_W_B)
-    poses = np.array([pose_from_kuka(*target) for target in targets])
+    poses = np.array([pose_from_zyx(*target) for target in targets])
     in_base = inverse(T_W_B) @ poses
     _refuse_turned(calibration, in_base, names)
     grid, errors_mm = calibration.grid(), np.array(calibration.grid_errors_mm)
     command = command_mm(grid, errors_mm, calibration.method, in_base[:, :3, 3], names)
     poses[:, :3, 3] = apply(T_W_B, command)
-    return np.array([kuka_from_pose(pose) for pose in poses])
+    return np.array([zyx_from_pose(pose) for pose in poses])
 
 
 def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> None:

@@ -57,7 +57,7 @@ def _refuse_descending(table: Frozen, low: str, high: str) -> None:
 
 
 class Pose(Frozen, frozen=True, kw_only=True):
-    """A frame: position in mm and KUKA Z-Y-X angles in deg."""
+    """A frame: position in mm and Z-Y-X angles in deg."""
 
     x_mm: Length
     y_mm: Length

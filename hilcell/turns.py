@@ -11,7 +11,7 @@ import numpy as np
 
 from hilcell.calibration_file import Calibration
 from hilcell.cell import Cell
-from hilcell.geometry.frames import inverse, pose_from_kuka
+from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics, turn_of
 from hilcell.krl.program import Program
 from hilcell.ports import Array, HilcellError
@@ -33,7 +33,7 @@ def check_turns(
     for target, before, after in zip(program.targets, program.values(), command, strict=True):
         if target.posture is None:
             continue
-        poses = T_B_W @ np.array([pose_from_kuka(*before), pose_from_kuka(*after)])
+        poses = T_B_W @ np.array([pose_from_zyx(*before), pose_from_zyx(*after)])
         joints = inverse_kinematics(cell.robot.arm(), poses, target.posture)
         changed = int(np.bitwise_xor.reduce(turn_of(joints)))
         degrees = np.degrees(joints)

@@ -21,7 +21,7 @@ from hilcell.calibration_file import calibration_of, write_calibration
 from hilcell.cell import Cell, load_cell
 from hilcell.clock import WallClock
 from hilcell.devices import build_devices, check_options, load_entry, start_simulation
-from hilcell.exits import RESUMABLE, exit_code
+from hilcell.exits import EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.faces import Face, json_face, print_dry_run, print_end, progress_face
 from hilcell.ports import HilcellError, Stopped
 from hilcell.run.control import Control, live_engine, send_command
@@ -31,6 +31,7 @@ from hilcell.run.log import Log
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.runner import Runner, finish, stopped_by_signals
 from hilcell.runs import JOURNAL, find_run, new_run, read_log
+from hilcell.writing import NotWritten
 
 
 def run(args: argparse.Namespace) -> int:
@@ -99,7 +100,10 @@ def _perform(
         else:
             code, fault = _run(cell, procedure, journal, log, folder, unattended=unattended)
         if log.states["run"] == "finished" and "fit" in log.verdicts:
-            write_calibration(calibration_of(log, journal.run), folder / CALIBRATION_NAME)
+            try:
+                write_calibration(calibration_of(log, journal.run), folder / CALIBRATION_NAME)
+            except NotWritten as error:
+                code, fault = EXIT_STORAGE, error
     face.close(code, log, fault)
     print_end(folder, log, procedure, face, fault)
     if code in RESUMABLE:

@@ -105,15 +105,15 @@ def three_point_frame(p1_mm: ArrayLike, p2_mm: ArrayLike, p3_mm: ArrayLike) -> A
     return matrix(np.column_stack([x, np.cross(z, x), z]), points[0])
 
 
-def pose_from_kuka(
+def pose_from_zyx(
     x_mm: float, y_mm: float, z_mm: float, a_deg: float, b_deg: float, c_deg: float
 ) -> Array:
-    """Return the frame (4, 4) of KUKA's X, Y, Z, A, B, C: Rz(A) Ry(B) Rx(C)."""
+    """Return the frame (4, 4) of X, Y, Z, A, B, C: Rz(A) Ry(B) Rx(C)."""
     R = Rotation.from_euler("ZYX", (a_deg, b_deg, c_deg), degrees=True).as_matrix()
     return matrix(R, np.array([x_mm, y_mm, z_mm]))
 
 
-def kuka_from_pose(T: Array) -> Array:
+def zyx_from_pose(T: Array) -> Array:
     """Return X, Y, Z (mm), A, B, C (deg) of frames (..., 4, 4) as (..., 6); A = 0 at B = +-90."""
     R = T[..., :3, :3]
     a = np.arctan2(R[..., 1, 0], R[..., 0, 0])

@@ -1,6 +1,6 @@
 """Inverse kinematics: closed form for six-axis arms with a spherical wrist, refined for others.
 
-A pose has up to eight postures; KUKA's status picks one: bit 0 the wrist centre lies behind axis
+A pose has up to eight postures; its status picks one: bit 0 the wrist centre lies behind axis
 1, bit 1 axis 3 is at or beyond the stretched arm (the elbow's offset counts), bit 2 A5 < 0. The
 trap: a posture says nothing about whole turns; `posture` takes those nearest to a reference that
 keep within the limits, as a robot does that goes there from the reference.
@@ -83,7 +83,7 @@ def nearest_turns(joints_rad: Array, limits_rad: Array, reference_rad: ArrayLike
 
 
 def status_of(arm: Arm, joints_rad: ArrayLike) -> Ints:
-    """Return KUKA's status (...) of joints (..., 6)."""
+    """Return the status bits (...) of joints (..., 6)."""
     _check_family(arm)
     joints = np.asarray(joints_rad, dtype=float)
     theta = arm.sign * joints + arm.offset_rad
@@ -102,7 +102,7 @@ def status_of(arm: Arm, joints_rad: ArrayLike) -> Ints:
 
 
 def turn_of(joints_rad: ArrayLike) -> Ints:
-    """Return KUKA's turn (...) of joints (..., 6): bit i is set when joint i + 1 is below 0."""
+    """Return the turn bits (...) of joints (..., 6): bit i is set when joint i + 1 is below 0."""
     negative = np.asarray(joints_rad) < 0
     turn: Ints = np.sum(negative << np.arange(6), axis=-1)
     return turn

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilcell.cell import Cell, Station
-from hilcell.geometry.frames import kuka_from_pose
+from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.kinematics import Array
 from hilcell.planning.cover import fewest
 from hilcell.planning.holes import Holes
@@ -127,7 +127,7 @@ def _at_station(
     return StationPlan(
         station,
         [holes.names[each] for each in visit],
-        kuka_from_pose(poses),
+        zyx_from_pose(poses),
         found.travel_mm,
         found.bound_mm,
     )

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.geometry.frames import apply, kuka_from_pose
+from hilcell.geometry.frames import apply, zyx_from_pose
 from hilcell.report.facts import Facts
 from hilcell.report.words import harmless
 from hilcell.run.log import Point
@@ -54,7 +54,7 @@ def _point_row(facts: Facts, point: Point) -> Row:
         world_mm = world.tolist()
         if point.nominal_mm is not None:
             error_mm = (world - np.array(point.nominal_mm)).tolist()
-    pose = None if point.pose is None else kuka_from_pose(np.array(point.pose)).tolist()
+    pose = None if point.pose is None else zyx_from_pose(np.array(point.pose)).tolist()
     return [
         point.key, point.group, point.station, point.session, point.reflector, point.frame,
         *point.xyz_mm, *point.std_mm, point.samples,
@@ -72,11 +72,11 @@ def _or_blank(values: Sequence[float] | None, count: int) -> Sequence[float | No
 
 
 def frames_table(facts: Facts) -> list[Row]:
-    """Return every frame in {W}: position, KUKA Z-Y-X angles, and its matrix row by row."""
+    """Return every frame in {W}: position, Z-Y-X angles, and its matrix row by row."""
     rows: list[Row] = []
     for name, frame in facts.log.frames.items():
         matrix = np.array(frame["matrix"], dtype=float)
-        rows.append([name, *kuka_from_pose(matrix).tolist(), *matrix.ravel().tolist()])
+        rows.append([name, *zyx_from_pose(matrix).tolist(), *matrix.ravel().tolist()])
     return rows
 
 

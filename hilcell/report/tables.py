@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.geometry.frames import kuka_from_pose
+from hilcell.geometry.frames import zyx_from_pose
 from hilcell.report.budget import Budget
 from hilcell.report.errors import OTHERS, Errors, places, reduction, validation
 from hilcell.report.facts import Facts
@@ -82,10 +82,10 @@ def stations(facts: Facts) -> Sheet | None:
 
 
 def frames(facts: Facts) -> Sheet | None:
-    """Return every measured frame as position and KUKA Z-Y-X angles in {W}."""
+    """Return every measured frame as position and Z-Y-X angles in {W}."""
     rows = []
     for name, frame in facts.log.frames.items():
-        x, y, z, a, b, c = kuka_from_pose(np.array(frame["matrix"], dtype=float))
+        x, y, z, a, b, c = zyx_from_pose(np.array(frame["matrix"], dtype=float))
         rows.append([name, f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{a:.5f}", f"{b:.5f}", f"{c:.5f}"])
     headers = ["frame", "x mm", "y mm", "z mm", "A °", "B °", "C °"]
     note = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X."

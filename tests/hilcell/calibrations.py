@@ -9,12 +9,12 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration_file import SCHEMA, Calibration, Provenance, StationEntry, Validity
-from hilcell.geometry.frames import pose_from_kuka
+from hilcell.geometry.frames import pose_from_zyx
 
 LOW_MM = np.array([1400.0, -450.0, 500.0])
 PITCH_MM = 450.0
 SHAPE = (3, 3, 3)
-T_W_B = pose_from_kuka(-1850.0, -3.0, 300.0, 0.02, 0.1, -0.06)
+T_W_B = pose_from_zyx(-1850.0, -3.0, 300.0, 0.02, 0.1, -0.06)
 STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
@@ -37,7 +37,7 @@ def calibration(size_mm: float = 1.2, **provenance: Any) -> Calibration:
         "provenance": msgspec.structs.replace(made, **provenance),
         "validity": Validity(
             tuple(LOW_MM.tolist()), tuple(high_mm.tolist()),
-            pose_from_kuka(0, 0, 0, 0, 75, 0)[:3, :3].tolist(), 2.0, (22.0, 23.0),
+            pose_from_zyx(0, 0, 0, 0, 75, 0)[:3, :3].tolist(), 2.0, (22.0, 23.0),
         ),
         "stations": {"S1100": entry},
         "method": "trilinear",

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hilcell.fit import FitError, cross_validate, fit, idw, place
-from hilcell.geometry.frames import FrameError, apply, pose_from_kuka
+from hilcell.geometry.frames import FrameError, apply, pose_from_zyx
 from hilcell.geometry.kinematics import forward
 from hilcell.robotfile import HEADER, Measurements, RobotModel, Row, read_measurements, read_robot
 
@@ -46,7 +46,7 @@ IRB120 = RobotModel(
         Row(a_mm=0, alpha_deg=0, d_mm=72, offset_deg=180),
     ],
 )
-T_L_B = pose_from_kuka(2200, -150, -600, 170, 2, -1)
+T_L_B = pose_from_zyx(2200, -150, -600, 170, 2, -1)
 SMR_MM = {"SMR1": [0.2, -0.8, 120.5], "SMR2": [75.2, 90.6, 213.4], "SMR3": [150.7, -1.3, 121.7]}
 
 
@@ -198,7 +198,7 @@ def test_a_training_row_is_predicted_exactly():
 
 def test_rows_in_another_frame_give_the_same_figures():
     rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
-    T = pose_from_kuka(-4000, 300, 20, 60, -45, 110)
+    T = pose_from_zyx(-4000, 300, 20, 60, -45, 110)
     moved = [replace(each, xyz_mm=apply(T, each.xyz_mm)) for each in (rows, test)]
     for method, figures in fit(IRB120, rows, test)["methods"].items():
         assert fit(IRB120, *moved)["methods"][method] == pytest.approx(figures, abs=1e-5)

@@ -5,11 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.compensation.transfer import base_at, ride, transferred
-from hilcell.geometry.frames import apply, inverse, pose_from_kuka, rigid_fit, three_point_frame
+from hilcell.geometry.frames import apply, inverse, pose_from_zyx, rigid_fit, three_point_frame
 
 angle = st.floats(-180, 180)
 length = st.floats(-3000, 3000)
-poses = st.builds(pose_from_kuka, length, length, length, angle, angle, angle)
+poses = st.builds(pose_from_zyx, length, length, length, angle, angle, angle)
 seeds = st.integers(0, 2**32 - 1)
 SLIDE = np.array([[350, -350, 60], [350, 350, 60], [-350, 350, 90], [-350, -350, 90.0]])
 

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from hilcell.cell import load_cell
 from hilcell.geometry.circles import base_frame, base_frame_covariance, fit_circle
-from hilcell.geometry.frames import FrameError, apply, inverse, pose_from_kuka
+from hilcell.geometry.frames import FrameError, apply, inverse, pose_from_zyx
 from hilcell.geometry.kinematics import forward
 
 CELL = load_cell("paper")
@@ -16,8 +16,8 @@ ARM = CELL.robot.arm()
 seeds = st.integers(0, 2**32 - 1)
 angle = st.floats(-180, 180)
 length = st.floats(-3000, 3000)
-poses = st.builds(pose_from_kuka, length, length, length, angle, angle, angle)
-T_W_B = pose_from_kuka(-1850, -1100, 300, 1.5, -0.7, 0.4)
+poses = st.builds(pose_from_zyx, length, length, length, angle, angle, angle)
+T_W_B = pose_from_zyx(-1850, -1100, 300, 1.5, -0.7, 0.4)
 
 
 def arc(T: np.ndarray, radius: float, degrees: float, count: int = 12) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_order_decides_the_axis(T, seed):
 @given(seeds, st.floats(80, 330))
 def test_circle_agrees_with_a_peer_by_scipy(seed, degrees):
     rng = np.random.default_rng(seed)
-    T = pose_from_kuka(*rng.uniform(-2000, 2000, 3), *rng.uniform(-180, 180, 3))
+    T = pose_from_zyx(*rng.uniform(-2000, 2000, 3), *rng.uniform(-180, 180, 3))
     points = arc(T, 800, degrees) + rng.normal(0, 0.05, (12, 3))
 
     def distances(x):
@@ -83,7 +83,7 @@ def test_circle_agrees_with_a_peer_by_scipy(seed, degrees):
 
 def test_covariance_predicts_the_scatter():
     rng = np.random.default_rng(4)
-    T = pose_from_kuka(100, 200, 300, 10, 20, 30)
+    T = pose_from_zyx(100, 200, 300, 10, 20, 30)
     clean = arc(T, 900, 90)
     circles = [fit_circle(clean + rng.normal(0, 0.02, clean.shape)) for _ in range(400)]
     said = np.mean([np.diag(c.covariance) for c in circles], axis=0)
@@ -155,6 +155,6 @@ def test_base_frame_covariance_predicts_the_scatter():
 @pytest.mark.parametrize("between_deg", [0.0, 4.0])
 def test_base_frame_refuses_nearly_parallel_axes(between_deg):
     one = fit_circle(arc(np.eye(4), 500, 200))
-    six = fit_circle(arc(pose_from_kuka(1500, 0, 1800, 0, between_deg, 0), 98, 300))
+    six = fit_circle(arc(pose_from_zyx(1500, 0, 1800, 0, between_deg, 0), 98, 300))
     with pytest.raises(FrameError, match=rf"{between_deg:.1f} deg apart"):
         base_frame(one, six, 100.0)

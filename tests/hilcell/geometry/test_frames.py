@@ -10,16 +10,16 @@ from hilcell.geometry.frames import (
     FrameError,
     apply,
     inverse,
-    kuka_from_pose,
     point_uncertainty,
-    pose_from_kuka,
+    pose_from_zyx,
     rigid_fit,
     three_point_frame,
+    zyx_from_pose,
 )
 
 angle = st.floats(-180, 180)
 length = st.floats(-5000, 5000)
-poses = st.builds(pose_from_kuka, length, length, length, angle, angle, angle)
+poses = st.builds(pose_from_zyx, length, length, length, angle, angle, angle)
 seeds = st.integers(0, 2**32 - 1)
 NESTS = np.array(
     [
@@ -94,7 +94,7 @@ def test_full_covariances_reach_the_least_cost():
         return np.einsum("ni,nij,nj->", r, W, r)
 
     for _ in range(50):
-        nudge = pose_from_kuka(*rng.normal(0, 0.01, 3), *rng.normal(0, 0.001, 3))
+        nudge = pose_from_zyx(*rng.normal(0, 0.01, 3), *rng.normal(0, 0.001, 3))
         assert cost(nudge @ best.T) > cost(best.T)
 
 
@@ -102,7 +102,7 @@ def test_full_covariances_reach_the_least_cost():
 def test_covariance_predicts_the_scatter_at_the_tool(absolute):
     rng = np.random.default_rng(1)
     T, sigma, tool = (
-        pose_from_kuka(1000, -2000, 300, 30, -20, 100),
+        pose_from_zyx(1000, -2000, 300, 30, -20, 100),
         0.02,
         np.array([1850, 0, 950.0]),
     )
@@ -181,19 +181,19 @@ def test_three_point_frame_refuses(p3):
 
 @given(poses)
 def test_kuka_angles_return(T):
-    np.testing.assert_allclose(pose_from_kuka(*kuka_from_pose(T)), T, atol=1e-9)
+    np.testing.assert_allclose(pose_from_zyx(*zyx_from_pose(T)), T, atol=1e-9)
 
 
 @pytest.mark.parametrize("b_deg", [90.0, -90.0])
 def test_kuka_angles_return_where_they_are_singular(b_deg):
-    T = pose_from_kuka(1, 2, 3, 40, b_deg, -70)
-    np.testing.assert_allclose(pose_from_kuka(*kuka_from_pose(T)), T, atol=1e-12)
+    T = pose_from_zyx(1, 2, 3, 40, b_deg, -70)
+    np.testing.assert_allclose(pose_from_zyx(*zyx_from_pose(T)), T, atol=1e-12)
 
 
 def test_kuka_angles_of_many_frames_at_once():
-    frames = np.array([pose_from_kuka(1, 2, 3, 10, 20, 30), pose_from_kuka(4, 5, 6, -10, 80, 170)])
+    frames = np.array([pose_from_zyx(1, 2, 3, 10, 20, 30), pose_from_zyx(4, 5, 6, -10, 80, 170)])
     np.testing.assert_allclose(
-        kuka_from_pose(frames), [[1, 2, 3, 10, 20, 30], [4, 5, 6, -10, 80, 170]]
+        zyx_from_pose(frames), [[1, 2, 3, 10, 20, 30], [4, 5, 6, -10, 80, 170]]
     )
 
 

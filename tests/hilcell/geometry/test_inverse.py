@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hilcell.cell import load_cell
-from hilcell.geometry.frames import pose_from_kuka
+from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.inverse import (
     ReachError,
     inverse_kinematics,
@@ -100,7 +100,7 @@ def test_cube_is_not_reachable_in_every_status():
 
 
 def test_message_names_the_first_unreachable_poses_and_by_how_much():
-    poses = np.stack([pose_from_kuka(x, 0, 1000, 0, 90, 0) for x in (1500, 9000, 1600)])
+    poses = np.stack([pose_from_zyx(x, 0, 1000, 0, 90, 0) for x in (1500, 9000, 1600)])
     with pytest.raises(ReachError, match=r"1 of 3 .* pose 2 by \d+\.\d{3} mm"):
         inverse_kinematics(ARM, poses, 6)
     wrist_mm = np.hypot(9000 - 127 - 215 - 330, 1000 + 98 - 645)
@@ -196,11 +196,11 @@ def test_arm_outside_the_family_is_refused_and_can_be_refined():
 
 def test_refining_turns_the_tool_where_its_point_stands_already():
     turned = forward(ARM, HOME)
-    turned[:3, :3] = turned[:3, :3] @ pose_from_kuka(0, 0, 0, 5, -3, 2)[:3, :3]
+    turned[:3, :3] = turned[:3, :3] @ pose_from_zyx(0, 0, 0, 5, -3, 2)[:3, :3]
     found = refine_inverse(ARM, turned, HOME)
     np.testing.assert_allclose(found, posture(ARM, turned, 6, LIMITS, HOME), atol=1e-8)
 
 
 def test_refining_says_when_it_does_not_arrive():
     with pytest.raises(ReachError, match="pose 1 by"):
-        refine_inverse(ARM, pose_from_kuka(9000, 0, 1000, 0, 90, 0), HOME)
+        refine_inverse(ARM, pose_from_zyx(9000, 0, 1000, 0, 90, 0), HOME)

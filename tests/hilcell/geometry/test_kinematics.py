@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from hilcell.geometry.frames import pose_from_kuka
+from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.kinematics import Arm, forward, link_transforms
 
 
@@ -16,7 +16,7 @@ def arm_of(rng: np.random.Generator) -> Arm:
         d_mm=rng.uniform(-1000, 1000, 6),
         offset_rad=rng.uniform(-np.pi, np.pi, 6),
         sign=rng.choice([-1.0, 1.0], 6),
-        tool=pose_from_kuka(*rng.uniform(-200, 200, 3), *rng.uniform(-180, 180, 3)),
+        tool=pose_from_zyx(*rng.uniform(-200, 200, 3), *rng.uniform(-180, 180, 3)),
         beta_rad=rng.uniform(-0.1, 0.1, 6),
     )
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.geometry.frames import pose_from_kuka
+from hilcell.geometry.frames import pose_from_zyx
 from hilcell.planning import holes as module
 from hilcell.planning.holes import NORMALS, TURNS, read_holes, tools_against
 from hilcell.settings import SettingsError
@@ -42,7 +42,7 @@ def test_holes_with_normals(tmp_path: Path) -> None:
 def test_targets_keep_their_whole_orientation(tmp_path: Path) -> None:
     holes = read_holes(file_of(tmp_path, ",".join(HEADER), "H1,1,2,3,10,75,-5"))
     assert holes.tools.shape == (1, 1, 3, 3)
-    np.testing.assert_allclose(holes.poses()[0, 0], pose_from_kuka(1, 2, 3, 10, 75, -5), atol=1e-12)
+    np.testing.assert_allclose(holes.poses()[0, 0], pose_from_zyx(1, 2, 3, 10, 75, -5), atol=1e-12)
 
 
 @given(st.integers(0, 2**32 - 1))

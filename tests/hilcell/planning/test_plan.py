@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilcell.cell import load_cell
-from hilcell.geometry.frames import inverse, pose_from_kuka
+from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import posture, reachable
 from hilcell.planning.holes import Holes, tools_against
 from hilcell.planning.plan import along_rail, plan, ratio
@@ -81,7 +81,7 @@ def test_no_fewer_stations_do(seed, count):
 def test_poses_are_within_limits_and_drill_against_the_normal(seed, count):
     holes = wall(seed, count)
     for each in plan(CELL, holes).stations:
-        poses = np.array([pose_from_kuka(*row) for row in each.poses])
+        poses = np.array([pose_from_zyx(*row) for row in each.poses])
         back = inverse(CELL.layout.nominal_base(each.station.rail_mm))
         posture(ARM, back @ poses, CELL.robot.status, LIMITS, HOME)
         for pose, name in zip(poses, each.holes, strict=True):
