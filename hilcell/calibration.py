@@ -17,6 +17,7 @@ from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.interpolation import METHODS
 from hilcell.compensation.outliers import deleted_residuals_mm
+from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.compensation.transfer import base_at
 from hilcell.geometry.frames import apply, inverse
 from hilcell.ports import Array
@@ -129,3 +130,12 @@ def outlying_vertices(log: Log) -> list[str]:
         for i, j, k in grid_of(cell).serpentine()
         if not off_mm[i, j, k] <= limit_mm
     ]
+
+
+def grid_pairs(log: Log) -> Pairs:
+    """Return all pairs of measured vertices: joint and Cartesian distance, error difference."""
+    points = log.group("grid")
+    i, j, k = np.array([point.key.split("/")[1].split("-") for point in points], dtype=int).T
+    joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
+    nominal_mm: Array = np.array([point.nominal_mm for point in points], dtype=float)
+    return similarity_pairs(np.radians(joints_deg), nominal_mm, grid_errors_mm(log)[i, j, k])

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration import Frames, grid_errors_mm, grid_of
+from hilcell.calibration import Frames, grid_of, grid_pairs
 from hilcell.compensation.interpolation import idw_weights
-from hilcell.compensation.similarity import similarity_pairs
 from hilcell.geometry.frames import apply
 from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import forward
@@ -114,13 +113,7 @@ def similarity_rank(log: Log, result: dict[str, Any]) -> float:
     """Return the rank correlation of joint distance and error difference over the vertices."""
     from scipy import stats
 
-    points = log.group("grid")
-    i, j, k = np.array([p.key.split("/")[1].split("-") for p in points], dtype=int).T
-    pairs = similarity_pairs(
-        commanded_rad(points),
-        np.array([p.nominal_mm for p in points]),
-        grid_errors_mm(log)[i, j, k],
-    )
+    pairs = grid_pairs(log)
     return float(stats.spearmanr(pairs.joint_rad, pairs.difference_mm).statistic)
 
 

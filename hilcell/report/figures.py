@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hilcell.calibration import grid_pairs
+from hilcell.compensation.similarity import binned
 from hilcell.ports import Array
 from hilcell.report.errors import OTHERS, Errors, grid_errors, places, validation
 from hilcell.report.facts import Facts
@@ -49,6 +51,7 @@ def drawings(facts: Facts) -> list[Drawing]:
         ("transferred", "Error at each target, other stations (Fig 13)", lambda: fig_13(facts)),
         ("sorted", "Errors sorted", lambda: fig_sorted(facts)),
         ("volume", "Error vectors in the volume, from three sides", lambda: fig_volume(facts)),
+        ("similarity", "Similarity of errors (eq 8)", lambda: fig_similarity(facts)),
         ("rail", "Position error of the rail, both ways (Fig 1)", lambda: fig_1(facts)),
         ("slide", "Roll, pitch and yaw of the slide", lambda: fig_slide(facts)),
         ("frames", "Repeatability of base and station frames (Fig 8)", lambda: fig_8(facts)),
@@ -300,6 +303,29 @@ def fig_slide(facts: Facts) -> Drawn | None:
     return figure, (
         "Forth, against the first stop, from the slide's nests. Straightness of the path, peak to "
         f"peak: {off_mm['horizontal']:.3f} mm horizontal, {off_mm['vertical']:.3f} mm vertical."
+    )
+
+
+def fig_similarity(facts: Facts) -> Drawn | None:
+    """Draw how errors part with joint and with Cartesian distance, over all pairs of vertices."""
+    if not {"base", "fit"} <= facts.log.frames.keys() | facts.log.verdicts.keys():
+        return None
+    pairs = grid_pairs(facts.log)
+    figure, axes = _sheet(2.6, 1, 2, sharey=True)
+    for ax, distance, name in (
+        (axes[0, 0], np.degrees(pairs.joint_rad), "distance of joints, deg"),
+        (axes[0, 1], pairs.cartesian_mm, "distance of vertices, mm"),
+    ):
+        ax.plot(distance, pairs.difference_mm, ".", color=MUTED, alpha=0.25, markersize=2,
+                rasterized=True, label="a pair of vertices")  # fmt: skip
+        means = binned(distance, pairs.difference_mm, np.linspace(0.0, distance.max(), 13))
+        ax.plot(means.centre, means.difference_mm, color=COLOURS["chosen"], label="mean")
+        ax.set_xlabel(name)
+    axes[0, 0].set_ylabel("difference of errors, mm")
+    _legend_above(axes[0, -1])
+    return figure, (
+        "The similarity of eq 8 is one over this difference: near joints have like errors. Over "
+        "one orientation of the tool the distance of the vertices says the same."
     )
 
 

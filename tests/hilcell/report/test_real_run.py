@@ -60,7 +60,9 @@ def test_figures_are_those_of_the_result(
 def test_it_holds_every_figure_of_a_calibration_and_is_small(page: Path) -> None:
     found = Page(page.read_text("utf-8"))
     ids = {each for each in found.ids if each.startswith("figure-")}
-    assert ids >= {"figure-targets", "figure-transferred", "figure-sorted", "figure-volume"}
+    assert ids >= {"figure-targets", "figure-transferred", "figure-sorted", "figure-volume"} | {
+        "figure-similarity"
+    }
     assert page.stat().st_size <= 2_000_000
     for words in ("B. Operator", "402871", "Model residual", "Robot repeatability", "tool point u"):
         assert words in found.text
