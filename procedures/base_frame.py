@@ -16,7 +16,7 @@ from hilcell.run.bench import Bench
 from hilcell.run.interlocks import check_joint_limits
 from hilcell.run.log import Log, Point, positions_mm
 from hilcell.run.procedure import Step
-from procedures.plan import robot_point_s
+from procedures.durations import flange_points_s
 
 ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
 FEWEST_ON_ARC = 5
@@ -36,8 +36,7 @@ class BaseFrame:
         for axis in (1, 6):
             for joints in sweep(cell, axis):
                 check_joint_limits(cell, joints, f"axis {axis} sweep")
-        points = 2 * cell.base_frame.points
-        return Step(self.name, points, points * robot_point_s(cell))
+        return Step(self.name, 2 * cell.base_frame.points, sweeps_s(cell))
 
     def perform(self, bench: Bench) -> None:
         """Sweep, fit and frame, once."""
@@ -123,6 +122,11 @@ def sweep(cell: Cell, axis: int) -> Array:
     joints_deg: Array = np.tile(fixed, (cell.base_frame.points, 1))
     joints_deg[:, axis - 1] = np.linspace(ends[0], ends[1], cell.base_frame.points)
     return np.radians(joints_deg)
+
+
+def sweeps_s(cell: Cell) -> float:
+    """Return how long both sweeps take."""
+    return flange_points_s(cell, np.vstack([sweep(cell, 1), sweep(cell, 6)]))
 
 
 def sweep_of(cell: Cell, axis: int) -> tuple[Six, tuple[float, float]]:

@@ -20,7 +20,7 @@ from hilcell.run.bench import Bench
 from hilcell.run.interlocks import check_joint_limits
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Procedure, Step, Table
-from procedures.plan import MEASURE_S, robot_point_s
+from procedures.durations import flange_points_s, measure_s
 
 
 class Campaign:
@@ -37,15 +37,16 @@ class Campaign:
         rows = poses_of(cell)
         for pose, joints in zip(rows.pose, rows.joints_rad, strict=True):
             check_joint_limits(cell, joints, f"pose {pose}")
-        seconds = len(set(rows.pose)) * robot_point_s(cell) + len(rows) * MEASURE_S
-        return Step(self.name, len(rows), seconds)
+        first = [at[0] for _, at in visits_of(rows)]
+        more = len(rows) - len(first)  # reflectors, where the robot already stands
+        seconds = flange_points_s(cell, rows.joints_rad[first])
+        return Step(self.name, len(rows), seconds + more * measure_s(cell, cell.tracker.samples))
 
     def perform(self, bench: Bench) -> None:
         """Drive and measure."""
         bench.reach("connect")
         rows = poses_of(bench.cell)
-        for pose, numbers in groupby(range(len(rows)), key=lambda row: rows.pose[row]):
-            at = list(numbers)
+        for pose, at in visits_of(rows):
             targets = [(f"campaign/{pose}/{rows.target[n]}", rows.xyz_mm[n]) for n in at]
             bench.pose_points("campaign", rows.joints_rad[at[0]], targets)
 
@@ -59,6 +60,12 @@ def poses_of(cell: Cell) -> Measurements:
     if cell.campaign is None:
         raise HilcellError("campaign.poses is missing: give a CSV with --set campaign.poses=FILE")
     return read_measurements(Path(cell.campaign.poses))
+
+
+def visits_of(rows: Measurements) -> list[tuple[str, list[int]]]:
+    """Return the poses in the file's order, each with the numbers of its rows."""
+    visits = groupby(range(len(rows)), key=lambda row: rows.pose[row])
+    return [(pose, list(numbers)) for pose, numbers in visits]
 
 
 def robot_of(cell: Cell) -> RobotModel:

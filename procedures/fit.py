@@ -30,7 +30,7 @@ class Fit:
                 f"grid of {' x '.join(map(str, shape))} vertices, wanted three along one axis "
                 "at least; choose a smaller pitch_mm"
             )
-        return Step(self.name, 0, 1.0)
+        return Step(self.name, 0, 0.0)
 
     def perform(self, bench: Bench) -> None:
         """Journal the choice."""

@@ -17,8 +17,9 @@ from hilcell.ports import Array, HilcellError
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step, Table
-from procedures.base_frame import frame_of_sweeps, sweep
-from procedures.plan import MEASURE_S, robot_point_s
+from procedures.base_frame import frame_of_sweeps, sweep, sweeps_s
+from procedures.durations import journey_s, measure_s
+from procedures.plan import other_stations
 
 SIX = 6
 MORE_READINGS = 4  # than for a frame, so that the points' own noise does not hide the frames'
@@ -39,9 +40,10 @@ class FrameRepeatability:
         """Refuse a cell with one station: frames are compared between stations."""
         if len(cell.station) < 2:
             raise HilcellError("one station, wanted two or more: frames are compared between them")
-        sweeps, six = 2 * cell.base_frame.points, SIX * MORE_READINGS * cell.layout.nest_samples
-        seconds = sweeps * robot_point_s(cell) + six * MEASURE_S
-        return Step(self.name, len(cell.station) * (sweeps + SIX), len(cell.station) * seconds)
+        each_s = sweeps_s(cell) + SIX * measure_s(cell, MORE_READINGS * cell.layout.nest_samples)
+        before = other_stations(cell)[-1]  # where the last step left the slide
+        seconds = len(cell.station) * each_s + journey_s(cell, [before, *cell.station])
+        return Step(self.name, len(cell.station) * (2 * cell.base_frame.points + SIX), seconds)
 
     def perform(self, bench: Bench) -> None:
         """Visit every station."""

@@ -8,6 +8,7 @@ from hilcell.cell import Cell
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log
 from hilcell.run.procedure import Step
+from procedures.durations import homing_s, park_s
 
 
 class Home:
@@ -21,8 +22,7 @@ class Home:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step."""
-        travel_mm = cell.rail.travel_max_mm - cell.rail.travel_min_mm
-        return Step(self.name, 0, 10.0 + travel_mm / cell.rail.speed_mm_s)
+        return Step(self.name, 0, park_s(cell) + homing_s(cell))
 
     def perform(self, bench: Bench) -> None:
         """Reference the drive."""

@@ -1,21 +1,18 @@
-"""Checks and times that the plans of several procedures share."""
+"""Checks that the plans of several procedures share."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hilcell.cell import Cell
+from hilcell.cell import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.inverse import ReachError, posture
 from hilcell.ports import Array, HilcellError
 
-MEASURE_S = 1.0  # one stationary reading with its pointing
-MOVE_S = 4.0  # one robot move with its approach
 
-
-def robot_point_s(cell: Cell) -> float:
-    """Return how long one flange point takes in the cell's time."""
-    return MOVE_S + cell.settle.robot_s + MEASURE_S * cell.tracker.samples
+def other_stations(cell: Cell) -> list[Station]:
+    """Return the stations but the grid's, in the order in which they are visited."""
+    return [station for station in cell.station if station.name != cell.grid.station]
 
 
 def poses_at(cell: Cell, points_mm: Array) -> Array:

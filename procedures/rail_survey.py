@@ -12,7 +12,7 @@ from hilcell.ports import Array
 from hilcell.run.bench import FLANGE, Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step, Table
-from procedures.plan import MEASURE_S
+from procedures.durations import measure_s, rail_move_s
 
 FORTH, BACK = "forth", "back"
 
@@ -30,7 +30,10 @@ class RailSurvey:
         """Return the step."""
         stops = 2 * len(steps_mm(cell))
         points = stops * (1 + len(cell.layout.slide))
-        return Step(self.name, points, stops * 10.0 + points * MEASURE_S)
+        seconds = points * measure_s(cell, cell.layout.nest_samples)
+        seconds += rail_move_s(cell, cell.survey.from_mm - cell.rail.travel_min_mm)
+        seconds += (stops - 2) * rail_move_s(cell, cell.survey.step_mm) + rail_move_s(cell, 0.0)
+        return Step(self.name, points, seconds)
 
     def perform(self, bench: Bench) -> None:
         """Go forth and back."""

@@ -11,7 +11,8 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step
-from procedures.plan import check_reach, robot_point_s
+from procedures.durations import flange_points_s
+from procedures.plan import check_reach
 
 VISITS = 10
 
@@ -27,9 +28,9 @@ class Repeatability:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse places out of reach."""
-        check_reach(cell, places_mm(cell), "repeatability place")
-        points = VISITS * len(places_mm(cell))
-        return Step(self.name, points, points * robot_point_s(cell))
+        places_rad = check_reach(cell, places_mm(cell), "repeatability place")
+        visits_rad = np.tile(places_rad, (VISITS, 1))
+        return Step(self.name, len(visits_rad), flange_points_s(cell, visits_rad))
 
     def perform(self, bench: Bench) -> None:
         """Go round the places; going on to the next is what leaves the last."""

@@ -11,7 +11,8 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log
 from hilcell.run.procedure import Step
-from procedures.plan import check_range, check_reach, joints_for, robot_point_s
+from procedures.durations import flange_points_s
+from procedures.plan import check_range, check_reach, joints_for
 
 Vertex = tuple[str, Array, Array]  # key, joints (6,) in rad, nominal position (3,) in {W}
 
@@ -31,11 +32,11 @@ class RobotGrid:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse vertices out of reach, out of limits or out of sight, at any station."""
         vertices_mm = grid_of(cell).serpentine_mm()
-        check_reach(cell, vertices_mm, "grid vertex")
+        joints_rad = check_reach(cell, vertices_mm, "grid vertex")
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
             check_range(cell, world_mm, f"grid at {station.name}")
-        return Step(self.name, len(vertices_mm), len(vertices_mm) * robot_point_s(cell))
+        return Step(self.name, len(vertices_mm), flange_points_s(cell, joints_rad))
 
     def perform(self, bench: Bench) -> None:
         """Measure every vertex."""

@@ -20,7 +20,8 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step, Table
-from procedures.plan import check_reach, joints_for, robot_point_s
+from procedures.durations import control_points_s, flange_points_s, journey_s
+from procedures.plan import check_reach, joints_for, other_stations
 from procedures.world_frame import check_control_points
 
 CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
@@ -40,8 +41,11 @@ class SignCheck:
         """Refuse a grid with a cell out of reach: any may be the worst."""
         grid = grid_of(cell)
         cells = list(product(*(range(count - 1) for count in grid.shape)))
-        check_reach(cell, middle_mm(grid, np.array(cells)), "middle of a grid cell")
-        return Step(self.name, len(KEYS), len(KEYS) * robot_point_s(cell))
+        joints_rad = check_reach(cell, middle_mm(grid, np.array(cells)), "middle of a grid cell")
+        back = [*other_stations(cell)[-1:], cell.station_named(cell.grid.station)]
+        seconds = journey_s(cell, back) + control_points_s(cell)
+        seconds += flange_points_s(cell, joints_rad[[0] * len(KEYS)])
+        return Step(self.name, len(KEYS), seconds)
 
     def perform(self, bench: Bench) -> None:
         """Send both, measure, and journal the verdict."""

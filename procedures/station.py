@@ -11,7 +11,7 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step, Table
-from procedures.plan import MEASURE_S
+from procedures.durations import approach_s, measure_s, rail_move_s
 
 APPROACH_MM = 150.0
 STRIP_LIMIT_MM = 0.035
@@ -29,7 +29,8 @@ class HoldStation:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step."""
-        return Step(self.name, 0, 30.0)
+        station = cell.station_named(cell.grid.station)
+        return Step(self.name, 0, approach_s(cell, cell.rail.travel_min_mm, station))
 
     def perform(self, bench: Bench) -> None:
         """Hold the station once; who needs it later holds it himself."""
@@ -56,8 +57,13 @@ class StationRepeatability:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step."""
-        points = 4 * cell.survey.repeats
-        return Step(self.name, points, points * (20.0 + MEASURE_S * cell.layout.nest_samples))
+        station = cell.station_named(cell.grid.station)
+        away_s = rail_move_s(cell, APPROACH_MM)
+        by_strip_s = approach_s(cell, station.rail_mm - APPROACH_MM, station)
+        back_s = (away_s + by_strip_s) / len(HOWS)
+        seconds = away_s + back_s + measure_s(cell, cell.layout.nest_samples)
+        points = 2 * len(HOWS) * cell.survey.repeats
+        return Step(self.name, points, points * seconds)
 
     def perform(self, bench: Bench) -> None:
         """Approach, measure, go away, come back."""

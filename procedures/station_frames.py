@@ -23,7 +23,8 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step
-from procedures.plan import MEASURE_S, check_range
+from procedures.durations import control_points_s, journey_s, measure_s, park_s
+from procedures.plan import check_range, other_stations
 from procedures.world_frame import check_control_points
 
 THREE = "three_points"
@@ -48,16 +49,16 @@ class StationFrames:
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), nests_mm)
             check_range(cell, world_mm, f"slide nests at {station.name}")
-        readings = len(nests_mm) * cell.layout.nest_samples + 3 * THREE_SAMPLES
-        seconds = 30.0 + readings * MEASURE_S
-        stations = len(cell.station)
-        return Step(self.name, stations * (len(nests_mm) + 3), stations * seconds)
+        each_s = control_points_s(cell) + 3 * measure_s(cell, THREE_SAMPLES)
+        each_s += len(nests_mm) * measure_s(cell, cell.layout.nest_samples)
+        stations = [cell.station_named(cell.grid.station), *other_stations(cell)]
+        seconds = park_s(cell) + len(stations) * each_s + journey_s(cell, stations)
+        return Step(self.name, len(stations) * (len(nests_mm) + 3), seconds)
 
     def perform(self, bench: Bench) -> None:
         """Frame the grid's station first: its slide points define {S}."""
         reference = bench.cell.station_named(bench.cell.grid.station)
-        others = [station for station in bench.cell.station if station != reference]
-        for station in (reference, *others):
+        for station in (reference, *other_stations(bench.cell)):
             if f"station.{station.name}" not in bench.log.frames:
                 self._frame(bench, station, reference)
         bench.reach("frame_stations")

@@ -14,10 +14,12 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, Point, positions_mm
 from hilcell.run.procedure import Step
-from procedures.plan import check_reach, joints_for, robot_point_s
+from procedures.durations import control_points_s, flange_points_s, journey_s
+from procedures.plan import check_reach, joints_for
 from procedures.repeatability import floor
 from procedures.world_frame import check_control_points
 
+WAYS = 3  # before, by the paper's method, by the chosen one
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
 
 
@@ -32,11 +34,15 @@ class Validate:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse targets out of reach."""
-        points = 0
-        for station, targets_mm in targets(cell, seed).items():
-            check_reach(cell, targets_mm, f"target at {station}")
-            points += len(targets_mm)
-        return Step(self.name, 3 * points, 3 * points * robot_point_s(cell))
+        points, seconds = 0, 0.0
+        drawn = targets(cell, seed)
+        for station, targets_mm in drawn.items():
+            joints_rad = check_reach(cell, targets_mm, f"target at {station}")
+            points += WAYS * len(targets_mm)
+            seconds += flange_points_s(cell, np.tile(joints_rad, (WAYS, 1)))
+            seconds += WAYS * control_points_s(cell)
+        stations = [cell.station_named(name) for name in drawn]
+        return Step(self.name, points, seconds + journey_s(cell, stations))
 
     def perform(self, bench: Bench) -> None:
         """Validate at the grid's station, then at the others with transferred data."""

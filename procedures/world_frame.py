@@ -13,7 +13,8 @@ from hilcell.ports import Array, DeviceError
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step
-from procedures.plan import MEASURE_S, check_range
+from procedures.durations import control_points_s
+from procedures.plan import check_range
 
 CONTROL_LIMIT_MM = 0.1
 
@@ -30,8 +31,7 @@ class WorldFrame:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse nests out of the tracker's range."""
         check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
-        points = len(cell.layout.floor)
-        return Step(self.name, points, points * MEASURE_S * cell.layout.nest_samples)
+        return Step(self.name, len(cell.layout.floor), control_points_s(cell))
 
     def perform(self, bench: Bench) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""

@@ -1,0 +1,103 @@
+"""How long motions and measurements take in the cell's time: trapezoids, waits and readings.
+
+What a controller adds between them, and what nobody can know before, as a vertex that stands out
+and is measured again, is left out: the run's pace shows it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from hilcell.cell import Cell, Station
+from hilcell.ports import Array
+
+POINTING_S = 0.6  # the beam turns to a reflector and locks on it
+READING_S = 0.5  # one stationary reading
+RAMP_S = 0.4  # all axes of the robot, from standstill to full speed
+ACKNOWLEDGED_S = 0.05  # a motion's end is looked for so often: half of it is lost at either end
+SWITCHED_S = 0.2  # the rail's drive is switched on, takes its target, and is seen to stand
+STRIP_STANDS_S = 0.1  # five readings of the strip
+APPROACHES = 2  # first by the drive, then by what the strip said
+HOMING_MM_S = 100.0
+
+
+def measure_s(cell: Cell, samples: int) -> float:
+    """Return how long the mean of ``samples`` readings of one reflector takes."""
+    stated_ms = cell.tracker.options.get("stationary_ms")
+    reading_s = stated_ms / 1000 if isinstance(stated_ms, int) else READING_S
+    return POINTING_S + samples * reading_s
+
+
+def control_points_s(cell: Cell) -> float:
+    """Return how long the proof takes that the tracker stands where it stood."""
+    return len(cell.layout.floor) * measure_s(cell, cell.layout.nest_samples)
+
+
+def robot_moves_s(cell: Cell, from_rad: Array, to_rad: Array) -> Array:
+    """Return (N,) s for motions PTP between joints (N, 6): the slowest axis rules each."""
+    speeds_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
+    share = cell.robot.speed_percent / 100.0
+    at_full_speed_s = np.max(np.abs(to_rad - from_rad) / speeds_rad_s, axis=-1)
+    ramp_s = RAMP_S * share
+    trapezoid_s = at_full_speed_s / share + ramp_s
+    triangle_s = 2.0 * np.sqrt(RAMP_S * at_full_speed_s)
+    moves_s: Array = np.where(at_full_speed_s > share * ramp_s, trapezoid_s, triangle_s)
+    return moves_s + ACKNOWLEDGED_S
+
+
+def flange_points_s(cell: Cell, joints_rad: Array) -> float:
+    """Return how long it takes from the safe pose on to measure at joints (N, 6), in order."""
+    approach_rad = np.radians(cell.robot.approach_deg)
+    safe_rad = np.radians(cell.robot.safe_deg)
+    before_rad = np.vstack([safe_rad, joints_rad[:-1]])
+    there_s = robot_moves_s(cell, before_rad, joints_rad - approach_rad)
+    landing_s = robot_moves_s(cell, joints_rad - approach_rad, joints_rad)
+    at_each_s = cell.settle.robot_s + measure_s(cell, cell.tracker.samples)
+    return float(np.sum(there_s + landing_s)) + len(joints_rad) * at_each_s
+
+
+def park_s(cell: Cell) -> float:
+    """Return how long the robot takes from its home pose to its safe pose."""
+    home_rad, safe_rad = np.radians(cell.robot.home_deg), np.radians(cell.robot.safe_deg)
+    return float(robot_moves_s(cell, home_rad, safe_rad))
+
+
+def rail_travel_s(cell: Cell, distance_mm: float) -> float:
+    """Return how long the slide takes from standstill to standstill, the strip read there."""
+    speed_mm_s, acceleration_mm_s2 = cell.rail.speed_mm_s, cell.rail.acceleration_mm_s2
+    peak_mm_s = min(speed_mm_s, math.sqrt(abs(distance_mm) * acceleration_mm_s2))
+    ramps_s = peak_mm_s / acceleration_mm_s2
+    travel_s = abs(distance_mm) / peak_mm_s + ramps_s if distance_mm else 0.0
+    return SWITCHED_S + travel_s + STRIP_STANDS_S
+
+
+def rail_move_s(cell: Cell, distance_mm: float) -> float:
+    """Return how long a motion by the drive alone takes, until the slide is held."""
+    return rail_travel_s(cell, distance_mm) + cell.settle.rail_s
+
+
+def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
+    """Return how long it takes to hold ``station`` by the strip, the robot parked."""
+    back_off_mm = cell.rail.back_off_mm
+    there_s = rail_travel_s(cell, station.rail_mm - back_off_mm - from_mm)
+    again_s = (2 * APPROACHES - 1) * rail_travel_s(cell, back_off_mm)
+    return there_s + again_s + cell.settle.rail_s
+
+
+def journey_s(cell: Cell, stations: Sequence[Station]) -> float:
+    """Return how long it takes from the first station over all others, the robot parked each time.
+
+    A station where the slide already stands takes no time.
+    """
+    legs = [(here, there) for here, there in pairwise(stations) if here != there]
+    return sum(park_s(cell) + approach_s(cell, here.rail_mm, there) for here, there in legs)
+
+
+def homing_s(cell: Cell) -> float:
+    """Return how long the drive takes to its reference switch from the middle of the travel."""
+    half_mm = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 2
+    return half_mm / min(HOMING_MM_S, cell.rail.speed_mm_s) + SWITCHED_S
