@@ -14,12 +14,22 @@ from hilcell.run.log import Log
 
 
 @dataclass(frozen=True, slots=True)
+class Span:
+    """Measurements alike in a row, how many and how long in all; none: what leads to the next."""
+
+    kind: str
+    measured: int  # with those of control points, which no plan counts as points
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
     """One step of a plan: what is done, how many points it yields, how long it takes."""
 
     name: str
     points: int
     duration_s: float
+    spans: tuple[Span, ...] = ()  # in their order; for the forecast
 
 
 @dataclass(frozen=True, slots=True)
