@@ -9,9 +9,9 @@ from __future__ import annotations
 import re
 
 LONGEST = 200
-_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff]")
+UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff]")
 
 
 def clean(text: str) -> str:
     """Return ``text`` without control and direction characters, at most 200 characters long."""
-    return _UNSAFE.sub("", text)[:LONGEST].strip()
+    return UNSAFE.sub("", text)[:LONGEST].strip()

@@ -15,36 +15,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hilcell.errors import (
+    DeviceError,
+    DeviceRefused,
+    HilcellError,
+    NoReading,
+    Stopped,
+)
+
+__all__ = [
+    "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity", "NoReading",
+    "Rail", "RailReading", "Robot", "RobotReading", "SimulatedCell", "Stopped", "Tracker",
+    "TrackerReading",
+]  # fmt: skip
+
 Array = NDArray[np.float64]
-
-
-class HilcellError(Exception):
-    """Anything hilcell says to its user in one clear message."""
-
-
-class Stopped(HilcellError):
-    """The operator, or the program's end, asked everything to stop."""
-
-
-class DeviceError(HilcellError):
-    """A device failed: names device, operation, wanted and found values, cause and next act."""
-
-    def __init__(
-        self, device: str, operation: str, found: str, *, wanted: str = "", act: str = ""
-    ) -> None:
-        self.device, self.operation, self.found = device, operation, found
-        self.wanted, self.act = wanted, act
-        parts = f"{device}: {operation}: {found}"
-        parts += f", wanted {wanted}" if wanted else ""
-        super().__init__(parts + (f"; {act}" if act else ""))
-
-
-class DeviceRefused(DeviceError):
-    """The device answers, but is not what the cell file says, or is not allowed to work."""
-
-
-class NoReading(DeviceError):
-    """The device is well, yet this one measurement failed and may be tried again."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from hilcell.clean import clean
-from hilcell.ports import HilcellError
+from hilcell.errors import HilcellError
 
 LONGEST_VALUE = 80
 

@@ -1,0 +1,42 @@
+"""``tui``: the technician's screen."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from hilcell.errors import HilcellError
+from hilcell.tui.glyphs import ASCII, UNICODE
+from hilcell.tui.keys import load_keys
+
+COLOURS = {"auto": "auto", "16": "standard", "256": "256", "truecolor": "truecolor"}
+
+
+def tui(args: argparse.Namespace) -> int:
+    """Show the technician's screen until it is left."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise HilcellError(
+            "tui: stdin and stdout must be a terminal; `hilcell watch` follows a run in a pipe"
+        )
+    keymap = load_keys(Path(args.keys) if args.keys else None)
+    # Textual reads these when it is imported.
+    os.environ["TEXTUAL_COLOR_SYSTEM"] = COLOURS[args.colors]
+    os.environ["TEXTUAL_ANIMATIONS"] = "none"
+    if args.colors == "none":
+        os.environ["NO_COLOR"] = "1"
+    from hilcell.tui.app import HilcellApp, Options
+
+    options = Options(
+        runs=args.runs, keymap=keymap, glyphs=ASCII if args.ascii or not _utf8() else UNICODE,
+        run=args.run, cell=args.cell,
+        settings=tuple(f"{key}={value}" for key, value in args.set),
+        theme=args.theme, slow=args.slow,
+    )  # fmt: skip
+    return HilcellApp(options).run() or 0
+
+
+def _utf8() -> bool:
+    return (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
+

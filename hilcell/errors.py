@@ -1,0 +1,35 @@
+"""What hilcell raises: one clear message each, whoever reads it.
+
+Apart from `hilcell.ports`, so that a face can say an error without loading arrays.
+"""
+
+from __future__ import annotations
+
+
+class HilcellError(Exception):
+    """Anything hilcell says to its user in one clear message."""
+
+
+class Stopped(HilcellError):
+    """The operator, or the program's end, asked everything to stop."""
+
+
+class DeviceError(HilcellError):
+    """A device failed: names device, operation, wanted and found values, cause and next act."""
+
+    def __init__(
+        self, device: str, operation: str, found: str, *, wanted: str = "", act: str = ""
+    ) -> None:
+        self.device, self.operation, self.found = device, operation, found
+        self.wanted, self.act = wanted, act
+        parts = f"{device}: {operation}: {found}"
+        parts += f", wanted {wanted}" if wanted else ""
+        super().__init__(parts + (f"; {act}" if act else ""))
+
+
+class DeviceRefused(DeviceError):
+    """The device answers, but is not what the cell file says, or is not allowed to work."""
+
+
+class NoReading(DeviceError):
+    """The device is well, yet this one measurement failed and may be tried again."""

@@ -1,0 +1,395 @@
+"""The screen as an application: it holds one attachment to a run and passes keys on as commands.
+
+What is allowed comes from the run's state machine; what is shown comes from the journal. The
+engine is another process: closing this one stops nothing by surprise. What reads journals is
+imported after the first screen is painted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from textual.app import App
+from textual.binding import Binding, BindingType
+from textual.command import Hit, Hits, Provider
+from textual.driver import Driver
+from textual.message import Message
+
+from hilcell.errors import HilcellError
+from hilcell.tui import engine
+from hilcell.tui.driver import StopDriver
+from hilcell.tui.glyphs import Glyphs
+from hilcell.tui.keys import ACTIONS, Keymap
+from hilcell.tui.screens.base import SceneScreen
+from hilcell.tui.screens.confirm import Confirm
+from hilcell.tui.screens.opening import Opening
+from hilcell.tui.themes import NAMES, PALETTES
+
+if TYPE_CHECKING:
+    from hilcell.alarms import Latch
+    from hilcell.tui.feed import Fresh
+    from hilcell.tui.scene import Scene
+    from hilcell.tui.session import Session
+
+PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How the screen was asked for."""
+
+    runs: Path
+    keymap: Keymap
+    glyphs: Glyphs
+    run: str = ""
+    cell: str = "paper"
+    settings: tuple[str, ...] = ()
+    theme: str = NAMES[0]
+    slow: bool = False
+
+
+class Delivered(Message):
+    """What the feed has read."""
+
+    def __init__(self, session: Session, fresh: Fresh) -> None:
+        super().__init__()
+        self.session, self.fresh = session, fresh
+
+
+class Actions(Provider):
+    """The palette: every action by its words."""
+
+    async def search(self, query: str) -> Hits:
+        """Yield the allowed actions that match."""
+        app, matcher = self.app, self.matcher(query)
+        assert isinstance(app, HilcellApp)
+        for action in ACTIONS:
+            score = matcher.match(f"{action.label}: {action.help}")
+            if score > 0 and app.allowed(action.name):
+                yield Hit(
+                    score, f"{action.label}: {action.help}",
+                    lambda name=action.name: app.do(name),
+                )  # fmt: skip
+
+
+class HilcellApp(App[int]):
+    """Shows one run at a time; `session` is the attachment to it."""
+
+    TITLE = "hilcell"
+    CSS_PATH = "style.tcss"
+    COMMANDS: ClassVar = {Actions}
+    HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (120, "-wide")]
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding(
+            ",".join(action.keys), f"do('{action.name}')", action.label, show=False,
+            id=action.name, priority=action.everywhere,
+        )
+        for action in ACTIONS
+    ]  # fmt: skip
+
+    def __init__(self, options: Options) -> None:
+        super().__init__(driver_class=StopDriver)
+        self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
+        self.session: Session | None = None
+        self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
+        for palette in PALETTES:
+            self.register_theme(palette.theme())
+        self.theme = options.theme
+        self.animation_level = "none"
+
+    @property
+    def scene(self) -> Scene | None:
+        """Return what is known of the attached run."""
+        return self.session.scene if self.session is not None else None
+
+    @property
+    def live(self) -> bool:
+        """Whether the attached run has an engine at work."""
+        return self.scene is not None and self.scene.live
+
+    @property
+    def latch(self) -> Latch:
+        """Return the alarms of the attached run."""
+        assert self.session is not None
+        return self.session.latch
+
+    # -- opening ------------------------------------------------------------------------------
+
+    def get_driver_class(self) -> type[Driver]:
+        """Give the terminal's driver the one call that must not wait."""
+        driver = super().get_driver_class()
+        if issubclass(driver, StopDriver):
+            return type("Stopping", (driver,), {"on_escape": staticmethod(self._stop_now)})
+        return driver
+
+    def _stop_now(self) -> None:
+        session = self.session
+        if session is not None:
+            session.stop()
+
+    def on_mount(self) -> None:
+        """Paint first, then import what reads journals."""
+        if self.glyphs.plain:
+            self.add_class("plain")
+        self.push_screen(Opening(self.options.run))
+        self.set_interval(SLOW_PERIOD_S if self.options.slow else PERIOD_S, self._tick)
+        self.call_after_refresh(lambda: self.background(self._open()))
+
+    async def _open(self) -> None:
+        """Open the run asked for, or the one that is live, or the form for a new one."""
+        from hilcell.tui.opening import run_to_open
+
+        found = await asyncio.to_thread(run_to_open, self.options.runs, self.options.run)
+        if found is not None:
+            self.attach(found)
+        else:
+            self.do_new()
+
+    def attach(self, folder: Path, process: Any = None) -> None:
+        """Show a run, live or past, in place of the one shown."""
+        from hilcell.tui.screens.run import RunScreen
+        from hilcell.tui.session import Session
+
+        self.let_go(leave=True)
+        period_s = SLOW_PERIOD_S if self.options.slow else PERIOD_S
+        session: Session = Session(
+            folder, lambda fresh: self.post_message(Delivered(session, fresh)), period_s, process
+        )
+        self.session = session
+        while len(self.screen_stack) > 1:
+            self.pop_screen()
+        self.push_screen(RunScreen())
+        session.feed.start()
+
+    def let_go(self, *, leave: bool) -> None:
+        """Detach from the run; ``leave`` says that it was meant."""
+        if self.session is not None:
+            self.session.close(leave=leave)
+            self.session = None
+
+    # -- what comes in ------------------------------------------------------------------------
+
+    def on_delivered(self, message: Delivered) -> None:
+        """Take what the feed has read, and show it."""
+        from hilcell.tui.session import utc_now
+
+        if message.session is not self.session:
+            return
+        self.session.take(message.fresh, utc_now())
+        self._show()
+        if self.session.trouble:
+            self.say(self.session.trouble)
+
+    def _tick(self) -> None:
+        from hilcell.tui.session import utc_now
+
+        if self.session is not None and self.live:
+            self.session.tick(utc_now())
+            self._show()
+
+    def _show(self) -> None:
+        top = self.screen
+        if isinstance(top, SceneScreen):
+            top.show(self.scene)
+
+    def say(self, text: str) -> None:
+        """Say something on the line above the keys."""
+        for screen in reversed(self.screen_stack):
+            if isinstance(screen, SceneScreen):
+                screen.notice(text)
+                return
+
+    def background(self, work: Coroutine[Any, Any, None]) -> None:
+        """Do something that may take a while; what goes wrong is said."""
+
+        async def guarded() -> None:
+            try:
+                await work
+            except HilcellError as error:
+                self.say(str(error))
+
+        self.run_worker(guarded(), exit_on_error=True)
+
+    def command(self, command: str, **facts: str) -> None:
+        """Send a command to the engine, off the thread that takes keys."""
+        session = self.session
+        if session is not None:
+            self.background(asyncio.to_thread(session.ask, command, **facts))
+
+    # -- keys ---------------------------------------------------------------------------------
+
+    def allowed(self, name: str) -> bool:
+        """Whether an action does something now, by the state machine and the screen."""
+        scene = self.scene
+        live = self.live
+        has_run = scene is not None and scene.log.plan is not None
+        match name:
+            case "stop" | "abort" | "detach":
+                return live
+            case "pause":
+                return has_run and self._pause_command() != ""
+            case "acknowledge":
+                return has_run and bool(self.latch.open)
+            case "new":
+                return not live
+            case "bad" | "sort" | "find" | "retake":
+                return has_run and hasattr(self.screen, f"do_{name}")
+            case "alarms" | "plots" | "interlocks" | "log" | "report":
+                return has_run
+        return True
+
+    def _pause_command(self) -> str:
+        """Return what the space bar does: pause, proceed, answer, resume, or nothing."""
+        scene = self.scene
+        if scene is None:
+            return ""
+        if not scene.live:
+            return "" if scene.key in ("done", "intolerant", "idle") else "resume"
+        if scene.allows("pause") and scene.key != "pausing":
+            return "pause"
+        return "proceed" if scene.allows("proceed") or scene.key == "pausing" else ""
+
+    def action_do(self, name: str) -> None:
+        """Do what a key means."""
+        self.do(name)
+
+    def do(self, name: str) -> None:
+        """Do an action, where it is allowed; the screen on top may have its own way."""
+        if name == "stop":
+            self.do_stop()
+        elif isinstance(self.screen, SceneScreen) or name == "quit":
+            if not self.allowed(name):
+                self.say(f"{name}: nothing to do now")
+                return
+            act = getattr(self.screen, f"do_{name}", None) or getattr(self, f"do_{name}")
+            act()
+
+    def do_stop(self) -> None:
+        """Stop everything; where nothing runs, go back."""
+        if self.live:
+            self._stop_now()
+            while not isinstance(self.screen, SceneScreen):
+                self.pop_screen()
+            self.say("STOP sent")
+        elif len(self.screen_stack) > 2:
+            self.pop_screen()
+
+    def do_pause(self) -> None:
+        """Pause, go on, or resume: whichever the state allows."""
+        command = self._pause_command()
+        if command == "pause":
+            self.command("pause")
+        elif command == "resume":
+            self.ask(
+                "Resume this run?", "The devices are connected again; the tracker's control "
+                "points are proved before anything counts.", "resume", lambda: self.start_resume(),
+            )  # fmt: skip
+        else:
+            self.ask(
+                "Go on?", "The robot and the rail may move at once.", "go on",
+                lambda: self.command("proceed"),
+            )  # fmt: skip
+
+    def do_abort(self) -> None:
+        """End the run after the point in flight."""
+        self.ask(
+            "Abort this run?", "The point in flight is finished, then the run ends. "
+            "It can be resumed later.", "abort", lambda: self.command("abort"),
+        )  # fmt: skip
+
+    def enter(self, key: str) -> None:
+        """Answer the prompt that is asked, or open a point."""
+        scene = self.scene
+        if scene is not None and scene.prompt is not None:
+            if scene.prompt.ready or not scene.prompt.check:
+                self.command("answer")
+            else:
+                self.say("Enter works when the tracker sees the reflector in its place")
+        elif key:
+            from hilcell.tui.screens.detail import DetailPage
+
+            self.push_screen(DetailPage(key))
+
+    def retake(self, key: str) -> None:
+        """Measure a point anew: in the live run, or by opening a finished one again."""
+        from hilcell.run.retake import retake_refusal
+
+        scene = self.scene
+        if scene is None or not key:
+            return
+        refusal = retake_refusal(scene.log, key)
+        if refusal:
+            self.say(refusal)
+        elif scene.live:
+            self.ask(
+                "Measure this point anew?", f"{key}: at the next point of the robot.",
+                "re-measure", lambda: self.command("retake", key=key),
+            )  # fmt: skip
+        else:
+            self.ask(
+                "Open this run again and measure the point anew?",
+                f"{key}: the devices are connected, the control points proved, the robot moves.",
+                "re-measure", lambda: self.start_resume("--retake", key),
+            )  # fmt: skip
+
+    def start_resume(self, *words: str) -> None:
+        """Start an engine that goes on with this run."""
+        session = self.session
+        if session is None:
+            return
+        folder = session.folder
+        attended = [] if not session.scene.log.inputs.unattended else ["--unattended"]
+        order = ["resume", folder.name, "--runs", str(folder.parent), *attended, *words]
+        process = engine.start(folder.parent, folder.name, order)
+        self.attach(folder, process)
+        self.background(self.watch_engine(process, folder))
+
+    async def watch_engine(self, process: Any, folder: Path) -> None:
+        """Wait for an engine's end; one that leaves no word in the journal says it here."""
+        code = await asyncio.to_thread(process.wait)
+        if code == 2 or not (folder / "journal.sqlite").is_file():
+            raise HilcellError(engine.last_words(folder.parent, folder.name) or f"exit {code}")
+
+    def ask(self, title: str, text: str, yes: str, act: Any) -> None:
+        """Ask before an act; only a yes does it."""
+        self.push_screen(
+            Confirm(title, text, yes), lambda reply: act() if reply == "yes" else None
+        )
+
+    def do_acknowledge(self) -> None:
+        """Acknowledge every alarm."""
+        self.latch.acknowledge()
+        self._show()
+
+    def do_theme(self) -> None:
+        """Show the next theme."""
+        self.theme = NAMES[(NAMES.index(self.theme) + 1) % len(NAMES)]
+
+    def do_detach(self) -> None:
+        """Leave the screen; the run goes on."""
+        self.let_go(leave=True)
+        self.exit(0)
+
+    def do_quit(self) -> None:
+        """Leave; over a live run offer to detach."""
+        if not self.live:
+            self.let_go(leave=True)
+            self.exit(0)
+        else:
+            self.ask(
+                "A run is live.", "Detach: the run goes on without this screen. To stop it, "
+                "press q here and then Esc.", "detach", self.do_detach,
+            )  # fmt: skip
+
+    def do_new(self) -> None:
+        """Open the form for a new run."""
+        from hilcell.tui.screens.start import StartScreen
+
+        self.let_go(leave=True)
+        while len(self.screen_stack) > 1:
+            self.pop_screen()
+        self.push_screen(StartScreen())

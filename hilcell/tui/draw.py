@@ -1,0 +1,31 @@
+"""Draws a plot as text, by plotext; series are told apart by letter and name, not by colour."""
+
+from __future__ import annotations
+
+import plotext
+from textual.content import Content
+
+from hilcell.tui.series import Plot
+
+MARKS = ("o", "+", "x")
+TICKS = 5
+
+
+def draw(plot: Plot, width: int, height: int) -> Content:
+    """Return a plot of this size in columns and rows."""
+    shown = [line for line in plot.lines if line.values]
+    if not shown:
+        return Content.styled("nothing measured for this plot yet", "$dim")
+    longest = max(len(line.values) for line in shown)
+    plotext.clear_figure()
+    plotext.theme("clear")
+    plotext.plotsize(width, height)
+    for mark, line in zip(MARKS, shown, strict=False):
+        plotext.scatter(range(1, len(line.values) + 1), line.values, marker=mark, label=line.name)
+    if plot.limit is not None:
+        plotext.hline(plot.limit)
+    plotext.ylim(*plot.y_limits)
+    plotext.xticks(sorted({1 + round(n * (longest - 1) / (TICKS - 1)) for n in range(TICKS)}))
+    plotext.xlabel(plot.x_label)
+    plotext.ylabel(plot.y_label)
+    return Content(plotext.uncolorize(plotext.build()))

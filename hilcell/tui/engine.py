@@ -1,0 +1,81 @@
+"""Starts engines: processes of their own, which outlive the screen that started them."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from hilcell.errors import HilcellError
+
+WORDS = "engine.log"
+HILCELL = (sys.executable, "-m", "hilcell")
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What is asked for in the form."""
+
+    cell: str
+    procedure: str
+    operator: str = ""
+    job: str = ""
+    seed: str = "1"
+    speed: str = ""
+    attended: bool = True
+    settings: tuple[str, ...] = ()
+
+    def words(self) -> list[str]:
+        """Return the command line of `hilcell run`."""
+        words = ["run", self.procedure, "--cell", self.cell, "--seed", self.seed]
+        for option, value in (("--operator", self.operator), ("--job", self.job),
+                              ("--speed", self.speed)):  # fmt: skip
+            words += [f"{option}={value}"] if value else []
+        for setting in self.settings:
+            words += ["--set", setting]
+        return words if self.attended else [*words, "--unattended"]
+
+
+def start(runs: Path, run: str, words: Sequence[str]) -> subprocess.Popen[bytes]:
+    """Start an engine in a session of its own; what it says goes to a file in the run's folder."""
+    folder = runs / run
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / WORDS).open("ab") as said:
+        return subprocess.Popen(
+            [*HILCELL, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=said, start_new_session=True,
+        )  # fmt: skip
+
+
+def last_words(runs: Path, run: str) -> str:
+    """Return what an engine said before it ended without a journal."""
+    try:
+        return (runs / run / WORDS).read_text(encoding="utf-8", errors="replace").strip()
+    except OSError as error:
+        return str(error)
+
+
+async def ask_hilcell(*words: str) -> str:
+    """Run a command that moves nothing and return its stdout; raises `HilcellError`."""
+    process = await asyncio.create_subprocess_exec(
+        *HILCELL, *words, stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    out, err = await process.communicate()
+    if process.returncode:
+        said = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
+        raise HilcellError(said.removeprefix("hilcell: "))
+    return out.decode(errors="replace")
+
+
+async def dry_run(order: Order) -> dict[str, Any]:
+    """Return the plan of an order; raises `HilcellError` with every refusal."""
+    text = await ask_hilcell(*order.words(), "--dry-run", "--json")
+    plan: dict[str, Any] = msgspec.json.decode(text.splitlines()[0], type=dict[str, Any])
+    return plan

@@ -1,0 +1,101 @@
+"""Follows one run from a thread of its own: the journal as it grows, the engine as it answers.
+
+Reading may block, so it never happens where keys are taken. What was read is handed over as one
+`Fresh`; the screen alone keeps state.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from hilcell.errors import HilcellError
+from hilcell.run.journal import Record, StorageError, read_journal
+from hilcell.runs import JOURNAL
+from hilcell.tui.link import Link, LinkLostError
+from hilcell.tui.scene import Status
+
+
+@dataclass(frozen=True, slots=True)
+class Fresh:
+    """What one look has brought."""
+
+    records: list[Record] = field(default_factory=list)
+    alive: bool = False
+    status: Status | None = None
+    trouble: str = ""
+
+
+class Feed:
+    """Looks at a run every ``period_s`` and hands over what is new."""
+
+    def __init__(self, folder: Path, deliver: Callable[[Fresh], object], period_s: float) -> None:
+        self.folder = folder
+        self.link: Link | None = None
+        self._deliver, self._period_s = deliver, period_s
+        self._seen = 0
+        self._ended = threading.Event()
+        self._soon = threading.Event()
+        self._thread = threading.Thread(target=self._follow, name="feed", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def soon(self) -> None:
+        """Look at once: something was asked for."""
+        self._soon.set()
+
+    def close(self, *, leave: bool) -> None:
+        """Stop looking. ``leave`` tells the engine that nobody is lost."""
+        self._ended.set()
+        self._soon.set()
+        link = self.link
+        if link is not None:
+            if leave:
+                try:
+                    link.ask("leave")
+                except HilcellError:
+                    pass  # an engine that is gone has nothing to be told
+            link.close()
+
+    def _follow(self) -> None:
+        while not self._ended.is_set():
+            began_s = time.monotonic()
+            fresh = self._look()
+            if self._ended.is_set():
+                return
+            self._deliver(fresh)
+            self._soon.wait(max(self._period_s - (time.monotonic() - began_s), 0.02))
+            self._soon.clear()
+
+    def _look(self) -> Fresh:
+        status = self._status()
+        alive = self.link is not None
+        try:
+            records = read_journal(self.folder / JOURNAL, after=self._seen)
+        except StorageError as error:
+            waits = alive or not (self.folder / JOURNAL).is_file()
+            return Fresh([], alive, status, "" if waits and not self._seen else str(error))
+        self._seen += len(records)
+        return Fresh(records, alive, status)
+
+    def _status(self) -> Status | None:
+        try:
+            if self.link is None:
+                link = Link.to(self.folder)
+                if link is None:
+                    return None
+                link.ask("attend")
+                self.link = link
+            return msgspec.convert(self.link.ask("status"), Status)
+        except LinkLostError:
+            self.link = None
+        except HilcellError:
+            pass  # refused: shown by its silence, the lamps grow stale
+        return None

@@ -1,0 +1,64 @@
+"""The points table: which points, in which order, in which columns."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from hilcell.run.log import Log
+from hilcell.tui.deviation import BAD_STATES, PointRow, point_rows
+from hilcell.tui.deviation import rms_mm as rms_of
+from hilcell.tui.rows import Column, Row
+
+WIDE = 112
+_NARROW_COLUMNS = (
+    Column("point", 26), Column("dx mm", 7, right=True), Column("dy mm", 7, right=True),
+    Column("dz mm", 7, right=True), Column("|e| mm", 7, right=True),
+    Column("rms mm", 6, right=True), Column("state", 8),
+)  # fmt: skip
+_WIDE_COLUMNS = (
+    Column("point", 26), Column("nominal x y z mm", 28, right=True),
+    Column("measured x y z mm", 31, right=True), *_NARROW_COLUMNS[1:],
+)  # fmt: skip
+_TONES = {"out": "bad", "noisy": "warn", "waits": "info", "again": "info"}
+
+
+def columns_for(width: int) -> Sequence[Column]:
+    """Return the columns that a table of this width shows."""
+    return _WIDE_COLUMNS if width >= WIDE + 40 else _NARROW_COLUMNS
+
+
+def filtered(log: Log, wanted: str, *, bad_only: bool, worst: bool) -> list[PointRow]:
+    """Return the points asked for: with all the words, bad ones, worst first."""
+    words = wanted.lower().split()
+    rows = [
+        row
+        for row in point_rows(log)
+        if (not bad_only or row.state in (*BAD_STATES, "again"))
+        and all(word in f"{row.point.key} {row.point.station} {row.state}".lower() for word in words)
+    ]
+    if worst:
+        rows.sort(key=lambda row: row.norm_mm, reverse=True)
+    return rows
+
+
+def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
+    """Return the cells of one point; ``waiting`` names those that are to be measured anew."""
+    point, deviation = found.point, found.deviation
+    state = "waits" if point.key in waiting else found.state
+    if deviation is None:
+        errors = ("", "", "", "")
+        actual = point.xyz_mm
+    else:
+        errors = (*(f"{each:+.3f}" for each in deviation.error_mm), f"{deviation.norm_mm:.3f}")
+        actual = deviation.actual_mm
+    narrow = (*errors, f"{rms_of(point):.3f}", state)
+    if width < WIDE + 40:
+        return Row(point.key, (point.key, *narrow), _TONES.get(state, ""))
+    nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 2)
+    return Row(
+        point.key, (point.key, nominal, _triple(actual, 3), *narrow), _TONES.get(state, "")
+    )
+
+
+def _triple(values: Sequence[float], digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" for value in values)

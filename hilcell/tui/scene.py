@@ -1,0 +1,133 @@
+"""What the screen knows at one moment: the journal so far, and what the engine last said.
+
+The same scene stands for a live run, a finished one and one left by a crash. The trap: the
+engine's words grow old; whatever shows them asks `Scene.heard_s` how old they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from hilcell.run.log import Log, Point
+from hilcell.run.machine import RUN
+
+if TYPE_CHECKING:
+    from hilcell.alarms import Alarm
+    from hilcell.run.journal import Record
+
+STALE_S = 2.0
+MOST_NOTED = 2000
+OVER = ("finished", "aborted", "faulted")
+
+
+class DeviceStatus(msgspec.Struct, frozen=True):
+    """One lamp, as the engine states it."""
+
+    state: str = "unknown"
+    age_s: float | None = None
+    text: str = ""
+    reason: str = ""
+
+
+class Interlock(msgspec.Struct, frozen=True):
+    """One condition of motion; ``blocked`` says why it does not hold."""
+
+    name: str
+    blocked: str = ""
+
+
+class Prompt(msgspec.Struct, frozen=True):
+    """What the operator is asked to do, and what the tracker sees of it."""
+
+    title: str
+    text: str
+    place: str = ""
+    expected_mm: tuple[float, float, float] | None = None
+    limit_mm: float | None = None
+    seen_mm: float | None = None
+    age_s: float | None = None
+    ready: bool = False
+    check: bool = True
+
+
+class Status(msgspec.Struct, frozen=True):
+    """The engine's answer to ``status``."""
+
+    state: str
+    pausing: bool = False
+    unattended: bool = False
+    screens: int = 0
+    devices: dict[str, DeviceStatus] = {}
+    interlocks: list[Interlock] = []
+    prompt: Prompt | None = None
+    retakes: list[str] = []
+
+
+@dataclass(slots=True)
+class Scene:
+    """All that is shown. Fed by `take` and `hear`; read by the pure functions of this package."""
+
+    run: str
+    log: Log = field(default_factory=Log)
+    alive: bool = False
+    status: Status | None = None
+    heard_s: float = 0.0  # how old the status is
+    now: datetime | None = None
+    remaining_s: float | None = None
+    elapsed_s: float = 0.0
+    alarms: list[Alarm] = field(default_factory=list)
+    records: list[Record] = field(default_factory=list)  # the newest, for the event log
+    last: Point | None = None
+    step: dict[str, Any] = field(default_factory=dict)
+    step_points: int = 0
+
+    def take(self, record: Record) -> None:
+        """Add one durable record."""
+        self.log.take(record)
+        self.records.append(record)
+        if len(self.records) > 2 * MOST_NOTED:
+            del self.records[:-MOST_NOTED]
+        if record.kind == "point":
+            self.last = self.log.points[record.key]
+            self.step_points += self.last.group != "control"
+        elif record.kind == "event" and record.body.get("what") == "step":
+            self.step, self.step_points = record.body, 0
+
+    @property
+    def key(self) -> str:
+        """Return the state in one word, as the state block names it."""
+        state = self.log.states["run"]
+        over = state in OVER and self.log.end is not None
+        if not self.alive and not over:
+            return "gone" if self.log.plan is not None else "idle"
+        if state == "finished":
+            return "intolerant" if self.log.end and self.log.end["exit"] else "done"
+        if state == "faulted":
+            return "fault"
+        if state == "running" and self.status is not None and self.status.pausing:
+            return "pausing"
+        return state
+
+    @property
+    def live(self) -> bool:
+        """Whether an engine is at work on this run."""
+        return self.alive and self.key not in ("done", "intolerant", "aborted", "fault")
+
+    @property
+    def stale(self) -> bool:
+        """Whether the engine's last words are too old to be shown as good."""
+        return self.status is None or not self.heard_s <= STALE_S
+
+    @property
+    def prompt(self) -> Prompt | None:
+        """Return what the operator is asked, while he is asked."""
+        return self.status.prompt if self.live and self.status is not None else None
+
+    def allows(self, trigger: str) -> bool:
+        """Whether the table of the run's life allows a trigger now."""
+        state = self.log.states["run"]
+        return any(name == trigger and state in sources for name, sources, _ in RUN.rows)

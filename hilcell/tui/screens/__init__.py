@@ -1,0 +1,1 @@
+"""One file a screen; each shows the scene and posts commands."""

@@ -1,0 +1,122 @@
+"""What all screens share: the state on top, keys at the bottom, and a scene to show."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, cast
+
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.content import Content
+from textual.screen import Screen
+from textual.widget import Widget
+
+from hilcell.tui.keys import BY_NAME, shown
+from hilcell.tui.panel import Panel
+
+if TYPE_CHECKING:
+    from hilcell.tui.app import HilcellApp
+    from hilcell.tui.scene import Scene
+
+
+class SceneScreen(Screen[None]):
+    """A screen that is shown the scene again whenever it has changed."""
+
+    footer: ClassVar[tuple[str, ...]] = ()  # actions, in the order of their weight
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = ()  # keys that cannot be rebound
+
+    @property
+    def cell(self) -> HilcellApp:
+        """Return the application, by its own type."""
+        return cast("HilcellApp", self.app)
+
+    @property
+    def wide(self) -> int:
+        """Return how many columns a line may take."""
+        return max(self.app.size.width, 20)
+
+    def panel(self, name: str) -> Panel:
+        """Return a panel by its name."""
+        return self.query_one(f"#{name}", Panel)
+
+    def on_mount(self) -> None:
+        """Show what is known already."""
+        self.show(self.cell.scene)
+
+    def on_resize(self) -> None:
+        """Lay the lines out anew."""
+        self.call_after_refresh(lambda: self.show(self.cell.scene))
+
+    def on_screen_resume(self) -> None:
+        """Show what came while another screen was on top."""
+        self.show(self.cell.scene)
+
+    def show(self, scene: Scene | None) -> None:
+        """Show the scene."""
+        self.panel("keys").show(self.key_line())
+        if scene is not None and self.query("#banner"):
+            from hilcell.tui import words  # reads journals: not for the first screen
+
+            self.panel("banner").show(words.banner(scene, self.cell.glyphs, self.wide))
+
+    def notice(self, text: str) -> None:
+        """Say something on the line above the keys, until the next key."""
+        panel = self.panel("notice")
+        panel.display = bool(text)
+        panel.show(Content.styled(text, "$warn"))
+
+    def on_key(self) -> None:
+        """A key was pressed: what was said has been read."""
+        if self.query("#notice"):
+            self.notice("")
+
+    def key_line(self) -> Content:
+        """Return element 10: the keys that do something now."""
+        parts: list[tuple[str, str]] = list(self.fixed)
+        for name in self.footer:
+            if self.cell.allowed(name):
+                parts.append((shown(self.cell.keymap[name][0]), self.label(name)))
+        line = Content("")
+        for key, label in parts:
+            each = Content.assemble((f" {key} ", "bold $on-quiet on $quiet"), f" {label}  ")
+            if line.cell_length + each.cell_length <= self.wide + 2:
+                line = line.append(each)
+        return line
+
+    def label(self, name: str) -> str:
+        """Return what an action is called now."""
+        return BY_NAME[name].label
+
+
+class Page(SceneScreen):
+    """A whole-screen page over the run: the state stays in sight, q goes back."""
+
+    title_text: ClassVar[str] = ""
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("q,backspace", "back", "back", show=False),
+    ]
+    fixed = (("q", "back"),)
+
+    def compose(self) -> ComposeResult:
+        """Build banner, title, body and key line."""
+        yield Panel("banner")
+        yield Panel("title")
+        yield from self.body()
+        yield Panel("notice")
+        yield Panel("keys")
+
+    def body(self) -> ComposeResult:
+        """Build what stands between title and keys."""
+        return iter(())
+
+    def on_mount(self) -> None:
+        """Show title and scene."""
+        self.panel("notice").display = False
+        self.panel("title").show(Content.styled(self.title_text, "bold"))
+        super().on_mount()
+        first = next(iter(self.query("Rows, Input, #body").results(Widget)), None)
+        if first is not None and first.focusable:
+            first.focus()
+
+    def action_back(self) -> None:
+        """Go back to the screen below."""
+        self.app.pop_screen()

@@ -1,0 +1,161 @@
+"""The run: state, step, lamps, deviation, alarms, prompt and points on one screen of 80x24."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.content import Content
+from textual.widgets import Input
+
+from hilcell.tui import words
+from hilcell.tui.alarm_words import alarm_lines
+from hilcell.tui.deviation import deviation_of
+from hilcell.tui.panel import Panel
+from hilcell.tui.points import columns_for, filtered, to_row
+from hilcell.tui.prompt_words import prompt_lines
+from hilcell.tui.rows import Rows
+from hilcell.tui.scene import Scene
+from hilcell.tui.screens.base import SceneScreen
+
+LINES = ("banner", "identity", "step", "progress", "lamps", "interlock")
+
+
+class RunScreen(SceneScreen):
+    """One run, live or past."""
+
+    footer = (
+        "stop", "pause", "retake", "acknowledge", "abort", "sort", "bad", "find", "plots",
+        "report", "history", "help", "detach", "new", "quit",
+    )  # fmt: skip
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "enter", "answer", show=False)]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bad_only, self.worst_first, self.wanted = False, False, ""
+
+    def compose(self) -> ComposeResult:
+        """Build the lines, the box of points and the panel beside it."""
+        for name in LINES:
+            yield Panel(name)
+        yield Panel("deviation")
+        yield Panel("alarm")
+        yield Panel("prompt")
+        with Horizontal(id="middle"):
+            with Vertical():
+                yield Rows(
+                    columns_for(80), empty="no points yet", id="points",
+                    plain=self.cell.glyphs.plain,
+                )  # fmt: skip
+                yield Input(placeholder="filter: words of name, station or state", id="find")
+            yield Panel("side")
+        yield Panel("notice")
+        yield Panel("keys")
+
+    def on_mount(self) -> None:
+        """Hide what has nothing to say yet."""
+        for name in ("alarm", "prompt", "notice"):
+            self.panel(name).display = False
+        self.query_one("#find", Input).display = False
+        rows = self.query_one(Rows)
+        rows.follow = True
+        rows.focus()
+        super().on_mount()
+
+    def show(self, scene: Scene | None) -> None:
+        """Show every line of the scene."""
+        super().show(scene)
+        if scene is None:
+            return
+        glyphs, width = self.cell.glyphs, self.wide
+        self.panel("identity").show(words.identity(scene, width))
+        self.panel("step").show(words.step(scene, width))
+        self.panel("progress").show(words.progress(scene, glyphs, width))
+        self.panel("lamps").show(words.lamps(scene, glyphs, width))
+        self.panel("interlock").show(words.interlocks(scene, width))
+        found = None if scene.last is None else deviation_of(scene.log, scene.last)
+        if found is not None or scene.last is None:
+            self.panel("deviation").show(words.deviation(found, glyphs, width))
+        self._show_boxes(scene)
+        self._show_points(scene)
+
+    def _show_boxes(self, scene: Scene) -> None:
+        alarm, prompt = self.panel("alarm"), self.panel("prompt")
+        lines = alarm_lines(self.cell.latch, self.cell.keymap, self.cell.glyphs, self.wide)
+        alarm.display = lines is not None
+        if lines is not None:
+            alarm.show(lines)
+        asked = scene.prompt
+        prompt.display = asked is not None
+        self.panel("deviation").display = asked is None
+        if asked is not None:
+            prompt.show(prompt_lines(asked, scene, self.cell.glyphs, self.wide - 4))
+
+    def _show_points(self, scene: Scene) -> None:
+        rows = self.query_one(Rows)
+        found = filtered(scene.log, self.wanted, bad_only=self.bad_only, worst=self.worst_first)
+        rows.empty = "no such point" if self.wanted or self.bad_only else "no points yet"
+        rows.follow = not self.worst_first
+        waiting = set(scene.status.retakes) if scene.status is not None else set()
+        wide = rows.size.width or self.wide
+        rows.put([to_row(each, waiting, wide) for each in found], columns_for(wide))
+        if self.panel("side").display and self.app.size.width >= 120:
+            self.panel("side").show(self.cell.side_text(scene))
+
+    def label(self, name: str) -> str:
+        """Return what a key does now."""
+        scene = self.cell.scene
+        if name == "pause" and scene is not None:
+            if not scene.live:
+                return "resume"
+            return "pause" if scene.key == "running" else "go on"
+        if name == "sort":
+            return "as measured" if self.worst_first else "worst first"
+        if name == "bad":
+            return "all" if self.bad_only else "bad only"
+        return super().label(name)
+
+    def action_enter(self) -> None:
+        """Answer the prompt, or open the chosen point."""
+        self.cell.enter(self.query_one(Rows).key)
+
+    def on_rows_chosen(self, message: Rows.Chosen) -> None:
+        """Answer the prompt, or open the chosen point."""
+        self.cell.enter(message.key)
+
+    # -- keys of this screen ------------------------------------------------------------------
+
+    def do_bad(self) -> None:
+        """Show bad points only, or all."""
+        self.bad_only = not self.bad_only
+        self.show(self.cell.scene)
+
+    def do_sort(self) -> None:
+        """Order by |e|, or as measured."""
+        self.worst_first = not self.worst_first
+        self.show(self.cell.scene)
+        if self.worst_first:
+            self.query_one(Rows).action_to(0)
+
+    def do_find(self) -> None:
+        """Open the filter."""
+        box = self.query_one("#find", Input)
+        box.display = True
+        box.focus()
+
+    def on_input_changed(self, message: Input.Changed) -> None:
+        """Filter as one types."""
+        self.wanted = message.value
+        self.show(self.cell.scene)
+
+    def on_input_submitted(self) -> None:
+        """Keep the filter and go back to the rows; an empty one closes."""
+        box = self.query_one("#find", Input)
+        box.display = bool(box.value)
+        self.query_one(Rows).focus()
+
+    def do_retake(self) -> None:
+        """Measure the chosen point anew."""
+        self.cell.retake(self.query_one(Rows).key)

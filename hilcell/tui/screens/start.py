@@ -1,0 +1,183 @@
+"""A new run: cell, procedure, operator and job; then the plan, and only then the start."""
+
+from __future__ import annotations
+
+import asyncio
+from importlib.metadata import entry_points
+from typing import Any, ClassVar
+
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.content import Content
+from textual.screen import ModalScreen
+from textual.widgets import Input, Label
+
+from hilcell.errors import HilcellError
+from hilcell.tui import engine
+from hilcell.tui.choice import Choice
+from hilcell.tui.panel import Panel
+from hilcell.tui.rows import Column, Row, Rows
+from hilcell.tui.scene import Scene
+from hilcell.tui.screens.base import SceneScreen
+from hilcell.tui.words import NOT_E_STOP, duration
+
+FIELDS = (
+    ("cell", "paper", "a built-in cell, or a path to a TOML file"),
+    ("operator", "", "your name, kept in the journal"),
+    ("job", "", "kept in the journal"),
+    ("seed", "1", "of random targets; of a simulated cell's truth"),
+)
+WATCHED = ("yes, I am here", "no, unattended")
+SPEEDS = ("max", "100", "10", "1")
+
+
+class StartScreen(SceneScreen):
+    """The form. Enter checks the plan; nothing moves before the plan was shown."""
+
+    footer = ("history", "help", "theme", "quit")
+    fixed = (("Enter", "check the plan"), ("Tab", "next field"))
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("down", "app.focus_next", show=False), Binding("up", "app.focus_previous",
+                                                               show=False),
+    ]  # fmt: skip
+
+    def compose(self) -> ComposeResult:
+        """Build the form."""
+        yield Panel("title")
+        for name, value, hint in FIELDS:
+            with Horizontal(classes="field"):
+                yield Label(name)
+                start = self.cell.options.cell if name == "cell" else value
+                yield Input(start, placeholder=hint, id=name)
+        with Horizontal(classes="field"):
+            yield Label("attended")
+            yield Choice(WATCHED, id="attended")
+        with Horizontal(classes="field"):
+            yield Label("speed")
+            yield Choice(SPEEDS, id="speed")
+        yield Rows(
+            [Column("procedure", 24), Column("what it does", 52)], id="procedures",
+            empty="no procedures are installed", plain=self.cell.glyphs.plain,
+        )  # fmt: skip
+        yield Panel("notice")
+        yield Panel("keys")
+
+    def on_mount(self) -> None:
+        """List the procedures; their summaries come when they are loaded."""
+        self.panel("notice").display = False
+        self.panel("title").show(
+            Content.assemble(("New run", "bold"), (f"   {NOT_E_STOP}", "$dim"))
+        )
+        rows = self.query_one(Rows)
+        names = sorted(entry.name for entry in entry_points(group="hilcell.procedures"))
+        rows.put([Row(name, (name, "")) for name in names])
+        rows.action_to(names.index("calibrate") if "calibrate" in names else 0)
+        rows.focus()
+        super().on_mount()
+        self.cell.background(self._summaries(names))
+
+    def show(self, scene: Scene | None) -> None:
+        """Show the keys; there is no run yet."""
+        self.panel("keys").show(self.key_line())
+
+    async def _summaries(self, names: list[str]) -> None:
+        found = await asyncio.to_thread(summaries, names)
+        if self.is_mounted:
+            self.query_one(Rows).put([Row(name, (name, found[name])) for name in names])
+
+    def order(self) -> engine.Order:
+        """Return what the form says."""
+        text = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
+        speed = self.query_one("#speed", Choice).value
+        return engine.Order(
+            cell=text["cell"], procedure=self.query_one(Rows).key, operator=text["operator"],
+            job=text["job"], seed=text["seed"] or "1", speed="" if speed == SPEEDS[0] else speed,
+            attended=self.query_one("#attended", Choice).value == WATCHED[0],
+            settings=self.cell.options.settings,
+        )  # fmt: skip
+
+    def on_rows_chosen(self) -> None:
+        """Check the plan."""
+        self.cell.background(self._check())
+
+    def on_input_submitted(self) -> None:
+        """Check the plan."""
+        self.cell.background(self._check())
+
+    async def _check(self) -> None:
+        order = self.order()
+        self.notice("checking the plan; nothing is opened ...")
+        plan = await engine.dry_run(order)
+        self.notice("")
+        self.app.push_screen(
+            PlanSummary(order, plan),
+            lambda yes: self._start(order) if yes else None,
+        )
+
+    def _start(self, order: engine.Order) -> None:
+        from hilcell.runs import new_run
+
+        runs = self.cell.options.runs
+        run = new_run(order.procedure)
+        words = [*order.words(), "--runs", str(runs), "--name", run]
+        process = engine.start(runs, run, words)
+        self.cell.attach(runs / run, process)
+        self.cell.background(self.cell.watch_engine(process, runs / run))
+
+
+class PlanSummary(ModalScreen[bool]):
+    """What will be done and how long it takes; Enter starts, q goes back."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("enter,y", "reply(True)", show=False),
+        Binding("q,n,backspace", "reply(False)", show=False),
+    ]
+
+    def __init__(self, order: engine.Order, plan: dict[str, Any]) -> None:
+        super().__init__()
+        self._order, self._plan = order, plan
+
+    def compose(self) -> ComposeResult:
+        """Build the dialog."""
+        with Vertical(id="dialog"):
+            yield Panel("question")
+
+    def on_mount(self) -> None:
+        """Show the plan."""
+        self.query_one("#question", Panel).show(plan_lines(self._order, self._plan))
+
+    def action_reply(self, yes: bool) -> None:  # noqa: FBT001 - from a key's words
+        """Close with the answer."""
+        self.dismiss(yes)
+
+
+def plan_lines(order: engine.Order, plan: dict[str, Any]) -> Content:
+    """Return a plan as a table, with what starts it."""
+    rows = [
+        f"{step['name']:<26}{step['points']:>7}  {duration(step['duration_s']):>9}"
+        for step in plan["steps"]
+    ]
+    rows.append(f"{'all':<26}{plan['points']:>7}  {duration(plan['duration_s']):>9}")
+    who = "somebody is here to be asked" if order.attended else "unattended: a question is a fault"
+    return Content.assemble(
+        (f"{plan['procedure']} on cell {plan['cell']}", "bold $warn"),
+        f"   job {order.job or '-'}, operator {order.operator or '-'}\n",
+        (f"{'step':<26}{'points':>7}  {'cell time':>9}\n", "$dim"),
+        "\n".join(rows), f"\n\n{who}. The robot and the rail will move.\n",
+        (" Enter ", "bold $on-quiet on $quiet"), " start   ",
+        (" q ", "bold $on-quiet on $quiet"), " back",
+    )  # fmt: skip
+
+
+def summaries(names: list[str]) -> dict[str, str]:
+    """Return what each procedure does, in its own words."""
+    from hilcell.devices import load_entry
+
+    found: dict[str, str] = {}
+    for name in names:
+        try:
+            found[name] = load_entry("procedures", name).summary
+        except HilcellError as error:
+            found[name] = str(error)
+    return found

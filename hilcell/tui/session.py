@@ -1,0 +1,85 @@
+"""One attachment of the screen to one run: its feed, and the scene that the feed fills."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from hilcell.alarms import Alarm, Latch, alarms_of
+from hilcell.errors import HilcellError
+from hilcell.run.forecast import Forecast
+from hilcell.tui.feed import Feed, Fresh
+from hilcell.tui.scene import Scene
+
+
+class Session:
+    """What is known of one run, and the line to its engine where one lives."""
+
+    def __init__(
+        self,
+        folder: Path,
+        deliver: Callable[[Fresh], object],
+        period_s: float,
+        process: subprocess.Popen[bytes] | None = None,
+    ) -> None:
+        self.folder = folder
+        self.scene = Scene(folder.name)
+        self.latch = Latch()
+        self.process = process  # the engine, where this screen has started it
+        self.trouble = ""
+        self._forecast = Forecast()
+        self._heard: datetime | None = None
+        self._alarms: list[Alarm] = []
+        self.feed = Feed(folder, deliver, period_s)
+
+    def take(self, fresh: Fresh, now: datetime) -> None:
+        """Add what one look has brought."""
+        scene = self.scene
+        for record in fresh.records:
+            scene.take(record)
+            self._forecast.take(record)
+        self.trouble = fresh.trouble
+        if fresh.status is not None:
+            scene.status, self._heard = fresh.status, now
+        if scene.alive != fresh.alive or fresh.records:
+            scene.alive = fresh.alive
+            if scene.log.plan is not None:
+                alarms = alarms_of(scene.log, scene.run, live=fresh.alive)
+                self.latch.take(alarms)
+        self.tick(now)
+
+    def tick(self, now: datetime) -> None:
+        """Let time pass: ages grow, the forecast counts down."""
+        scene = self.scene
+        scene.now = now
+        scene.heard_s = (now - self._heard).total_seconds() if self._heard is not None else 0.0
+        last = datetime.fromisoformat(scene.records[-1].t) if scene.records else now
+        scene.elapsed_s = self._forecast.elapsed_s(now if scene.live else last)
+        scene.remaining_s = self._forecast.remaining_s(now) if scene.live else None
+
+    def stop(self) -> None:
+        """Send a stop at once, from whatever thread; harmless where no engine lives."""
+        link = self.feed.link
+        if link is not None:
+            link.stop()
+
+    def ask(self, command: str, **facts: str) -> None:
+        """Send a command; raises `HilcellError` where it is refused or no engine lives."""
+        link = self.feed.link
+        if link is None:
+            raise HilcellError(f"{command}: no engine is running for {self.folder.name}")
+        link.ask(command, **facts)
+        self.feed.soon()
+
+    def close(self, *, leave: bool) -> None:
+        """Let go of the run."""
+        self.feed.close(leave=leave)
+        if self.process is not None:
+            self.process.poll()
+
+
+def utc_now() -> datetime:
+    """Return the time of day, by which journals are dated."""
+    return datetime.now(UTC)

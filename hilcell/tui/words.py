@@ -1,0 +1,221 @@
+"""The run in words: each line of the screen as a pure function of the scene and a width."""
+
+from __future__ import annotations
+
+import math
+
+from textual.content import Content
+
+from hilcell.tui.deviation import Deviation
+from hilcell.tui.digits import large
+from hilcell.tui.glyphs import Glyphs
+from hilcell.tui.scene import DeviceStatus, Scene
+
+STATES = {
+    "idle": ("NOT STARTED", "quiet"),
+    "checking": ("CHECKING", "info"),
+    "running": ("RUNNING", "good"),
+    "pausing": ("PAUSING", "warn"),
+    "paused": ("PAUSED", "warn"),
+    "suspended": ("ASKS YOU", "warn"),
+    "stopping": ("STOPPING", "bad"),
+    "done": ("DONE", "good"),
+    "intolerant": ("OUT OF TOLERANCE", "bad"),
+    "aborted": ("ABORTED", "quiet"),
+    "fault": ("FAULT", "bad"),
+    "gone": ("ENGINE GONE", "bad"),
+}
+NOT_E_STOP = "software stop; not the E-stop"
+DRIFT_LIMIT_K = 2.0
+LAMPS = ("rail", "strip", "robot", "tracker")
+
+
+def inverse(text: str, tone: str) -> Content:
+    """Return a block of a tone: dark on light or light on dark, as the theme has it."""
+    return Content.styled(f" {text} ", f"bold $on-{tone} on ${tone}")
+
+
+def state_block(scene: Scene, glyphs: Glyphs) -> Content:
+    """Return element 1: the state by word, shape and colour."""
+    word, tone = STATES[scene.key]
+    return inverse(f"{glyphs.states[scene.key]} {word}", tone)
+
+
+def banner(scene: Scene, glyphs: Glyphs, width: int) -> Content:
+    """Return the first line: state, LIVE or HISTORIC, SIMULATION, and what the stop is not."""
+    parts = [state_block(scene, glyphs), Content(" ")]
+    live = scene.live
+    parts.append(inverse("LIVE" if live else "HISTORIC", "info" if live else "quiet"))
+    if scene.log.plan is not None and scene.log.plan.simulated:
+        parts += [Content(" "), inverse("SIMULATION", "sim")]
+    return spread(Content("").join(parts), Content.styled(NOT_E_STOP, "$dim"), width)
+
+
+def spread(left: Content, right: Content, width: int) -> Content:
+    """Return a line with one text at each end; the right one yields where both do not fit."""
+    room = width - left.cell_length - right.cell_length
+    return left.append(" " * room).append(right) if room >= 1 else left
+
+
+def identity(scene: Scene, width: int) -> Content:
+    """Return element 2: procedure, job, operator, run."""
+    plan = scene.log.plan
+    if plan is None:
+        return Content(f"run {scene.run}: nothing to see yet")
+    cell = str(plan.cell.get("name", "?"))
+    words = [plan.procedure, f"cell {cell}"]
+    words += [f"job {plan.job}"] if plan.job else []
+    words += [f"operator {plan.operator}"] if plan.operator else []
+    words += ["unattended" if plan.unattended else "attended"]
+    return spread(Content("  ".join(words)), Content.styled(scene.run, "$dim"), width)
+
+
+def step(scene: Scene, width: int) -> Content:
+    """Return element 3: the current step with its count, and the next."""
+    plan, now = scene.log.plan, scene.step
+    if plan is None or not now:
+        return Content.styled("step: none yet", "$dim")
+    number, of = int(now["number"]), int(now["of"])
+    head = f"step {number}/{of} {now['name']}"
+    planned = plan.steps[number - 1]["points"] if number <= len(plan.steps) else 0
+    if planned:
+        head += f": {min(scene.step_points, planned)}/{planned}"
+    if scene.last is not None:
+        place = f" at {scene.last.station}" if scene.last.station else ""
+        head += f", last {scene.last.key}{place}"
+    following = plan.steps[number]["name"] if number < len(plan.steps) else "the end"
+    return spread(Content(head), Content.styled(f"next: {following}", "$dim"), width)
+
+
+def progress(scene: Scene, glyphs: Glyphs, width: int) -> Content:
+    """Return element 4: bar, elapsed, remaining."""
+    share = share_done(scene)
+    left = "" if scene.remaining_s is None else f"  left {duration(scene.remaining_s)}"
+    tail = f" {math.floor(100 * share):3d} %  elapsed {duration(scene.elapsed_s)}{left}"
+    room = max(width - len(tail), 1)
+    done = math.floor(room * share)
+    return Content.assemble(
+        (glyphs.full * done, "$info"), (glyphs.empty * (room - done), "$dim"), tail
+    )
+
+
+def share_done(scene: Scene) -> float:
+    """Return the share of the run that is done, by time where it is known, else by points."""
+    if scene.key in ("done", "intolerant"):
+        return 1.0
+    if scene.remaining_s is not None and scene.elapsed_s + scene.remaining_s > 0:
+        return scene.elapsed_s / (scene.elapsed_s + scene.remaining_s)
+    plan = scene.log.plan
+    if plan is None or not plan.points:
+        return 0.0
+    return min(len(scene.log.points) / plan.points, 1.0)
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as M:SS, or H:MM:SS."""
+    whole = max(round(seconds), 0)
+    minutes, second = divmod(whole, 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02d}:{second:02d}" if hours else f"{minute}:{second:02d}"
+
+
+def lamps(scene: Scene, glyphs: Glyphs, width: int) -> Content:
+    """Return element 5 with 16: four lamps with the age of their readings, and the air."""
+    devices = scene.status.devices if scene.status is not None and scene.live else {}
+    parts = [
+        lamp(name, devices.get(name, DeviceStatus()), scene, glyphs).append("  ") for name in LAMPS
+    ]
+    return spread(Content("").join(parts), air(scene, glyphs), width)
+
+
+def lamp(name: str, device: DeviceStatus, scene: Scene, glyphs: Glyphs) -> Content:
+    """Return one lamp; a stale reading is grey and says how old it is."""
+    title = name.capitalize()
+    if device.age_s is None and device.state != "lost":
+        return Content.styled(f"{glyphs.stale} {title} -", "$dim")
+    age_s = (device.age_s or 0.0) + scene.heard_s
+    if device.state == "lost":
+        return Content.styled(f"{glyphs.lost} {title} lost", "bold $bad")
+    if device.state == "moving" and not scene.stale:
+        return Content.styled(f"{glyphs.moving} {title} moves", "$info")
+    if scene.stale or not age_s <= STALE_AFTER_S:
+        return Content.styled(f"{glyphs.stale} {title} {short_age(age_s)}", "$dim")
+    return Content.styled(f"{glyphs.fresh} {title} {short_age(age_s)}", "$good")
+
+
+STALE_AFTER_S = 5.0
+
+
+def short_age(seconds: float) -> str:
+    """Return an age in at most five columns."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} m"
+
+
+def drift_k(scene: Scene) -> float | None:
+    """Return how far the air is from the run's first point, K."""
+    points = scene.log.points
+    if scene.last is None or not points:
+        return None
+    first = next(iter(points.values()))
+    return scene.last.temperature_c - first.temperature_c
+
+
+def air(scene: Scene, glyphs: Glyphs) -> Content:
+    """Return element 16: temperature and its drift since the first point."""
+    drift = drift_k(scene)
+    if scene.last is None or drift is None:
+        return Content("")
+    text = f"{scene.last.temperature_c:.1f} C {glyphs.delta}{drift:+.1f} K"
+    within = abs(drift) <= DRIFT_LIMIT_K
+    return Content.styled(text if within else f"! {text}", "" if within else "bold $warn")
+
+
+def interlocks(scene: Scene, width: int) -> Content:
+    """Return element 15 in one line: the first thing that is blocked, and why."""
+    found = scene.status.interlocks if scene.status is not None and scene.live else []
+    blocked = [each for each in found if each.blocked]
+    if not found:
+        return Content.styled("interlocks: no reading", "$dim")
+    if scene.stale:
+        return Content.styled(f"interlocks: last heard {short_age(scene.heard_s)} ago", "$dim")
+    if not blocked:
+        return Content.styled("interlocks: rail and robot may move", "$dim")
+    return Content(f"{blocked[0].name}: blocked: {blocked[0].blocked}").truncate(
+        width, ellipsis=True
+    )
+
+
+def deviation(found: Deviation | None, glyphs: Glyphs, width: int) -> Content:
+    """Return element 6 in five rows: names, large digits, and |e| against its limit."""
+    if found is None:
+        blank = "deviation: no point with a nominal target yet"
+        return Content.styled("\n".join([blank, "", "", "", ""]), "$dim")
+    values = [("dx", f"{found.error_mm[0]:+.3f}"), ("dy", f"{found.error_mm[1]:+.3f}"),
+              ("dz", f"{found.error_mm[2]:+.3f}"), ("|e|", f"{found.norm_mm:.3f}")]  # fmt: skip
+    columns = [large(text) for _, text in values]
+    gap = "   "
+    head = gap.join(
+        f"{name} mm".ljust(len(rows[0])) for (name, _), rows in zip(values, columns, strict=True)
+    )
+    digits = "\n".join(gap.join(column[row] for column in columns) for row in range(3))
+    return Content.assemble(
+        (head, "$dim"), "\n", (digits, "bold"), "\n", tolerance_line(found, glyphs, width)
+    )
+
+
+def tolerance_line(found: Deviation, glyphs: Glyphs, width: int) -> Content:
+    """Return |e| on a scale from 0 over the limit, with the point's name."""
+    if found.limit_mm is None:
+        return Content.styled(f"{found.key}: raw, not corrected; no limit", "$dim")
+    room = 30
+    at = math.floor(room * min(found.norm_mm / (1.5 * found.limit_mm), 1.0))
+    edge = math.floor(room / 1.5)
+    cells = [glyphs.rule] * (room + 1)
+    cells[edge] = "|"
+    cells[min(at, room)] = glyphs.over_right if at >= room else glyphs.mark
+    verdict = "in" if found.within else "OUT OF"
+    tone = "$good" if found.within else "bold $bad"
+    text = f"[{''.join(cells)}] {verdict} {found.limit_mm:.3f} mm  {found.key}"
+    return Content.styled(text, tone).truncate(width, ellipsis=True)
