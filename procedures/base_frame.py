@@ -15,8 +15,8 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.interlocks import check_joint_limits
 from hilcell.run.log import Log, Point, positions_mm
-from hilcell.run.procedure import Step
-from procedures.durations import flange_points_s
+from hilcell.run.procedure import Span, Step
+from procedures.durations import flange_points, step
 
 ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
 FEWEST_ON_ARC = 5
@@ -36,7 +36,7 @@ class BaseFrame:
         for axis in (1, 6):
             for joints in sweep(cell, axis):
                 check_joint_limits(cell, joints, f"axis {axis} sweep")
-        return Step(self.name, 2 * cell.base_frame.points, sweeps_s(cell))
+        return step(self.name, 2 * cell.base_frame.points, [sweeps(cell)])
 
     def perform(self, bench: Bench) -> None:
         """Sweep, fit and frame, once."""
@@ -124,9 +124,9 @@ def sweep(cell: Cell, axis: int) -> Array:
     return np.radians(joints_deg)
 
 
-def sweeps_s(cell: Cell) -> float:
-    """Return how long both sweeps take."""
-    return flange_points_s(cell, np.vstack([sweep(cell, 1), sweep(cell, 6)]))
+def sweeps(cell: Cell) -> Span:
+    """Return the span of both sweeps."""
+    return flange_points(cell, np.vstack([sweep(cell, 1), sweep(cell, 6)]))
 
 
 def sweep_of(cell: Cell, axis: int) -> tuple[Six, tuple[float, float]]:

@@ -20,7 +20,7 @@ from hilcell.run.bench import Bench
 from hilcell.run.interlocks import check_joint_limits
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Procedure, Step, Table
-from procedures.durations import flange_points_s, measure_s
+from procedures.durations import flange_points, measure_s
 
 
 class Campaign:
@@ -39,7 +39,7 @@ class Campaign:
             check_joint_limits(cell, joints, f"pose {pose}")
         first = [at[0] for _, at in visits_of(rows)]
         more = len(rows) - len(first)  # reflectors, where the robot already stands
-        seconds = flange_points_s(cell, rows.joints_rad[first])
+        seconds = flange_points(cell, rows.joints_rad[first]).duration_s
         return Step(self.name, len(rows), seconds + more * measure_s(cell, cell.tracker.samples))
 
     def perform(self, bench: Bench) -> None:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
 from hilcell.cell import Cell, Station
 from hilcell.ports import Array
+from hilcell.run.procedure import Span, Step
 
 POINTING_S = 0.6  # the beam turns to a reflector and locks on it
 READING_S = 0.5  # one stationary reading
@@ -32,9 +32,14 @@ def measure_s(cell: Cell, samples: int) -> float:
     return POINTING_S + samples * reading_s
 
 
-def control_points_s(cell: Cell) -> float:
-    """Return how long the proof takes that the tracker stands where it stood."""
-    return len(cell.layout.floor) * measure_s(cell, cell.layout.nest_samples)
+def readings(cell: Cell, count: int, samples: int) -> Span:
+    """Return the span of ``count`` reflectors measured with nothing moving between them."""
+    return Span(f"{samples} readings", count, count * measure_s(cell, samples))
+
+
+def floor_points(cell: Cell) -> Span:
+    """Return the span of the floor nests, also where they prove that the tracker has not moved."""
+    return readings(cell, len(cell.layout.floor), cell.layout.nest_samples)
 
 
 def robot_moves_s(cell: Cell, from_rad: Array, to_rad: Array) -> Array:
@@ -49,15 +54,16 @@ def robot_moves_s(cell: Cell, from_rad: Array, to_rad: Array) -> Array:
     return moves_s + ACKNOWLEDGED_S
 
 
-def flange_points_s(cell: Cell, joints_rad: Array) -> float:
-    """Return how long it takes from the safe pose on to measure at joints (N, 6), in order."""
+def flange_points(cell: Cell, joints_rad: Array) -> Span:
+    """Return the span of measuring at joints (N, 6), in order, from the safe pose on."""
     approach_rad = np.radians(cell.robot.approach_deg)
     safe_rad = np.radians(cell.robot.safe_deg)
     before_rad = np.vstack([safe_rad, joints_rad[:-1]])
     there_s = robot_moves_s(cell, before_rad, joints_rad - approach_rad)
     landing_s = robot_moves_s(cell, joints_rad - approach_rad, joints_rad)
     at_each_s = cell.settle.robot_s + measure_s(cell, cell.tracker.samples)
-    return float(np.sum(there_s + landing_s)) + len(joints_rad) * at_each_s
+    seconds = float(np.sum(there_s + landing_s)) + len(joints_rad) * at_each_s
+    return Span("flange", len(joints_rad), seconds)
 
 
 def park_s(cell: Cell) -> float:
@@ -88,13 +94,16 @@ def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
     return there_s + again_s + cell.settle.rail_s
 
 
-def journey_s(cell: Cell, stations: Sequence[Station]) -> float:
-    """Return how long it takes from the first station over all others, the robot parked each time.
+def leg(cell: Cell, here: Station, there: Station) -> Span:
+    """Return the way from a held station to the next, the robot parked first; none to itself."""
+    away = here != there
+    seconds = park_s(cell) + approach_s(cell, here.rail_mm, there) if away else 0.0
+    return Span("leg", 0, seconds)
 
-    A station where the slide already stands takes no time.
-    """
-    legs = [(here, there) for here, there in pairwise(stations) if here != there]
-    return sum(park_s(cell) + approach_s(cell, here.rail_mm, there) for here, there in legs)
+
+def step(name: str, points: int, spans: Sequence[Span]) -> Step:
+    """Return the step that these spans make."""
+    return Step(name, points, sum(span.duration_s for span in spans), tuple(spans))
 
 
 def homing_s(cell: Cell) -> float:

@@ -17,8 +17,8 @@ from hilcell.ports import Array, HilcellError
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step, Table
-from procedures.base_frame import frame_of_sweeps, sweep, sweeps_s
-from procedures.durations import journey_s, measure_s
+from procedures.base_frame import frame_of_sweeps, sweep, sweeps
+from procedures.durations import leg, readings, step
 from procedures.plan import other_stations
 
 SIX = 6
@@ -40,10 +40,12 @@ class FrameRepeatability:
         """Refuse a cell with one station: frames are compared between stations."""
         if len(cell.station) < 2:
             raise HilcellError("one station, wanted two or more: frames are compared between them")
-        each_s = sweeps_s(cell) + SIX * measure_s(cell, MORE_READINGS * cell.layout.nest_samples)
-        before = other_stations(cell)[-1]  # where the last step left the slide
-        seconds = len(cell.station) * each_s + journey_s(cell, [before, *cell.station])
-        return Step(self.name, len(cell.station) * (2 * cell.base_frame.points + SIX), seconds)
+        here, spans = other_stations(cell)[-1], []  # where the last step left the slide
+        six = readings(cell, SIX, MORE_READINGS * cell.layout.nest_samples)
+        for station in cell.station:
+            spans += [leg(cell, here, station), six, sweeps(cell)]
+            here = station
+        return step(self.name, len(cell.station) * (2 * cell.base_frame.points + SIX), spans)
 
     def perform(self, bench: Bench) -> None:
         """Visit every station."""

@@ -11,8 +11,8 @@ from hilcell.geometry.frames import apply, rigid_fit, unit
 from hilcell.ports import Array
 from hilcell.run.bench import FLANGE, Bench
 from hilcell.run.log import Log, positions_mm
-from hilcell.run.procedure import Step, Table
-from procedures.durations import measure_s, rail_move_s
+from hilcell.run.procedure import Span, Step, Table
+from procedures.durations import measure_s, rail_move_s, step
 
 FORTH, BACK = "forth", "back"
 
@@ -33,7 +33,7 @@ class RailSurvey:
         seconds = points * measure_s(cell, cell.layout.nest_samples)
         seconds += rail_move_s(cell, cell.survey.from_mm - cell.rail.travel_min_mm)
         seconds += (stops - 2) * rail_move_s(cell, cell.survey.step_mm) + rail_move_s(cell, 0.0)
-        return Step(self.name, points, seconds)
+        return step(self.name, points, [Span("survey", points, seconds)])
 
     def perform(self, bench: Bench) -> None:
         """Go forth and back."""

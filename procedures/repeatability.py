@@ -11,7 +11,7 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step
-from procedures.durations import flange_points_s
+from procedures.durations import flange_points, step
 from procedures.plan import check_reach
 
 VISITS = 10
@@ -30,7 +30,7 @@ class Repeatability:
         """Refuse places out of reach."""
         places_rad = check_reach(cell, places_mm(cell), "repeatability place")
         visits_rad = np.tile(places_rad, (VISITS, 1))
-        return Step(self.name, len(visits_rad), flange_points_s(cell, visits_rad))
+        return step(self.name, len(visits_rad), [flange_points(cell, visits_rad)])
 
     def perform(self, bench: Bench) -> None:
         """Go round the places; going on to the next is what leaves the last."""

@@ -11,7 +11,7 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log
 from hilcell.run.procedure import Step
-from procedures.durations import flange_points_s
+from procedures.durations import flange_points, step
 from procedures.plan import check_range, check_reach, joints_for
 
 Vertex = tuple[str, Array, Array]  # key, joints (6,) in rad, nominal position (3,) in {W}
@@ -36,7 +36,7 @@ class RobotGrid:
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
             check_range(cell, world_mm, f"grid at {station.name}")
-        return Step(self.name, len(vertices_mm), flange_points_s(cell, joints_rad))
+        return step(self.name, len(vertices_mm), [flange_points(cell, joints_rad)])
 
     def perform(self, bench: Bench) -> None:
         """Measure every vertex."""

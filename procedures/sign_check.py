@@ -20,7 +20,7 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step, Table
-from procedures.durations import control_points_s, flange_points_s, journey_s
+from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_reach, joints_for, other_stations
 from procedures.world_frame import check_control_points
 
@@ -42,10 +42,10 @@ class SignCheck:
         grid = grid_of(cell)
         cells = list(product(*(range(count - 1) for count in grid.shape)))
         joints_rad = check_reach(cell, middle_mm(grid, np.array(cells)), "middle of a grid cell")
-        back = [*other_stations(cell)[-1:], cell.station_named(cell.grid.station)]
-        seconds = journey_s(cell, back) + control_points_s(cell)
-        seconds += flange_points_s(cell, joints_rad[[0] * len(KEYS)])
-        return Step(self.name, len(KEYS), seconds)
+        there = cell.station_named(cell.grid.station)
+        back = leg(cell, [there, *other_stations(cell)][-1], there)
+        both = flange_points(cell, joints_rad[[0] * len(KEYS)])
+        return step(self.name, len(KEYS), [back, floor_points(cell), both])
 
     def perform(self, bench: Bench) -> None:
         """Send both, measure, and journal the verdict."""

@@ -10,8 +10,8 @@ from hilcell.cell import Cell
 from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
-from hilcell.run.procedure import Step, Table
-from procedures.durations import approach_s, measure_s, rail_move_s
+from hilcell.run.procedure import Span, Step, Table
+from procedures.durations import approach_s, measure_s, rail_move_s, step
 
 APPROACH_MM = 150.0
 STRIP_LIMIT_MM = 0.035
@@ -60,10 +60,11 @@ class StationRepeatability:
         station = cell.station_named(cell.grid.station)
         away_s = rail_move_s(cell, APPROACH_MM)
         by_strip_s = approach_s(cell, station.rail_mm - APPROACH_MM, station)
-        back_s = (away_s + by_strip_s) / len(HOWS)
-        seconds = away_s + back_s + measure_s(cell, cell.layout.nest_samples)
-        points = 2 * len(HOWS) * cell.survey.repeats
-        return Step(self.name, points, points * seconds)
+        each_s = away_s + measure_s(cell, cell.layout.nest_samples)
+        visits = 2 * cell.survey.repeats
+        plain = Span("plain approach", visits, visits * (each_s + away_s))
+        by_strip = Span("strip approach", visits, visits * (each_s + by_strip_s))
+        return step(self.name, len(HOWS) * visits, [plain, by_strip])
 
     def perform(self, bench: Bench) -> None:
         """Approach, measure, go away, come back."""

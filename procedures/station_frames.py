@@ -22,8 +22,8 @@ from hilcell.geometry.frames import (
 from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
-from hilcell.run.procedure import Step
-from procedures.durations import control_points_s, journey_s, measure_s, park_s
+from hilcell.run.procedure import Span, Step
+from procedures.durations import floor_points, leg, park_s, readings, step
 from procedures.plan import check_range, other_stations
 from procedures.world_frame import check_control_points
 
@@ -49,11 +49,14 @@ class StationFrames:
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), nests_mm)
             check_range(cell, world_mm, f"slide nests at {station.name}")
-        each_s = control_points_s(cell) + 3 * measure_s(cell, THREE_SAMPLES)
-        each_s += len(nests_mm) * measure_s(cell, cell.layout.nest_samples)
-        stations = [cell.station_named(cell.grid.station), *other_stations(cell)]
-        seconds = park_s(cell) + len(stations) * each_s + journey_s(cell, stations)
-        return Step(self.name, len(stations) * (len(nests_mm) + 3), seconds)
+        here = cell.station_named(cell.grid.station)
+        spans = [Span("park", 0, park_s(cell))]
+        for station in (here, *other_stations(cell)):
+            nests = readings(cell, len(nests_mm), cell.layout.nest_samples)
+            few = readings(cell, 3, THREE_SAMPLES)
+            spans += [leg(cell, here, station), floor_points(cell), nests, few]
+            here = station
+        return step(self.name, len(cell.station) * (len(nests_mm) + 3), spans)
 
     def perform(self, bench: Bench) -> None:
         """Frame the grid's station first: its slide points define {S}."""

@@ -14,7 +14,7 @@ from hilcell.ports import Array
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, Point, positions_mm
 from hilcell.run.procedure import Step
-from procedures.durations import control_points_s, flange_points_s, journey_s
+from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_reach, joints_for
 from procedures.repeatability import floor
 from procedures.world_frame import check_control_points
@@ -34,15 +34,15 @@ class Validate:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse targets out of reach."""
-        points, seconds = 0, 0.0
-        drawn = targets(cell, seed)
-        for station, targets_mm in drawn.items():
-            joints_rad = check_reach(cell, targets_mm, f"target at {station}")
+        here, points, spans = cell.station_named(cell.grid.station), 0, []
+        for name, targets_mm in targets(cell, seed).items():
+            station = cell.station_named(name)
+            joints_rad = check_reach(cell, targets_mm, f"target at {name}")
+            one_way = [floor_points(cell), flange_points(cell, joints_rad)]
+            spans += [leg(cell, here, station), *WAYS * one_way]
             points += WAYS * len(targets_mm)
-            seconds += flange_points_s(cell, np.tile(joints_rad, (WAYS, 1)))
-            seconds += WAYS * control_points_s(cell)
-        stations = [cell.station_named(name) for name in drawn]
-        return Step(self.name, points, seconds + journey_s(cell, stations))
+            here = station
+        return step(self.name, points, spans)
 
     def perform(self, bench: Bench) -> None:
         """Validate at the grid's station, then at the others with transferred data."""

@@ -13,7 +13,7 @@ from hilcell.ports import Array, DeviceError
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Step
-from procedures.durations import control_points_s
+from procedures.durations import floor_points, step
 from procedures.plan import check_range
 
 CONTROL_LIMIT_MM = 0.1
@@ -31,7 +31,7 @@ class WorldFrame:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse nests out of the tracker's range."""
         check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
-        return Step(self.name, len(cell.layout.floor), control_points_s(cell))
+        return step(self.name, len(cell.layout.floor), [floor_points(cell)])
 
     def perform(self, bench: Bench) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""

@@ -1,13 +1,14 @@
 """How long a run will still take, from its plan and its journal.
 
-Every step has its planned duration in the cell's time. What was done tells the pace: real seconds
-to a planned one. Pauses, and the time between the sessions of a resumed run, count for nothing.
-The trap: a pace learnt where only the rail moved says little about points, so each kind of step
-learns its own.
+The plan states durations in the cell's time, and a simulated cell's speed is known. What comes on
+top, by controllers and computing, is learnt from the intervals between points: each kind of
+measurement learns its own. Pauses, and the time between the sessions of a resumed run, count for
+nothing. The trap: the way to the first point of its kind is unlike the ways between them.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -15,24 +16,90 @@ from typing import Any
 from hilcell.run.journal import Record
 
 AT_WORK = ("checking", "running", "stopping")
-TRUST_S = 60.0  # planned seconds for which a stated speed counts as if it had been observed
 
 
-@dataclass(slots=True)
-class _Step:
-    """One step of the plan and what was seen of it."""
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """Measurements alike in a row, as planned; none: what leads to the next span."""
 
-    points: int
-    planned_s: float
-    taken: int = 0
-    spent_s: float = 0.0
-    since_point_s: float = 0.0
-    done: bool = False
+    kind: str
+    measured: int
+    duration_s: float
 
     @property
-    def share(self) -> float:
-        """Return which share of its points was taken, 0 to 1."""
-        return min(1.0, self.taken / self.points) if self.points else 0.0
+    def each_s(self) -> float:
+        return self.duration_s / max(1, self.measured)
+
+
+class _Step:
+    """One step of the plan and how far it got."""
+
+    def __init__(self, plan: dict[str, Any]) -> None:
+        whole = {"kind": plan["name"], "measured": plan["points"], "duration_s": plan["duration_s"]}
+        self.spans = [_Span(**span) for span in plan.get("spans") or [whole]]
+        self.counts_control = bool(plan.get("spans"))
+        self.at = 0  # the span under way
+        self.taken = 0  # of its measurements
+        self.since_s = 0.0  # worked since the last measurement, or since the step began
+        self.alike = False  # whether the way to the next measurement is like those after it
+        self.done = False
+
+    def begin(self) -> None:
+        """Begin, or go on in a later session."""
+        self.since_s, self.alike = 0.0, False
+
+    def measure(self, *, again: bool) -> tuple[_Span, float] | None:
+        """Take one measurement; return its span and interval where that is like the others."""
+        interval_s, self.since_s = self.since_s, 0.0
+        alike, self.alike = self.alike and not again, True
+        while not again and self.at < len(self.spans):
+            span = self.spans[self.at]
+            if self.taken < span.measured:
+                self.taken += 1
+                return (span, interval_s) if alike else None
+            self.at, self.taken, alike = self.at + 1, 0, False
+        return None
+
+    def left(self) -> list[tuple[_Span, int]]:
+        """Return the spans to come, each with the number of its measurements that are left."""
+        ahead = [(span, span.measured) for span in self.spans[self.at :]]
+        if self.taken:
+            ahead[0] = (ahead[0][0], ahead[0][1] - self.taken)
+        return ahead
+
+
+class _Pace:
+    """How many real seconds the planned ones take: so many by the speed, more by what was seen."""
+
+    def __init__(self, share: float) -> None:
+        self.share = share  # real to planned seconds by the stated speed; 0 where it has no limit
+        self._counts: defaultdict[str, int] = defaultdict(int)
+        self._extra_s: defaultdict[str, float] = defaultdict(float)
+        self._all_planned_s = self._all_extra_s = 0.0
+
+    @property
+    def known(self) -> bool:
+        """Whether anything can be told yet."""
+        return self.share > 0 or self._all_planned_s > 0
+
+    def learn(self, span: _Span, real_s: float) -> None:
+        """Take how long one measurement of a span really took."""
+        extra_s = real_s - self.share * span.each_s
+        self._counts[span.kind] += 1
+        self._extra_s[span.kind] += extra_s
+        self._all_planned_s += span.each_s
+        self._all_extra_s += extra_s
+
+    def each_s(self, span: _Span) -> float:
+        """Return the real seconds of one measurement of a span, or of a lead."""
+        count = self._counts.get(span.kind, 0)
+        if count:
+            extra_s = self._extra_s[span.kind] / count
+        elif self._all_planned_s > 0:
+            extra_s = self._all_extra_s / self._all_planned_s * span.each_s
+        else:
+            extra_s = 0.0
+        return max(0.0, self.share * span.each_s + extra_s)
 
 
 class Forecast:
@@ -44,33 +111,27 @@ class Forecast:
 
     def __init__(self) -> None:
         self._steps: list[_Step] = []
-        self._current: _Step | None = None
-        self._number = 0
-        self._given: float | None = 1.0  # real to planned seconds, as far as it is known at first
+        self._number = 0  # of the step under way
+        self._pace = _Pace(1.0)
         self._latest: datetime | None = None
         self._worked_s = 0.0
         self._working = False
 
     def take(self, record: Record) -> None:
         """Add one record."""
-        moment = datetime.fromisoformat(record.t)
-        body = record.body
-        resumed = record.kind == "state" and body.get("to") == "checking"
-        if not resumed:  # from a session's last record to the next session nobody worked
-            self._pass(moment)
+        body, moment = record.body, datetime.fromisoformat(record.t)
+        if not (record.kind == "state" and body["to"] == "checking"):
+            self._pass(moment)  # before a session began nobody worked
         self._latest = max(moment, self._latest or moment)
         match record.kind:
             case "plan":
-                self._take_plan(body)
+                self._plan(body)
             case "state" if body["machine"] == "run":
-                self._working = body["to"] in AT_WORK
-                if body["to"] == "finished":
-                    self._finish()
+                self._enter(body["to"])
             case "event" if body["what"] == "step":
-                self._begin(int(body["number"]))
-            case "point" if body["group"] != "control" and self._current is not None:
-                self._current.taken += 1
-                self._current.since_point_s = 0.0
+                self._begin(body["number"])
+            case "point":
+                self._measure(body["group"], again=body.get("retaken", False))
             case "end":
                 self._working = False
 
@@ -80,10 +141,14 @@ class Forecast:
 
     def remaining_s(self, now: datetime) -> float | None:
         """Return how long it has still to work, or None while nothing tells."""
-        if not self._steps:
+        if not self._steps or not self._pace.known:
             return None
-        rests = [self._rest_s(step, now) for step in self._steps if not step.done]
-        return None if any(rest is None for rest in rests) else sum(filter(None, rests))
+        here, passed_s = self._step, self._under_way_s(now)
+        return sum(
+            self._rest_s(step, passed_s if step is here else 0.0)
+            for step in self._steps
+            if not step.done
+        )
 
     def total_s(self, now: datetime) -> float | None:
         """Return how long it will have worked in the end, or None while nothing tells."""
@@ -92,29 +157,43 @@ class Forecast:
 
     # -- what happened ------------------------------------------------------------------------
 
-    def _take_plan(self, body: dict[str, Any]) -> None:
-        self._steps = [_Step(each["points"], each["duration_s"]) for each in body["steps"]]
+    @property
+    def _step(self) -> _Step | None:
+        return self._steps[self._number - 1] if 0 < self._number <= len(self._steps) else None
+
+    def _plan(self, body: dict[str, Any]) -> None:
+        self._steps = [_Step(step) for step in body["steps"]]
         if body["simulated"]:
-            self._given = 1.0 / body["speed"] if body["speed"] else None
+            self._pace = _Pace(1.0 / body["speed"] if body["speed"] else 0.0)
         self._working = True
 
-    def _begin(self, number: int) -> None:
-        """Begin a step; what a later one follows is done, what a new session repeats is not."""
-        if self._current is not None and number > self._number:
-            self._current.done = True
-        self._number = number
-        self._current = self._steps[number - 1] if number <= len(self._steps) else None
+    def _enter(self, state: str) -> None:
+        self._working = state in AT_WORK
+        if state == "finished":
+            for step in self._steps:
+                step.done = True
 
-    def _finish(self) -> None:
-        for step in self._steps:
-            step.done = True
+    def _begin(self, number: int) -> None:
+        """Begin a step: what it follows is done; a new session begins with the first anew."""
+        before = self._step
+        if before is not None and number > self._number:
+            before.done = True
+        self._number = number
+        if (step := self._step) is not None:
+            step.begin()
+
+    def _measure(self, group: str, *, again: bool) -> None:
+        step = self._step
+        if step is None or step.done or (group == "control" and not step.counts_control):
+            return
+        if (seen := step.measure(again=again)) is not None:
+            self._pace.learn(*seen)
 
     def _pass(self, moment: datetime) -> None:
         passed_s = self._under_way_s(moment)
         self._worked_s += passed_s
-        if self._current is not None and not self._current.done:
-            self._current.spent_s += passed_s
-            self._current.since_point_s += passed_s
+        if (step := self._step) is not None:
+            step.since_s += passed_s
 
     def _under_way_s(self, now: datetime) -> float:
         if not self._working or self._latest is None:
@@ -123,30 +202,13 @@ class Forecast:
 
     # -- what is to come ----------------------------------------------------------------------
 
-    def _rest_s(self, step: _Step, now: datetime) -> float | None:
-        """Return the rest of a step: at first by its plan, towards its end by its points."""
-        pace = self._pace(step)
-        if pace is None:
-            return None
-        whole_s = step.planned_s * pace
-        passed_s = self._under_way_s(now) if step is self._current else 0.0
-        by_plan_s = max(0.0, whole_s - step.spent_s - passed_s)
-        if not step.points:
-            return by_plan_s
-        point_s = whole_s / step.points
-        since_s = min(point_s, step.since_point_s + passed_s)
-        by_points_s = max(0.0, (1.0 - step.share) * whole_s - since_s)
-        return (1.0 - step.share) * by_plan_s + step.share * by_points_s
-
-    def _pace(self, wanted: _Step) -> float | None:
-        """Return real seconds to a planned one, learnt from steps of the same kind."""
-        planned_s, real_s = 0.0, 0.0
-        if self._given is not None:
-            planned_s, real_s = TRUST_S, TRUST_S * self._given
-        for step in self._steps:
-            if bool(step.points) == bool(wanted.points):
-                # Points of a step need not be alike: only its end says what they took.
-                weight = 1.0 if step.done else step.share
-                planned_s += weight * step.planned_s * (1.0 if step.done else step.share)
-                real_s += weight * step.spent_s
-        return real_s / planned_s if planned_s > 0 else None
+    def _rest_s(self, step: _Step, passed_s: float) -> float:
+        """Return the rest of a step; the time since its last measurement counts for the next."""
+        left_s, next_s, leading = 0.0, 0.0, True
+        for span, count in step.left():
+            each_s = self._pace.each_s(span)
+            left_s += each_s * (count if span.measured else 1)
+            if leading and (count or not span.measured):
+                next_s += each_s
+                leading = not count
+        return left_s - min(step.since_s + passed_s, next_s)
