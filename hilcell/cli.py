@@ -37,6 +37,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_run(commands)
     _add_live(commands)
+    _add_tui(commands)
     _add_past(commands)
     _add_reports(commands)
     _add_cell(commands)
@@ -78,6 +79,23 @@ def _add_live(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     watch = _command(commands, "watch", "commands.live:watch", "follow a run from another terminal")
     _run_argument(watch)
     _json_option(watch, "one event a line, as journalled")
+
+
+def _add_tui(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    tui = _command(commands, "tui", "commands.tui:tui", "the technician's screen: start, attach to "
+                   "or look at runs")  # fmt: skip
+    tui.add_argument("run", nargs="?", default="", metavar="RUN", help="a run's name, its "
+                     "beginning, or `last` (default: the live one, else the form)")  # fmt: skip
+    _runs_option(tui)
+    _cell_options(tui)
+    tui.add_argument("--theme", choices=("calm", "daylight", "contrast"), default="calm",
+                     help="calm is safe for colour-blind eyes (default)")  # fmt: skip
+    tui.add_argument("--colors", choices=("auto", "none", "16", "256", "truecolor"), default="auto",
+                     help="what the terminal can show (default: auto)")  # fmt: skip
+    tui.add_argument("--ascii", action="store_true", help="no shapes beyond ASCII")
+    tui.add_argument("--slow", action="store_true", help="for thin links: once a second")
+    tui.add_argument("--keys", default="", metavar="FILE.toml", help="other keys (default: "
+                     "keys.toml in the user's configuration, where it exists)")  # fmt: skip
 
 
 def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -2,49 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from textual.content import Content
 
-from hilcell.alarms import Alarm, Latch
+from hilcell.alarms import Alarm, Latch, Latched, Severity
 from hilcell.tui.glyphs import Glyphs
 from hilcell.tui.keys import Keymap, shown
 
 _TONES = {"fault": "bad", "warning": "warn", "notice": "info"}
 
 
-def alarm_lines(latch: Latch, keymap: Keymap, glyphs: Glyphs, width: int) -> Content | None:
+def alarm_lines(
+    standing: Sequence[Latched], keymap: Keymap, glyphs: Glyphs, width: int
+) -> Content | None:
     """Return element 8 in three rows: the worst alarm not acknowledged, or None."""
-    if not latch.open:
+    if not standing:
         return None
-    worst = latch.worst
-    tone = _TONES[worst.severity]
-    more = len(latch.open) - 1
+    worst, more = standing[0], len(standing) - 1
+    alarm = worst.alarm
     others = f"  (+{more} more: {shown(keymap['alarms'][0])})" if more else ""
-    head = Content.assemble(
-        (f" {glyphs.lost} {worst.severity.upper()} {worst.code} ", f"bold $on-{tone} on ${tone}"),
-        (f" {worst.title}{others}", "bold"),
+    times = f" ({worst.count} times)" if worst.count > 1 else ""
+    head = _block(alarm, worst.severity, glyphs).append(
+        Content.styled(f" {alarm.title}{times}{others}", "bold")
     )
-    found = Content(f"{worst.where}: {worst.found}")
-    act = Content.styled(f"do: {' '.join(worst.do[:1])}", "")
+    found = Content(f"{alarm.where}: {alarm.found}" if alarm.where else alarm.found)
+    act = Content(f"do: {alarm.do[0]}" if alarm.do else alarm.means)
     lines = [line.truncate(width, ellipsis=True) for line in (head, found, act)]
     return Content("\n").join(lines)
 
 
-def alarm_page(latch: Latch, glyphs: Glyphs) -> Content:
-    """Return every alarm with what it means and what to do."""
-    alarms = latch.all
+def alarm_page(alarms: Sequence[Alarm], latch: Latch, glyphs: Glyphs) -> Content:
+    """Return every alarm of the run, newest first, with what it means and what to do."""
     if not alarms:
         return Content("No alarm was raised in this run.")
-    return Content("\n\n").join(_one(alarm, latch, glyphs) for alarm in reversed(alarms))
+    standing = {each.alarm.code for each in latch.standing()}
+    return Content("\n\n").join(
+        _one(alarm, glyphs, open_=alarm.code in standing) for alarm in reversed(alarms)
+    )
 
 
-def _one(alarm: Alarm, latch: Latch, glyphs: Glyphs) -> Content:
-    tone = _TONES[alarm.severity]
-    state = "not acknowledged" if alarm in latch.open else "acknowledged"
+def _block(alarm: Alarm, severity: Severity, glyphs: Glyphs) -> Content:
+    tone = _TONES[severity]
+    return Content.styled(
+        f" {glyphs.lost} {severity.upper()} {alarm.code} ", f"bold $on-{tone} on ${tone}"
+    )
+
+
+def _one(alarm: Alarm, glyphs: Glyphs, *, open_: bool) -> Content:
+    state = "not acknowledged" if open_ else "acknowledged"
     steps = "\n".join(f"  {number}. {step}" for number, step in enumerate(alarm.do, start=1))
     return Content.assemble(
-        (f" {glyphs.lost} {alarm.severity.upper()} {alarm.code} ", f"bold $on-{tone} on ${tone}"),
+        _block(alarm, alarm.severity, glyphs),
         (f" {alarm.title}", "bold"), (f"   {alarm.t[:19]}  {state}", "$dim"), "\n",
-        ("where   ", "$dim"), f"{alarm.where}\n",
+        ("where   ", "$dim"), f"{alarm.where or '-'}\n",
         ("found   ", "$dim"), f"{alarm.found}\n",
         ("means   ", "$dim"), f"{alarm.means}\n",
         ("do\n", "$dim"), steps,

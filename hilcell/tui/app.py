@@ -233,7 +233,7 @@ class HilcellApp(App[int]):
             case "pause":
                 return has_run and self._pause_command() != ""
             case "acknowledge":
-                return has_run and bool(self.latch.open)
+                return has_run and bool(self.latch.standing())
             case "new":
                 return not live
             case "bad" | "sort" | "find" | "retake":
@@ -310,7 +310,7 @@ class HilcellApp(App[int]):
             else:
                 self.say("Enter works when the tracker sees the reflector in its place")
         elif key:
-            from hilcell.tui.screens.detail import DetailPage
+            from hilcell.tui.screens.pages import DetailPage
 
             self.push_screen(DetailPage(key))
 
@@ -359,6 +359,49 @@ class HilcellApp(App[int]):
         self.push_screen(
             Confirm(title, text, yes), lambda reply: act() if reply == "yes" else None
         )
+
+    def do_alarms(self) -> None:
+        """Open the alarms."""
+        from hilcell.tui.screens.pages import AlarmPage
+
+        self.push_screen(AlarmPage())
+
+    def do_interlocks(self) -> None:
+        """Open the interlocks."""
+        from hilcell.tui.screens.pages import InterlockPage
+
+        self.push_screen(InterlockPage())
+
+    def do_help(self) -> None:
+        """Open the help."""
+        from hilcell.tui.screens.pages import HelpPage
+
+        self.push_screen(HelpPage())
+
+    def do_log(self) -> None:
+        """Open the event log."""
+        from hilcell.tui.screens.log import LogPage
+
+        self.push_screen(LogPage())
+
+    def do_plots(self) -> None:
+        """Open the plots."""
+        from hilcell.tui.screens.plots import PlotPage
+
+        self.push_screen(PlotPage())
+
+    def do_report(self) -> None:
+        """Write the report and show its figures."""
+        from hilcell.tui.screens.report import ReportPage
+
+        if self.session is not None:
+            self.push_screen(ReportPage(self.session.folder))
+
+    def do_history(self) -> None:
+        """Open the earlier runs."""
+        from hilcell.tui.screens.history import HistoryPage
+
+        self.push_screen(HistoryPage())
 
     def do_acknowledge(self) -> None:
         """Acknowledge every alarm."""

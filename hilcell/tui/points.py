@@ -37,8 +37,13 @@ def filtered(log: Log, wanted: str, *, bad_only: bool, worst: bool) -> list[Poin
         and all(word in f"{row.point.key} {row.point.station} {row.state}".lower() for word in words)
     ]
     if worst:
-        rows.sort(key=lambda row: row.norm_mm, reverse=True)
+        rows.sort(key=_badness, reverse=True)
     return rows
+
+
+def _badness(row: PointRow) -> tuple[bool, float]:
+    """Raw errors come after those that a tolerance stands for: they are meant to be large."""
+    return row.deviation is not None and row.deviation.limit_mm is not None, row.norm_mm
 
 
 def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:

@@ -97,6 +97,11 @@ class Rows(ScrollView, can_focus=True):
         self._show_cursor()
         self.refresh()
 
+    def on_resize(self) -> None:
+        """Keep the cursor in sight."""
+        self.virtual_size = Size(self.size.width, len(self.rows) + 1)
+        self._show_cursor()
+
     def action_by(self, step: int) -> None:
         """Move the cursor by some rows."""
         self._move(self.cursor + step)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hilcell.alarms import Alarm, Latch, alarms_of
+from hilcell.alarms import Latch, alarms_of
 from hilcell.errors import HilcellError
 from hilcell.run.forecast import Forecast
 from hilcell.tui.feed import Feed, Fresh
@@ -31,7 +31,6 @@ class Session:
         self.trouble = ""
         self._forecast = Forecast()
         self._heard: datetime | None = None
-        self._alarms: list[Alarm] = []
         self.feed = Feed(folder, deliver, period_s)
 
     def take(self, fresh: Fresh, now: datetime) -> None:
@@ -46,8 +45,8 @@ class Session:
         if scene.alive != fresh.alive or fresh.records:
             scene.alive = fresh.alive
             if scene.log.plan is not None:
-                alarms = alarms_of(scene.log, scene.run, live=fresh.alive)
-                self.latch.take(alarms)
+                scene.alarms = alarms_of(scene.log, scene.run, live=fresh.alive)
+                self.latch.take(scene.alarms)
         self.tick(now)
 
     def tick(self, now: datetime) -> None:

@@ -212,7 +212,7 @@ def tolerance_line(found: Deviation, glyphs: Glyphs, width: int) -> Content:
     room = 30
     at = math.floor(room * min(found.norm_mm / (1.5 * found.limit_mm), 1.0))
     edge = math.floor(room / 1.5)
-    cells = [glyphs.rule] * (room + 1)
+    cells = ["="] * at + [glyphs.rule] * (room + 1 - at)
     cells[edge] = "|"
     cells[min(at, room)] = glyphs.over_right if at >= room else glyphs.mark
     verdict = "in" if found.within else "OUT OF"

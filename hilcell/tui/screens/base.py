@@ -77,7 +77,7 @@ class SceneScreen(Screen[None]):
                 parts.append((shown(self.cell.keymap[name][0]), self.label(name)))
         line = Content("")
         for key, label in parts:
-            each = Content.assemble((f" {key} ", "bold $on-quiet on $quiet"), f" {label}  ")
+            each = Content.assemble((key, "bold $on-quiet on $quiet"), f" {label}  ")
             if line.cell_length + each.cell_length <= self.wide + 2:
                 line = line.append(each)
         return line

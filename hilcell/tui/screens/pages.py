@@ -41,7 +41,9 @@ class AlarmPage(TextPage):
 
     def text(self, scene: Scene | None) -> Content:
         """Return the alarms, newest first."""
-        return alarm_page(self.cell.latch, self.cell.glyphs)
+        if scene is None:
+            return Content("")
+        return alarm_page(scene.alarms, self.cell.latch, self.cell.glyphs)
 
 
 class InterlockPage(TextPage):

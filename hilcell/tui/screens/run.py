@@ -27,8 +27,8 @@ class RunScreen(SceneScreen):
     """One run, live or past."""
 
     footer = (
-        "stop", "pause", "retake", "acknowledge", "abort", "sort", "bad", "find", "plots",
-        "report", "history", "help", "detach", "new", "quit",
+        "stop", "pause", "acknowledge", "retake", "report", "sort", "help", "abort", "plots",
+        "history", "detach", "new", "bad", "find", "log", "interlocks", "alarms", "quit",
     )  # fmt: skip
     BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "enter", "answer", show=False)]
 
@@ -83,7 +83,7 @@ class RunScreen(SceneScreen):
 
     def _show_boxes(self, scene: Scene) -> None:
         alarm, prompt = self.panel("alarm"), self.panel("prompt")
-        lines = alarm_lines(self.cell.latch, self.cell.keymap, self.cell.glyphs, self.wide)
+        lines = alarm_lines(self.cell.latch.standing(), self.cell.keymap, self.cell.glyphs, self.wide)
         alarm.display = lines is not None
         if lines is not None:
             alarm.show(lines)
