@@ -16,6 +16,7 @@ from typing import Any
 from hilcell.run.journal import Record
 
 AT_WORK = ("checking", "running", "stopping")
+CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +93,7 @@ class _Pace:
 
     def each_s(self, span: _Span) -> float:
         """Return the real seconds of one measurement of a span, or of a lead."""
-        count = self._counts.get(span.kind, 0)
+        count = self._counts.get(span.kind, 0) if span.measured else 0
         if count:
             extra_s = self._extra_s[span.kind] / count
         elif self._all_planned_s > 0:
@@ -120,9 +121,10 @@ class Forecast:
     def take(self, record: Record) -> None:
         """Add one record."""
         body, moment = record.body, datetime.fromisoformat(record.t)
-        if not (record.kind == "state" and body["to"] == "checking"):
-            self._pass(moment)  # before a session began nobody worked
-        self._latest = max(moment, self._latest or moment)
+        begins = record.kind == "state" and body["to"] == "checking"
+        if not begins and record.kind != "end":  # a session may end that never began
+            self._pass(moment)
+        self._latest = moment
         match record.kind:
             case "plan":
                 self._plan(body)
@@ -143,12 +145,10 @@ class Forecast:
         """Return how long it has still to work, or None while nothing tells."""
         if not self._steps or not self._pace.known:
             return None
+        ahead = [step for step in self._steps if not step.done]
         here, passed_s = self._step, self._under_way_s(now)
-        return sum(
-            self._rest_s(step, passed_s if step is here else 0.0)
-            for step in self._steps
-            if not step.done
-        )
+        rests_s = [self._rest_s(step, passed_s if step is here else 0.0) for step in ahead]
+        return sum(rests_s) + (CLOSING_S if ahead else 0.0)
 
     def total_s(self, now: datetime) -> float | None:
         """Return how long it will have worked in the end, or None while nothing tells."""
@@ -169,6 +169,8 @@ class Forecast:
 
     def _enter(self, state: str) -> None:
         self._working = state in AT_WORK
+        if not self._working and (step := self._step) is not None:
+            step.alike = False  # the measurement under way may end while nobody counts
         if state == "finished":
             for step in self._steps:
                 step.done = True

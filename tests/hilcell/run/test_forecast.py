@@ -1,0 +1,353 @@
+"""The forecast: exact where the plan is, honest where it is not, deaf to pauses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilcell.run.forecast import CLOSING_S, Forecast
+from hilcell.run.journal import Record
+
+BEGAN = datetime(2026, 1, 1, tzinfo=UTC)
+KINDS = ("flange", "10 readings", "survey")
+
+
+@dataclass
+class Tape:
+    """Writes a synthetic journal; ``now_s`` is the time on its clock."""
+
+    forecast: Forecast = field(default_factory=Forecast)
+    now_s: float = 0.0
+    seq: int = 0
+    session: int = 0
+
+    @property
+    def now(self) -> datetime:
+        return BEGAN + timedelta(seconds=self.now_s)
+
+    def write(self, kind: Any, **body: Any) -> None:
+        self.seq += 1
+        self.forecast.take(Record(self.seq, self.now.isoformat(), kind, "", body))
+
+    def pass_s(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    def plan(self, steps: list[dict[str, Any]], speed: float | None, *, real: bool = False) -> None:
+        self.write("plan", steps=steps, speed=speed, simulated=not real)
+
+    def state(self, to: str) -> None:
+        self.write("state", machine="run", to=to)
+
+    def start(self) -> None:
+        self.session += 1
+        self.state("checking")
+        self.state("running")
+
+    def step(self, number: int) -> None:
+        self.write("event", what="step", name="", number=number, of=9)
+
+    def point(self, after_s: float, group: str = "g", **facts: Any) -> None:
+        self.pass_s(after_s)
+        self.write("point", group=group, station="S", **facts)
+
+    @property
+    def remaining_s(self) -> float | None:
+        return self.forecast.remaining_s(self.now)
+
+    @property
+    def total_s(self) -> float:
+        total_s = self.forecast.total_s(self.now)
+        assert total_s is not None
+        return total_s
+
+
+def span(kind: str, measured: int, duration_s: float) -> dict[str, Any]:
+    return {"kind": kind, "measured": measured, "duration_s": duration_s}
+
+
+def step(name: str, points: int, duration_s: float, *spans: dict[str, Any]) -> dict[str, Any]:
+    return {"name": name, "points": points, "duration_s": duration_s, "spans": list(spans)}
+
+
+def test_a_plan_of_a_real_cell_is_believed_before_anything_happened() -> None:
+    tape = Tape()
+    tape.plan([step("home", 0, 30.0), step("grid", 10, 50.0)], None, real=True)
+    assert tape.remaining_s == pytest.approx(80.0 + CLOSING_S)
+
+
+def test_a_stated_speed_shortens_the_plan() -> None:
+    tape = Tape()
+    tape.plan([step("home", 0, 30.0), step("grid", 10, 50.0)], 20.0)
+    assert tape.remaining_s == pytest.approx(4.0 + CLOSING_S)
+
+
+def test_nothing_is_told_without_a_plan_or_a_pace() -> None:
+    tape = Tape()
+    assert tape.remaining_s is None
+    assert tape.forecast.total_s(tape.now) is None
+    tape.plan([step("grid", 10, 50.0)], None)
+    assert tape.remaining_s is None
+    tape.start()
+    tape.step(1)
+    tape.point(5.0)
+    assert tape.remaining_s is None  # the way to the first is not like the others
+    tape.point(0.5)
+    assert tape.remaining_s == pytest.approx(8 * 0.5 + CLOSING_S)
+
+
+def test_time_since_the_last_point_counts_for_the_next_but_for_no_more() -> None:
+    tape = Tape()
+    tape.plan([step("grid", 10, 50.0)], None, real=True)
+    tape.start()
+    tape.step(1)
+    rests = []
+    for _ in range(4):
+        rests.append(tape.remaining_s)
+        tape.pass_s(2.0)
+    assert rests == pytest.approx([each + CLOSING_S for each in (50.0, 48.0, 46.0, 45.0)])
+
+
+def test_each_kind_learns_its_own_pace() -> None:
+    tape = Tape()
+    steps = [
+        step("nests", 3, 15.0, span("nest", 3, 15.0)),
+        step("grid", 100, 300.0, span("flange", 100, 300.0)),
+        step("more nests", 100, 500.0, span("nest", 100, 500.0)),
+    ]
+    tape.plan(steps, None)
+    tape.start()
+    tape.step(1)
+    for _ in range(3):
+        tape.point(0.010)
+    tape.step(2)
+    tape.point(0.5)
+    for _ in range(49):
+        tape.point(0.030)
+    assert tape.remaining_s == pytest.approx(50 * 0.030 + 100 * 0.010 + CLOSING_S)
+
+
+def test_spans_tell_unlike_points_of_one_step_apart() -> None:
+    """Six long readings and then many short ones, at every station, with a way between them."""
+    station = [span("leg", 0, 20.0), span("six", 6, 120.0), span("flange", 48, 144.0)]
+    tape = Tape()
+    tape.plan([step("frames", 162, 852.0, *station * 3)], 10.0)
+    tape.start()
+    tape.step(1)
+    totals = []
+    for _ in range(3):
+        tape.pass_s(2.0)
+        for each_s, count in ((2.0, 6), (0.3, 48)):
+            for _ in range(count):
+                tape.point(each_s)
+                totals.append(tape.total_s)
+    assert totals == pytest.approx([85.2 + CLOSING_S] * len(totals))
+
+
+def test_control_points_count_where_spans_know_of_them_and_nowhere_else() -> None:
+    spans = [span("nest", 3, 30.0), span("nest", 2, 20.0)]
+    for steps, left_s in (([step("frames", 2, 50.0, *spans)], 20.0), ([step("g", 5, 50.0)], 40.0)):
+        tape = Tape()
+        tape.plan(steps, None, real=True)
+        tape.start()
+        tape.step(1)
+        for _ in range(3):
+            tape.point(10.0, group="control")
+        assert tape.remaining_s == pytest.approx(left_s + CLOSING_S)
+
+
+def test_more_points_than_planned_and_points_measured_again_do_no_harm() -> None:
+    tape = Tape()
+    tape.plan([step("grid", 3, 9.0), step("empty", 0, 0.0), step("last", 0, 5.0)], None, real=True)
+    tape.start()
+    tape.step(1)
+    tape.point(3.0)
+    tape.point(40.0, retaken=True)
+    assert tape.remaining_s == pytest.approx(2 * 3.0 + 5.0 + CLOSING_S)
+    for _ in range(7):
+        tape.point(3.0)
+    assert tape.remaining_s == pytest.approx(5.0 + CLOSING_S)
+
+
+def test_a_pause_counts_for_nothing() -> None:
+    tape = Tape()
+    tape.plan([step("grid", 10, 30.0)], None, real=True)
+    tape.start()
+    tape.step(1)
+    for _ in range(4):
+        tape.point(3.0)
+    for state in ("paused", "suspended"):
+        before = tape.forecast.elapsed_s(tape.now), tape.remaining_s
+        tape.state(state)
+        tape.pass_s(1000.0)
+        assert (tape.forecast.elapsed_s(tape.now), tape.remaining_s) == pytest.approx(before)
+        tape.state("running")
+        tape.point(3.0)
+    assert tape.total_s == pytest.approx(30.0 + CLOSING_S)
+
+
+def test_a_point_that_ends_in_a_pause_teaches_nothing() -> None:
+    tape = Tape()
+    tape.plan([step("grid", 10, 30.0)], None)
+    tape.start()
+    tape.step(1)
+    tape.point(3.0)
+    tape.point(3.0)
+    tape.state("paused")
+    tape.point(3.0)  # it was under way
+    tape.state("running")
+    tape.point(3.0)
+    assert tape.remaining_s == pytest.approx(6 * 3.0 + CLOSING_S)
+
+
+@pytest.mark.parametrize("ends", [["stopping", "aborted"], ["faulted"], []])
+def test_the_time_between_two_sessions_counts_for_nothing(ends: list[str]) -> None:
+    tape = Tape()
+    tape.plan([step("home", 0, 6.0), step("grid", 10, 30.0)], None, real=True)
+    tape.start()
+    tape.step(1)
+    tape.pass_s(6.0)
+    tape.step(2)
+    for _ in range(5):
+        tape.point(3.0)
+    for state in ends:
+        tape.state(state)
+    tape.pass_s(9000.0)
+    tape.write("end", state="running")  # a session that did not come to checking
+    tape.pass_s(9000.0)
+    tape.start()
+    tape.step(1)
+    assert tape.total_s == pytest.approx(36.0 + CLOSING_S)
+    tape.pass_s(4.0)  # the reference is found again
+    tape.step(2)
+    for _ in range(5):
+        tape.point(3.0)
+    assert tape.remaining_s == pytest.approx(CLOSING_S)
+    assert tape.forecast.elapsed_s(tape.now) == pytest.approx(40.0)
+
+
+def test_a_finished_run_has_nothing_left() -> None:
+    tape = Tape()
+    tape.plan([step("grid", 10, 30.0)], None, real=True)
+    tape.start()
+    tape.step(1)
+    tape.pass_s(7.0)
+    tape.state("finished")
+    tape.pass_s(100.0)
+    assert tape.remaining_s == 0.0
+    assert tape.total_s == pytest.approx(7.0)
+
+
+def test_a_clock_that_jumps_back_stands_and_then_goes_on() -> None:
+    tape = Tape()
+    tape.plan([step("grid", 10, 30.0)], None, real=True)
+    tape.start()
+    tape.step(1)
+    tape.point(3.0)
+    tape.pass_s(-3600.0)
+    assert tape.forecast.elapsed_s(tape.now) == pytest.approx(3.0)
+    tape.point(0.0)
+    tape.point(3.0)
+    assert tape.forecast.elapsed_s(tape.now) == pytest.approx(6.0)
+
+
+seconds = st.floats(0.0, 100.0)
+plans = st.lists(
+    st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 5), seconds), max_size=4),
+    min_size=1,
+    max_size=5,
+)
+
+
+def planned(spans: list[tuple[str, int, float]]) -> dict[str, Any]:
+    tables = [span(*each) for each in spans]
+    points = sum(measured for _, measured, _ in spans)
+    return step("s", points, sum(duration_s for *_, duration_s in spans), *tables)
+
+
+@given(
+    plan=plans,
+    speed=st.none() | st.floats(0.1, 1000.0),
+    real=st.booleans(),
+    acts=st.lists(
+        st.tuples(
+            st.sampled_from(["point", "retake", "control", "step", "pause", "crash", "refused"]),
+            seconds,
+        ),
+        max_size=60,
+    ),
+)
+def test_whatever_happens_the_forecast_is_a_time(
+    plan: list[list[tuple[str, int, float]]],
+    speed: float | None,
+    real: bool,
+    acts: list[tuple[str, float]],
+) -> None:
+    tape = Tape()
+    tape.plan([planned(spans) for spans in plan], speed, real=real)
+    tape.start()
+    number, worked_s = 0, 0.0
+    for act, passed_s in acts:
+        tape.pass_s(passed_s)
+        worked_s += passed_s
+        if act == "step":
+            number += 1
+            tape.step(number)
+        elif act == "pause":
+            tape.state("paused")
+            tape.pass_s(passed_s)
+            tape.state("running")
+        elif act in ("crash", "refused"):
+            worked_s -= passed_s
+            if act == "refused":
+                tape.write("end", state="running")
+            tape.start()
+            number = 0
+        else:
+            tape.write("point", group=act, station="S", retaken=act == "retake")
+        check_sound(tape, worked_s)
+
+
+def check_sound(tape: Tape, worked_s: float) -> None:
+    """Elapsed is what was worked, the rest no less than nothing and never growing by itself."""
+    now = tape.now
+    assert tape.forecast.elapsed_s(now) == pytest.approx(worked_s, abs=1e-3)
+    rests = [
+        tape.forecast.remaining_s(now + timedelta(seconds=each)) for each in (-5.0, 0.0, 0.5, 60.0)
+    ]
+    if rests[0] is None:
+        assert rests == [None] * 4
+        return
+    known = [rest for rest in rests if rest is not None]
+    assert len(known) == 4
+    assert all(math.isfinite(rest) and rest >= -1e-9 for rest in known)
+    assert known == sorted(known, reverse=True)
+
+
+@given(
+    plan=plans,
+    speed=st.floats(1.0, 1000.0),
+    extra_s=st.fixed_dictionaries({kind: st.floats(0.0, 0.05) for kind in KINDS}),
+)
+def test_where_the_plan_is_proportionate_the_total_is_exact_once_each_kind_was_seen_twice(
+    plan: list[list[tuple[str, int, float]]], speed: float, extra_s: dict[str, float]
+) -> None:
+    warm_up = [(kind, 3, 3.0) for kind in KINDS]
+    # A lead's share of what comes on top is only guessed, so here none takes time.
+    plan = [warm_up, *([(k, n, s if n else 0.0) for k, n, s in spans] for spans in plan)]
+    tape = Tape()
+    tape.plan([planned(spans) for spans in plan], speed)
+    tape.start()
+    totals = []
+    for number, spans in enumerate(plan, start=1):
+        tape.step(number)
+        for kind, measured, duration_s in spans:
+            for _ in range(measured):
+                tape.point(duration_s / measured / speed + extra_s[kind])
+                totals += [tape.total_s] * (number > 1)
+    assert totals == pytest.approx([tape.now_s + CLOSING_S] * len(totals), abs=1e-3)
