@@ -80,7 +80,7 @@ class HilcellApp(App[int]):
     """Shows one run at a time; `session` is the attachment to it."""
 
     TITLE = "hilcell"
-    CSS_PATH = "style.tcss"
+    CSS_PATH = Path(__file__).with_name("style.tcss")
     COMMANDS: ClassVar = {Actions}
     HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (120, "-wide")]
     BINDINGS: ClassVar[list[BindingType]] = [

@@ -74,6 +74,7 @@ class Scene:
     run: str
     log: Log = field(default_factory=Log)
     alive: bool = False
+    starting: bool = False  # an engine was started and has not said anything yet
     status: Status | None = None
     heard_s: float = 0.0  # how old the status is
     now: datetime | None = None
@@ -102,6 +103,8 @@ class Scene:
         """Return the state in one word, as the state block names it."""
         state = self.log.states["run"]
         over = state in OVER and self.log.end is not None
+        if self.starting and not self.alive:
+            return "checking"
         if not self.alive and not over:
             return "gone" if self.log.plan is not None else "idle"
         if state == "finished":
@@ -115,7 +118,7 @@ class Scene:
     @property
     def live(self) -> bool:
         """Whether an engine is at work on this run."""
-        return self.alive and self.key not in ("done", "intolerant", "aborted", "fault")
+        return (self.alive or self.starting) and self.key not in ("done", "intolerant", "aborted", "fault")
 
     @property
     def stale(self) -> bool:

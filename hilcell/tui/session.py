@@ -25,7 +25,7 @@ class Session:
         process: subprocess.Popen[bytes] | None = None,
     ) -> None:
         self.folder = folder
-        self.scene = Scene(folder.name)
+        self.scene = Scene(folder.name, starting=process is not None)
         self.latch = Latch()
         self.process = process  # the engine, where this screen has started it
         self.trouble = ""
@@ -40,6 +40,7 @@ class Session:
             scene.take(record)
             self._forecast.take(record)
         self.trouble = fresh.trouble
+        scene.starting = self.process is not None and self.process.poll() is None
         if fresh.status is not None:
             scene.status, self._heard = fresh.status, now
         if scene.alive != fresh.alive or fresh.records:

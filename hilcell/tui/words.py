@@ -61,7 +61,8 @@ def identity(scene: Scene, width: int) -> Content:
     """Return element 2: procedure, job, operator, run."""
     plan = scene.log.plan
     if plan is None:
-        return Content(f"run {scene.run}: nothing to see yet")
+        begun = "the engine starts ..." if scene.starting else "nothing to see yet"
+        return Content(f"run {scene.run}: {begun}")
     cell = str(plan.cell.get("name", "?"))
     words = [plan.procedure, f"cell {cell}"]
     words += [f"job {plan.job}"] if plan.job else []
@@ -172,8 +173,22 @@ def air(scene: Scene, glyphs: Glyphs) -> Content:
     return Content.styled(text if within else f"! {text}", "" if within else "bold $warn")
 
 
+def result(scene: Scene, width: int) -> Content:
+    """Return a finished run's main figures in one line, mean |e| before and after."""
+    places = (scene.log.end or {}).get("result", {}).get("validation", {})
+    parts = [
+        f"{place}: {figures['before']['mean']:.3f} -> {figures['chosen']['mean']:.3f}"
+        for place, figures in places.items()
+    ]
+    if not parts:
+        return Content("")
+    return Content(f"mean |e| mm  {'   '.join(parts)}").truncate(width, ellipsis=True)
+
+
 def interlocks(scene: Scene, width: int) -> Content:
     """Return element 15 in one line: the first thing that is blocked, and why."""
+    if not scene.live:
+        return result(scene, width)
     found = scene.status.interlocks if scene.status is not None and scene.live else []
     blocked = [each for each in found if each.blocked]
     if not found:

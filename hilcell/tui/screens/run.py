@@ -75,11 +75,24 @@ class RunScreen(SceneScreen):
         self.panel("progress").show(words.progress(scene, glyphs, width))
         self.panel("lamps").show(words.lamps(scene, glyphs, width))
         self.panel("interlock").show(words.interlocks(scene, width))
-        found = None if scene.last is None else deviation_of(scene.log, scene.last)
-        if found is not None or scene.last is None:
-            self.panel("deviation").show(words.deviation(found, glyphs, width))
         self._show_boxes(scene)
         self._show_points(scene)
+        self._show_deviation(scene)
+
+    def _show_deviation(self, scene: Scene) -> None:
+        """Show the newest point of a live run, the chosen one of a past run."""
+        key = self.query_one(Rows).key
+        point = scene.last if scene.live or not key else scene.log.points.get(key)
+        found = None if point is None else deviation_of(scene.log, point)
+        if found is not None or point is None or not scene.live:
+            lines = words.deviation(found, self.cell.glyphs, self.wide)
+            self.panel("deviation").show(lines)
+
+    def on_rows_moved(self) -> None:
+        """Show the point that is chosen now."""
+        scene = self.cell.scene
+        if scene is not None:
+            self._show_deviation(scene)
 
     def _show_boxes(self, scene: Scene) -> None:
         alarm, prompt = self.panel("alarm"), self.panel("prompt")

@@ -70,7 +70,7 @@ class StartScreen(SceneScreen):
             Content.assemble(("New run", "bold"), (f"   {NOT_E_STOP}", "$dim"))
         )
         rows = self.query_one(Rows)
-        names = sorted(entry.name for entry in entry_points(group="hilcell.procedures"))
+        names = sorted({entry.name for entry in entry_points(group="hilcell.procedures")})
         rows.put([Row(name, (name, "")) for name in names])
         rows.action_to(names.index("calibrate") if "calibrate" in names else 0)
         rows.focus()

@@ -1,0 +1,180 @@
+"""Runs in every state, made of records as an engine writes them, with times that stand still."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from typing import Any
+
+import msgspec
+
+from hilcell.cell import load_cell
+from hilcell.run.journal import Kind, Record
+from hilcell.tui.feed import Fresh
+from hilcell.tui.scene import DeviceStatus, Interlock, Prompt, Status
+
+BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
+RUN = "20260304-080000-calibrate-ab12"
+STEPS = (
+    ("home", 0, 16.0), ("world-frame", 3, 17.0), ("hold-station", 0, 9.0),
+    ("base-frame", 4, 20.0), ("robot-grid", 8, 40.0), ("fit", 0, 0.0), ("validate", 6, 60.0),
+)  # fmt: skip
+UNIT = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+FAULT = {
+    "device": "Tracker", "operation": "measure grid/1-0-0",
+    "found": "beam broken", "wanted": "a reflector", "act": "clear the beam, resume",
+}  # fmt: skip
+FAULT_TEXT = "Tracker: measure grid/1-0-0: beam broken, wanted a reflector; clear the beam, resume"
+
+
+class Story:
+    """Writes records one second apart."""
+
+    def __init__(self) -> None:
+        self.records: list[Record] = []
+
+    @property
+    def now(self) -> datetime:
+        """Return the moment of the last record."""
+        return BEGAN + timedelta(seconds=len(self.records))
+
+    def add(self, kind: Kind, key: str = "", **body: Any) -> Story:
+        """Write one record."""
+        moment = self.now.isoformat(timespec="milliseconds")
+        self.records.append(Record(len(self.records) + 1, moment, kind, key, body))
+        return self
+
+    def state(self, to: str, **more: Any) -> Story:
+        """Take the run to a state."""
+        return self.add("state", machine="run", to=to, **more)
+
+    def step(self, number: int) -> Story:
+        """Begin a step."""
+        return self.add(
+            "event", what="step", name=STEPS[number - 1][0], number=number, of=len(STEPS)
+        )
+
+    def point(self, key: str, group: str, nominal: Any = None, off: Any = (0, 0, 0),
+              **more: Any) -> Story:  # fmt: skip
+        """Measure a point ``off`` its nominal."""
+        at = nominal or (1000.0, 200.0, 300.0)
+        body = {
+            "group": group, "station": more.pop("station", "S1100"), "reflector": "SMR 1.5in",
+            "xyz_mm": [a + b for a, b in zip(at, off, strict=True)],
+            "std_mm": [0.01, 0.01, 0.01], "samples": 1, "temperature_c": 22.5,
+            "pressure_mbar": 1010.0, "humidity_percent": 45.0, "session": 1, "frame": "tracker",
+            "nominal_mm": nominal, "rail_mm": 1100.2, "strip_mm": 1100.0,
+            "commanded_deg": [0.0, -90.0, 90.0, 0.0, -30.0, 0.0], "joints_deg": [0.0] * 6,
+        } | more  # fmt: skip
+        return self.add("point", key, **body)
+
+
+@cache
+def _plan() -> dict[str, Any]:
+    cell = load_cell("paper", {})
+    return {
+        "procedure": "calibrate", "cell": msgspec.to_builtins(cell), "digest": cell.digest,
+        "seed": 1, "speed": None, "unattended": False, "operator": "Ann", "job": "J-7",
+        "simulated": True, "versions": {"hilcell": "0.1.0"}, "settings": {},
+        "steps": [{"name": n, "points": p, "duration_s": d} for n, p, d in STEPS],
+        "points": sum(p for _, p, _ in STEPS), "duration_s": sum(d for _, _, d in STEPS),
+    }  # fmt: skip
+
+
+def begun() -> Story:
+    """Return a run whose devices are being connected."""
+    return Story().add("plan", **_plan()).state("checking")
+
+
+def measuring(points: int = 5) -> Story:
+    """Return a run on its grid."""
+    story = begun().add("event", what="connected", devices=[]).state("running")
+    story.step(1).step(2)
+    for name in ("F1", "F2", "F3"):
+        story.point(f"world/{name}", "world", station="", commanded_deg=None)
+    story.add("frame", "world", matrix=UNIT)
+    story.step(3).add("event", what="station held", station="S1100", tries=2,
+              strip_mm=1100.0, rail_mm=1100.2)  # fmt: skip
+    story.step(5)
+    for number in range(points):
+        off = (0.4 + 0.1 * number, -0.3, 0.2 * number)
+        story.add("intent", f"grid/0-0-{number}", action="robot.move")
+        story.point(f"grid/0-0-{number}", "grid", (1000.0, 200.0 + number, 300.0), off)
+    return story
+
+
+def validated() -> Story:
+    """Return a run that has measured everything."""
+    story = measuring(8).step(6).step(7)
+    for how, size in (("before", 1.2), ("idw", 0.2), ("chosen", 0.1)):
+        for number in range(2):
+            off = (size + number, 0.0, 0.0) if how == "idw" else (0.0, size, 0.01 * number)
+            nominal = (1100.0, 300.0 + number, 400.0)
+            story.point(f"validate/S1100/{how}/{number:03d}", f"validate_{how}", nominal, off)
+    return story
+
+
+FIGURES = {"mean": 0.11, "p95": 0.2, "max": 0.31}
+RESULT = {
+    "method": "trilinear",
+    "validation": {
+        "S1100": {"points": 2, "before": FIGURES | {"mean": 1.2}, "idw": FIGURES,
+                  "chosen": FIGURES},
+    },
+}  # fmt: skip
+
+
+def stories() -> dict[str, Story]:
+    """Return a run in every state that the screen can be shown."""
+    return {
+        "idle": Story(),
+        "checking": begun(),
+        "running": measuring(),
+        "pausing": measuring(),
+        "paused": measuring().state("paused"),
+        "suspended": measuring().state("suspended", reason=FAULT_TEXT),
+        "stopping": measuring().state("stopping"),
+        "done": validated().state("finished").add(
+            "end", state="finished", exit=0, result=RESULT),
+        "intolerant": validated().add(
+            "verdict", "validation.S1100", holds=False, mean_mm=0.3, mean_tolerance_mm=0.2,
+        ).state("finished").add("end", state="finished", exit=1, result=RESULT),
+        "aborted": measuring().state("stopping").state("aborted").add(
+            "end", state="aborted", exit=4, result={}, reason="stopped by the operator"),
+        "fault": measuring().state("faulted", reason=FAULT_TEXT, **FAULT).add(
+            "end", state="faulted", exit=3, result={}, reason=FAULT_TEXT),
+        "gone": measuring(),
+    }  # fmt: skip
+
+
+LIVE = ("checking", "running", "pausing", "paused", "suspended", "stopping")
+PROMPT = Prompt(
+    title="Seat the reflector in P1", text="slide, x 350.0  y -350.0  z 60.0 mm on the slide",
+    place="P1", expected_mm=(4007.5, -238.7, -480.3), limit_mm=5.0, seen_mm=1.24, age_s=0.3,
+    ready=True,
+)  # fmt: skip
+
+
+def fresh(name: str) -> Fresh:
+    """Return what one look at a run in a state brings."""
+    alive = name in LIVE
+    return Fresh(stories()[name].records, alive, status(name) if alive else None)
+
+
+def status(name: str) -> Status:
+    """Return what the engine of such a run says."""
+    at_rest = name in ("paused", "suspended")
+    return Status(
+        state=name, pausing=name == "pausing", screens=1,
+        devices={
+            "rail": DeviceStatus("fresh", 0.2, "1100.20 mm, held"),
+            "strip": DeviceStatus("fresh", 0.2, "1100.00 mm"),
+            "robot": DeviceStatus("fresh" if at_rest else "moving", 0.2, "at rest"),
+            "tracker": DeviceStatus("fresh", 1.2, "SMR 1.5in"),
+        },
+        interlocks=[
+            Interlock("rail may move", "robot not at safe pose, A2 -53.017 deg"),
+            Interlock("robot may move"), Interlock("measure"),
+        ],
+        prompt=PROMPT if name == "suspended" else None,
+    )  # fmt: skip
