@@ -5,10 +5,13 @@ from __future__ import annotations
 import secrets
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from hilcell.ports import HilcellError
+from hilcell.errors import HilcellError
 from hilcell.run.journal import StorageError, read_journal
-from hilcell.run.log import Log
+
+if TYPE_CHECKING:
+    from hilcell.run.log import Log
 
 JOURNAL = "journal.sqlite"
 LONGEST_NAME = 200  # longer is no path that a file system takes
@@ -50,4 +53,6 @@ def find_run(runs: Path, name: str) -> Path:
 
 def read_log(folder: Path) -> Log:
     """Return a run's log."""
+    from hilcell.run.log import Log  # loads arrays, which a list of runs does without
+
     return Log(read_journal(folder / JOURNAL))

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import Any
 
 from hilcell.commands.common import say
 from hilcell.devices import load_entry
 from hilcell.faces import print_table
-from hilcell.ports import HilcellError
-from hilcell.run.control import live_engine
-from hilcell.run.log import Log
+from hilcell.index import RunRow, read_index, row_of
 from hilcell.run.procedure import Procedure
-from hilcell.runs import find_run, read_log, run_folders
+from hilcell.runs import find_run, read_log
 
 
 def runs(args: argparse.Namespace) -> int:
-    """List the runs of a folder."""
-    found = [_summary(folder) for folder in run_folders(args.runs)]
+    """List the runs of a folder, in the order of their names."""
+    found = [_summary(row) for row in sorted(read_index(args.runs), key=lambda row: row.name)]
     if args.json:
         say({"runs": found}, "", as_json=True)
         return 0
@@ -31,31 +28,21 @@ def runs(args: argparse.Namespace) -> int:
     return 0
 
 
-def _summary(folder: Path) -> dict[str, Any]:
-    try:
-        log = read_log(folder)
-        inputs = log.inputs
-    except HilcellError as error:
-        return {"run": folder.name, "state": "unreadable", "reason": str(error)}
-    live = live_engine(folder) is not None
+def _summary(row: RunRow) -> dict[str, Any]:
+    if not row.readable:
+        return {"run": row.name, "state": row.state, "reason": row.reason}
     return {
-        "run": folder.name,
-        "procedure": inputs.procedure,
-        "cell": inputs.cell["name"],
-        "state": state_of(log, live=live),
-        "points": len(log.points),
-        "exit": log.end["exit"] if log.end else None,
-        "simulated": inputs.simulated,
-        "operator": inputs.operator,
-        "job": inputs.job,
-        "live": live,
+        "run": row.name,
+        "procedure": row.procedure,
+        "cell": row.cell,
+        "state": row.condition,
+        "points": row.points,
+        "exit": row.exit,
+        "simulated": row.simulated,
+        "operator": row.operator,
+        "job": row.job,
+        "live": row.live,
     }
-
-
-def state_of(log: Log, *, live: bool) -> str:
-    """Return the run's state in words; a journal that just ends was left by a crash."""
-    state = log.states["run"]
-    return state if live or log.end is not None else f"{state}, engine gone"
 
 
 def show(args: argparse.Namespace) -> int:
@@ -66,8 +53,7 @@ def show(args: argparse.Namespace) -> int:
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     finished = log.states["run"] == "finished"
     result = procedure.result(log) if finished else {}
-    live = live_engine(folder) is not None
-    summary = _summary(folder) | {
+    summary = _summary(row_of(folder)) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
         "calibration": log.states["calibration"],
@@ -80,7 +66,7 @@ def show(args: argparse.Namespace) -> int:
         say(summary, "", as_json=True)
         return 0
     rows = [[name, str(summary[name])] for name in _SHOWN if summary.get(name) not in ("", None)]
-    rows.append(["state", state_of(log, live=live)])
+    rows.append(["state", summary["state"]])
     print_table((["run", folder.name], rows))
     if result:
         print_table(procedure.table(result))

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from hilcell.ports import HilcellError
+from hilcell.errors import HilcellError
 
 SCHEMA = 1
 Kind = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
@@ -132,13 +132,28 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
     if not path.is_file():
         raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
     try:
-        base = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, isolation_level=None)
+        base = _reader(path)
         try:
             return [record for record, _ in _stored(base, path, after)]
         finally:
             base.close()
     except sqlite3.Error as error:
         raise StorageError(f"journal {path}: cannot be read: {error}") from error
+
+
+def _reader(path: Path) -> sqlite3.Connection:
+    """Open a journal to read it, also one whose folder may not be written."""
+    where = f"{path.resolve().as_uri()}?mode=ro"
+    base = sqlite3.connect(where, uri=True, isolation_level=None)
+    try:
+        base.execute("PRAGMA schema_version")
+    except sqlite3.OperationalError:
+        base.close()
+        rest = path.with_name(f"{path.name}-wal")
+        if rest.exists() and rest.stat().st_size:
+            raise  # records that have not come to the file yet would be missed
+        return sqlite3.connect(f"{where}&immutable=1", uri=True, isolation_level=None)
+    return base
 
 
 def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tuple[Record, bytes]]:
