@@ -1,0 +1,199 @@
+"""The alarms of a run, from its journal alone: the same for a live run, a past one, a crash.
+
+The trap: a run is performed in sessions, and what stopped an earlier one was dealt with. So only
+the last session's events count, while verdicts and the room's temperature concern the whole run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hilcell.alarms.catalogue import Entry, Severity, entry_of
+from hilcell.alarms.finding import Finding, findings_of, line
+
+if TYPE_CHECKING:
+    from hilcell.run.journal import Record
+    from hilcell.run.log import Log
+
+DRIFT_LIMIT_K = 2.0
+MANY_APPROACHES = 0.5  # of those that the cell file allows
+STRAYED = 0.5  # of rail.slip_limit_mm: drive against strip, from one hold to the next
+OVER = ("aborted", "faulted", "finished")
+REFUSED_EXITS = (2, 3, 5, 6, 7)
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One alarm, ready to be shown: every text is one clean line; ``do`` are steps in order."""
+
+    code: str
+    severity: Severity
+    title: str
+    where: str
+    found: str
+    means: str
+    do: tuple[str, ...]
+    t: str
+    seq: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """A finding and the record that tells it; ``severity`` only where it is not the entry's."""
+
+    finding: Finding
+    t: str = ""
+    seq: int = 0
+    severity: Severity | None = None
+
+
+def alarms_of(log: Log, run: str, *, live: bool) -> list[Alarm]:
+    """Return the alarms of a run, newest last; ``live`` tells whether its engine is at work.
+
+    What no record dates (verdicts, temperature) stands first.
+    """
+    if log.plan is None:
+        return []
+    session = _session(log)
+    moments = [*_temperature(log), *_verdicts(log)]
+    moments += _events(log, session, suspended=live and log.states["run"] == "suspended")
+    moments += _strip(log, session)
+    moments += _end(log, session, live=live)
+    moments.sort(key=lambda moment: moment.seq)
+    over = not live or log.states["run"] in OVER
+    return [_alarm(moment, run, over=over) for moment in moments]
+
+
+def explain(text: str, run: str = "RUN") -> list[Alarm]:
+    """Return what an error's text means: one alarm, or one for each device that failed."""
+    return [_alarm(_Moment(finding), run, over=True) for finding in findings_of(text)]
+
+
+def _alarm(moment: _Moment, run: str, *, over: bool) -> Alarm:
+    entry, finding = entry_of(moment.finding), moment.finding
+    severity = moment.severity or entry.severity
+    steps = [line(finding.act), *entry.do]
+    if severity != "notice":
+        steps.append(_then(entry, run, over=over))
+    return Alarm(
+        entry.code, severity, entry.title, finding.where, finding.told, entry.means,
+        tuple(step for step in steps if step), moment.t, moment.seq,
+    )  # fmt: skip
+
+
+def _then(entry: Entry, run: str, *, over: bool) -> str:
+    match entry.then:
+        case "resume":
+            return f"Continue: space, or `hilcell resume {run}`." if over else "Continue: space."
+        case "anew":
+            return "Start a new run: `hilcell run`."
+        case _:
+            return ""
+
+
+# -- what the journal tells -----------------------------------------------------------------------
+
+
+def _session(log: Log) -> list[Record]:
+    """Return the events of the last session: "connected" opens it, "closed" ends it."""
+    found: list[Record] = []
+    closed = False
+    for record in log.events:
+        what = record.body["what"]
+        if what == "connected" or (closed and what != "internal error"):  # its trace comes last
+            found, closed = [], False
+        found.append(record)
+        closed = closed or what == "closed"
+    begun_anew = closed and log.states["run"] not in OVER
+    return [] if begun_anew else found
+
+
+def _events(log: Log, session: list[Record], *, suspended: bool) -> Iterator[_Moment]:
+    asked = next((r for r in reversed(session) if r.body["what"] == "no reading"), None)
+    for record in session:
+        body, t, seq = record.body, record.t, record.seq
+        match body["what"]:
+            case "no reading":
+                (finding,) = findings_of(f"{body['key']}: {body['reason']}")
+                retried: Severity | None = None if suspended and record is asked else "notice"
+                yield _Moment(finding, t, seq, retried)
+            case "safe stop" | "closed" as what:
+                for name, problem in body["problems"].items():
+                    yield _Moment(Finding("Cell", what, f"{name}: {problem}"), t, seq)
+            case "command refused":
+                found = f"{body['command']} is not possible while {body['in']}"
+                yield _Moment(Finding("Cell", "command", found), t, seq)
+            case "outlier measured again":
+                found = f"{body['key']} stands out from its neighbours and was measured again"
+                yield _Moment(Finding("Cell", "outlier", found), t, seq)
+
+
+def _strip(log: Log, session: list[Record]) -> Iterator[_Moment]:
+    """Yield the holds that took long, or at which drive and strip have moved apart."""
+    rail, first_mm = log.cell.rail, dict[str, float]()
+    for record in session:
+        body = record.body
+        if body["what"] != "station held":
+            continue
+        name, tries = str(body["station"]), int(body["tries"])
+        if tries > MANY_APPROACHES * rail.max_approaches:
+            found = f"{name} held only after {tries} approaches, {rail.max_approaches} are allowed"
+            yield _Moment(Finding("Cell", "strip approaches", found), record.t, record.seq)
+        apart_mm = float(body["rail_mm"]) - float(body["strip_mm"])
+        strayed_mm = apart_mm - first_mm.setdefault(name, apart_mm)
+        if not abs(strayed_mm) <= STRAYED * rail.slip_limit_mm:
+            found = f"{name}: drive and strip have moved {strayed_mm:+.2f} mm apart"
+            yield _Moment(Finding("Cell", "strip apart", found), record.t, record.seq)
+
+
+def _temperature(log: Log) -> Iterator[_Moment]:
+    """Yield the first point at which the air is too far from that of the run's first."""
+    points = list(log.points.values())
+    for point in points:
+        off_k = point.temperature_c - points[0].temperature_c
+        if not abs(off_k) <= DRIFT_LIMIT_K:
+            found = f"{point.temperature_c:.1f} C at {point.key}, {off_k:+.1f} K from the start"
+            yield _Moment(Finding("Cell", "temperature", found, f"within {DRIFT_LIMIT_K:.0f} K"))
+            return
+
+
+def _verdicts(log: Log) -> Iterator[_Moment]:
+    for key, body in log.verdicts.items():
+        if not body["holds"]:
+            yield _Moment(Finding("Cell", f"verdict {key}", _figures(body)))
+
+
+def _figures(body: dict[str, Any]) -> str:
+    """Return the numbers of a verdict: ``max_mm`` 0.4 as ``max 0.400 mm``."""
+    told = []
+    for name, value in body.items():
+        if isinstance(value, float):
+            unit = " mm" if name.endswith("_mm") else ""
+            told.append(f"{name.removesuffix('_mm').replace('_', ' ')} {value:.3f}{unit}")
+    return ", ".join(told)
+
+
+def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
+    """Yield how the run came to stand; the record that says so follows the session's events."""
+    last = session[-1] if session else None
+    t, seq = (last.t, last.seq + 1) if last is not None else ("", 0)
+    state, end = log.states["run"], log.end
+    reason = str(end.get("reason", "")) if end is not None else ""
+    if state == "faulted":
+        broken = any(record.body["what"] == "internal error" for record in session)
+        for finding in _causes(log.fault, broken=broken):
+            yield _Moment(finding, t, seq, "fault")
+    elif state == "aborted":
+        yield _Moment(Finding("Cell", "stopped", "the run was stopped"), t, seq)
+    elif end is None and not live:
+        found = f"the journal ends while the run was {state}, with {len(log.points)} points"
+        yield _Moment(Finding("Cell", "crash", found), t, seq)
+    if reason != log.fault and end is not None and end["exit"] in REFUSED_EXITS:
+        for finding in findings_of(reason):
+            yield _Moment(finding, t, seq, "fault")
+
+
+def _causes(reason: str, *, broken: bool) -> list[Finding]:
+    return [Finding("Cell", "internal error", reason)] if broken else findings_of(reason)

@@ -1,0 +1,60 @@
+"""Alarms latch at their highest severity until somebody has acknowledged them.
+
+No clock: what is new is told by the records that alarms come from, so the same journal, read
+again, counts nothing twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from hilcell.alarms.alarm import Alarm
+from hilcell.alarms.catalogue import SEVERITIES, Severity
+
+
+@dataclass(frozen=True, slots=True)
+class Latched:
+    """An alarm that waits for its acknowledgement: the newest of its code, and how many came."""
+
+    alarm: Alarm
+    severity: Severity
+    count: int
+
+
+class Latch:
+    """The alarms that nobody has acknowledged yet. Used by one thread."""
+
+    def __init__(self) -> None:
+        self._latched: dict[str, Latched] = {}
+        self._seen: set[tuple[str, int, str]] = set()
+
+    def take(self, alarms: Iterable[Alarm]) -> None:
+        """Latch those that were not seen before."""
+        for alarm in alarms:
+            mark = (alarm.code, alarm.seq, alarm.where)
+            if mark not in self._seen:
+                self._seen.add(mark)
+                self._add(alarm)
+
+    def _add(self, alarm: Alarm) -> None:
+        before = self._latched.pop(alarm.code, None)
+        if before is None:
+            self._latched[alarm.code] = Latched(alarm, alarm.severity, 1)
+            return
+        severity = max(before.severity, alarm.severity, key=SEVERITIES.index)
+        self._latched[alarm.code] = replace(
+            before, alarm=alarm, severity=severity, count=before.count + 1
+        )
+
+    def standing(self) -> list[Latched]:
+        """Return what is latched: the most severe first, of those the newest first."""
+        newest = list(reversed(self._latched.values()))
+        return sorted(newest, key=lambda each: -SEVERITIES.index(each.severity))
+
+    def acknowledge(self, code: str = "") -> None:
+        """Let go of one code, or of all; what comes later latches anew."""
+        if code:
+            self._latched.pop(code, None)
+        else:
+            self._latched.clear()
