@@ -165,6 +165,18 @@ class HilcellApp(App[int]):
         self.push_screen(RunScreen())
         session.feed.start()
 
+    def open_run(self, folder: Path) -> None:
+        """Show another run; leaving a live one asks."""
+        if self.session is not None and self.session.folder == folder:
+            self.screen.dismiss()
+        elif self.live:
+            self.ask(
+                "A run is live.", "It goes on while you look at another one, and Esc does not "
+                "stop it from there.", "look at the other", lambda: self.attach(folder),
+            )  # fmt: skip
+        else:
+            self.attach(folder)
+
     def let_go(self, *, leave: bool) -> None:
         """Detach from the run; ``leave`` says that it was meant."""
         if self.session is not None:

@@ -88,11 +88,10 @@ class Feed:
     def _status(self) -> Status | None:
         try:
             if self.link is None:
-                link = Link.to(self.folder)
-                if link is None:
+                self.link = Link.to(self.folder)
+                if self.link is None:
                     return None
-                link.ask("attend")
-                self.link = link
+                self.link.ask("attend")
             return msgspec.convert(self.link.ask("status"), Status)
         except LinkLostError:
             self.link = None

@@ -52,9 +52,10 @@ def nest_map(layout: Layout, place: str, glyphs: Glyphs) -> list[Content]:
     xs = [float(xyz[0]) for xyz in where.values()]
     ys = [float(xyz[1]) for xyz in where.values()]
     for name, xyz in sorted(where.items(), key=lambda item: item[0] == place):
+        # Nests stand above one another: only the wanted one is named.
         column = _scale(float(xyz[0]), xs, MAP_WIDTH - 6)
         row = MAP_HEIGHT - 1 - _scale(float(xyz[1]), ys, MAP_HEIGHT - 1)
-        label = f">{name[:3]}<" if name == place else f" {name[:3]} "
+        label = f">{name[:3]}<" if name == place else " o  "
         cells[row][column : column + len(label)] = label
     title = "floor" if where is floor else "slide"
     lines = [Content.styled(f"the {title} from above: x right, y up", "$dim")]

@@ -19,7 +19,9 @@ from hilcell.tui.prompt_words import prompt_lines
 from hilcell.tui.rows import Rows
 from hilcell.tui.scene import Scene
 from hilcell.tui.screens.base import SceneScreen
+from hilcell.tui.side_words import side_lines
 
+WIDE = 120  # columns, as in the style sheet
 LINES = ("banner", "identity", "step", "progress", "lamps", "interlock")
 
 
@@ -35,6 +37,7 @@ class RunScreen(SceneScreen):
     def __init__(self) -> None:
         super().__init__()
         self.bad_only, self.worst_first, self.wanted = False, False, ""
+        self._side_seen: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
         """Build the lines, the box of points and the panel beside it."""
@@ -114,8 +117,16 @@ class RunScreen(SceneScreen):
         waiting = set(scene.status.retakes) if scene.status is not None else set()
         wide = rows.size.width or self.wide
         rows.put([to_row(each, waiting, wide) for each in found], columns_for(wide))
-        if self.panel("side").display and self.app.size.width >= 120:
-            self.panel("side").show(self.cell.side_text(scene))
+        self._show_side(scene)
+
+    def _show_side(self, scene: Scene) -> None:
+        """Draw the panel beside the points, where there is room and something new."""
+        side = self.panel("side")
+        state = (len(scene.log.points), side.size)
+        if self.app.size.width < WIDE or not side.size.height or state == self._side_seen:
+            return
+        self._side_seen = state
+        side.show(side_lines(scene, side.size.width, side.size.height))
 
     def label(self, name: str) -> str:
         """Return what a key does now."""

@@ -1,0 +1,111 @@
+"""Earlier runs: filter as you type, open one, mark two and compare them."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, ClassVar
+
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.content import Content
+from textual.widgets import Input
+
+from hilcell.tui.history_words import columns_for, history_row
+from hilcell.tui.rows import Rows
+from hilcell.tui.screens.base import Page
+
+if TYPE_CHECKING:
+    from hilcell.index import RunRow
+
+TO_COMPARE = 2
+
+
+class HistoryPage(Page):
+    """Element 12. The rows come from the index; a run is read only when it is opened."""
+
+    title_text = "History"
+    footer = ("find", "stop", "quit")
+    fixed = (*Page.fixed, ("Enter", "open"), ("x", "mark"), ("c", "compare two"))
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("x", "mark", show=False), Binding("c", "compare", show=False),
+    ]  # fmt: skip
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._runs: list[RunRow] = []
+        self._wanted = ""
+        self._marked: list[str] = []
+
+    def body(self) -> ComposeResult:
+        """Build filter and rows."""
+        yield Rows(columns_for(80), empty="reading the index ...", plain=self.cell.glyphs.plain)
+        yield Input(placeholder="filter: words, state:faulted, operator:ann, -word", id="find")
+
+    def on_mount(self) -> None:
+        """Read the index off the thread that takes keys."""
+        self.query_one("#find", Input).display = False
+        super().on_mount()
+        self.cell.background(self._read())
+
+    def on_resize(self) -> None:
+        """Show as many columns as fit."""
+        super().on_resize()
+        self._put()
+
+    async def _read(self) -> None:
+        from hilcell.index import read_index
+
+        self._runs = await asyncio.to_thread(read_index, self.cell.options.runs)
+        self.query_one(Rows).empty = "no such run"
+        self._put()
+
+    def _put(self) -> None:
+        from hilcell.index import matches
+
+        found = [run for run in self._runs if matches(run, self._wanted)]
+        wide = self.app.size.width
+        rows = [history_row(run, self._marked, wide) for run in found]
+        self.query_one(Rows).put(rows, columns_for(wide))
+        title = f"History: {len(found)} of {len(self._runs)} runs; errors in mm"
+        self.panel("title").show(Content.styled(title, "bold"))
+
+    def do_find(self) -> None:
+        """Open the filter."""
+        box = self.query_one("#find", Input)
+        box.display = True
+        box.focus()
+
+    def on_input_changed(self, message: Input.Changed) -> None:
+        """Filter as one types."""
+        self._wanted = message.value
+        self._put()
+
+    def on_input_submitted(self) -> None:
+        """Go back to the rows."""
+        box = self.query_one("#find", Input)
+        box.display = bool(box.value)
+        self.query_one(Rows).focus()
+
+    def on_rows_chosen(self, message: Rows.Chosen) -> None:
+        """Open a run."""
+        if message.key:
+            self.cell.open_run(self.cell.options.runs / message.key)
+
+    def action_mark(self) -> None:
+        """Mark a run, or take its mark away; of more than two the oldest mark goes."""
+        key = self.query_one(Rows).key
+        if key in self._marked:
+            self._marked.remove(key)
+        elif key:
+            self._marked = [*self._marked, key][-TO_COMPARE:]
+        self._put()
+
+    def action_compare(self) -> None:
+        """Compare the two marked runs."""
+        if len(self._marked) != TO_COMPARE:
+            self.notice("mark two runs with x first")
+            return
+        from hilcell.tui.screens.compare import ComparePage
+
+        first, second = sorted(self._marked)
+        self.app.push_screen(ComparePage(first, second))
