@@ -147,12 +147,15 @@ def _reader(path: Path) -> sqlite3.Connection:
     base = sqlite3.connect(where, uri=True, isolation_level=None)
     try:
         base.execute("PRAGMA schema_version")
-    except sqlite3.OperationalError:
-        base.close()
-        rest = path.with_name(f"{path.name}-wal")
-        if rest.exists() and rest.stat().st_size:
-            raise  # records that have not come to the file yet would be missed
-        return sqlite3.connect(f"{where}&immutable=1", uri=True, isolation_level=None)
+    except sqlite3.DatabaseError as error:
+        rest = path.with_name(f"{path.name}-wal")  # records that are not in the file yet
+        unwritable = error.sqlite_errorcode & 0xFF in (
+            sqlite3.SQLITE_READONLY,
+            sqlite3.SQLITE_CANTOPEN,
+        )
+        if unwritable and not (rest.exists() and rest.stat().st_size):
+            base.close()
+            return sqlite3.connect(f"{where}&immutable=1", uri=True, isolation_level=None)
     return base
 
 
