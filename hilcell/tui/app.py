@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Coroutine
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from textual.app import App
 from textual.binding import Binding, BindingType
@@ -65,8 +65,7 @@ class Actions(Provider):
 
     async def search(self, query: str) -> Hits:
         """Yield the allowed actions that match."""
-        app, matcher = self.app, self.matcher(query)
-        assert isinstance(app, HilcellApp)
+        app, matcher = cast("HilcellApp", self.app), self.matcher(query)
         for action in ACTIONS:
             score = matcher.match(f"{action.label}: {action.help}")
             if score > 0 and app.allowed(action.name):
@@ -82,7 +81,7 @@ class HilcellApp(App[int]):
     TITLE = "hilcell"
     CSS_PATH = Path(__file__).with_name("style.tcss")
     COMMANDS: ClassVar = {Actions}
-    HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (120, "-wide")]
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - as Textual has it
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(
             ",".join(action.keys), f"do('{action.name}')", action.label, show=False,
@@ -114,7 +113,8 @@ class HilcellApp(App[int]):
     @property
     def latch(self) -> Latch:
         """Return the alarms of the attached run."""
-        assert self.session is not None
+        if self.session is None:
+            raise HilcellError("no run is shown")
         return self.session.latch
 
     # -- opening ------------------------------------------------------------------------------
@@ -298,7 +298,7 @@ class HilcellApp(App[int]):
         elif command == "resume":
             self.ask(
                 "Resume this run?", "The devices are connected again; the tracker's control "
-                "points are proved before anything counts.", "resume", lambda: self.start_resume(),
+                "points are proved before anything counts.", "resume", self.start_resume,
             )  # fmt: skip
         else:
             self.ask(
@@ -368,9 +368,7 @@ class HilcellApp(App[int]):
 
     def ask(self, title: str, text: str, yes: str, act: Any) -> None:
         """Ask before an act; only a yes does it."""
-        self.push_screen(
-            Confirm(title, text, yes), lambda reply: act() if reply == "yes" else None
-        )
+        self.push_screen(Confirm(title, text, yes), lambda reply: act() if reply == "yes" else None)
 
     def do_alarms(self) -> None:
         """Open the alarms."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -58,10 +59,8 @@ class Feed:
         link = self.link
         if link is not None:
             if leave:
-                try:
+                with suppress(HilcellError):  # an engine that is gone has nothing to be told
                     link.ask("leave")
-                except HilcellError:
-                    pass  # an engine that is gone has nothing to be told
             link.close()
 
     def _follow(self) -> None:

@@ -118,9 +118,11 @@ def _keys_of(name: str, value: object, problems: list[str]) -> tuple[str, ...]:
     if not (isinstance(keys, list) and keys and all(isinstance(key, str) for key in keys)):
         problems.append(f"keys.{name}: a key, or a list of keys, is wanted, found {value!r}")
         return ()
-    for key in keys:
-        if not is_key(key):
-            problems.append(f"keys.{name}: {key!r} is no key; write a, A, ctrl+a, f5, space, slash")
+    problems.extend(
+        f"keys.{name}: {key!r} is no key; write a, A, ctrl+a, f5, space, slash"
+        for key in keys
+        if not is_key(key)
+    )
     if all(key[:1] == "f" and key[1:].isdigit() for key in keys):
         problems.append(
             f"keys.{name}: function keys alone ({', '.join(keys)}) are eaten by some terminals; "

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def harmless(content: Content, *, plain: bool) -> Content:
     """Return content of the same length whose characters are all safe to print."""
     text = "\n".join(UNSAFE.sub("?", line) for line in content.plain.split("\n"))
-    return Content(to_ascii_lines(text) if plain else text, spans=content.spans)
+    return Content(to_ascii_lines(text) if plain else text, spans=list(content.spans))
 
 
 def to_ascii_lines(text: str) -> str:

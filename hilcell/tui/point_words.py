@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from textual.content import Content
 
 from hilcell.run.log import Point
-from hilcell.tui.deviation import row_of
 from hilcell.tui.deviation import rms_mm as rms_of
+from hilcell.tui.deviation import row_of
 from hilcell.tui.scene import Scene
 
 
@@ -42,8 +42,7 @@ def _measured(point: Point) -> list[tuple[str, str]]:
         ("standard deviation, mm", f"{_numbers(point.std_mm, 4)}   rms {rms_of(point):.4f}"),
         ("samples", str(point.samples)),
         ("reflector", point.reflector),
-        ("air", f"{point.temperature_c:.2f} C  {point.pressure_mbar:.1f} mbar  "
-                f"{point.humidity_percent:.0f} %"),
+        ("air", _air(point)),
         ("session", str(point.session)),
     ]  # fmt: skip
     if point.commanded_deg is not None:
@@ -53,6 +52,11 @@ def _measured(point: Point) -> list[tuple[str, str]]:
     if point.rail_mm is not None and point.strip_mm is not None:
         facts.append(("rail / strip, mm", f"{point.rail_mm:.3f} / {point.strip_mm:.2f}"))
     return facts
+
+
+def _air(point: Point) -> str:
+    humidity = f"{point.humidity_percent:.0f} %"
+    return f"{point.temperature_c:.2f} C  {point.pressure_mbar:.1f} mbar  {humidity}"
 
 
 def _numbers(values: Sequence[float], digits: int, sign: str = "") -> str:

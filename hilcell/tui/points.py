@@ -34,7 +34,9 @@ def filtered(log: Log, wanted: str, *, bad_only: bool, worst: bool) -> list[Poin
         row
         for row in point_rows(log)
         if (not bad_only or row.state in (*BAD_STATES, "again"))
-        and all(word in f"{row.point.key} {row.point.station} {row.state}".lower() for word in words)
+        and all(
+            word in f"{row.point.key} {row.point.station} {row.state}".lower() for word in words
+        )
     ]
     if worst:
         rows.sort(key=_badness, reverse=True)
@@ -50,8 +52,8 @@ def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
     """Return the cells of one point; ``waiting`` names those that are to be measured anew."""
     point, deviation = found.point, found.deviation
     state = "waits" if point.key in waiting else found.state
+    errors: tuple[str, ...] = ("", "", "", "")
     if deviation is None:
-        errors = ("", "", "", "")
         actual = point.xyz_mm
     else:
         errors = (*(f"{each:+.3f}" for each in deviation.error_mm), f"{deviation.norm_mm:.3f}")
@@ -60,9 +62,7 @@ def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
     if width < WIDE + 40:
         return Row(point.key, (point.key, *narrow), _TONES.get(state, ""))
     nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 2)
-    return Row(
-        point.key, (point.key, nominal, _triple(actual, 3), *narrow), _TONES.get(state, "")
-    )
+    return Row(point.key, (point.key, nominal, _triple(actual, 3), *narrow), _TONES.get(state, ""))
 
 
 def _triple(values: Sequence[float], digits: int) -> str:

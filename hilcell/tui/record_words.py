@@ -45,7 +45,9 @@ def record_words(record: Record) -> str:
 
 
 def _facts(body: dict[str, Any]) -> str:
-    shown = {k: v for k, v in body.items() if k not in (*_LONG, "what", "action") and v not in ({}, [])}
+    shown = {
+        k: v for k, v in body.items() if k not in (*_LONG, "what", "action") and v not in ({}, [])
+    }
     return ", ".join(
         f"{name} {value:.3f}" if isinstance(value, float) else f"{name} {value}"
         for name, value in shown.items()

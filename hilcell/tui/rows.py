@@ -162,8 +162,7 @@ class Rows(ScrollView, can_focus=True):
 
     def _line(self, cells: Sequence[str], *, cursor: bool = False) -> str:
         parts = [
-            _fit(clean(cell), column)
-            for cell, column in zip(cells, self.columns, strict=False)
+            _fit(clean(cell), column) for cell, column in zip(cells, self.columns, strict=False)
         ]
         return (">" if cursor else " ") + " ".join(parts)
 

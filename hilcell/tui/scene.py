@@ -118,7 +118,12 @@ class Scene:
     @property
     def live(self) -> bool:
         """Whether an engine is at work on this run."""
-        return (self.alive or self.starting) and self.key not in ("done", "intolerant", "aborted", "fault")
+        return (self.alive or self.starting) and self.key not in (
+            "done",
+            "intolerant",
+            "aborted",
+            "fault",
+        )
 
     @property
     def stale(self) -> bool:

@@ -72,9 +72,11 @@ class SceneScreen(Screen[None]):
     def key_line(self) -> Content:
         """Return element 10: the keys that do something now."""
         parts: list[tuple[str, str]] = list(self.fixed)
-        for name in self.footer:
-            if self.cell.allowed(name):
-                parts.append((shown(self.cell.keymap[name][0]), self.label(name)))
+        parts += [
+            (shown(self.cell.keymap[name][0]), self.label(name))
+            for name in self.footer
+            if self.cell.allowed(name)
+        ]
         line = Content("")
         for key, label in parts:
             each = Content.assemble((key, "bold $on-quiet on $quiet"), f" {label}  ")
@@ -94,7 +96,7 @@ class Page(SceneScreen):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("q,backspace", "back", "back", show=False),
     ]
-    fixed = (("q", "back"),)
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (("q", "back"),)
 
     def compose(self) -> ComposeResult:
         """Build banner, title, body and key line."""

@@ -25,7 +25,12 @@ class HistoryPage(Page):
 
     title_text = "History"
     footer = ("find", "stop", "quit")
-    fixed = (*Page.fixed, ("Enter", "open"), ("x", "mark"), ("c", "compare two"))
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (
+        *Page.fixed,
+        ("Enter", "open"),
+        ("x", "mark"),
+        ("c", "compare two"),
+    )
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("x", "mark", show=False), Binding("c", "compare", show=False),
     ]  # fmt: skip

@@ -49,9 +49,7 @@ class LogPage(Page):
 
     def _put(self) -> None:
         words = self._wanted.lower().split()
-        wanted = [
-            row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)
-        ]
+        wanted = [row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)]
         self.query_one(Rows).put(wanted)
 
     def do_find(self) -> None:

@@ -8,10 +8,11 @@ from textual.content import Content
 
 from hilcell.tui import words
 from hilcell.tui.alarm_words import alarm_page
+from hilcell.tui.glyphs import Glyphs
 from hilcell.tui.help_words import help_lines
 from hilcell.tui.panel import Panel
 from hilcell.tui.point_words import point_page
-from hilcell.tui.scene import Scene
+from hilcell.tui.scene import DeviceStatus, Scene
 from hilcell.tui.screens.base import Page
 
 
@@ -87,7 +88,7 @@ class DetailPage(TextPage):
         self.cell.retake(self._key)
 
 
-def interlock_page(scene: Scene, glyphs: words.Glyphs) -> Content:
+def interlock_page(scene: Scene, glyphs: Glyphs) -> Content:
     """Return element 15 whole: each condition, then each device's last reading."""
     status = scene.status
     if status is None or not scene.live:
@@ -100,7 +101,7 @@ def interlock_page(scene: Scene, glyphs: words.Glyphs) -> Content:
     ]
     lines.append(Content(""))
     for name in words.LAMPS:
-        device = status.devices.get(name, words.DeviceStatus())
+        device = status.devices.get(name, DeviceStatus())
         head = words.lamp(name, device, scene, glyphs)
         said = device.reason or device.text
         lines.append(head.append(f"   {said}" if said else ""))
@@ -112,4 +113,3 @@ def interlock_page(scene: Scene, glyphs: words.Glyphs) -> Content:
         ),
     ]  # fmt: skip
     return Content("\n").join(lines)
-

@@ -20,7 +20,7 @@ class PlotPage(Page):
     """Element 11. Drawn twice a second at most: a drawing costs as much as twenty lines."""
 
     footer = ("stop", "pause", "quit")
-    fixed = (*Page.fixed, ("</>", "other plot"))
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("</>", "other plot"))
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("left", "turn(-1)", show=False), Binding("right,space", "turn(1)", show=False),
         *[Binding(str(n), f"choose({n - 1})", show=False) for n in range(1, 5)],

@@ -7,7 +7,6 @@ from typing import ClassVar
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
-from textual.content import Content
 from textual.widgets import Input
 
 from hilcell.tui import words
@@ -99,7 +98,9 @@ class RunScreen(SceneScreen):
 
     def _show_boxes(self, scene: Scene) -> None:
         alarm, prompt = self.panel("alarm"), self.panel("prompt")
-        lines = alarm_lines(self.cell.latch.standing(), self.cell.keymap, self.cell.glyphs, self.wide)
+        lines = alarm_lines(
+            self.cell.latch.standing(), self.cell.keymap, self.cell.glyphs, self.wide
+        )
         alarm.display = lines is not None
         if lines is not None:
             alarm.show(lines)

@@ -147,7 +147,7 @@ class PlanSummary(ModalScreen[bool]):
         """Show the plan."""
         self.query_one("#question", Panel).show(plan_lines(self._order, self._plan))
 
-    def action_reply(self, yes: bool) -> None:  # noqa: FBT001 - from a key's words
+    def action_reply(self, yes: bool) -> None:
         """Close with the answer."""
         self.dismiss(yes)
 
