@@ -1,0 +1,54 @@
+"""``compare``: what drifted between two runs of one cell."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import msgspec
+
+from hilcell.commands.common import say
+from hilcell.comparison import Comparison, compare_runs
+from hilcell.faces import print_table
+from hilcell.report.drift import Change
+from hilcell.runs import find_run, read_log
+
+DIGITS = {"mm": 4, "deg": 5, "°C": 2}
+
+
+def compare(args: argparse.Namespace) -> int:
+    """Print the changes from the first run to the second; a drift is no failure of the command."""
+    folders = [find_run(args.runs, name) for name in (args.first, args.second)]
+    found = compare_runs(*(read_log(folder) for folder in folders))
+    names = [folder.resolve().name for folder in folders]
+    if args.json:
+        say(_facts(found, *names), "", as_json=True)
+        return 0
+    _print(found, *names)
+    return 0
+
+
+def _facts(found: Comparison, first: str, second: str) -> dict[str, object]:
+    changes = [msgspec.to_builtins(each) | {"verdict": each.verdict} for each in found.changes]
+    whole: dict[str, object] = msgspec.to_builtins(found)
+    head: dict[str, object] = {"first": first, "second": second, "verdict": found.verdict}
+    return head | whole | {"changes": changes}
+
+
+def _print(found: Comparison, first: str, second: str) -> None:
+    settings = [[each.key, each.first, each.second] for each in found.settings]
+    print_table((["differs", "first", "second"], [["run", first, second], *settings]))
+    headers = ["where", "what", "first", "second", "change", "limit", "unit", "verdict"]
+    print_table((headers, [_row(each) for each in found.changes]))
+    for note in found.notes:
+        print(f"note: {note}", file=sys.stderr)
+    print(found.verdict, file=sys.stderr)
+
+
+def _row(each: Change) -> list[str]:
+    digits = DIGITS[each.unit]
+    pair = ["" if value is None else f"{value:.{digits}f}" for value in (each.first, each.second)]
+    sign = "" if each.first is None else "+"
+    limit = "" if each.limit is None else f"{each.limit:.{digits}f}"
+    change = f"{each.change:{sign}.{digits}f}"
+    return [each.place, each.what, *pair, change, limit, each.unit, each.verdict]

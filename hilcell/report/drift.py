@@ -1,0 +1,251 @@
+"""What moved between two runs of one cell, each figure with the uncertainty of its change.
+
+{W} is built from floor nests, so frames in {W} and errors in {B} can be compared between two
+set-ups of the tracker. The trap: where a frame is depends on {W}'s own noise, which a lever of
+metres multiplies; without it every station seems to have turned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hilcell.calibration import grid_errors_mm, grid_of
+from hilcell.cell import Cell
+from hilcell.geometry.frames import (
+    RigidFit,
+    apply,
+    cross_matrix,
+    inverse,
+    point_uncertainty,
+    rigid_fit,
+    three_point_frame,
+)
+from hilcell.ports import Array
+from hilcell.report.budget import budget_of
+from hilcell.report.uncertainty import pooled_std_mm
+from hilcell.run.log import Log, Point, positions_mm
+
+CONFIDENCE = 0.95
+Verdict = Literal["within", "beyond", ""]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One figure of both runs.
+
+    ``change`` is second less first, or the length of a move, which has no first and second.
+    ``limit`` is what 95 % of changes keep where nothing drifted, or a stated margin; None where
+    neither is known.
+    """
+
+    group: Literal["validation", "frames", "grid", "air"]
+    place: str
+    what: str
+    unit: str
+    first: float | None
+    second: float | None
+    change: float
+    limit: float | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return whether the change keeps its limit; empty where it has none."""
+        if self.limit is None:
+            return ""
+        return "within" if abs(self.change) <= self.limit else "beyond"
+
+
+@dataclass(frozen=True, slots=True)
+class GridDrift:
+    """How far the error at each vertex moved (mm, in {B}), by the vertex's key, in their order."""
+
+    moved_mm: dict[str, float]
+    changes: list[Change]
+
+
+def frame_changes(first: Log, second: Log) -> list[Change]:
+    """Return how far the base and the station frames, as both runs have them, moved in {W}."""
+    found: list[Change] = []
+    for key, frame in first.frames.items():
+        if "covariance" in frame and "covariance" in second.frames.get(key, {}):
+            place = key.replace(".", " ")
+            limits = _frame_limits(first, second, key)
+            T_1, T_2 = first.matrix(key), second.matrix(key)
+            moved = (float(np.linalg.norm(T_2[:3, 3] - T_1[:3, 3])), _angle_deg(T_1, T_2))
+            for what, unit, change, limit in zip(
+                ("moved", "turned"), ("mm", "deg"), moved, limits, strict=True
+            ):
+                found.append(Change("frames", place, what, unit, None, None, change, limit))
+    return found
+
+
+def _angle_deg(T_1: Array, T_2: Array) -> float:
+    """Return the angle between two frames; from the sine, which small angles keep exactly."""
+    R = T_1[:3, :3].T @ T_2[:3, :3]
+    sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+    return math.degrees(math.atan2(float(sine), (float(np.trace(R)) - 1) / 2))
+
+
+def _frame_limits(first: Log, second: Log, key: str) -> tuple[float | None, float | None]:
+    """Return the limits of a frame's move in mm and of its turn in deg."""
+    both = [_frame_covariance(log, key) for log in (first, second)]
+    covariance = sum((each for each in both if each is not None), np.zeros((6, 6)))
+    if any(each is None for each in both):
+        return None, None
+    factor = length_factor(1)
+    moved_mm, turned_rad = (
+        factor * math.sqrt(float(np.trace(part)) / 3)
+        for part in (covariance[:3, :3], covariance[3:, 3:])
+    )
+    return moved_mm, math.degrees(turned_rad)
+
+
+def _frame_covariance(log: Log, key: str) -> Array | None:
+    """Return the covariance (6, 6) of a frame in {W}: its own, {W}'s, the budget's, the strip's."""
+    budget, at_mm = budget_of(log), log.matrix(key)[:3, 3]
+    nests = [log.points.get(f"world/{nest.name}") for nest in log.cell.layout.floor[:3]]
+    floor = [nest for nest in nests if nest is not None]
+    if budget is None or len(floor) < len(nests):
+        return None
+    covariance: Array = np.array(log.frames[key]["covariance"], dtype=float)
+    covariance += _world_covariance(log, floor, at_mm)
+    along = np.array(log.cell.layout.rail_direction)
+    covariance[:3, :3] += np.outer(along, along) * log.cell.rail.strip_tolerance_mm**2 / 3
+    if key == "base":
+        covariance[:3, :3] += budget.measurement_u_mm**2 * np.eye(3)
+    else:
+        covariance += _slide_covariance(log.cell, budget.measurement_u_mm)
+    return covariance
+
+
+def _slide_covariance(cell: Cell, u_mm: float) -> Array:
+    """Return the covariance (6, 6) that ``u_mm`` of every slide nest by itself gives {S}."""
+    nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
+    in_slide_mm = apply(inverse(three_point_frame(*nests_mm[:3])), nests_mm)
+    variances_mm2 = np.tile(u_mm**2 * np.eye(3), (len(nests_mm), 1, 1))
+    return rigid_fit(in_slide_mm, in_slide_mm, weights=variances_mm2).covariance
+
+
+def _world_covariance(log: Log, nests: Sequence[Point], at_mm: Array) -> Array:
+    """Return the covariance (6, 6) that the noise of three floor nests gives a frame at ``at_mm``.
+
+    {W} is spanned by three nests (eqs 14-16), so each coordinate of each is moved by its own
+    standard deviation.
+    """
+    measured_mm = positions_mm(nests)
+    std_mm = np.array([np.array(point.std_mm) / math.sqrt(point.samples) for point in nests])
+    T_W_L = log.matrix("world")
+    as_built, at_tracker_mm = three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
+    covariance: Array = np.zeros((6, 6))
+    for place in np.ndindex(measured_mm.shape):
+        other_mm = measured_mm.copy()
+        other_mm[place] += std_mm[place]
+        T = T_W_L @ as_built @ inverse(three_point_frame(*other_mm))
+        turn = (T[:3, :3] @ T_W_L[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
+        moved = np.concatenate([apply(T, at_tracker_mm)[0] - at_mm, turn])
+        covariance += np.outer(moved, moved)
+    return covariance
+
+
+def grid_drift(first: Log, second: Log) -> GridDrift | None:
+    """Return how the error at the vertices changed, or nothing where the grids differ.
+
+    An error of {B} moves all vertices together; what no small rigid motion explains is the arm's.
+    """
+    if not _same_grid(first, second):
+        return None
+    grid = grid_of(first.cell)
+    order = tuple(grid.serpentine().T)
+    before_mm, after_mm = (grid_errors_mm(log)[order] for log in (first, second))
+    both = np.isfinite(before_mm + after_mm).all(axis=1)
+    if not both.any():
+        return None
+    before_mm, after_mm, places_mm = (
+        each[both] for each in (before_mm, after_mm, grid.serpentine_mm())
+    )
+    moved_mm = np.linalg.norm(after_mm - before_mm, axis=1)
+    own_mm = np.linalg.norm(_less_rigid(places_mm, after_mm - before_mm), axis=1)
+    one_mm, other_mm = (
+        float(np.linalg.norm(each, axis=1).mean()) for each in (before_mm, after_mm)
+    )
+    keys = [f"grid/{i}-{j}-{k}" for i, j, k in grid.serpentine()[both]]
+    worst = int(np.argmax(moved_mm))
+    whole, own = _vertex_u_mm(first, second, based=True), _vertex_u_mm(first, second, based=False)
+    where = f"{len(keys)} vertices"
+    changes = [
+        Change("grid", where, "mean error", "mm", one_mm, other_mm, other_mm - one_mm),
+        _move(where, "mean move", float(moved_mm.mean()), 1, whole),
+        _move(keys[worst], "largest move", float(moved_mm[worst]), len(keys), whole),
+        _move(where, "mean move, rigid part removed", float(own_mm.mean()), 1, own),
+    ]
+    return GridDrift(dict(zip(keys, moved_mm.tolist(), strict=True)), changes)
+
+
+def _same_grid(first: Log, second: Log) -> bool:
+    """Whether both have measured errors on the same lattice."""
+    one, other = grid_of(first.cell), grid_of(second.cell)
+    alike = one.shape == other.shape and one.pitch_mm == other.pitch_mm
+    known = {"world", "base"} <= first.frames.keys() & second.frames.keys()
+    return alike and known and bool(np.array_equal(one.origin_mm, other.origin_mm))
+
+
+def _move(where: str, what: str, change_mm: float, count: int, u_mm: float | None) -> Change:
+    limit_mm = None if u_mm is None else length_factor(count) * u_mm
+    return Change("grid", where, what, "mm", None, None, change_mm, limit_mm)
+
+
+def _less_rigid(places_mm: Array, moved_mm: Array) -> Array:
+    """Return moves (N, 3) at places (N, 3) less the small rigid motion that explains most."""
+    levers = cross_matrix(places_mm - places_mm.mean(axis=0))
+    shifts = np.broadcast_to(np.eye(3), levers.shape)
+    A = np.concatenate([shifts, -levers], axis=2).reshape(-1, 6)
+    values = moved_mm.reshape(-1)
+    rest: Array = values - A @ np.linalg.lstsq(A, values, rcond=None)[0]
+    return rest.reshape(-1, 3)
+
+
+def _vertex_u_mm(first: Log, second: Log, *, based: bool) -> float | None:
+    """Return u of one coordinate of the difference of two errors at a vertex, in {B}.
+
+    {W} cancels: base and vertices were measured in the same set-up. ``based`` adds {B}'s own.
+    """
+    variances_mm2 = [_vertex_variance_mm2(log) for log in (first, second)]
+    if based:
+        variances_mm2 += [_base_variance_mm2(log) for log in (first, second)]
+    known = [each for each in variances_mm2 if each is not None]
+    return math.sqrt(sum(known)) if len(known) == len(variances_mm2) else None
+
+
+def _vertex_variance_mm2(log: Log) -> float | None:
+    """Return the measurement's and the robot's share, where places were visited again."""
+    budget = budget_of(log)
+    groups = {p.group for p in log.points.values() if p.group.startswith("repeatability_")}
+    clouds_mm = [positions_mm(log.group(name)) for name in sorted(groups)]
+    visited_mm = [cloud for cloud in clouds_mm if len(cloud) > 1]
+    if budget is None or not visited_mm:
+        return None
+    return budget.measurement_u_mm**2 + pooled_std_mm(visited_mm) ** 2
+
+
+def _base_variance_mm2(log: Log) -> float | None:
+    covariance = log.frames["base"].get("covariance")
+    if covariance is None:
+        return None
+    base = RigidFit(log.matrix("base"), np.array(covariance), np.empty((0, 3)), 0.0)
+    centre_mm = log.cell.grid.centre.matrix()[:3, 3]
+    return point_uncertainty(base, centre_mm) ** 2 / 3
+
+
+def length_factor(count: int) -> float:
+    """Return k so that with 95 % the largest of ``count`` 3D lengths is at most k u.
+
+    u is the standard uncertainty of one coordinate, all coordinates normal and independent.
+    """
+    from scipy.special import chdtri
+
+    return math.sqrt(float(chdtri(3, 1.0 - CONFIDENCE ** (1.0 / count))))
