@@ -14,6 +14,9 @@ from hilcell.tui.keys import load_keys
 COLOURS = {"auto": "auto", "16": "standard", "256": "256", "truecolor": "truecolor"}
 
 
+SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one that draws
+
+
 def tui(args: argparse.Namespace) -> int:
     """Show the technician's screen until it is left."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
@@ -34,6 +37,7 @@ def tui(args: argparse.Namespace) -> int:
         settings=tuple(f"{key}={value}" for key, value in args.set),
         theme=args.theme, slow=args.slow,
     )  # fmt: skip
+    sys.setswitchinterval(SWITCH_S)
     return HilcellApp(options).run() or 0
 
 

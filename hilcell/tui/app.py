@@ -8,6 +8,7 @@ imported after the first screen is painted.
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import Coroutine
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +92,7 @@ class HilcellApp(App[int]):
     ]  # fmt: skip
 
     def __init__(self, options: Options) -> None:
-        super().__init__(driver_class=StopDriver)
+        super().__init__()
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
         self.session: Session | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
@@ -121,10 +122,7 @@ class HilcellApp(App[int]):
 
     def get_driver_class(self) -> type[Driver]:
         """Give the terminal's driver the one call that must not wait."""
-        driver = super().get_driver_class()
-        if issubclass(driver, StopDriver):
-            return type("Stopping", (driver,), {"on_escape": staticmethod(self._stop_now)})
-        return driver
+        return type("Stopping", (StopDriver,), {"on_escape": staticmethod(self._stop_now)})
 
     def _stop_now(self) -> None:
         session = self.session
@@ -144,6 +142,7 @@ class HilcellApp(App[int]):
         from hilcell.tui.opening import run_to_open
 
         found = await asyncio.to_thread(run_to_open, self.options.runs, self.options.run)
+        gc.freeze()  # what was loaded stays: a collection over all of it would hold up a stop
         if found is not None:
             self.attach(found)
         else:
@@ -282,11 +281,12 @@ class HilcellApp(App[int]):
 
     def do_stop(self) -> None:
         """Stop everything; where nothing runs, go back."""
-        if self.live:
-            self._stop_now()
+        session = self.session
+        sent = session is not None and not session.scene.over and session.stop()
+        if sent or self.live:
             while not isinstance(self.screen, SceneScreen):
                 self.pop_screen()
-            self.say("STOP sent")
+            self.say("STOP sent" if sent else "STOP: no engine is there to hear it")
         elif len(self.screen_stack) > 2:
             self.pop_screen()
 

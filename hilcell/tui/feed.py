@@ -94,6 +94,6 @@ class Feed:
             return msgspec.convert(self.link.ask("status"), Status)
         except LinkLostError:
             self.link = None
-        except HilcellError:
-            pass  # refused: shown by its silence, the lamps grow stale
+        except (HilcellError, msgspec.ValidationError):
+            pass  # refused, or of another version: the lamps grow stale
         return None

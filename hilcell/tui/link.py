@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import socket
 import threading
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -44,10 +43,13 @@ class Link:
         except (OSError, msgspec.DecodeError):
             return None
 
-    def stop(self) -> None:
-        """Ask for a stop now; waits for nothing."""
-        with suppress(OSError):  # the engine is gone, and has stopped its devices
+    def stop(self) -> bool:
+        """Ask for a stop now, waiting for nothing; return whether the words went out."""
+        try:
             self._stopping.sendall(_STOP)
+        except OSError:
+            return False
+        return True
 
     def ask(self, command: str, **facts: str) -> dict[str, Any]:
         """Send a command and return the answer; raises `HilcellError` with the refusal."""

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 from hilcell.run.control import live_engine
 from hilcell.runs import find_run, run_folders
+
+LATER = (
+    "hilcell.tui.session", "hilcell.tui.draw", "hilcell.tui.series", "hilcell.index",
+    *(f"hilcell.tui.screens.{name}"
+      for name in ("run", "pages", "log", "plots", "history", "start", "report", "compare")),
+)  # fmt: skip
 
 
 def run_to_open(runs: Path, name: str) -> Path | None:
@@ -13,9 +20,8 @@ def run_to_open(runs: Path, name: str) -> Path | None:
 
     Loads, in the caller's thread, everything that reads a journal.
     """
-    import hilcell.tui.screens.run
-    import hilcell.tui.session  # noqa: F401 - loaded here so that the screen need not wait
-
+    for module in LATER:
+        importlib.import_module(module)
     if name:
         return find_run(runs, name)
     with_engine = [folder for folder in run_folders(runs) if (folder / "engine.json").is_file()]

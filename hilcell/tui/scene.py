@@ -99,13 +99,17 @@ class Scene:
             self.step, self.step_points = record.body, 0
 
     @property
+    def over(self) -> bool:
+        """Whether the run has ended, by its journal."""
+        return self.log.states["run"] in OVER and self.log.end is not None
+
+    @property
     def key(self) -> str:
         """Return the state in one word, as the state block names it."""
         state = self.log.states["run"]
-        over = state in OVER and self.log.end is not None
         if self.starting and not self.alive:
             return "checking"
-        if not self.alive and not over:
+        if not self.alive and not self.over:
             return "gone" if self.log.plan is not None else "idle"
         if state == "finished":
             return "intolerant" if self.log.end and self.log.end["exit"] else "done"

@@ -11,6 +11,7 @@ from hilcell.alarms import Latch, alarms_of
 from hilcell.errors import HilcellError
 from hilcell.run.forecast import Forecast
 from hilcell.tui.feed import Feed, Fresh
+from hilcell.tui.link import Link
 from hilcell.tui.scene import Scene
 
 
@@ -59,11 +60,20 @@ class Session:
         scene.elapsed_s = self._forecast.elapsed_s(now if scene.live else last)
         scene.remaining_s = self._forecast.remaining_s(now) if scene.live else None
 
-    def stop(self) -> None:
-        """Send a stop at once, from whatever thread; harmless where no engine lives."""
+    def stop(self) -> bool:
+        """Send a stop at once, from whatever thread; return whether an engine was there to hear.
+
+        Where the line has just been lost, a new one is opened for it.
+        """
         link = self.feed.link
-        if link is not None:
-            link.stop()
+        if link is not None and link.stop():
+            return True
+        fresh = Link.to(self.folder)
+        if fresh is None:
+            return False
+        sent = fresh.stop()
+        fresh.close()
+        return sent
 
     def ask(self, command: str, **facts: str) -> None:
         """Send a command; raises `HilcellError` where it is refused or no engine lives."""

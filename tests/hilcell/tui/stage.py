@@ -2,57 +2,98 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 
+from textual.pilot import Pilot
 
 from hilcell.tui.app import HilcellApp, Options
+from hilcell.tui.feed import Fresh
 from hilcell.tui.glyphs import ASCII, UNICODE
-from hilcell.tui.keys import ACTIONS
+from hilcell.tui.keys import ACTIONS, Keymap
 from hilcell.tui.screens.run import RunScreen
+from hilcell.tui.screens.start import StartScreen
 from hilcell.tui.session import Session
-from tests.hilcell.tui.scenes import RUN, fresh, stories
+from tests.hilcell.tui.scenes import BEGAN, RUN, fresh, stories
 
 DEFAULT_KEYS = {action.name: action.keys for action in ACTIONS}
+SIZE = (80, 24)
 
 
 class Listener(Session):
-    """A session whose commands are written down; its stop, too."""
+    """A session whose commands are written down; its stop and its end, too."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, lambda _: None, 0.25)
         self.asked: list[tuple[str, dict[str, str]]] = []
         self.stops = 0
+        self.closed: list[bool] = []  # whether it was left on purpose
 
     def ask(self, command: str, **facts: str) -> None:
         """Write a command down."""
         self.asked.append((command, facts))
 
-    def stop(self) -> None:
-        """Count a stop."""
+    def stop(self) -> bool:
+        """Count a stop; an engine that only listens is there to hear it."""
         self.stops += 1
+        return self.scene.alive
+
+    def close(self, *, leave: bool) -> None:
+        """Write the end down."""
+        self.closed.append(leave)
+        super().close(leave=leave)
 
 
 class Stage(HilcellApp):
-    """Opens a made-up run in place of looking for one."""
+    """Opens a made-up run in place of looking for one; without a run, the form."""
 
-    def __init__(self, options: Options, name: str) -> None:
+    def __init__(self, options: Options, name: str = "", brought: Fresh | None = None) -> None:
         super().__init__(options)
-        self.heard = Listener(options.runs / RUN)
-        self.story = name
+        self.heard = Listener(options.runs / (options.run or RUN))
+        self.story, self.brought = name, brought
+        self.engines: list[tuple[Path, Sequence[str]]] = []
 
     async def _open(self) -> None:
+        while len(self.screen_stack) > 1:
+            self.pop_screen()
+        if not self.story and self.brought is None:
+            self.push_screen(StartScreen())
+            return
         self.session = self.heard
-        self.heard.take(fresh(self.story), stories()[self.story].now)
+        self.heard.take(self.brought or fresh(self.story), self._now())
         self.push_screen(RunScreen())
+
+    def _now(self) -> datetime:
+        return stories()[self.story].now if self.story else BEGAN
 
     def _tick(self) -> None:
         """Time stands still on this stage."""
 
+    def start_resume(self, *words: str) -> None:
+        """Write down what an engine would have been started with."""
+        self.engines.append((self.heard.folder, words))
 
-def options(folder: Path, *, ascii_only: bool = False, theme: str = "calm") -> Options:
+
+def options(
+    folder: Path, *, ascii_only: bool = False, theme: str = "calm", keymap: Keymap | None = None
+) -> Options:
     """Return how the stage is set."""
     glyphs = ASCII if ascii_only else UNICODE
-    return Options(runs=folder, keymap=DEFAULT_KEYS, glyphs=glyphs, theme=theme)
+    return Options(runs=folder, keymap=keymap or DEFAULT_KEYS, glyphs=glyphs, theme=theme)
+
+
+async def settle(pilot: Pilot[int]) -> None:
+    """Wait until what was begun in the background is done and painted."""
+    await pilot.pause()
+    await pilot.app.workers.wait_for_complete()
+    await pilot.pause()
+
+
+async def press(pilot: Pilot[int], *keys: str) -> None:
+    """Press keys, and wait until what they began is done and painted."""
+    await pilot.press(*keys)
+    await settle(pilot)
 
 
 def text_of(app: HilcellApp) -> str:

@@ -1,0 +1,101 @@
+"""A real terminal, as a pty with a screen in memory: what is typed goes in, what is seen comes out."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import select
+import signal
+import struct
+import sys
+import termios
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Self
+
+import pyte
+
+READ = 1 << 16
+
+
+class Terminal:
+    """Runs `hilcell` with some words in a terminal of its own."""
+
+    def __init__(self, words: Sequence[str], *, columns: int = 80, rows: int = 24,
+                 **environment: str) -> None:  # fmt: skip
+        self.screen = pyte.Screen(columns, rows)
+        self.raw = bytearray()
+        self._stream = pyte.ByteStream(self.screen)
+        self.began_s = time.monotonic()
+        size = struct.pack("HHHH", rows, columns, 0, 0)
+        self.pid, self._end = pty.fork()
+        if self.pid == 0:
+            fcntl.ioctl(sys.stdin.fileno(), termios.TIOCSWINSZ, size)
+            seen = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
+            os.environ.update(seen | environment)
+            os.execv(sys.executable, [sys.executable, "-m", "hilcell", *words])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def text(self) -> str:
+        """Return what is seen."""
+        return "\n".join(line.rstrip() for line in self.screen.display)
+
+    def press(self, keys: str) -> None:
+        """Type."""
+        os.write(self._end, keys.encode())
+
+    def pump(self, wait_s: float) -> bool:
+        """Take what has come within some time; return whether anything did."""
+        ready, _, _ = select.select([self._end], [], [], wait_s)
+        if not ready:
+            return False
+        try:
+            read = os.read(self._end, READ)
+        except OSError:  # the other side has closed its terminal
+            read = b""
+        self.raw += read
+        self._stream.feed(read)
+        return bool(read)
+
+    def until(self, seen: Callable[[str], bool], limit_s: float = 30.0) -> float:
+        """Wait until the screen shows something; return how long that took, s."""
+        began_s = time.monotonic()
+        while not seen(self.text):
+            left_s = limit_s - (time.monotonic() - began_s)
+            if left_s <= 0 or (not self.pump(min(left_s, 0.5)) and self.ended):
+                raise TimeoutError(f"not seen within {limit_s} s; the screen shows\n{self.text}")
+        return time.monotonic() - began_s
+
+    def shows(self, words: str, limit_s: float = 30.0) -> float:
+        """Wait until the screen shows these words."""
+        return self.until(lambda text: words in text, limit_s)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the program has ended."""
+        with suppress(ChildProcessError):
+            return os.waitpid(self.pid, os.WNOHANG) != (0, 0)
+        return True
+
+    def cpu_s(self) -> float:
+        """Return how much processor time the program has used."""
+        with open(f"/proc/{self.pid}/stat", encoding="ascii") as stat:
+            fields = stat.read().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def close(self) -> None:
+        """End the program and the terminal."""
+        if not self.ended:
+            os.kill(self.pid, signal.SIGKILL)
+            with suppress(ChildProcessError):
+                os.waitpid(self.pid, 0)
+        with suppress(OSError):
+            os.close(self._end)
