@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -59,12 +60,16 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument(
         "--operator", type=clean, default="", metavar="NAME", help="kept in the journal"
     )
+    run.add_argument("--name", type=_run_name, metavar="RUN", help="the run's name and "
+                     "folder (default: made of time and procedure)")  # fmt: skip
     run.add_argument("--job", type=clean, default="", metavar="ID", help="kept in the journal")
     run.add_argument("--dry-run", action="store_true", help="check and show the plan; open nothing")
     _json_option(run, "one event a line, as journalled")
     resume = _command(commands, "resume", "commands.run:resume", "continue a run, or a paused one")
     _run_argument(resume)
     resume.add_argument("--unattended", action="store_true", help="nobody is there to ask")
+    resume.add_argument("--retake", action="append", default=[], metavar="KEY", help="measure this "
+                        "point anew; may be repeated; opens a finished run again")  # fmt: skip
     _json_option(resume, "one event a line, as journalled")
 
 
@@ -227,6 +232,15 @@ def _seed(text: str) -> int:
             f"a whole number of 0 .. {MOST_SEED} is wanted, found {text[:80]!r}"
         )
     return value
+
+
+def _run_name(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", text) or text == "last":
+        raise argparse.ArgumentTypeError(
+            "1 to 100 letters, digits, '_', '.' and '-' are wanted, the first a letter or digit, "
+            f"found {text[:80]!r}"
+        )
+    return text
 
 
 def _finite(text: str) -> float:

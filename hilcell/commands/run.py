@@ -7,7 +7,7 @@ import math
 import platform
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
@@ -29,7 +29,9 @@ from hilcell.run.journal import Journal
 from hilcell.run.lock import lock_of_address, lock_of_name, locked
 from hilcell.run.log import Log
 from hilcell.run.procedure import Plan, Procedure
-from hilcell.run.runner import Runner, finish, stopped_by_signals
+from hilcell.run.retake import retake_refusal
+from hilcell.run.runner import Runner, finish
+from hilcell.run.signals import stopped_by_signals
 from hilcell.runs import JOURNAL, find_run, new_run, read_log
 from hilcell.writing import NotWritten
 
@@ -45,10 +47,12 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_dry_run(cell, procedure, plan, as_json=args.json)
         return 0
-    name = new_run(procedure.name)
+    name = args.name or new_run(procedure.name)
+    folder: Path = args.runs / name
     with locked(lock_of_name(args.runs, cell.name), f"cell {cell.name}", name):
-        folder: Path = args.runs / name
-        folder.mkdir(parents=True)
+        if (folder / JOURNAL).exists():
+            raise HilcellError(f"run {name} exists already in {args.runs}; choose another --name")
+        folder.mkdir(parents=True, exist_ok=True)
         journal = Journal(folder / JOURNAL, name, create=True)
         log = Log()
         journal.listen(log.take)
@@ -61,20 +65,34 @@ def resume(args: argparse.Namespace) -> int:
     """Let a paused run go on, or continue one that ended early."""
     folder = find_run(args.runs, args.run)
     if live_engine(folder) is not None:
-        answer = send_command(folder, "proceed")
-        print(f"run {folder.name}: asked to go on; it was {answer.get('state')}", file=sys.stderr)
-        return 0
+        return _resume_live(folder, args.retake)
     log = read_log(folder)
     cell, inputs = log.cell, log.inputs
-    if log.states["run"] == "finished" and log.end is not None and _calibrated(log, folder):
+    anew = [key for key in args.retake if key not in log.retakes]
+    if refusals := [why for key in anew if (why := retake_refusal(log, key))]:
+        raise HilcellError("\n".join(refusals))
+    over = log.states["run"] == "finished" and log.end is not None and _calibrated(log, folder)
+    if over and not (anew or log.retakes):
         raise HilcellError(f"run {folder.name} is finished; start a new one with `hilcell run`")
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     with locked(lock_of_name(folder.parent, cell.name), f"cell {cell.name}", folder.name):
         journal = Journal(folder / JOURNAL, folder.name, create=False)
         journal.listen(log.take)
         face = _face(args.json, folder.name, inputs.points, journal)
+        for key in anew:
+            journal.append("event", "", {"what": "retake asked", "key": key})
         face.already(sum(point.group != "control" for point in log.points.values()))
         return _perform(cell, procedure, journal, log, face, folder, unattended=args.unattended)
+
+
+def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
+    for key in retakes:
+        answer = send_command(folder, "retake", key=key)
+        if not answer["ok"]:
+            raise HilcellError(f"run {folder.name}: {answer['error']}")
+    answer = send_command(folder, "proceed")
+    print(f"run {folder.name}: asked to go on; it was {answer.get('state')}", file=sys.stderr)
+    return 0
 
 
 def _calibrated(log: Log, folder: Path) -> bool:
@@ -95,7 +113,7 @@ def _perform(
     with ExitStack() as stack:
         stack.callback(journal.close)
         stack.enter_context(face)
-        if log.states["run"] == "finished":
+        if log.states["run"] == "finished" and not log.retakes:
             code, fault = finish(procedure, journal, log), None
         else:
             code, fault = _run(cell, procedure, journal, log, folder, unattended=unattended)
@@ -138,7 +156,7 @@ def _run(
                 cell, procedure, journal, log,
                 devices=devices, clock=clock, stop=stop, unattended=unattended,
             )  # fmt: skip
-            stack.callback(Control(folder, runner.post, runner.status).close)
+            stack.callback(Control(folder, runner).close)
             return runner.run(), runner.fault
     except (HilcellError, Stopped) as error:
         code, state = exit_code(error), log.states["run"]

@@ -22,9 +22,13 @@ from hilcell.run.interlocks import check_joint_limits, check_strip, rail_may_mov
 from hilcell.run.journal import Journal
 from hilcell.run.log import Log, Point
 from hilcell.run.machine import CALIBRATION, StateMachine
+from hilcell.run.prompts import Look, Prompt
+from hilcell.run.retake import still_refused
+from hilcell.run.seat import FLANGE, beam_prompt
 from hilcell.run.strip import approach_station
 
-FLANGE = "flange"
+__all__ = ["FLANGE", "Bench"]
+
 FLANGE_TOLERANCE_MM = 20.0
 MEASURE_TRIES = 3
 
@@ -41,7 +45,7 @@ class Bench:
         log: Log,
         *,
         checkpoint: Callable[[], None],
-        ask: Callable[[str], None],
+        ask: Callable[[Prompt, Callable[[], Look]], Look],
     ) -> None:
         self.cell, self.devices, self.clock = cell, devices, clock
         self.log, self.frames = log, Frames(cell, log)
@@ -83,6 +87,11 @@ class Bench:
     def seed(self) -> int:
         """Return the run's seed, from which random targets are drawn."""
         return self.log.inputs.seed
+
+    @property
+    def held(self) -> Station | None:
+        """Return the station at which the slide is held."""
+        return self._held
 
     # -- the rail -----------------------------------------------------------------------------
 
@@ -192,14 +201,38 @@ class Bench:
         """Send the reflector on the flange to joints (6,) and measure it, once in a run's life.
 
         ``retake`` measures it anew; the later point supersedes, the earlier stays journalled.
+        Points that the operator wants anew are measured first.
         """
+        self.retake_waiting()
         if key in self.log.points and not retake:
             return self.log.points[key]
+        return self._flange_point(key, group, station, joints_rad, nominal_mm, retake=retake)
+
+    def retake_waiting(self) -> bool:
+        """Measure anew the points that wait for it; return whether there were any.
+
+        Only where nothing is assumed about where slide and robot stand.
+        """
+        waiting = [self.log.points[key] for key in self.log.retakes]
+        for point in waiting:
+            if refused := still_refused(self.log, point.key):
+                self.event("retake refused", key=point.key, reason=refused)
+                continue
+            self._flange_point(
+                point.key, point.group, self.cell.station_named(point.station),
+                np.radians(point.commanded_deg or ()), point.nominal_mm, retake=True,
+            )  # fmt: skip
+        return bool(waiting)
+
+    def _flange_point(
+        self, key: str, group: str, station: Station, joints_rad: Array,
+        nominal_mm: Array | tuple[float, ...] | None, *, retake: bool,
+    ) -> Point:  # fmt: skip
         self.checkpoint()
         self.hold_station(station)
         robot = self.robot_to(joints_rad, key)
         expected = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
-        reading = self._measure_in_world(key, expected[:3, 3], self.cell.tracker.samples)
+        reading = self._measure_in_world(key, FLANGE, expected[:3, 3], self.cell.tracker.samples)
         if self.frames.based():
             self._check_expected(key, reading, expected[:3, 3], FLANGE_TOLERANCE_MM)
         return self._keep(
@@ -222,7 +255,8 @@ class Bench:
         self.checkpoint()
         robot = self.robot_to(joints_rad, missing[0][0])
         for key, near_mm in missing:
-            reading = self._measure(key, near_mm, self.cell.tracker.samples)
+            place = key.rsplit("/", 1)[-1]
+            reading = self._measure(key, place, near_mm, self.cell.tracker.samples)
             self._keep(
                 key, group, "", reading,
                 commanded_deg=np.degrees(joints_rad), joints_deg=np.degrees(robot.joints_rad),
@@ -234,7 +268,8 @@ class Bench:
         if key in self.log.points:
             return self.log.points[key]
         self.checkpoint()
-        reading = self._measure_in_world(key, nest.xyz_mm, self.cell.layout.nest_samples)
+        samples = self.cell.layout.nest_samples
+        reading = self._measure_in_world(key, nest.name, nest.xyz_mm, samples)
         return self._keep(key, group, "", reading)
 
     def slide_point(
@@ -246,7 +281,7 @@ class Bench:
         self.checkpoint()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
-        reading = self._measure_in_world(key, expected, samples)
+        reading = self._measure_in_world(key, nest.name, expected, samples)
         if self.frames.based():
             self._check_expected(key, reading, expected, 2 * self.cell.layout.nest_tolerance_mm)
         return self._keep(key, group, station.name, reading)
@@ -263,26 +298,43 @@ class Bench:
         else:
             nests = {nest.name: nest.xyz_mm for nest in self.cell.layout.slide}
             expected = (T_W_B @ np.append(nests[name], 1.0))[:3]
-        reading = self._measure_in_world(key, expected, self.cell.layout.nest_samples)
+        reading = self._measure_in_world(key, name, expected, self.cell.layout.nest_samples)
         return self._keep(key, group, "", reading)
 
-    def _measure_in_world(self, key: str, expected_mm: Array, samples: int) -> TrackerReading:
-        return self._measure(key, self.frames.tracker_from_world(expected_mm)[0], samples)
+    def _measure_in_world(
+        self, key: str, place: str, expected_mm: Array, samples: int
+    ) -> TrackerReading:
+        near_mm = self.frames.tracker_from_world(expected_mm)[0]
+        return self._measure(key, place, near_mm, samples)
 
-    def _measure(self, key: str, near_mm: Array, samples: int) -> TrackerReading:
-        tracker, reflector = self.devices.tracker, self.cell.tracker.reflector
+    def _measure(self, key: str, place: str, near_mm: Array, samples: int) -> TrackerReading:
         while True:
             for tries in range(1, MEASURE_TRIES + 1):
-                began_s = time.monotonic()
                 try:
-                    reading = tracker.measure(near_mm, reflector, samples)
+                    return self._reading(key, near_mm, samples)
                 except NoReading as error:
                     self.event("no reading", key=key, tries=tries, reason=str(error))
                     reason = str(error)
-                    continue
-                _check_fresh(key, reading, began_s)
-                return reading
-            self._ask(f"{key}: {reason}")
+            limit_mm = self.cell.tracker.find_radius_mm
+            prompt = beam_prompt(self.cell, key, place, near_mm, limit_mm, reason)
+            self._ask(prompt, lambda: self._look(key, near_mm))
+
+    def _reading(self, key: str, near_mm: Array, samples: int) -> TrackerReading:
+        """Return one measurement; raises `NoReading`."""
+        began_s = time.monotonic()
+        reading = self.devices.tracker.measure(near_mm, self.cell.tracker.reflector, samples)
+        _check_fresh(key, reading, began_s)
+        return reading
+
+    def _look(self, key: str, near_mm: Array) -> Look:
+        """Look for the reflector with the beam alone; a tracker that fails sees nothing."""
+        try:
+            reading = self._reading(key, near_mm, 1)
+        except DeviceError as error:
+            return Look(None, str(error), time.monotonic())
+        x, y, z = (float(value) for value in reading.xyz_mm)
+        off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
+        return Look(off_mm, "", reading.taken_s, (x, y, z))
 
     def _check_expected(
         self, key: str, reading: TrackerReading, expected_mm: Array, limit_mm: float

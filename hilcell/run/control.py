@@ -1,7 +1,8 @@
 """The engine's control channel: a local socket, mode 0600, JSON lines in, JSON lines out.
 
 The socket lies in a private folder of its own, because a run's folder may be on a disk that knows
-no sockets or under a path too long for one; ``engine.json`` beside the journal says where.
+no sockets or under a path too long for one; ``engine.json`` beside the journal says where. A
+connection lives as long as who opened it: one that attends and ends without a word was lost.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Protocol
 
 import msgspec
 
@@ -22,7 +24,9 @@ from hilcell.ports import HilcellError
 
 ANSWER_S = 5.0
 LONGEST = 4096
-COMMANDS = ("pause", "proceed", "stop", "status")
+LONGEST_ANSWER = 1 << 16
+
+Words = dict[str, str]
 
 
 class EngineFile(msgspec.Struct, frozen=True):
@@ -32,28 +36,51 @@ class EngineFile(msgspec.Struct, frozen=True):
     socket: str
 
 
-class Control:
-    """Listens for commands and hands them to ``post``; ``status`` answers without the queue."""
+class Engine(Protocol):
+    """What the control channel serves; every method may come from any thread."""
 
-    def __init__(
-        self, folder: Path, post: Callable[[str], None], status: Callable[[], dict[str, object]]
-    ) -> None:
+    def stop(self) -> None:
+        """Stop everything now."""
+
+    def post(self, command: str) -> None:
+        """Queue ``pause``, ``proceed``, ``abort`` or ``lost`` (nobody watches any more)."""
+
+    def answer(self) -> str:
+        """Say that the prompt is done; return why that is refused."""
+
+    def retake(self, key: str) -> str:
+        """Have a point measured anew; return why that is refused."""
+
+    def watched(self, by: int) -> int:
+        """Add ``by`` to the screens that attend; return how many do now."""
+
+    def status(self) -> dict[str, object]:
+        """Return the run's state."""
+
+
+class Control:
+    """Listens for commands and hands them to the engine."""
+
+    def __init__(self, folder: Path, engine: Engine) -> None:
         self._file = folder / "engine.json"
         self._private = Path(tempfile.mkdtemp(prefix="hilcell-"))
         path = self._private / "control"
-        self._server = _Server(str(path), post, status)
+        self._server = _Server(str(path), engine)
         path.chmod(0o600)
-        engine = EngineFile(os.getpid(), str(path))
-        self._file.write_bytes(msgspec.json.encode(engine))
+        where = EngineFile(os.getpid(), str(path))
+        self._file.write_bytes(msgspec.json.encode(where))
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.05,), name="control", daemon=True
         )
         self._thread.start()
 
     def close(self) -> None:
-        """Stop listening and remove the socket."""
+        """Stop listening, end every connection and remove the socket; once."""
+        if not self._thread.is_alive():
+            return
         self._server.shutdown()
         self._server.server_close()
+        self._server.end_connections()
         self._thread.join()
         self._file.unlink(missing_ok=True)
         shutil.rmtree(self._private, ignore_errors=True)
@@ -62,36 +89,83 @@ class Control:
 class _Server(socketserver.ThreadingUnixStreamServer):
     daemon_threads = True
 
-    def __init__(
-        self, path: str, post: Callable[[str], None], status: Callable[[], dict[str, object]]
-    ) -> None:
-        self.post, self.status = post, status
+    def __init__(self, path: str, engine: Engine) -> None:
+        self.engine = engine
+        self.connections: set[socket.socket] = set()
         super().__init__(path, _Handler)
+
+    def end_connections(self) -> None:
+        for connection in tuple(self.connections):
+            with suppress(OSError):  # it has ended by itself
+                connection.shutdown(socket.SHUT_RDWR)
 
 
 class _Handler(socketserver.StreamRequestHandler):
+    """One connection."""
+
     server: _Server
-    timeout = ANSWER_S
+
+    def setup(self) -> None:
+        super().setup()
+        self.attends = False
+        self.server.connections.add(self.connection)
 
     def handle(self) -> None:
         with suppress(OSError):  # whoever asked has left
-            line = self.rfile.readline(LONGEST)
-            if line:
+            while line := self.rfile.readline(LONGEST):
                 self.wfile.write(msgspec.json.encode(self._answer(line)) + b"\n")
+                if not line.endswith(b"\n"):
+                    return  # what follows is the rest of a line too long
+
+    def finish(self) -> None:
+        self.server.connections.discard(self.connection)
+        if self.attends and self.server.engine.watched(-1) == 0:
+            self.server.engine.post("lost")
+        with suppress(OSError):
+            super().finish()
 
     def _answer(self, line: bytes) -> dict[str, object]:
+        engine = self.server.engine
         try:
-            command = msgspec.json.decode(line, type=dict[str, str]).get("command", "")
+            words = msgspec.json.decode(line, type=Words)
         except msgspec.DecodeError:
-            command = ""
-        if command not in COMMANDS:
-            return {"ok": False, "error": f"commands: {', '.join(COMMANDS)}"}
-        if command != "status":
-            self.server.post(command)
-        return {"ok": True} | self.server.status()
+            words = {}
+        command = words.get("command", "")
+        if command == "stop":
+            engine.stop()  # before anything else is done
+        elif command in ("pause", "proceed", "abort"):
+            engine.post(command)
+        else:
+            act = self._acts().get(command)
+            if act is None:
+                return {"ok": False, "error": f"commands: {', '.join(COMMANDS)}"}
+            if refused := act(words):
+                return {"ok": False, "error": refused}
+        return {"ok": True} | engine.status()
+
+    def _acts(self) -> dict[str, Callable[[Words], str]]:
+        engine = self.server.engine
+        return {
+            "status": lambda _: "",
+            "answer": lambda _: engine.answer(),
+            "retake": lambda words: engine.retake(words.get("key", "")),
+            "attend": lambda _: self._attend(attends=True),
+            "leave": lambda _: self._attend(attends=False),
+        }
+
+    def _attend(self, *, attends: bool) -> str:
+        if attends != self.attends:
+            self.attends = attends
+            self.server.engine.watched(1 if attends else -1)
+        return ""
 
 
-def send_command(folder: Path, command: str) -> dict[str, object]:
+COMMANDS = (
+    "status", "pause", "proceed", "stop", "abort", "answer", "retake", "attend", "leave",
+)  # fmt: skip
+
+
+def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
     """Send ``command`` to the engine of the run in ``folder`` and return its answer.
 
     Raises `HilcellError` when no engine lives there.
@@ -105,10 +179,12 @@ def send_command(folder: Path, command: str) -> dict[str, object]:
         link.settimeout(ANSWER_S)
         try:
             link.connect(engine.socket)
-            link.sendall(msgspec.json.encode({"command": command}) + b"\n")
-            answer = link.makefile("rb").readline(LONGEST)
+            link.sendall(msgspec.json.encode({"command": command} | facts) + b"\n")
+            answer = link.makefile("rb").readline(LONGEST_ANSWER)
         except OSError as error:
             raise HilcellError(f"run {folder.name}: the engine does not answer: {error}") from error
+    if not answer:
+        raise HilcellError(f"run {folder.name}: the engine has just ended; `hilcell show` tells")
     return msgspec.json.decode(answer, type=dict[str, object])
 
 

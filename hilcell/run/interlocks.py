@@ -6,12 +6,21 @@ function: these interlocks protect the measurement and the machine's peace, not 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from hilcell.cell import Cell, Station
 from hilcell.ports import Array, DeviceError, RailReading, RobotReading
 
 SAFE_POSE_TOLERANCE_DEG = 0.1
+OVERVIEW_AGE_S = 5.0  # an older reading tells a face nothing; motions take their own
+
+
+RAIL_BLOCKED, ROBOT_BLOCKED, MEASURE_BLOCKED = (
+    "rail move blocked", "robot move blocked", "measurement blocked"
+)  # fmt: skip
 
 
 class Blocked(DeviceError):
@@ -30,8 +39,13 @@ def check_age(device: str, operation: str, taken_s: float, now_s: float, limit_s
 
 def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
     """I1: the robot rests at its safe pose, by a reading taken after it stopped."""
-    operation = "rail move blocked"
-    check_age("Robot", operation, robot.taken_s, now_s, cell.settle.reading_age_s)
+    check_age("Robot", RAIL_BLOCKED, robot.taken_s, now_s, cell.settle.reading_age_s)
+    check_safe_pose(cell, robot)
+
+
+def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
+    """Refuse a robot that moves or is not at its safe pose."""
+    operation = RAIL_BLOCKED
     if not robot.still:
         raise Blocked("Robot", operation, "the robot is moving", wanted="at rest at its safe pose")
     off_deg = np.abs(np.degrees(robot.joints_rad) - cell.robot.safe_deg)
@@ -47,8 +61,12 @@ def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
 
 def robot_may_move(cell: Cell, rail: RailReading, station: Station | None, now_s: float) -> None:
     """I2: the slide stands, is held, and the strip reads the station's value."""
-    operation = "robot move blocked"
-    check_age("Rail", operation, rail.taken_s, now_s, cell.settle.reading_age_s)
+    check_age("Rail", ROBOT_BLOCKED, rail.taken_s, now_s, cell.settle.reading_age_s)
+    check_held(cell, rail, station, ROBOT_BLOCKED)
+
+
+def check_held(cell: Cell, rail: RailReading, station: Station | None, operation: str) -> None:
+    """Refuse a slide that moves, has power to move, or does not stand at ``station``."""
     if not rail.still:
         raise Blocked(
             "Rail", operation, f"slide moves at {rail.velocity_mm_s:.3f} mm/s", wanted="0"
@@ -82,3 +100,60 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
             wanted=f"{np.degrees(low[axis]):.1f} .. {np.degrees(high[axis]):.1f} deg",
             act="move the target or choose another status",
         )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a face knows of the cell: last readings, what moves now, the station that is held."""
+
+    rail: RailReading | None
+    robot: RobotReading | None
+    rail_moves: bool
+    robot_moves: bool
+    station: Station | None
+    now_s: float
+
+
+def overview(cell: Cell, sight: Sight) -> list[dict[str, str]]:
+    """Return for each interlock its name and what blocks it, from last readings, for faces."""
+
+    def held(operation: str) -> None:
+        _check_known("Rail", operation, sight.rail, sight.rail_moves, sight.now_s)
+        if sight.rail is not None:
+            check_held(cell, sight.rail, sight.station, operation)
+
+    def parked() -> None:
+        _check_known("Robot", RAIL_BLOCKED, sight.robot, sight.robot_moves, sight.now_s)
+        if sight.robot is not None:
+            check_safe_pose(cell, sight.robot)
+
+    def at_rest() -> None:
+        held(MEASURE_BLOCKED)
+        _check_known("Robot", MEASURE_BLOCKED, sight.robot, sight.robot_moves, sight.now_s)
+        if sight.robot is not None and not sight.robot.still:
+            raise Blocked("Robot", MEASURE_BLOCKED, "the robot is moving", wanted="at rest")
+
+    return [
+        {"name": "rail may move", "blocked": _reason(parked)},
+        {"name": "robot may move", "blocked": _reason(lambda: held(ROBOT_BLOCKED))},
+        {"name": "measure", "blocked": _reason(at_rest)},
+    ]
+
+
+def _check_known(
+    device: str, operation: str, reading: RailReading | RobotReading | None, moves: bool,
+    now_s: float,
+) -> None:  # fmt: skip
+    if moves:
+        raise Blocked(device, operation, f"the {device.lower()} is moving", wanted="at rest")
+    if reading is None:
+        raise Blocked(device, operation, f"the {device.lower()} was not read yet")
+    check_age(device, operation, reading.taken_s, now_s, OVERVIEW_AGE_S)
+
+
+def _reason(check: Callable[[], None]) -> str:
+    try:
+        check()
+    except Blocked as blocked:
+        return blocked.found + (f", wanted {blocked.wanted}" if blocked.wanted else "")
+    return ""

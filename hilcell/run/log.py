@@ -81,6 +81,7 @@ class Log:
         self.end: dict[str, Any] | None = None
         self.fault = ""
         self.moved = False  # in this session
+        self.retakes: dict[str, None] = {}  # keys of points that wait to be measured anew
         for record in records:
             self.take(record)
 
@@ -95,16 +96,25 @@ class Log:
                 self._take_state(body)
             case "point":
                 self.points[record.key] = msgspec.convert(body | {"key": record.key}, Point)
+                self.retakes.pop(record.key, None)
             case "frame":
                 self.frames[record.key] = body
             case "verdict":
                 self.verdicts[record.key] = body
             case "event":
                 self.events.append(record)
+                self._take_event(body)
             case "end":
                 self.end = body
             case "intent":
                 self.moved = True
+
+    def _take_event(self, body: dict[str, Any]) -> None:
+        match body.get("what"):
+            case "retake asked":
+                self.retakes[body["key"]] = None
+            case "retake refused":
+                self.retakes.pop(body["key"], None)
 
     def _take_state(self, body: dict[str, Any]) -> None:
         self.states[body["machine"]] = body["to"]

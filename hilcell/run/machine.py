@@ -54,6 +54,7 @@ RUN = Table(
         ("fault", (*ALIVE, "stopping"), "faulted"),
         ("finish", ("running",), "finished"),
         ("resume", (*ALIVE, "idle", "stopping", "aborted", "faulted"), "checking"),
+        ("reopen", ("finished",), "checking"),
     ),
 )
 

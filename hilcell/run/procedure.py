@@ -93,8 +93,15 @@ class Procedure:
         return Plan(steps)
 
     def perform(self, bench: Bench) -> None:
-        """Perform all acts."""
-        for part in self.parts:
+        """Perform all acts, and all again where a point is measured anew behind the last one."""
+        self._acts(bench)
+        while bench.retake_waiting():
+            self._acts(bench)
+
+    def _acts(self, bench: Bench) -> None:
+        for number, part in enumerate(self.parts, start=1):
+            bench.retake_waiting()  # before its successors are built on the point
+            bench.event("step", name=part.name, number=number, of=len(self.parts))
             part.perform(bench)
 
     def result(self, log: Log) -> dict[str, Any]:

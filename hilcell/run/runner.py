@@ -1,21 +1,19 @@
 """The runner: one worker performs the procedure, the main thread owns the run's life.
 
-The main thread takes messages from one queue: commands of the operator and the worker's end. A
-stop sets the stop event, which ends every wait within 20 ms, and sends each device its stop frame
-from here, so it works while the worker hangs in a call.
+The main thread takes messages from one queue: commands of the operator and the worker's words. A
+stop sets the stop event, which ends every wait within 20 ms, and has each device's stop frame
+sent by threads that wait for nothing else, so it works while the worker hangs in a call.
 """
 
 from __future__ import annotations
 
 import queue
-import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any
 
 from hilcell.cell import Cell
 from hilcell.devices import Devices, connect_all
@@ -29,14 +27,22 @@ from hilcell.exits import (
 )
 from hilcell.ports import Clock, DeviceError, HilcellError, Stopped
 from hilcell.run.bench import Bench
+from hilcell.run.gate import REST_S, Gate
+from hilcell.run.interlocks import Sight, overview
 from hilcell.run.journal import Journal, StorageError
+from hilcell.run.lamps import Lamps
 from hilcell.run.log import Log
 from hilcell.run.machine import RUN, StateMachine
 from hilcell.run.procedure import Procedure
+from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal
+from hilcell.run.retake import retake_refusal
+from hilcell.run.signals import signals_as_commands
+from hilcell.run.stopping import SafeStop, close_all
 
-STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
+ENDED = "the run has ended"
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
-CLOSE_S = 10.0
+
+Answers = list["Future[str]"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +50,16 @@ class Ended:
     """How the worker ended: no error means that the procedure was performed."""
 
     error: Exception | None
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The worker asks the operator, and waits."""
+
+    prompt: Prompt
+
+
+Message = str | Ended | Asked
 
 
 class Runner:
@@ -63,19 +79,76 @@ class Runner:
     ) -> None:
         self.log = log
         self._cell, self._procedure = cell, procedure
-        self._journal, self._devices, self._clock = journal, devices, clock
+        self._journal, self._clock = journal, clock
         self._stop, self._unattended = stop, unattended
-        self._messages: queue.SimpleQueue[str | Ended] = queue.SimpleQueue()
-        self._go = threading.Event()
-        self._go.set()
+        self._safe_stop = SafeStop(devices)
+        self._lamps = Lamps(devices)
+        self._devices = self._lamps.devices
+        self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
+        self._gate = Gate(lambda: self._messages.put("rest"))
+        self._why_paused = ""
+        self._aborting = False
+        self._asking = Asking()
+        self._proven = threading.Event()
+        self._bench: Bench | None = None
+        self._screens, self._screens_lock = 0, threading.Lock()
         self._fault: Exception | None = None
         self._life = StateMachine(
             RUN, log.states["run"], lambda body: journal.append("state", "", body)
         )
 
+    def run(self) -> int:
+        """Run to the end and return the exit code."""
+        try:
+            begin = {"idle": "check", "finished": "reopen"}.get(self._life.state, "resume")
+            self._life.fire(begin)
+            worker = threading.Thread(target=self._work, name="worker", daemon=True)
+            with signals_as_commands(self.post):
+                worker.start()
+                error = self._attend(worker)
+            return self._end(error)
+        except StorageError as error:
+            self._safe_stop.wait()
+            close_all(self._devices)
+            self._fault = error
+            return EXIT_STORAGE
+
+    @property
+    def fault(self) -> Exception | None:
+        """Return what ended the run, where something did."""
+        return self._fault
+
+    # -- any thread ---------------------------------------------------------------------------
+
     def post(self, command: str) -> None:
-        """Queue a command of the operator; may be called from any thread."""
+        """Queue a command of the operator; a signal's handler may do so, too."""
         self._messages.put(command)
+
+    def stop(self) -> None:
+        """Stop everything now: the frames are on their way before the main thread hears of it."""
+        self._messages.put("stop")
+        self._stop.set()
+        self._safe_stop.trigger()
+
+    def answer(self) -> str:
+        """Say that the prompt is done; wait for the look that proves it, return why not."""
+        return self._asking.answer().result()
+
+    def retake(self, key: str) -> str:
+        """Have a point measured anew, at the robot's next point; return why that is refused."""
+        if refused := retake_refusal(self.log, key):
+            return refused
+        try:
+            self._journal.append("event", "", {"what": "retake asked", "key": key})
+        except StorageError as error:
+            return str(error)
+        return ""
+
+    def watched(self, by: int) -> int:
+        """Add ``by`` to the screens that attend; return how many do now."""
+        with self._screens_lock:
+            self._screens += by
+            return self._screens
 
     def status(self) -> dict[str, object]:
         """Return the run's state for those who ask."""
@@ -84,27 +157,27 @@ class Runner:
             "state": self._life.state,
             "calibration": self.log.states["calibration"],
             "points": len(self.log.points),
+            "unattended": self._unattended,
+            "screens": self._screens,
+            "pausing": self._pausing,
+            "devices": self._lamps.status(),
+            "interlocks": overview(self._cell, self._sight()),
+            "prompt": self._asking.status(),
+            "retakes": list(self.log.retakes),
         }
 
-    def run(self) -> int:
-        """Run to the end and return the exit code."""
-        try:
-            self._life.fire("check" if self._life.state == "idle" else "resume")
-            worker = threading.Thread(target=self._work, name="worker", daemon=True)
-            with self._signals():
-                worker.start()
-                error = self._attend(worker)
-            return self._end(error)
-        except StorageError as error:
-            self._safe_stop()
-            self._close_devices()
-            self._fault = error
-            return EXIT_STORAGE
-
     @property
-    def fault(self) -> Exception | None:
-        """Return what ended the run, where something did."""
-        return self._fault
+    def _pausing(self) -> bool:
+        """Whether a pause or an abort waits for the point in flight."""
+        asked = self._aborting or self._gate.closed
+        return asked and self._life.state in ("checking", "running")
+
+    def _sight(self) -> Sight:
+        lamps, bench = self._lamps, self._bench
+        return Sight(
+            lamps.rail_reading, lamps.robot_reading, lamps.rail.moving, lamps.robot.moving,
+            None if bench is None else bench.held, time.monotonic(),
+        )  # fmt: skip
 
     # -- the worker's thread ------------------------------------------------------------------
 
@@ -115,30 +188,78 @@ class Runner:
             self._journal.append("event", "", {"what": "connected", "devices": identities})
             self._messages.put("started")
             self._checkpoint()
-            bench = Bench(
+            self._bench = Bench(
                 self._cell, self._devices, self._clock, self._journal, self.log,
                 checkpoint=self._checkpoint, ask=self._ask,
             )  # fmt: skip
-            self._procedure.perform(bench)
+            self._procedure.perform(self._bench)
         except Exception as caught:  # noqa: BLE001 - whatever ends the worker is judged in _end
             error = caught
+        self._asking.close(ENDED)
         self._messages.put(Ended(error))
 
     def _checkpoint(self) -> None:
         """Wait here while the run is paused; the point in flight is always finished first."""
-        while not self._go.wait(0.02):
-            self._clock.check()
-        self._clock.check()
+        self._check_end()
+        self._gate.passage(self._at_rest)
 
-    def _ask(self, reason: str) -> None:
-        """Suspend the run until the operator lets it go on; unattended, it is a fault."""
+    def _at_rest(self) -> None:
+        """Keep the lamps fresh while the run waits."""
+        self._check_end()
+        self._lamps.refresh()
+
+    def _check_end(self) -> None:
+        """Leave here when a stop or an abort was asked for."""
+        self._clock.check()
+        if self._aborting:
+            raise Stopped("aborted by the operator")
+
+    def _ask(self, prompt: Prompt, look: Callable[[], Look]) -> Look:
+        """Suspend the run until the operator's answer is proven; return the look that proves it.
+
+        Unattended it is a fault.
+        """
         if self._unattended:
             raise DeviceError(
-                "Tracker", "measure", reason, act="clear the beam or seat the reflector, resume"
-            )
-        self._go.clear()
-        self._messages.put(f"suspend {reason}")
-        self._checkpoint()
+                "Tracker", "measure", prompt.reason, act="clear the beam or seat the reflector, "
+                "resume",
+            )  # fmt: skip
+        self._proven.clear()
+        self._asking.open(prompt)
+        self._messages.put(Asked(prompt))
+        looked_s = -LOOK_S
+        while True:
+            self._at_rest()
+            answers = self._asking.waited(REST_S)
+            if not answers and time.monotonic() - looked_s < LOOK_S:
+                continue
+            seen, proven = self._look(prompt, look, answers)
+            looked_s = time.monotonic()
+            if proven:
+                self._asking.close("another answer came first")
+                return seen
+
+    def _look(
+        self, prompt: Prompt, look: Callable[[], Look], answers: Answers
+    ) -> tuple[Look, bool]:
+        """Look, and judge by it the answers that came before; return whether to go on."""
+        why = ENDED
+        try:
+            seen = look()
+            self._asking.saw(seen)
+            proven = bool(answers) and passes(prompt, seen)
+            if proven:
+                self._messages.put("proven")
+                while not self._proven.wait(REST_S):
+                    self._check_end()
+                why = ""
+            elif answers:
+                why = refusal(prompt, seen)
+                self._journal.append("event", "", {"what": "answer refused", "reason": why})
+        finally:
+            for answer in answers:
+                answer.set_result(why)
+        return seen, proven
 
     # -- the main thread ----------------------------------------------------------------------
 
@@ -146,35 +267,78 @@ class Runner:
         """Take messages until the worker has ended; return what ended it."""
         while True:
             message = self._messages.get()
-            if isinstance(message, Ended):
-                return message.error
-            if message == "stop":
-                return self._stop_worker(worker)
-            self._obey(message)
+            match message:
+                case Ended():
+                    return message.error
+                case "stop":
+                    return self._stop_worker(worker)
+                case Asked():
+                    self._life.fire("suspend", reason=message.prompt.reason, prompt=message.prompt)
+                case _:
+                    self._obey(message)
 
-    def _obey(self, message: str) -> None:
-        command, _, reason = message.partition(" ")
-        if command == "interrupt":
-            command = "pause" if self._life.allows("pause") else "stop"
-            if command == "stop":
-                self._messages.put("stop")
-                return
-        if command == "started":
-            command = "start"
-        if not self._life.allows(command):
-            self._journal.append(
-                "event", "", {"what": "command refused", "command": command, "in": self._life.state}
-            )
-            return
-        if command == "pause":
-            self._go.clear()
-        self._life.fire(command, **({"reason": reason} if reason else {}))
-        if command == "proceed":
-            self._go.set()
+    def _obey(self, command: str) -> None:
+        match command:
+            case "started":
+                self._life.fire("start")
+            case "rest":
+                if self._gate.closed and self._gate.resting and self._life.allows("pause"):
+                    self._life.fire("pause", **self._reason())
+            case "proven":
+                self._life.fire("proceed")
+                self._proven.set()
+            case "interrupt":
+                self._interrupt()
+            case "lost":
+                self._lose_screen()
+            case "pause" if self._may_pause():
+                self._why_paused = ""
+                self._gate.close()
+            case "abort":
+                self._aborting = True
+            case "proceed":
+                self._proceed()
+            case _:
+                self._refuse(command)
+
+    def _interrupt(self) -> None:
+        """Pause at the first ctrl-C, stop at the next, however fast it comes."""
+        if self._may_pause():
+            self._obey("pause")
+        else:
+            self.post("stop")
+
+    def _may_pause(self) -> bool:
+        return self._life.state in ("checking", "running") and not self._pausing
+
+    def _reason(self) -> dict[str, str]:
+        return {"reason": self._why_paused} if self._why_paused else {}
+
+    def _lose_screen(self) -> None:
+        """Pause where somebody should watch and nobody does."""
+        self._journal.append("event", "", {"what": "screen lost"})
+        if not self._unattended and self._may_pause():
+            self._why_paused = "the screen was lost"
+            self._gate.close()
+
+    def _proceed(self) -> None:
+        if self._life.state == "suspended":
+            self._asking.answer()  # proven by a look as every answer
+        elif self._life.state == "paused":
+            self._life.fire("proceed")
+            self._gate.open()
+        elif self._pausing and not self._aborting:
+            self._gate.open()
+        else:
+            self._refuse("proceed")
+
+    def _refuse(self, command: str) -> None:
+        what = {"what": "command refused", "command": command, "in": self._life.state}
+        self._journal.append("event", "", what)
 
     def _stop_worker(self, worker: threading.Thread) -> Exception:
         self._stop.set()
-        self._safe_stop()
+        self._note("safe stop", self._safe_stop.wait())
         if self._life.allows("stop"):
             self._life.fire("stop")
         worker.join(WORKER_S)
@@ -188,16 +352,18 @@ class Runner:
         self._fault = error
         if isinstance(error, StorageError):
             raise error
-        if error is not None and not self._stop.is_set():
+        if isinstance(error, Stopped) and self._life.allows("stop"):
+            self._life.fire("stop", reason=str(error))  # aborted at a checkpoint: all is at rest
+        elif error is not None and not self._stop.is_set():
             self._stop.set()
-            self._safe_stop()
-        self._close_devices()
+            self._note("safe stop", self._safe_stop.wait())
+        self._note("closed", close_all(self._devices))
         if error is None:
             try:
                 return self._finish()
             except Exception as caught:  # noqa: BLE001 - a result that cannot be computed is a fault
                 self._fault = error = caught
-        self._judge(error)
+        self._tell(error)
         code = exit_code(error)
         if code == EXIT_REFUSED and self.log.moved:
             code = EXIT_FAULT  # "refused" is said only before anything moved
@@ -206,36 +372,19 @@ class Runner:
         return code
 
     def _finish(self) -> int:
-        if self._life.allows("proceed"):  # a pause that came after the last checkpoint
-            self._life.fire("proceed")
         self._procedure.result(self.log)  # what cannot be computed is a fault, not a finish
         self._life.fire("finish")
         return finish(self._procedure, self._journal, self.log)
 
-    def _judge(self, error: Exception) -> None:
+    def _tell(self, error: Exception) -> None:
+        """Enter the state that the error means."""
         if isinstance(error, Stopped):
             self._life.fire("abort")
             return
-        self._life.fire("fault", reason=str(error))
+        self._life.fire("fault", reason=str(error), **facts_of(error))
         if not isinstance(error, HilcellError):
             trace = "".join(traceback.format_exception(error))
             self._journal.append("event", "", {"what": "internal error", "trace": trace})
-
-    # -- stopping -----------------------------------------------------------------------------
-
-    def _safe_stop(self) -> None:
-        """Send every device its stop, all at once, best effort; a failure is journalled."""
-        problems = _each(
-            {name: device.stop for name, device in self._devices.named().items()}, STOP_S
-        )
-        self._note("safe stop", problems)
-
-    def _close_devices(self) -> None:
-        """Leave the rail held and the robot at rest, once, in bounded time."""
-        problems = _each(
-            {name: device.close for name, device in self._devices.named().items()}, CLOSE_S
-        )
-        self._note("closed", problems)
 
     def _note(self, what: str, problems: dict[str, str]) -> None:
         try:
@@ -243,13 +392,11 @@ class Runner:
         except StorageError as error:
             self._fault = self._fault or error
 
-    def _signals(self) -> AbstractContextManager[None]:
-        """Ctrl-C pauses, a second one stops; SIGTERM stops; a lost terminal pauses if attended."""
-        hangup = "stay" if self._unattended else "pause"
-        commands = {signal.SIGINT: "interrupt", signal.SIGTERM: "stop", signal.SIGHUP: hangup}
-        return handled(
-            dict.fromkeys(commands, lambda number, _: self.post(commands[signal.Signals(number)]))
-        )
+
+def facts_of(error: Exception) -> dict[str, str]:
+    """Return the fields of a device's error, empty for any other."""
+    names = ("device", "operation", "found", "wanted", "act")
+    return {name: str(getattr(error, name, "")) for name in names}
 
 
 def finish(procedure: Procedure, journal: Journal, log: Log) -> int:
@@ -260,52 +407,3 @@ def finish(procedure: Procedure, journal: Journal, log: Log) -> int:
         result = procedure.result(log)
         journal.append("end", "", {"state": "finished", "exit": code, "result": result})
     return code
-
-
-@contextmanager
-def stopped_by_signals() -> Iterator[None]:
-    """Turn SIGTERM, SIGINT and SIGHUP into `Stopped` while nothing moves yet."""
-
-    def stopped(number: int, _: object) -> None:
-        raise Stopped(f"stopped by {signal.Signals(number).name} before anything moved")
-
-    with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), stopped)):
-        yield
-
-
-@contextmanager
-def handled(handlers: Mapping[signal.Signals, Callable[[int, Any], None]]) -> Iterator[None]:
-    """Install signal handlers for a while, where this is the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _each(acts: dict[str, Callable[[], None]], limit_s: float) -> dict[str, str]:
-    """Do all acts at once, each in a thread; return the problems by name."""
-    problems: dict[str, str] = {}
-
-    def guarded(name: str, act: Callable[[], None]) -> None:
-        try:
-            act()
-        except Exception as error:  # noqa: BLE001 - one device's failure must not keep the others
-            problems[name] = str(error)
-
-    threads = {
-        name: threading.Thread(target=guarded, args=(name, act), daemon=True)
-        for name, act in acts.items()
-    }
-    for thread in threads.values():
-        thread.start()
-    deadline_s = time.monotonic() + limit_s
-    for name, thread in threads.items():
-        thread.join(max(0.0, deadline_s - time.monotonic()))
-        if thread.is_alive():
-            problems[name] = f"no answer within {limit_s:.0f} s"
-    return problems

@@ -77,6 +77,7 @@ class DeskTracker:
 
     def __init__(self) -> None:
         self.answer: Callable[[], None] = lambda: None
+        self.off_mm = np.zeros(3)
         self.measured = 0
 
     def connect(self) -> list[Identity]:
@@ -87,7 +88,14 @@ class DeskTracker:
         self.measured += 1
         std = np.full(3, 0.01)
         return TrackerReading(
-            np.array(near_mm), std, samples, reflector, 22.0, 1013.0, 45.0, time.monotonic()
+            np.array(near_mm) + self.off_mm,
+            std,
+            samples,
+            reflector,
+            22.0,
+            1013.0,
+            45.0,
+            time.monotonic(),
         )
 
     def stop(self) -> None: ...

@@ -4,7 +4,11 @@ import socket
 import stat
 import subprocess
 import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -16,23 +20,156 @@ from hilcell.run.lock import CellLocked, lock_of_address, lock_of_name, locked
 from hilcell.runs import find_run, run_folders
 
 
-def engine(folder: Path, posted: list[str]) -> Control:
-    return Control(folder, posted.append, lambda: {"state": "running"})
+class Desk:
+    """An engine that notes what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+        self.screens = 0
+        self.refusal = ""
+
+    def stop(self) -> None:
+        self.told.append("stop")
+
+    def post(self, command: str) -> None:
+        self.told.append(command)
+
+    def answer(self) -> str:
+        self.told.append("answer")
+        return self.refusal
+
+    def retake(self, key: str) -> str:
+        self.told.append(f"retake {key}")
+        return self.refusal
+
+    def watched(self, by: int) -> int:
+        self.screens += by
+        return self.screens
+
+    def status(self) -> dict[str, object]:
+        return {"state": "running", "screens": self.screens}
 
 
-def test_commands_reach_the_queue_and_are_answered(tmp_path: Path) -> None:
-    posted: list[str] = []
-    control = engine(tmp_path, posted)
-    assert live_engine(tmp_path) is not None
-    assert send_command(tmp_path, "pause") == {"ok": True, "state": "running"}
-    assert send_command(tmp_path, "status")["state"] == "running"
+@pytest.fixture
+def desk() -> Desk:
+    return Desk()
+
+
+@pytest.fixture(autouse=True)
+def control(tmp_path: Path, desk: Desk) -> Iterator[Control]:
+    control = Control(tmp_path, desk)
+    yield control
     control.close()
-    assert posted == ["pause"]
+
+
+class Screen:
+    """A connection that stays open."""
+
+    def __init__(self, folder: Path) -> None:
+        file = msgspec.json.decode((folder / "engine.json").read_bytes(), type=EngineFile)
+        self.link = socket.socket(socket.AF_UNIX)
+        self.link.settimeout(10)
+        self.link.connect(file.socket)
+        self.lines = self.link.makefile("rb")
+
+    def ask(self, command: str, **facts: str) -> dict[str, Any]:
+        return self.raw(msgspec.json.encode({"command": command} | facts) + b"\n")
+
+    def raw(self, line: bytes) -> dict[str, Any]:
+        self.link.sendall(line)
+        return msgspec.json.decode(self.lines.readline(), type=dict[str, Any])
+
+    def close(self) -> None:
+        self.lines.close()
+        self.link.close()
+
+
+@pytest.fixture
+def screen(tmp_path: Path, control: Control) -> Iterator[Screen]:
+    screen = Screen(tmp_path)
+    yield screen
+    screen.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline, "waited too long"
+        time.sleep(0.002)
+
+
+def test_commands_reach_the_engine_and_are_answered(
+    tmp_path: Path, desk: Desk, control: Control
+) -> None:
+    assert live_engine(tmp_path) is not None
+    answer = {"ok": True, "state": "running", "screens": 0}
+    assert send_command(tmp_path, "pause") == answer
+    assert send_command(tmp_path, "status") == answer
+    assert send_command(tmp_path, "stop")["ok"] is True
+    assert desk.told == ["pause", "stop"]
+    control.close()
     assert live_engine(tmp_path) is None
 
 
-def test_only_the_owner_may_connect(tmp_path: Path) -> None:
-    control = engine(tmp_path, [])
+def test_one_connection_carries_many_commands(desk: Desk, screen: Screen) -> None:
+    for command in ("pause", "proceed", "abort", "stop", "answer"):
+        assert screen.ask(command)["ok"] is True
+    assert screen.ask("retake", key="grid/0-0-0")["ok"] is True
+    assert desk.told == ["pause", "proceed", "abort", "stop", "answer", "retake grid/0-0-0"]
+
+
+def test_two_commands_in_one_segment(desk: Desk, screen: Screen) -> None:
+    assert screen.raw(b'{"command": "pause"}\n{"command": "abort"}\n')["ok"] is True
+    assert screen.lines.readline()
+    assert desk.told == ["pause", "abort"]
+
+
+@pytest.mark.parametrize("command", ["answer", "retake"])
+def test_a_refusal_is_told_and_the_connection_stays(
+    desk: Desk, screen: Screen, command: str
+) -> None:
+    desk.refusal = "nothing is asked now"
+    assert screen.ask(command) == {"ok": False, "error": "nothing is asked now"}
+    assert screen.ask("status")["ok"] is True
+
+
+def test_screens_are_counted(tmp_path: Path, desk: Desk, screen: Screen) -> None:
+    assert screen.ask("attend")["screens"] == 1
+    assert screen.ask("attend")["screens"] == 1
+    other = Screen(tmp_path)
+    assert other.ask("attend")["screens"] == 2
+    other.close()
+    until(lambda: desk.screens == 1)
+    assert desk.told == []  # one still watches
+    assert screen.ask("leave")["screens"] == 0
+    screen.close()
+    assert send_command(tmp_path, "status")["screens"] == 0
+    assert desk.told == []  # it left on purpose
+
+
+def test_the_last_screen_that_is_lost_is_told(desk: Desk, screen: Screen) -> None:
+    screen.ask("attend")
+    screen.close()
+    until(lambda: desk.told == ["lost"])
+
+
+def test_who_never_attended_is_not_missed(tmp_path: Path, desk: Desk, screen: Screen) -> None:
+    screen.ask("status")
+    screen.close()
+    assert send_command(tmp_path, "status")["ok"] is True
+    assert desk.told == []
+
+
+def test_closing_ends_connections_and_takes_nobody_for_lost_twice(
+    desk: Desk, control: Control, screen: Screen
+) -> None:
+    screen.ask("attend")
+    control.close()
+    assert screen.lines.readline() == b""
+    until(lambda: desk.told == ["lost"])
+
+
+def test_only_the_owner_may_connect(tmp_path: Path, control: Control) -> None:
     path = Path(
         msgspec.json.decode((tmp_path / "engine.json").read_bytes(), type=EngineFile).socket
     )
@@ -42,23 +179,26 @@ def test_only_the_owner_may_connect(tmp_path: Path) -> None:
     assert not path.parent.exists()
 
 
-@pytest.mark.parametrize("line", [b"\n", b"[]\n", b'{"command": "dance"}\n', b"\xff" * 5000])
-def test_nonsense_is_answered_and_harmless(tmp_path: Path, line: bytes) -> None:
-    posted: list[str] = []
-    control = engine(tmp_path, posted)
-    file = msgspec.json.decode((tmp_path / "engine.json").read_bytes(), type=EngineFile)
-    with socket.socket(socket.AF_UNIX) as link:
-        link.settimeout(5)
-        link.connect(file.socket)
-        link.sendall(line)
-        answer = link.recv(4096)
-    assert b'"ok":false' in answer
-    assert send_command(tmp_path, "stop")["ok"] is True
+@pytest.mark.parametrize(
+    "line", [b"\n", b"[]\n", b'{"command": "dance"}\n', b'{"command": 1}\n', b"\xff" * 100 + b"\n"]
+)
+def test_nonsense_is_answered_and_harmless(desk: Desk, screen: Screen, line: bytes) -> None:
+    answer = screen.raw(line)
+    assert answer["ok"] is False
+    assert "commands: status, pause" in answer["error"]
+    assert screen.ask("stop")["ok"] is True
+    assert desk.told == ["stop"]
+
+
+def test_a_line_too_long_is_answered_and_ends_the_connection(desk: Desk, screen: Screen) -> None:
+    assert screen.raw(b"\xff" * 5000)["ok"] is False
+    with suppress(ConnectionResetError):  # what it did not read of the line
+        assert screen.lines.readline() == b""
+    assert desk.told == []
+
+
+def test_a_dead_engine_is_told(tmp_path: Path, control: Control) -> None:
     control.close()
-    assert posted == ["stop"]
-
-
-def test_a_dead_engine_is_told(tmp_path: Path) -> None:
     with pytest.raises(HilcellError, match="no engine is running; `hilcell show`"):
         send_command(tmp_path, "pause")
     (tmp_path / "engine.json").write_text('{"pid": 1, "socket": "/nowhere/control"}')

@@ -1,0 +1,126 @@
+"""One question to the operator at a time, and the look that proves his answer.
+
+An answer counts only when a look that began after it finds the reflector where it is asked for:
+what was seen before the answer proves nothing (fault 72). Looks are the worker's, answers come
+from any thread.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+import msgspec
+
+LOOK_S = 0.5
+NOTHING_ASKED = "nothing is asked now"
+
+
+class Prompt(msgspec.Struct, frozen=True, kw_only=True):
+    """What is asked: ``expected_mm`` in the tracker's frame, seen within ``limit_mm`` of it."""
+
+    title: str
+    text: str
+    place: str
+    expected_mm: tuple[float, float, float]
+    limit_mm: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What the tracker saw: how far from the expected place, or why it saw nothing."""
+
+    seen_mm: float | None
+    reason: str
+    taken_s: float
+    xyz_mm: tuple[float, float, float] | None = None
+
+
+class Asking:
+    """The prompt that stands, the last look at its place, and the answers that wait for one."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._asked = threading.Event()
+        self._prompt: Prompt | None = None
+        self._look: Look | None = None
+        self._answers: list[Future[str]] = []
+
+    # -- any thread ---------------------------------------------------------------------------
+
+    def answer(self) -> Future[str]:
+        """Say that it is done; the future tells why that is refused, or nothing."""
+        future: Future[str] = Future()
+        with self._lock:
+            if self._prompt is None:
+                future.set_result(NOTHING_ASKED)
+            else:
+                self._answers.append(future)
+                self._asked.set()
+        return future
+
+    def status(self) -> dict[str, object] | None:
+        """Return the prompt and what is seen of it, or None."""
+        with self._lock:
+            prompt, look = self._prompt, self._look
+        if prompt is None:
+            return None
+        age_s = None if look is None else round(max(0.0, time.monotonic() - look.taken_s), 2)
+        seen_mm = None if look is None or look.seen_mm is None else round(look.seen_mm, 3)
+        return {
+            "title": prompt.title,
+            "text": prompt.text,
+            "place": prompt.place,
+            "expected_mm": prompt.expected_mm,
+            "limit_mm": prompt.limit_mm,
+            "seen_mm": seen_mm,
+            "age_s": age_s,
+            "ready": look is not None and passes(prompt, look),
+            "check": True,
+        }
+
+    # -- the worker's thread ------------------------------------------------------------------
+
+    def open(self, prompt: Prompt) -> None:
+        """Begin to ask."""
+        with self._lock:
+            self._prompt, self._look = prompt, None
+
+    def waited(self, limit_s: float) -> list[Future[str]]:
+        """Wait at most ``limit_s`` for answers, and take those that came."""
+        self._asked.wait(limit_s)
+        with self._lock:
+            answers, self._answers = self._answers, []
+            self._asked.clear()
+        return answers
+
+    def saw(self, look: Look) -> None:
+        """Show a look."""
+        with self._lock:
+            self._look = look
+
+    def close(self, reason: str) -> None:
+        """Ask no longer; answers that still wait are refused."""
+        with self._lock:
+            answers, self._answers = self._answers, []
+            self._prompt = self._look = None
+        for answer in answers:
+            answer.set_result(reason)
+
+
+def passes(prompt: Prompt, look: Look) -> bool:
+    """Whether the reflector was seen where it is asked for; NaN never passes."""
+    return look.seen_mm is not None and look.seen_mm <= prompt.limit_mm
+
+
+def refusal(prompt: Prompt, look: Look) -> str:
+    """Return why an answer is refused."""
+    if look.seen_mm is None:
+        return f"the tracker sees no reflector at {prompt.place}: {look.reason}"
+    return (
+        f"the tracker sees a reflector {look.seen_mm:.2f} mm from {prompt.place}, "
+        f"wanted <= {prompt.limit_mm:.1f} mm"
+    )

@@ -1,0 +1,45 @@
+"""Which points may be measured anew, and which wait for it.
+
+A point may be retaken as long as nothing was built on it that a retake would not rebuild. What
+waits stands in the journal: asked for by an event, done by the point's next record.
+"""
+
+from __future__ import annotations
+
+from hilcell.run.log import Log, Point
+from hilcell.run.machine import CALIBRATION
+
+UNTIL_FITTED = ("grid", "repeatability_")
+ALWAYS = ("validate_",)
+
+
+def retake_refusal(log: Log, key: str) -> str:
+    """Return why a point may not be measured anew, or nothing where it may."""
+    point = log.points.get(key)
+    if point is None:
+        return f"{key[:80]}: no such point was measured in this run"
+    if key in log.retakes:
+        return f"{key}: waits already to be measured anew"
+    return _bound(log, point)
+
+
+def still_refused(log: Log, key: str) -> str:
+    """Return why a point that waits may no longer be measured anew, or nothing where it may."""
+    return _bound(log, log.points[key])
+
+
+def _bound(log: Log, point: Point) -> str:
+    if point.group.startswith(ALWAYS) and _repeatable(point):
+        return ""
+    if not (point.group.startswith(UNTIL_FITTED) and _repeatable(point)):
+        return (
+            f"{point.key}: only points of the grid, of repeatability and of validation are "
+            "measured anew one by one; start a new run"
+        )
+    if log.states["calibration"] in CALIBRATION.states[CALIBRATION.states.index("fitted") :]:
+        return f"{point.key}: the correction was built with it; start a new run"
+    return ""
+
+
+def _repeatable(point: Point) -> bool:
+    return point.commanded_deg is not None and bool(point.station)

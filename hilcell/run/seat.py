@@ -1,0 +1,33 @@
+"""What the operator is asked when the tracker sees no reflector: where it belongs, in words."""
+
+from __future__ import annotations
+
+from hilcell.cell import Cell
+from hilcell.ports import Array
+from hilcell.run.prompts import Prompt
+
+FLANGE = "flange"
+
+
+def where(cell: Cell, place: str) -> str:
+    """Return where a nest is, for a person who looks for it."""
+    for nests, on in ((cell.layout.floor, "floor"), (cell.layout.slide, "slide")):
+        for nest in nests:
+            if nest.name == place:
+                frame = "{W}" if on == "floor" else "nominal {B}"
+                at = f"x {nest.x_mm:.0f}, y {nest.y_mm:.0f}, z {nest.z_mm:.0f} mm in {frame}"
+                return f"nest {place} on the {on}, {at}"
+    return "the nest on the robot's flange" if place == FLANGE else f"reflector {place}"
+
+
+def beam_prompt(
+    cell: Cell, key: str, place: str, near_mm: Array, limit_mm: float, reason: str
+) -> Prompt:
+    """Return what is asked when the tracker gives no good reading of a reflector."""
+    x, y, z = (round(float(value), 3) for value in near_mm)
+    return Prompt(
+        title=f"Clear the beam to {place}",
+        text=f"The tracker gives no good reading of {where(cell, place)}. Clear the line of "
+        f"sight, clean the reflector, see that it sits well. Last: {reason}",
+        place=place, expected_mm=(x, y, z), limit_mm=limit_mm, reason=f"{key}: {reason}",
+    )  # fmt: skip

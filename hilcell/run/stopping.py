@@ -1,0 +1,73 @@
+"""The safe stop: every device gets its stop frame at once, whatever the rest of the engine does.
+
+Threads that send it wait ready from the start of a run; whoever asks for the stop only wakes them.
+The trap: a stop that first asked a queue, a lock or a file would come late when it matters.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+from hilcell.devices import Devices
+
+STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
+CLOSE_S = 10.0
+
+
+class SafeStop:
+    """Stops all devices, once. ``trigger`` may come from any thread but a signal's handler."""
+
+    def __init__(self, devices: Devices) -> None:
+        self._go = threading.Event()
+        self._acts = Acts({name: device.stop for name, device in devices.named().items()}, self._go)
+
+    def trigger(self) -> None:
+        """Send the stop frames, and return before they are sent."""
+        self._go.set()
+
+    def wait(self) -> dict[str, str]:
+        """Stop, wait until all frames are on their wires, and return the problems by device."""
+        self._go.set()
+        return self._acts.wait(STOP_S)
+
+
+def close_all(devices: Devices) -> dict[str, str]:
+    """Close all devices at once, in bounded time; return the problems by device."""
+    closes = {name: device.close for name, device in devices.named().items()}
+    return Acts(closes).wait(CLOSE_S)
+
+
+class Acts:
+    """Acts that are done at once, each in a thread of its own, when ``go`` is set."""
+
+    def __init__(
+        self, acts: Mapping[str, Callable[[], None]], go: threading.Event | None = None
+    ) -> None:
+        self._go = go
+        self._problems: dict[str, str] = {}
+        self._threads = {
+            name: threading.Thread(target=self._do, args=(name, act), name=name, daemon=True)
+            for name, act in acts.items()
+        }
+        for thread in self._threads.values():
+            thread.start()
+
+    def wait(self, limit_s: float) -> dict[str, str]:
+        """Return the problems by name, among them the acts that take longer than ``limit_s``."""
+        deadline_s = time.monotonic() + limit_s
+        late = {}
+        for name, thread in self._threads.items():
+            thread.join(max(0.0, deadline_s - time.monotonic()))
+            if thread.is_alive():
+                late[name] = f"no answer within {limit_s:.0f} s"
+        return self._problems | late
+
+    def _do(self, name: str, act: Callable[[], None]) -> None:
+        if self._go is not None:
+            self._go.wait()
+        try:
+            act()
+        except Exception as error:  # noqa: BLE001 - one device's failure must not keep the others
+            self._problems[name] = str(error)

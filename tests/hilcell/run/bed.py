@@ -1,0 +1,133 @@
+"""A runner on desk devices, run in a thread so that a test can command it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hilcell.cell import Cell, load_cell
+from hilcell.clock import WallClock
+from hilcell.devices import Devices
+from hilcell.ports import NoReading
+from hilcell.run.journal import Journal, Record, read_journal
+from hilcell.run.log import Log
+from hilcell.run.procedure import Procedure
+from hilcell.run.runner import Runner
+from tests.hilcell.run.desk import DeskRail, DeskRobot, DeskTracker, desk
+
+CELL = load_cell("paper", {"settle.robot_s": "0.0", "settle.rail_s": "0.0"})
+PLAN = {
+    "procedure": "desk", "cell": {}, "digest": "", "seed": 1, "speed": None, "unattended": True,
+    "operator": "", "job": "", "simulated": True, "versions": {}, "settings": {}, "steps": [],
+    "points": 3, "duration_s": 1.0,
+}  # fmt: skip
+
+
+class Bed:
+    """One run's journal and devices, through several sessions."""
+
+    def __init__(self, folder: Path, *, unattended: bool = True, cell: Cell = CELL) -> None:
+        self.path = folder / "journal.sqlite"
+        self.cell = cell
+        self.devices: Devices = desk(cell)
+        self.unattended = unattended
+
+    @property
+    def tracker(self) -> DeskTracker:
+        assert isinstance(self.devices.tracker, DeskTracker)
+        return self.devices.tracker
+
+    @property
+    def rail(self) -> DeskRail:
+        assert isinstance(self.devices.rail, DeskRail)
+        return self.devices.rail
+
+    @property
+    def robot(self) -> DeskRobot:
+        assert isinstance(self.devices.robot, DeskRobot)
+        return self.devices.robot
+
+    def runner(self, what: Procedure) -> Runner:
+        fresh = not self.path.exists()
+        self.journal = Journal(self.path, "r", create=fresh)
+        log = Log(read_journal(self.path))
+        self.journal.listen(log.take)
+        if fresh:
+            self.journal.append("plan", "", PLAN)
+        stop = threading.Event()
+        return Runner(
+            self.cell, what, self.journal, log, devices=self.devices, clock=WallClock(stop),
+            stop=stop, unattended=self.unattended,
+        )  # fmt: skip
+
+    def run(self, what: Procedure) -> int:
+        code = self.runner(what).run()
+        self.journal.close()
+        return code
+
+    def log(self) -> Log:
+        return Log(read_journal(self.path))
+
+    def records(self, kind: str) -> list[Record]:
+        return [record for record in read_journal(self.path) if record.kind == kind]
+
+    def states(self) -> list[str]:
+        return [r.body["to"] for r in self.records("state") if r.body["machine"] == "run"]
+
+    def asked(self) -> list[dict[str, Any]]:
+        """Return what suspended the run."""
+        return [r.body for r in self.records("state") if r.body["to"] == "suspended"]
+
+    def events(self, what: str) -> list[dict[str, Any]]:
+        return [record.body for record in self.log().events if record.body["what"] == what]
+
+
+class Live:
+    """A run under way; leaving the block waits for its end."""
+
+    def __init__(self, bed: Bed, what: Procedure) -> None:
+        self.bed, self.runner = bed, bed.runner(what)
+        self.code = -1
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        self.code = self.runner.run()
+
+    def __enter__(self) -> Live:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: object, *rest: object) -> None:
+        if kind is not None:
+            self.runner.stop()
+        self._thread.join(10)
+        self.bed.journal.close()
+        assert not self._thread.is_alive()
+
+    def status(self, key: str) -> Any:
+        return self.runner.status()[key]
+
+    def until(self, key: str, value: object) -> None:
+        until(lambda: self.status(key) == value)
+
+
+def until(condition: Callable[[], bool], limit_s: float = 10.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited too long"
+        time.sleep(0.002)
+
+
+def broken_beam(times: int) -> Callable[[], None]:
+    """Return an answer of the tracker that fails so many times."""
+    left = [times]
+
+    def answer() -> None:
+        if left[0]:
+            left[0] -= 1
+            raise NoReading("Tracker", "measure", "beam broken")
+
+    return answer

@@ -1,0 +1,288 @@
+"""Commands to a run under way: pause, go on, abort, stop; screens that come and go; its status."""
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import hilcell.run.runner as runner_module
+from hilcell.ports import DeviceError
+from hilcell.run.bench import Bench
+from hilcell.run.journal import read_journal
+from hilcell.run.machine import RUN
+from tests.hilcell.run.bed import Bed, Live, until
+from tests.hilcell.run.desk import Points, hang, procedure
+
+MANY = 10**6
+
+
+@pytest.fixture
+def bed(tmp_path: Path) -> Bed:
+    return Bed(tmp_path)
+
+
+@pytest.fixture
+def attended(tmp_path: Path) -> Bed:
+    return Bed(tmp_path, unattended=False)
+
+
+class Measuring:
+    """A run whose first measurement hangs until it is released."""
+
+    def __init__(self, bed: Bed, points: int = 2) -> None:
+        self.entered, self.release = threading.Event(), threading.Event()
+        bed.tracker.answer = hang(self.entered, self.release)
+        self.live = Live(bed, procedure(Points(points)))
+
+    def __enter__(self) -> Live:
+        live = self.live.__enter__()
+        assert self.entered.wait(10)
+        return live
+
+    def __exit__(self, *error: object) -> None:
+        self.release.set()
+        self.live.__exit__(*error)
+
+
+@pytest.fixture
+def measuring(bed: Bed) -> Iterator[Measuring]:
+    measuring = Measuring(bed)
+    yield measuring
+    measuring.release.set()
+
+
+def test_pause_finishes_the_point_in_flight(bed: Bed, measuring: Measuring) -> None:
+    with measuring as live:
+        live.runner.post("pause")
+        live.until("pausing", True)
+        assert live.status("state") == "running"
+        assert live.status("points") == 0
+        measuring.release.set()
+        live.until("state", "paused")
+        assert live.status("points") == 1
+        assert live.status("pausing") is False
+        live.runner.post("proceed")
+    assert live.code == 0
+    assert bed.states() == ["checking", "running", "paused", "running", "finished"]
+
+
+def test_a_pause_is_taken_back_before_it_was_reached(bed: Bed, measuring: Measuring) -> None:
+    with measuring as live:
+        live.runner.post("pause")
+        live.until("pausing", True)
+        live.runner.post("proceed")
+        live.until("pausing", False)
+        measuring.release.set()
+    assert live.code == 0
+    assert bed.states() == ["checking", "running", "finished"]
+
+
+def test_pause_and_go_on_in_any_haste(bed: Bed) -> None:
+    with Live(bed, procedure(Points(MANY))) as live:
+        live.until("state", "running")
+        for _ in range(100):
+            live.runner.post("pause")
+            live.runner.post("proceed")
+        live.runner.post("pause")
+        live.until("state", "paused")
+        points = live.status("points")
+        live.runner.post("stop")
+    assert live.code == 4
+    assert len(bed.log().points) == points
+
+
+def test_a_pause_while_connecting_holds_before_the_first_point(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entered, release = threading.Event(), threading.Event()
+    connect = bed.tracker.connect
+    answer = hang(entered, release)
+    monkeypatch.setattr(bed.tracker, "connect", lambda: (answer(), connect())[1])
+    with Live(bed, procedure(Points(1))) as live:
+        assert entered.wait(10)
+        live.runner.post("pause")
+        live.until("pausing", True)
+        assert live.status("state") == "checking"
+        release.set()
+        live.until("state", "paused")
+        assert live.status("points") == 0
+        live.runner.post("proceed")
+    assert live.code == 0
+
+
+def test_abort_finishes_the_point_in_flight(bed: Bed, measuring: Measuring) -> None:
+    with measuring as live:
+        live.runner.post("abort")
+        live.until("pausing", True)
+        measuring.release.set()
+    assert live.code == 4
+    assert bed.states() == ["checking", "running", "stopping", "aborted"]
+    assert sorted(bed.log().points) == ["p/0"]
+    assert bed.events("safe stop") == []  # all is at rest: nothing has to be braked
+    assert bed.rail.stopped_s is None
+    assert bed.rail.closed == 1
+    bed.tracker.answer = lambda: None
+    assert bed.run(procedure(Points(2))) == 0
+
+
+def test_abort_ends_a_paused_run_at_once(bed: Bed) -> None:
+    with Live(bed, procedure(Points(MANY))) as live:
+        live.runner.post("pause")
+        live.until("state", "paused")
+        live.runner.post("abort")
+    assert live.code == 4
+    assert bed.states()[-3:] == ["paused", "stopping", "aborted"]
+
+
+def test_stop_works_while_a_device_hangs(
+    bed: Bed, measuring: Measuring, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner_module, "WORKER_S", 0.2)
+    with measuring as live:
+        asked_s = time.monotonic()
+        live.runner.stop()
+        until(lambda: live.code == 3)
+    assert bed.rail.stopped_s is not None
+    assert bed.rail.stopped_s - asked_s < 0.5
+    assert bed.states()[-2:] == ["stopping", "faulted"]
+
+
+def test_stop_needs_neither_queue_nor_main_thread(bed: Bed) -> None:
+    runner = bed.runner(procedure(Points(1)))  # never run: nobody takes messages
+    runner.stop()
+    until(lambda: bed.rail.stopped_s is not None and bed.robot.stopped == 1)
+    bed.journal.close()
+
+
+def test_every_device_is_stopped_once_however_often_it_is_asked(bed: Bed) -> None:
+    with Live(bed, procedure(Points(MANY))) as live:
+        live.until("state", "running")
+        live.runner.stop()
+        live.runner.stop()
+        live.runner.post("stop")
+    assert live.code == 4
+    assert bed.robot.stopped == 1
+    assert len(bed.events("safe stop")) == 1
+
+
+def test_a_stop_while_paused_is_an_abort(bed: Bed) -> None:
+    with Live(bed, procedure(Points(MANY))) as live:
+        until(lambda: bool(live.status("points")))
+        live.runner.post("pause")
+        live.until("state", "paused")
+        live.runner.post("stop")
+    assert live.code == 4
+    assert bed.states()[-2:] == ["stopping", "aborted"]
+    assert read_journal(bed.path)[-1].body["exit"] == 4
+
+
+def test_interrupt_pauses_first_and_stops_then(bed: Bed) -> None:
+    with Live(bed, procedure(Points(MANY))) as live:
+        live.until("state", "running")
+        live.runner.post("interrupt")
+        live.until("state", "paused")
+        live.runner.post("interrupt")
+    assert live.code == 4
+
+
+def test_a_second_interrupt_does_not_wait_for_the_point(
+    bed: Bed, measuring: Measuring, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner_module, "WORKER_S", 0.1)
+    with measuring as live:
+        live.runner.post("interrupt")
+        live.runner.post("interrupt")
+        until(lambda: bed.rail.stopped_s is not None)
+        assert live.status("points") == 0
+
+
+def test_a_lost_screen_pauses_an_attended_run(attended: Bed) -> None:
+    with Live(attended, procedure(Points(MANY))) as live:
+        live.until("state", "running")
+        live.runner.post("lost")
+        live.until("state", "paused")
+        live.runner.post("lost")  # nothing more to pause
+        live.runner.post("stop")
+    paused = [r.body for r in attended.records("state") if r.body["to"] == "paused"]
+    assert [body["reason"] for body in paused] == ["the screen was lost"]
+    assert len(attended.events("screen lost")) == 2
+
+
+def test_an_unattended_run_goes_on_without_a_screen(bed: Bed) -> None:
+    with Live(bed, procedure(Points(3, lambda bench, number: None))) as live:
+        live.runner.post("lost")
+    assert live.code == 0
+    assert "paused" not in bed.states()
+
+
+def test_a_command_that_makes_no_sense_is_journalled(bed: Bed) -> None:
+    with Live(bed, procedure(Points(MANY))) as live:
+        live.until("state", "running")
+        live.runner.post("proceed")
+        live.runner.post("stop")
+    refused = bed.events("command refused")
+    assert refused == [{"what": "command refused", "command": "proceed", "in": "running"}]
+
+
+STATUS = {
+    "run", "state", "calibration", "points", "unattended", "screens", "pausing", "devices",
+    "interlocks", "prompt", "retakes",
+}  # fmt: skip
+
+
+def test_the_status_is_whole_from_the_first_moment(bed: Bed) -> None:
+    runner = bed.runner(procedure(Points(1)))
+    status = runner.status()
+    bed.journal.close()
+    assert set(status) == STATUS
+    assert status["state"] in RUN.states
+    unknown = {"state": "unknown", "age_s": None, "text": "", "reason": ""}
+    assert status["devices"] == dict.fromkeys(("rail", "strip", "robot", "tracker"), unknown)
+    assert status["prompt"] is None
+
+
+def test_a_paused_run_keeps_its_lamps_fresh(bed: Bed) -> None:
+    with Live(bed, procedure(Points(MANY))) as live:
+        live.runner.post("pause")
+        live.until("state", "paused")
+        until(lambda: live.status("devices")["robot"]["state"] == "fresh")
+        bed.rail.position_mm = 1234.5
+        until(lambda: live.status("devices")["strip"]["text"] == "1234.50 mm")
+        assert live.status("devices")["rail"]["age_s"] < 1.0
+        live.runner.post("stop")
+
+
+def test_a_device_lost_while_paused_is_a_dark_lamp_and_no_fault(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone() -> None:
+        raise DeviceError("Rail", "read", "link lost")
+
+    read = bed.rail.read
+    with Live(bed, procedure(Points(MANY))) as live:
+        live.runner.post("pause")
+        live.until("state", "paused")
+        monkeypatch.setattr(bed.rail, "read", gone)
+        until(lambda: live.status("devices")["rail"]["state"] == "lost")
+        assert live.status("devices")["rail"]["reason"] == "Rail: read: link lost"
+        assert live.status("devices")["strip"]["state"] == "lost"
+        assert live.status("devices")["robot"]["state"] == "fresh"
+        monkeypatch.setattr(bed.rail, "read", read)
+        until(lambda: live.status("devices")["rail"]["state"] == "fresh")
+        live.runner.post("stop")
+    assert live.code == 4
+
+
+def test_the_station_that_is_held_is_in_the_interlocks(bed: Bed) -> None:
+    def hold(bench: Bench, number: int) -> None:
+        bench.hold_station(bench.cell.station_named("S300"))
+
+    with Live(bed, procedure(Points(MANY, hold))) as live:
+        until(lambda: bool(live.status("points")))
+        live.runner.post("pause")
+        live.until("state", "paused")
+        bed.rail.position_mm = 301.0
+        until(lambda: "S300 not held: strip 301.00" in live.status("interlocks")[1]["blocked"])
+        live.runner.post("stop")

@@ -1,0 +1,199 @@
+"""A prompt is left only by an answer that a later look proves."""
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hilcell.run.runner as runner_module
+from hilcell.ports import DeviceError, NoReading
+from tests.hilcell.run.bed import Bed, Live, broken_beam, until
+from tests.hilcell.run.desk import Points, hang, procedure
+
+
+@pytest.fixture
+def bed(tmp_path: Path) -> Bed:
+    bed = Bed(tmp_path, unattended=False)
+    bed.tracker.answer = blocked
+    return bed
+
+
+def blocked() -> None:
+    raise NoReading("Tracker", "measure", "the beam broke")
+
+
+def clear() -> None:
+    """Let the beam through."""
+
+
+def test_a_lasting_break_asks_and_goes_on_when_the_reflector_is_seen(bed: Bed) -> None:
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        prompt = live.status("prompt")
+        assert prompt["title"] == "Clear the beam to F1"
+        assert "nest F1 on the floor, x 0, y 0, z 0 mm in {W}" in prompt["text"]
+        assert prompt["place"] == "F1"
+        assert len(prompt["expected_mm"]) == 3
+        until(lambda: live.status("prompt")["age_s"] is not None)
+        assert live.status("prompt")["ready"] is False
+        assert live.status("prompt")["seen_mm"] is None
+        assert "sees no reflector at F1: Tracker: measure: the beam broke" in live.runner.answer()
+        assert live.status("state") == "suspended"
+        bed.tracker.answer = clear
+        until(lambda: live.status("prompt")["ready"] is True)
+        assert live.status("prompt")["seen_mm"] == 0.0
+        assert live.status("state") == "suspended"  # seeing is not enough: he must say so
+        assert live.runner.answer() == ""
+        assert live.status("prompt") is None
+    assert live.code == 0
+    assert bed.states() == ["checking", "running", "suspended", "running", "finished"]
+    suspended = next(r.body for r in bed.records("state") if r.body["to"] == "suspended")
+    assert suspended["reason"] == "p/0: Tracker: measure: the beam broke"
+    assert suspended["prompt"]["place"] == "F1"
+    assert suspended["prompt"]["title"] == "Clear the beam to F1"
+    assert len(bed.events("answer refused")) == 1
+
+
+def test_what_was_seen_before_the_answer_proves_nothing(bed: Bed) -> None:
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        bed.tracker.answer = clear
+        until(lambda: live.status("prompt")["ready"] is True)
+        bed.tracker.answer = blocked
+        assert "the beam broke" in live.runner.answer()
+        bed.tracker.answer = clear
+        assert live.runner.answer() == ""
+
+
+def test_a_look_under_way_does_not_count_for_an_answer_that_came_later(bed: Bed) -> None:
+    entered, release = threading.Event(), threading.Event()
+    answers: list[str] = []
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        bed.tracker.answer = hang(entered, release)
+        assert entered.wait(10)
+        asking = threading.Thread(target=lambda: answers.append(live.runner.answer()))
+        asking.start()
+        bed.tracker.answer = blocked  # from the next look on
+        release.set()
+        asking.join(10)
+        assert "the beam broke" in answers[0]
+        bed.tracker.answer = clear
+        assert live.runner.answer() == ""
+
+
+def test_a_reflector_far_off_is_refused_with_its_distance(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        bed.tracker.answer = clear
+        monkeypatch.setattr(bed.tracker, "off_mm", np.array([0.0, 60.0, 0.0]))
+        until(lambda: live.status("prompt")["seen_mm"] == 60.0)
+        assert live.status("prompt")["ready"] is False
+        assert live.runner.answer() == (
+            "the tracker sees a reflector 60.00 mm from F1, wanted <= 50.0 mm"
+        )
+        monkeypatch.setattr(bed.tracker, "off_mm", np.full(3, np.nan))
+        assert "nan mm" in live.runner.answer()
+        monkeypatch.setattr(bed.tracker, "off_mm", np.zeros(3))
+        assert live.runner.answer() == ""
+
+
+def test_a_tracker_that_is_lost_at_a_prompt_refuses_and_is_no_fault(bed: Bed) -> None:
+    def gone() -> None:
+        raise DeviceError("Tracker", "receive", "link lost")
+
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        bed.tracker.answer = gone
+        assert "link lost" in live.runner.answer()
+        assert live.status("devices")["tracker"]["state"] == "lost"
+        assert live.status("state") == "suspended"
+        live.runner.post("stop")
+    assert live.code == 4
+
+
+def test_proceed_is_proven_as_an_answer_is(bed: Bed) -> None:
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        live.runner.post("proceed")
+        until(lambda: len(bed.events("answer refused")) == 1)
+        assert live.status("state") == "suspended"
+        bed.tracker.answer = clear
+        live.runner.post("proceed")
+    assert live.code == 0
+
+
+def test_nothing_is_answered_where_nothing_is_asked(bed: Bed) -> None:
+    runner = bed.runner(procedure(Points(1)))
+    assert runner.answer() == "nothing is asked now"
+    bed.journal.close()
+
+
+@pytest.mark.parametrize("command", ["stop", "abort"])
+def test_a_prompt_is_left_by_stop_and_abort(bed: Bed, command: str) -> None:
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        live.runner.post(command)
+    assert live.code == 4
+    assert bed.states()[-3:] == ["suspended", "stopping", "aborted"]
+
+
+def test_an_answer_under_way_ends_with_the_run(bed: Bed) -> None:
+    entered, release = threading.Event(), threading.Event()
+    answers: list[str] = []
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        bed.tracker.answer = hang(entered, release)
+        asking = threading.Thread(target=lambda: answers.append(live.runner.answer()))
+        asking.start()
+        assert entered.wait(10)
+        live.runner.stop()
+        release.set()
+        asking.join(10)
+    assert answers == ["the run has ended"]
+    assert live.code == 4
+
+
+def test_a_pause_asked_for_before_a_prompt_comes_after_it(bed: Bed) -> None:
+    entered, release = threading.Event(), threading.Event()
+    bed.tracker.answer = hang(entered, release)
+    with Live(bed, procedure(Points(2))) as live:
+        assert entered.wait(10)
+        live.runner.post("pause")
+        live.until("pausing", True)
+        bed.tracker.answer = blocked
+        release.set()
+        live.until("state", "paused")
+        live.runner.post("proceed")
+        live.until("state", "suspended")
+        live.runner.post("stop")
+
+
+def test_a_beam_that_breaks_again_asks_again(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner_module, "LOOK_S", 1000.0)  # looks for answers alone
+    good = [0]
+
+    def answer() -> None:
+        if not good[0]:
+            blocked()
+        good[0] -= 1
+
+    bed.tracker.answer = answer
+    with Live(bed, procedure(Points(1))) as live:
+        for number, readings in ((1, 1), (2, 1), (3, 2)):
+            until(lambda wanted=number: len(bed.asked()) == wanted)
+            until(lambda: live.status("prompt")["age_s"] is not None)
+            good[0] = readings  # one proves the answer, another is the measurement
+            assert live.runner.answer() == ""
+    assert live.code == 0
+
+
+def test_unattended_nobody_is_asked(tmp_path: Path) -> None:
+    bed = Bed(tmp_path)
+    bed.tracker.answer = broken_beam(3)
+    assert bed.run(procedure(Points(1))) == 3
+    assert "suspended" not in bed.states()
+    assert "p/0: Tracker: measure: beam broken" in bed.log().fault
