@@ -1,0 +1,160 @@
+"""A walk through every screen that can be opened over a run, by keys alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from textual.command import CommandPalette
+from textual.pilot import Pilot
+
+from hilcell.index import RunRow
+from hilcell.tui import engine
+from hilcell.tui.screens import start
+from hilcell.tui.screens.confirm import Confirm
+from hilcell.tui.screens.pages import DetailPage
+from hilcell.tui.screens.start import PlanSummary, StartScreen
+from tests.hilcell.tui.scenes import RUN, STEPS
+from tests.hilcell.tui.stage import Stage, press, settle, text_of
+
+PAGES = {
+    "alarms": "e", "interlocks": "i", "log": "l", "help": "question_mark", "report": "o",
+}  # fmt: skip
+QUESTIONS = {"pause": "space", "abort": "a", "quit": "ctrl+q", "retake": "r"}
+RUNS = [
+    RunRow(
+        name=RUN, begun="2026-03-04T08:00:00+00:00", state="finished", exit=0, procedure="calibrate",
+        job="J-7", operator="Ann", cell="paper", simulated=True, points=21,
+        before_mean_mm=1.2, chosen_mean_mm=0.11, chosen_max_mm=0.31,
+    ),
+    RunRow(
+        name="20260303-070000-calibrate-cd34", begun="2026-03-03T07:00:00+00:00", state="finished",
+        exit=1, procedure="calibrate", operator="Bob", cell="paper", simulated=True, points=21,
+        before_mean_mm=1.3, chosen_mean_mm=0.24, chosen_max_mm=0.52,
+    ),
+    RunRow(
+        name="20260302-060000-home-ef56", begun="2026-03-02T06:00:00+00:00", state="running",
+        procedure="home", cell="paper",
+    ),
+    RunRow(name="20260301-broken", begun="2026-03-01T05:00:00+00:00", state="unreadable",
+           reason="journal: damaged"),
+]  # fmt: skip
+PLAN: dict[str, Any] = {
+    "procedure": "calibrate", "cell": "paper", "points": sum(p for _, p, _ in STEPS),
+    "steps": [{"name": n, "points": p, "duration_s": d} for n, p, d in STEPS],
+    "duration_s": sum(d for _, _, d in STEPS),
+}  # fmt: skip
+PROCEDURES = {
+    "calibrate": "the whole calibration", "home": "home the rail", "rail-survey": "survey the rail",
+}  # fmt: skip
+SAID = {
+    "show": "calibrate on paper: finished\n\n  S1100   before 1.200 mm   chosen 0.110 mm\n",
+    "report": "",
+    "compare": "S1100: mean |e| 0.240 -> 0.110 mm\nbase frame: moved 0.02 mm\n",
+}
+
+
+class _Entry:
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+
+@pytest.fixture
+def outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nothing outside the screen be asked: no process, no index, no browser."""
+
+    async def ask_hilcell(*words: str) -> str:
+        return SAID[words[0]]
+
+    async def dry_run(order: engine.Order) -> dict[str, Any]:
+        return PLAN
+
+    monkeypatch.setattr(engine, "ask_hilcell", ask_hilcell)
+    monkeypatch.setattr(engine, "dry_run", dry_run)
+    monkeypatch.setattr("hilcell.index.read_index", lambda _: RUNS)
+    monkeypatch.setattr(start, "entry_points", lambda group: [_Entry(name) for name in PROCEDURES])
+    monkeypatch.setattr(start, "summaries", lambda names: {n: PROCEDURES[n] for n in names})
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+
+
+async def screens_of(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+    """Return what every screen shows, by the screens' names."""
+    await settle(pilot)
+    home = app.screen
+    seen = {"run": text_of(app)}
+    for name, key in PAGES.items():
+        await press(pilot, key)
+        if app.screen is not home:
+            seen[name] = text_of(app)
+            await press(pilot, "q")
+    seen |= await _plots(app, pilot)
+    seen |= await _history(app, pilot)
+    seen |= await _questions(app, pilot)
+    seen |= await _point(app, pilot)
+    seen |= await _palette(app, pilot)
+    assert app.screen is home
+    return seen
+
+
+async def _plots(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+    seen, home = {}, app.screen
+    await press(pilot, "p")
+    if app.screen is not home:
+        for number in "1234":
+            await press(pilot, number)
+            seen[f"plot-{number}"] = text_of(app)
+        await press(pilot, "q")
+    return seen
+
+
+async def _history(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+    await press(pilot, "h")
+    seen = {"history": text_of(app)}
+    await press(pilot, "x", "down", "x", "c")
+    seen["compare"] = text_of(app)
+    await press(pilot, "q", "q")
+    return seen
+
+
+async def _questions(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+    seen = {}
+    for name, key in QUESTIONS.items():
+        if name == "quit" and not app.live:
+            continue
+        await press(pilot, key)
+        if isinstance(app.screen, Confirm):
+            seen[f"asks-{name}"] = text_of(app)
+            await press(pilot, "n")
+    return seen
+
+
+async def _point(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+    seen = {}
+    await press(pilot, "enter")
+    if isinstance(app.screen, DetailPage):
+        seen["point"] = text_of(app)
+        await press(pilot, "q")
+    return seen
+
+
+async def _palette(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+    await press(pilot, "ctrl+p", *"alarm")
+    await settle(pilot)
+    assert isinstance(app.screen, CommandPalette)
+    seen = {"palette": text_of(app)}
+    app.pop_screen()
+    await settle(pilot)
+    return seen
+
+
+async def form_of(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+    """Return what the form for a new run shows, and the summary of its plan."""
+    await settle(pilot)
+    assert isinstance(app.screen, StartScreen)
+    seen = {"form": text_of(app)}
+    await press(pilot, "enter")
+    assert isinstance(app.screen, PlanSummary)
+    seen["plan"] = text_of(app)
+    await press(pilot, "q")
+    return seen
