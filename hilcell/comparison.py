@@ -9,15 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from hilcell.errors import HilcellError
 from hilcell.report.budget import budget_of
-from hilcell.report.drift import Change, frame_changes, grid_drift
-from hilcell.report.errors import places, validation
+from hilcell.report.drift import Change, base_variance_mm2, frame_changes, grid_drift
+from hilcell.report.errors import Errors, places, validation
 from hilcell.report.uncertainty import expanded_mm
 from hilcell.run.log import Log
 from hilcell.validity import TEMPERATURE_MARGIN_K
@@ -106,30 +105,36 @@ def _validation(first: Log, second: Log) -> Iterator[Change]:
     """Yield mean, p95 and maximum of |e| per place, before and after."""
     there = places(second.cell)
     for place, stations in places(first.cell).items():
-        if there.get(place) != stations:
-            continue
-        series, other = (validation(log, stations) for log in (first, second))
-        for how in (how for how in series if how in other):
-            one, two = series[how], other[how]
-            for what in ("mean", "p95", "max"):
-                pair = (getattr(one, f"{what}_mm"), getattr(two, f"{what}_mm"))
-                limit = None
-                if what == "mean":
-                    limit = _mean_limit_mm((first, one.norms_mm), (second, two.norms_mm))
-                yield Change(
-                    "validation", place, f"{how} {what}", "mm", *pair, pair[1] - pair[0], limit
-                )
+        if there.get(place) == stations:
+            series, other = (validation(log, stations) for log in (first, second))
+            for how in (how for how in series if how in other):
+                one, two = series[how], other[how]
+                limit = _mean_limit_mm(how, (first, one), (second, two))
+                where = (place, how)
+                yield _validated(*where, "mean", one.mean_mm, two.mean_mm, limit)
+                yield _validated(*where, "p95", one.p95_mm, two.p95_mm, None)
+                yield _validated(*where, "max", one.max_mm, two.max_mm, None)
 
 
-def _mean_limit_mm(*runs: tuple[Log, Any]) -> float | None:
-    """Return U of a change of the mean: which targets were drawn, and the measurement's own u."""
+def _validated(
+    place: str, how: str, what: str, one_mm: float, two_mm: float, limit_mm: float | None
+) -> Change:
+    change_mm = two_mm - one_mm
+    return Change("validation", place, f"{how} {what}", "mm", one_mm, two_mm, change_mm, limit_mm)
+
+
+def _mean_limit_mm(how: str, *runs: tuple[Log, Errors]) -> float | None:
+    """Return U of a change of the mean: which targets were drawn, the measurement's u, {B}'s.
+
+    {B} counts before only: a correction learnt in a run's {B} makes up for where that {B} is.
+    """
     variance_mm2 = 0.0
-    for log, norms_mm in runs:
-        budget = budget_of(log)
-        if budget is None or len(norms_mm) < 2:
+    for log, errors in runs:
+        budget, base_mm2 = budget_of(log), base_variance_mm2(log)
+        if budget is None or base_mm2 is None or len(errors) < 2:
             return None
-        variance_mm2 += float(np.var(norms_mm, ddof=1)) / len(norms_mm)
-        variance_mm2 += budget.measurement_u_mm**2
+        variance_mm2 += float(np.var(errors.norms_mm, ddof=1)) / len(errors)
+        variance_mm2 += budget.measurement_u_mm**2 + (base_mm2 if how == "before" else 0.0)
     return expanded_mm(math.sqrt(variance_mm2))
 
 

@@ -119,16 +119,16 @@ def _frame_covariance(log: Log, key: str) -> Array | None:
     if key == "base":
         covariance[:3, :3] += budget.measurement_u_mm**2 * np.eye(3)
     else:
-        covariance += _slide_covariance(log.cell, budget.measurement_u_mm)
+        covariance += _slide_covariance(log.cell, log.matrix(key), budget.measurement_u_mm)
     return covariance
 
 
-def _slide_covariance(cell: Cell, u_mm: float) -> Array:
-    """Return the covariance (6, 6) that ``u_mm`` of every slide nest by itself gives {S}."""
+def _slide_covariance(cell: Cell, T_W_S: Array, u_mm: float) -> Array:
+    """Return the covariance (6, 6) in {W} that ``u_mm`` of every slide nest by itself gives {S}."""
     nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
     in_slide_mm = apply(inverse(three_point_frame(*nests_mm[:3])), nests_mm)
     variances_mm2 = np.tile(u_mm**2 * np.eye(3), (len(nests_mm), 1, 1))
-    return rigid_fit(in_slide_mm, in_slide_mm, weights=variances_mm2).covariance
+    return rigid_fit(in_slide_mm, apply(T_W_S, in_slide_mm), weights=variances_mm2).covariance
 
 
 def _world_covariance(log: Log, nests: Sequence[Point], at_mm: Array) -> Array:
@@ -216,7 +216,7 @@ def _vertex_u_mm(first: Log, second: Log, *, based: bool) -> float | None:
     """
     variances_mm2 = [_vertex_variance_mm2(log) for log in (first, second)]
     if based:
-        variances_mm2 += [_base_variance_mm2(log) for log in (first, second)]
+        variances_mm2 += [base_variance_mm2(log) for log in (first, second)]
     known = [each for each in variances_mm2 if each is not None]
     return math.sqrt(sum(known)) if len(known) == len(variances_mm2) else None
 
@@ -232,11 +232,12 @@ def _vertex_variance_mm2(log: Log) -> float | None:
     return budget.measurement_u_mm**2 + pooled_std_mm(visited_mm) ** 2
 
 
-def _base_variance_mm2(log: Log) -> float | None:
-    covariance = log.frames["base"].get("covariance")
-    if covariance is None:
+def base_variance_mm2(log: Log) -> float | None:
+    """Return the variance of one coordinate of the grid's centre, as {B} carries it."""
+    frame = log.frames.get("base", {})
+    if "covariance" not in frame:
         return None
-    base = RigidFit(log.matrix("base"), np.array(covariance), np.empty((0, 3)), 0.0)
+    base = RigidFit(log.matrix("base"), np.array(frame["covariance"]), np.empty((0, 3)), 0.0)
     centre_mm = log.cell.grid.centre.matrix()[:3, 3]
     return point_uncertainty(base, centre_mm) ** 2 / 3
 
