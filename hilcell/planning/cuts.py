@@ -1,59 +1,39 @@
 """A stronger lower bound where Held and Karp's is weak: linear programming with cuts.
 
-Single rows of holes that cross leave 1-trees 7 % below any tour. Here edges get shares 0..1, two
-per hole, and cuts that every tour respects: subtours (2 edges leave any set of holes) and
-blossoms (a handle and an odd number t of teeth: 3 t + 1 edges leave them in all). The trap: what
-the solver returns is no proof, it saw few edges and rounds. Its prices are one: any prices of
-holes and cuts bound every tour, once the edges that they make cheap are counted over all pairs.
+Single rows of holes that cross leave 1-trees 7 % and more below any tour. Here edges get shares
+0..1, two per hole, and cuts that every tour respects: subtours (2 edges leave any set of holes),
+blossoms and stars. The trap: what the solver returns is no proof, it saw few edges and rounds.
+Its prices are one: any prices of holes and cuts bound every tour, once the edges that they make
+cheap are counted over all pairs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from hilcell.geometry.kinematics import Array
 from hilcell.planning.bound import ROUNDING, candidates
+from hilcell.planning.separation import Separation
+from hilcell.planning.stars import VIOLATED, Bools, Cut, Ints
 from hilcell.ports import HilcellError
 
-ROUNDS = 40
-VIOLATED = 1e-3  # less is not worth a cut
+ROUNDS = 25
 PRICED = 1e-9  # cuts with less price are dropped
-MOST_STRETCHES = 40  # of one kind, in one round
-APART = 3  # holes by which the ends of such stretches differ at least
-LEVELS = (1e-6, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 0.95)  # of shares, that split the graph
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int_]
 
 
-@dataclass(frozen=True, slots=True)
-class Cut:
-    """Sets (K, M) of nodes that ``least`` edges leave in all, in every tour."""
-
-    sets: Bools
-    least: float
-
-    def row(self, edges: Ints) -> Array:
-        """Return how many of the sets each edge (E, 2) leaves, (E,)."""
-        leaves: Array = (self.sets[:, edges[:, 0]] != self.sets[:, edges[:, 1]]).sum(axis=0) * 1.0
-        return leaves
-
-
-def cut_bound(distance: Array, order: Ints) -> float:
+def cut_bound(distance: Array, order: Ints, enough_mm: float) -> float:
     """Return a length that no open route through distances (N, N) is below.
 
-    ``order`` (N,) is a good route: cuts are sought among its stretches.
+    ``order`` (N,) is a good route: cuts are sought among its stretches, until the bound is near
+    ``enough_mm``.
     """
-    program = _Program(distance, order)
+    program, separation = _Program(distance, order), Separation(np.append(order, len(order)))
     for _ in range(ROUNDS):
-        program.solve()
-        cuts = program.violated()
+        if program.solve() >= enough_mm:
+            break
+        cuts = separation.broken(program.edges, program.share)
         if not cuts:
             break
         program.add(cuts)
@@ -79,15 +59,17 @@ class _Program:
         count = len(distance)
         self._size = count + 1
         self._cost = np.pad(distance, (0, 1))
-        self._tour = np.append(order, count)
         spokes = np.column_stack([np.arange(count), np.full(count, count)])
         self.edges = np.vstack([candidates(distance, order), spokes])
         self._cuts: list[Cut] = []
-        self._share = np.zeros(len(self.edges))
+        self.share = np.zeros(len(self.edges))
         self._node_price, self._cut_price = np.zeros(self._size), np.zeros(0)
 
-    def solve(self) -> None:
-        """Find shares and prices for the cuts so far; raises `CutError` where there are none."""
+    def solve(self) -> float:
+        """Find shares and prices for the cuts so far, and return the length of these shares.
+
+        Raises `CutError` where there are none.
+        """
         edges, count = self.edges, len(self.edges)
         ends = (edges.T.ravel(), np.tile(np.arange(count), 2))
         degree = csr_array((np.ones(2 * count), ends), shape=(self._size, count))
@@ -103,8 +85,9 @@ class _Program:
         )
         if not found.success:
             raise CutError(f"lower bound: {found.message}")
-        self._share, self._node_price = found.x, found.eqlin.marginals
+        self.share, self._node_price = found.x, found.eqlin.marginals
         self._cut_price = np.maximum(-found.ineqlin.marginals, 0.0)
+        return float(found.fun)
 
     def _sets(self) -> tuple[Bools, Ints]:
         """Return the sets (K, M) of all cuts, and how many each cut has."""
@@ -140,94 +123,3 @@ class _Program:
         known[self.edges.min(axis=1), self.edges.max(axis=1)] = True
         missing = (cheap < -VIOLATED) & ~known[one, other]
         return float(bound_mm), np.column_stack([one, other])[missing]
-
-    def violated(self) -> list[Cut]:
-        """Return cuts that the shares break."""
-        found = [*self._by_parts(), *self._by_stretches()]
-        return list({cut.sets.tobytes(): cut for cut in found}.values())
-
-    def _by_parts(self) -> Iterator[Cut]:
-        """Seek among the parts into which edges of middling and of large shares fall."""
-        for level in LEVELS:
-            for nodes in self._parts(self._share > level):
-                yield from self._subtour(nodes)
-            if level < 0.5:
-                for nodes in self._parts((self._share > level) & (self._share < 1.0 - level)):
-                    yield from self._blossom(nodes)
-
-    def _parts(self, chosen: Bools) -> Iterator[Bools]:
-        edges = self.edges[chosen]
-        graph = csr_array((np.ones(len(edges)), edges.T), shape=(self._size, self._size))
-        count, label = connected_components(graph, directed=False)
-        for each in np.flatnonzero(np.bincount(label) > 1) if count > 1 else ():
-            yield label == each
-
-    def _by_stretches(self) -> Iterator[Cut]:
-        """Seek among all stretches of the tour at once, by sums over a table of its places."""
-        first, last, leaving = self._leaving(self._share)
-        broken = np.where(last - first < self._size - 2, 2.0 - leaving, 0.0)
-        for nodes in self._worst(first, last, broken):
-            yield from self._subtour(nodes)
-        _, _, odd = self._leaving((self._share > 0.5).astype(float))
-        doubt: Array = np.minimum(self._share, 1.0 - self._share)
-        _, _, slack = self._leaving(doubt)
-        broken = np.where(np.round(odd) % 2 == 1, 1.0 - slack, 0.0)
-        for nodes in self._worst(first, last, broken):
-            yield from self._blossom(nodes)
-
-    def _leaving(self, weight: Array) -> tuple[Ints, Ints, Array]:
-        """Return every stretch's first and last place, and the weight of edges that leave it."""
-        place = np.argsort(self._tour)[self.edges]
-        table = np.zeros((self._size, self._size))
-        table[place.min(axis=1), place.max(axis=1)] = weight
-        sums = np.pad(table.cumsum(axis=0).cumsum(axis=1), (1, 0))
-        degree = np.pad((table.sum(axis=0) + table.sum(axis=1)).cumsum(), (1, 0))
-        first, last = np.triu_indices(self._size, 1)
-        end = last + 1
-        inside = sums[end, end] - sums[first, end] - sums[end, first] + sums[first, first]
-        return first, last, degree[end] - degree[first] - 2.0 * inside
-
-    def _worst(self, first: Ints, last: Ints, broken: Array) -> Iterator[Bools]:
-        """Yield the nodes of the most broken stretches, no two of nearly the same ends."""
-        bad = np.flatnonzero(broken > VIOLATED)
-        bad = bad[np.argsort(-broken[bad], kind="stable")]
-        taken = np.zeros((2, 0))
-        for at in bad[: 50 * MOST_STRETCHES]:
-            ends = np.array([[first[at]], [last[at]]])
-            if taken.shape[1] < MOST_STRETCHES and not self._near(taken, ends):
-                taken = np.hstack([taken, ends])
-                nodes = np.zeros(self._size, dtype=bool)
-                nodes[self._tour[first[at] : last[at] + 1]] = True
-                yield nodes
-
-    @staticmethod
-    def _near(taken: Array, ends: Ints) -> bool:
-        return bool((np.abs(taken - ends) < APART).all(axis=0).any())
-
-    def _subtour(self, nodes: Bools) -> Iterator[Cut]:
-        cut = Cut(nodes[None], 2.0)
-        if self._share @ cut.row(self.edges) < cut.least - VIOLATED:
-            yield cut
-
-    def _blossom(self, handle: Bools) -> Iterator[Cut]:
-        """Yield the blossom whose teeth are the edges that mostly leave the handle."""
-        teeth = self._teeth(handle)
-        nodes, count = np.unique(teeth, return_counts=True)
-        if (count > 1).any():  # two teeth at one node: it changes sides, and they are none
-            handle = handle.copy()
-            handle[nodes[count > 1]] ^= True
-            teeth = self._teeth(handle)
-        if len(teeth) < 3 or len(teeth) % 2 == 0 or len(np.unique(teeth)) < teeth.size:
-            return
-        sets = np.zeros((1 + len(teeth), self._size), dtype=bool)
-        sets[0] = handle
-        np.put_along_axis(sets[1:], teeth, values=True, axis=1)
-        cut = Cut(sets, 3.0 * len(teeth) + 1.0)
-        if self._share @ cut.row(self.edges) < cut.least - VIOLATED:
-            yield cut
-
-    def _teeth(self, handle: Bools) -> Ints:
-        """Return the edges (T, 2) that mostly leave the handle."""
-        leaves = handle[self.edges[:, 0]] != handle[self.edges[:, 1]]
-        teeth: Ints = self.edges[leaves & (self._share > 0.5)]
-        return teeth

@@ -2,8 +2,9 @@
 
 A route is open and its ends are free: a hub at distance 0 from every hole closes it to a tour.
 Nearest neighbours start it, 2-opt and Or-opt over near holes shorten it, and small kicks repeat
-that until it is near its bound. The trap: a search that stops by the clock answers differently on
-another machine; this one counts its kicks and draws them from a fixed seed.
+that until it is near its bound. Where a few kicks do not get it there, the bound is sharpened
+first. The trap: a search that stops by the clock answers differently on another machine; this
+one counts its kicks and draws them from a fixed seed.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ from hilcell.planning.bound import lower_bound
 from hilcell.planning.cuts import cut_bound
 
 GOOD = 1.02  # a route this near to its bound is not worth more search
-KICKS_PER_HOLE = 10
-FAR = 1.03  # over its bound: the bound is to blame, as a rule, and worth sharpening
-MOST_CUT = 1000  # holes up to which that is quick
+FAR = 1.025  # over its bound: the bound is to blame, as a rule, and worth sharpening
+FIRST_KICKS_PER_HOLE = 2  # before the bound is sharpened
+KICKS_PER_HOLE = 8  # after that
+MOST_CUT = 1000  # holes up to which sharpening is quick
 SLACK = 0.3  # mean steps by which a kicked route may be worse than the best, at first
 KICK_SPAN = 50  # holes within which one kick swaps two stretches
 NEAR = 8  # holes that a new edge may lead to
@@ -46,10 +48,20 @@ def route(points_mm: Array) -> Route:
     distance = cdist(points_mm, points_mm)
     first = _nearest_neighbours(distance)
     bound_mm = lower_bound(distance, first)
-    order = first if len(first) < 4 else _Search(distance, first).run(GOOD * bound_mm)
+    if len(first) < 4:
+        return _route(distance, first, bound_mm)
+    search = _Search(distance, first)
+    order = search.run(GOOD * bound_mm, FIRST_KICKS_PER_HOLE)
+    found = _route(distance, order, bound_mm)
+    if found.travel_mm > FAR * bound_mm and len(order) <= MOST_CUT:
+        bound_mm = max(bound_mm, cut_bound(distance, order, found.travel_mm / FAR))
+    order = search.run(GOOD * bound_mm, KICKS_PER_HOLE)
+    return _route(distance, order, bound_mm)
+
+
+def _route(distance: Array, order: NDArray[np.int_], bound_mm: float) -> Route:
+    """Return the route with its travel, which a bound may pass by rounding only."""
     travel_mm = float(distance[order[:-1], order[1:]].sum())
-    if travel_mm > FAR * bound_mm and 4 <= len(order) <= MOST_CUT:
-        bound_mm = max(bound_mm, cut_bound(distance, order))
     return Route(order, travel_mm, min(bound_mm, travel_mm))
 
 
@@ -80,18 +92,22 @@ class _Search:
         self._place = [0] * len(self._tour)
         self._number(0, len(self._tour))
         self._queue: dict[int, None] = {}  # nodes around which to look, the latest first
+        self._chance = random.Random(1)  # noqa: S311 - no secret
 
-    def run(self, good_mm: float) -> NDArray[np.int_]:
-        """Shorten until ``good_mm`` or all kicks are spent; return the order."""
+    def run(self, good_mm: float, kicks_per_hole: int) -> NDArray[np.int_]:
+        """Shorten until ``good_mm`` or all kicks are spent; return the order.
+
+        Another run goes on from there.
+        """
         self._look_at(self._tour)
         length_mm = self._length() - self._shortened()
         best_mm, best = length_mm, self._tour.copy()
-        chance, kicks = random.Random(1), KICKS_PER_HOLE * self._hub  # noqa: S311 - no secret
+        kicks = kicks_per_hole * self._hub
         for number in range(kicks):
             if best_mm <= good_mm:
                 break
             tour, place = self._tour.copy(), self._place.copy()
-            gain = self._kick(chance) + self._shortened()
+            gain = self._kick() + self._shortened()
             worse_mm = SLACK * best_mm / self._hub * (1.0 - number / kicks)
             if length_mm - gain > best_mm + worse_mm:
                 self._tour, self._place = tour, place
@@ -99,6 +115,8 @@ class _Search:
             length_mm -= gain
             if length_mm < best_mm - NEGLIGIBLE_MM:
                 best_mm, best = length_mm, self._tour.copy()
+        self._tour = best
+        self._number(0, len(best))
         start = best.index(self._hub)
         return np.array(best[start + 1 :] + best[:start])
 
@@ -189,13 +207,13 @@ class _Search:
         self._tour[low : high + 1] = self._tour[low : high + 1][::-1]
         self._number(low, high + 1)
 
-    def _kick(self, chance: random.Random) -> float:
+    def _kick(self) -> float:
         """Swap two neighbouring stretches somewhere; return the gain, as a rule negative."""
         tour, rows = self._tour, self._rows
         size = len(tour)
-        start = chance.randrange(size - 3)
+        start = self._chance.randrange(size - 3)
         span = min(KICK_SPAN, size - 1 - start)
-        i, j, k = sorted(chance.sample(range(start, start + span), 3))
+        i, j, k = sorted(self._chance.sample(range(start, start + span), 3))
         ends = (tour[i], tour[i + 1], tour[j], tour[j + 1], tour[k], tour[(k + 1) % size])
         a, b, c, d, e, f = ends
         tour[i + 1 : k + 1] = tour[j + 1 : k + 1] + tour[i + 1 : j + 1]

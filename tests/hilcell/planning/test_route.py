@@ -140,6 +140,15 @@ def test_a_lattice_of_single_rows_needs_the_cuts():
     assert lower_bound(cdist(points, points), found.order) < found.travel_mm / 1.05
 
 
+def test_single_rows_that_meet_need_the_stars():
+    """Rows that end on others: blossoms would leave more than 6 percent."""
+    long = raster(100, 3, 2800 / 99, 300.0) + [-1400, 950]
+    short = raster(20, 10, 33.0, 311.0)[:, ::-1] + [-1400, 905]
+    found = route(np.pad(np.vstack([long, short]), ((0, 0), (1, 0)), constant_values=-60.0))
+    assert len(found.order) == 500
+    assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
+
+
 def test_the_same_holes_get_the_same_route():
     points = np.random.default_rng(7).uniform(-500, 500, (120, 3))
     np.testing.assert_array_equal(route(points).order, route(points).order)
