@@ -33,7 +33,8 @@ class Fit:
         return Step(self.name, 0, 0.0)
 
     def perform(self, bench: Bench) -> None:
-        """Journal the choice."""
+        """Journal the choice, on the points as they are wanted."""
+        bench.retake_waiting()
         if "fit" not in bench.log.verdicts:
             figures = self.result(bench.log)
             bench.verdict("fit", holds=True, method=figures["method"], **figures["fit"])

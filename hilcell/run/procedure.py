@@ -100,7 +100,6 @@ class Procedure:
 
     def _acts(self, bench: Bench) -> None:
         for number, part in enumerate(self.parts, start=1):
-            bench.retake_waiting()  # before its successors are built on the point
             bench.event("step", name=part.name, number=number, of=len(self.parts))
             part.perform(bench)
 

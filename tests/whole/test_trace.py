@@ -54,6 +54,14 @@ def moved(events: list[dict[str, Any]], at: int, to: int) -> list[dict[str, Any]
     return events
 
 
+def while_in(state: str) -> list[dict[str, Any]]:
+    """A motion that begins while the run is paused."""
+    events = good()
+    life = {"kind": "state", "machine": "run", "from": "running", "to": state}
+    events.insert(3, life)
+    return events
+
+
 @pytest.mark.parametrize(
     ("events", "invariant"),
     [
@@ -63,6 +71,8 @@ def moved(events: list[dict[str, Any]], at: int, to: int) -> list[dict[str, Any]
         (moved(good(), 5, 9), "I3"),
         (without(4), "I4"),
         (moved(good(), 7, 9), "I5"),
+        (while_in("paused"), "I5"),
+        (while_in("suspended"), "I5"),
         (without(8), "I7"),
         ([*good()[:6], good()[5], *good()[6:]], "I8"),
         (without(2), "I9"),

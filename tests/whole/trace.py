@@ -57,8 +57,8 @@ class Trace:
         action = event["action"]
         if self._state in ENDED:
             self._say("I5", event, f"{action} while {self._state}")
-        if self._state == "paused" and action != "robot.move":
-            self._say("I5", event, f"{action} begun while paused")
+        if self._state in ("paused", "suspended"):
+            self._say("I5", event, f"{action} begun while {self._state}")
         if action.startswith("rail.") and self._last_motion.get("action") == "robot.move":
             self._say("I1", event, "the robot was not parked before")
         self._last_motion = event

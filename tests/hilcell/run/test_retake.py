@@ -1,0 +1,201 @@
+"""A point is measured anew while nothing was built on it, at once or when a run is resumed."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.cell import Cell
+from hilcell.run.bench import Bench
+from hilcell.run.journal import Record
+from hilcell.run.log import Log
+from hilcell.run.machine import CALIBRATION
+from hilcell.run.procedure import Step
+from hilcell.run.retake import retake_refusal, still_refused
+from tests.hilcell.run.bed import Bed, Live, until
+from tests.hilcell.run.desk import procedure
+
+POINT = {
+    "reflector": "SMR", "xyz_mm": (0.0, 0.0, 0.0), "std_mm": (0.0, 0.0, 0.0), "samples": 1,
+    "temperature_c": 20.0, "pressure_mbar": 1000.0, "humidity_percent": 50.0, "session": 1,
+    "frame": "tracker",
+}  # fmt: skip
+SIX = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
+
+
+def log_with(group: str, calibration: str, **facts: object) -> Log:
+    point = POINT | {"group": group, "station": "S1100", "commanded_deg": SIX} | facts
+    state = {"machine": "calibration", "from": "unknown", "to": calibration}
+    return Log([
+        Record(1, "", "state", "", state), Record(2, "", "point", "key", point),
+    ])  # fmt: skip
+
+
+FITTED = CALIBRATION.states[CALIBRATION.states.index("fitted") :]
+BEFORE = CALIBRATION.states[: CALIBRATION.states.index("fitted")]
+
+
+@pytest.mark.parametrize("state", CALIBRATION.states)
+@pytest.mark.parametrize(
+    ("group", "allowed_in"),
+    [
+        ("grid", BEFORE),
+        ("repeatability_2", BEFORE),
+        ("validate_before", CALIBRATION.states),
+        ("validate_chosen", CALIBRATION.states),
+        ("base", ()),
+        ("sign_before", ()),
+        ("frames_axis1", ()),
+        ("campaign", ()),
+    ],
+)
+def test_what_may_be_retaken_when(group: str, state: str, allowed_in: tuple[str, ...]) -> None:
+    refused = retake_refusal(log_with(group, state), "key")
+    assert (refused == "") == (state in allowed_in), refused
+    if refused:
+        assert refused.startswith("key: ")
+        assert refused.endswith("; start a new run")
+
+
+@pytest.mark.parametrize("facts", [{"station": ""}, {"commanded_deg": None}])
+def test_only_what_the_robot_can_go_to_again(facts: dict[str, object]) -> None:
+    assert retake_refusal(log_with("grid", "base_framed", **facts), "key")
+
+
+def test_a_point_never_measured_is_refused_and_one_that_waits() -> None:
+    log = log_with("grid", "base_framed")
+    assert "no such point" in retake_refusal(log, "other")
+    log.take(Record(3, "", "event", "", {"what": "retake asked", "key": "key"}))
+    assert list(log.retakes) == ["key"]
+    assert "waits already" in retake_refusal(log, "key")
+    assert still_refused(log, "key") == ""
+    log.take(Record(4, "", "point", "key", POINT | {"group": "grid", "station": "S1100"}))
+    assert list(log.retakes) == []
+
+
+class Flange:
+    """A part that measures flange points and judges them; ``act`` is called before each."""
+
+    name = "flange"
+    needs = moves = measures = yields = ""
+
+    def __init__(self, count: int, group: str, act: Any = None) -> None:
+        self.count, self.group, self.act = count, group, act
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        return Step(self.name, self.count, 1.0)
+
+    def perform(self, bench: Bench) -> None:
+        bench.reach("connect")
+        home = np.radians(bench.cell.robot.home_deg)
+        for number in range(self.count):
+            if self.act is not None:
+                self.act(bench, number)
+            station = bench.cell.station[number % len(bench.cell.station)]
+            bench.flange_point(
+                f"f/{number}", self.group, station, home + 0.001 * number,
+                nominal_mm=np.array([1.0, 2.0, number]),
+            )  # fmt: skip
+        bench.verdict("judged", holds=True, points=len(bench.log.points))
+
+    def result(self, log: Log) -> dict[str, Any]:
+        return {}
+
+
+@pytest.fixture
+def bed(tmp_path: Path) -> Bed:
+    return Bed(tmp_path)
+
+
+def keys(bed: Bed) -> list[str]:
+    return [record.key for record in bed.records("point")]
+
+
+def test_a_live_run_measures_it_at_its_next_flange_point(bed: Bed) -> None:
+    runner: list[Any] = []
+
+    def act(bench: Bench, number: int) -> None:
+        if number == 3 and not bench.log.points["f/1"].retaken:
+            assert runner[0].retake("f/1") == ""
+            assert runner[0].status()["retakes"] == ["f/1"]
+
+    runner.append(bed.runner(procedure(Flange(4, "validate_before", act))))
+    assert runner[0].run() == 0
+    bed.journal.close()
+    assert keys(bed) == ["f/0", "f/1", "f/2", "f/1", "f/3"]
+    log = bed.log()
+    first, again = (r.body for r in bed.records("point") if r.key == "f/1")
+    assert (first["retaken"], again["retaken"]) == (False, True)
+    assert log.points["f/1"].retaken
+    for fact in ("group", "station", "nominal_mm", "commanded_deg", "joints_deg"):
+        assert again[fact] == pytest.approx(first[fact]) if fact != "group" else first[fact]
+    assert log.retakes == {}
+
+
+def test_one_asked_for_behind_the_last_point_is_judged_too(bed: Bed) -> None:
+    asked: list[str] = []
+
+    class Late(Flange):
+        def perform(self, bench: Bench) -> None:
+            super().perform(bench)
+            if not asked:
+                asked.append(runner.retake("f/0"))
+
+    runner = bed.runner(procedure(Late(2, "validate_before")))
+    assert runner.run() == 0
+    bed.journal.close()
+    assert asked == [""]
+    assert keys(bed) == ["f/0", "f/1", "f/0"]
+    assert [r.kind for r in bed.records("verdict")] == ["verdict"] * 2
+
+
+def test_a_finished_run_is_opened_again(bed: Bed) -> None:
+    what = procedure(Flange(2, "validate_before"))
+    assert bed.run(what) == 0
+    runner = bed.runner(what)
+    assert runner.retake("f/1") == ""
+    assert runner.run() == 0
+    bed.journal.close()
+    assert bed.states() == ["checking", "running", "finished"] * 2
+    assert keys(bed) == ["f/0", "f/1", "f/1"]
+    assert len(bed.records("end")) == 2
+    assert bed.log().session == 2
+
+
+def test_what_waits_survives_the_engine(bed: Bed) -> None:
+    def die(bench: Bench, number: int) -> None:
+        if number == 1:
+            raise RuntimeError("power cut")
+
+    first = bed.runner(procedure(Flange(2, "validate_before", die)))
+    assert first.run() == 5
+    assert first.retake("f/0") == ""
+    bed.journal.close()
+    assert bed.run(procedure(Flange(2, "validate_before"))) == 0
+    assert keys(bed) == ["f/0", "f/0", "f/1"]
+
+
+def test_one_that_came_too_late_is_refused_and_told(bed: Bed) -> None:
+    def act(bench: Bench, number: int) -> None:
+        if number == 1:
+            assert runner.retake("f/0") == ""
+            for record in [row[0] for row in CALIBRATION.rows]:
+                bench.reach(record)
+
+    runner = bed.runner(procedure(Flange(2, "grid", act)))
+    assert runner.run() == 0
+    bed.journal.close()
+    assert keys(bed) == ["f/0", "f/1"]
+    (refused,) = bed.events("retake refused")
+    assert refused["key"] == "f/0"
+    assert "the correction was built with it" in refused["reason"]
+
+
+def test_a_refusal_reaches_who_asked(bed: Bed) -> None:
+    with Live(bed, procedure(Flange(10**6, "base"))) as live:
+        until(lambda: live.status("points") > 0)
+        assert "no such point" in live.runner.retake("x" * 5000)
+        assert "start a new run" in live.runner.retake("f/0")
+        live.runner.stop()
+    assert bed.events("retake asked") == []

@@ -1,0 +1,102 @@
+"""Points are measured anew on a live run and on a finished one; names are chosen."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hilcell.run.control import send_command
+from tests.whole.bench import SMALL, Engine, end_of, events, hilcell, sets
+from tests.whole.trace import judge
+
+KEY = "validate/S300/chosen/001"
+
+
+def retaken(journal: list[dict[str, Any]]) -> list[str]:
+    return [e["key"] for e in journal if e["kind"] == "point" and e.get("retaken")]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    runs = tmp_path_factory.mktemp("runs")
+    done = hilcell("run", "--name", "mine", "--runs", runs, "--json", *sets(SMALL))
+    assert done.returncode == 0, done.stderr
+    return runs, end_of(done)
+
+
+def test_a_finished_run_is_reopened_measured_and_judged_anew(
+    finished: tuple[Path, dict[str, Any]],
+) -> None:
+    runs, before = finished
+    done = hilcell("resume", "mine", "--runs", runs, "--retake", KEY, "--json")
+    end = end_of(done)
+    assert end["state"] == "finished", done.stderr
+    printed = events(done.stdout)
+    assert retaken(printed) == [KEY]
+    assert any(e["kind"] == "point" and e["group"] == "control" for e in printed)
+    verdicts = [e["key"] for e in printed if e["kind"] == "verdict"]
+    assert "validation.S300" in verdicts
+    points = [e for e in printed if e["kind"] == "point" and e["group"] != "control"]
+    assert len(points) == 1
+    first = before["result"]["validation"]["S300"]["chosen"]["mean"]
+    assert end["result"]["validation"]["S300"]["chosen"]["mean"] != first
+    assert end["result"]["validation"]["S1100"] == before["result"]["validation"]["S1100"]
+    journal = events(hilcell("watch", "mine", "--runs", runs, "--json").stdout)
+    assert judge(journal) == []
+    again = hilcell("resume", "mine", "--runs", runs)
+    assert again.returncode == 2
+    assert "is finished" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("key", "part"),
+    [("grid/0-0-0", "the correction was built with it"), ("grid/9-9-9", "no such point")],
+)
+def test_what_may_not_be_retaken_is_refused_before_anything_moves(
+    finished: tuple[Path, dict[str, Any]], key: str, part: str
+) -> None:
+    runs, _ = finished
+    done = hilcell("resume", "mine", "--runs", runs, "--retake", key, "--retake", KEY)
+    assert done.returncode == 2
+    assert part in done.stderr
+    journal = events(hilcell("watch", "mine", "--runs", runs, "--json").stdout)
+    assert journal[-1]["kind"] == "end"
+
+
+def test_a_live_run_measures_a_vertex_anew(tmp_path: Path) -> None:
+    engine = Engine("run", "--name", "live", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
+    engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/2-0-0")
+    folder = tmp_path / "live"
+    assert send_command(folder, "retake", key="grid/0-0-0")["ok"] is True
+    assert "waits already" in str(send_command(folder, "retake", key="grid/0-0-0")["error"])
+    engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/0-0-0")
+    assert send_command(folder, "abort")["ok"] is True
+    printed = engine.rest()
+    assert printed[-1]["exit"] == 4
+    assert printed[-1]["state"] == "aborted"
+    assert retaken(printed) == ["grid/0-0-0"]
+    assert judge(printed) == []
+    assert not [e for e in printed if e.get("what") == "safe stop"]
+
+
+def test_a_name_is_used_once(finished: tuple[Path, dict[str, Any]]) -> None:
+    runs, _ = finished
+    done = hilcell("run", "--name", "mine", "--runs", runs, "--json")
+    assert done.returncode == 2
+    assert "run mine exists already" in done.stderr
+
+
+def test_a_folder_without_a_journal_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "engine.log").write_text("")
+    done = hilcell("run", "home", "--name", "mine", "--runs", tmp_path, "--json")
+    assert end_of(done)["run"] == "mine"
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a/b", ".hidden", "last", "x" * 101, "a\nb", "ä"])
+def test_a_name_that_is_no_folder_is_refused(tmp_path: Path, name: str) -> None:
+    done = hilcell("run", "--name", name, "--runs", tmp_path)
+    assert done.returncode == 2
+    assert "1 to 100 letters, digits" in done.stderr
+    assert not list(tmp_path.iterdir())
