@@ -21,6 +21,7 @@ DRIFT_LIMIT_K = 2.0
 MANY_APPROACHES = 0.5  # of those that the cell file allows
 STRAYED = 0.5  # of rail.slip_limit_mm: drive against strip, from one hold to the next
 OVER = ("aborted", "faulted", "finished")
+SAYS_NOTHING = ("put the cause right", "look at the tracker")  # acts that the entry says better
 REFUSED_EXITS = (2, 3, 5, 6, 7)
 
 
@@ -56,10 +57,9 @@ def alarms_of(log: Log, run: str, *, live: bool) -> list[Alarm]:
     """
     if log.plan is None:
         return []
-    session = _session(log)
-    moments = [*_temperature(log), *_verdicts(log)]
-    moments += _events(log, session, suspended=live and log.states["run"] == "suspended")
-    moments += _strip(log, session)
+    began = max((r.seq for r in log.life if r.body["to"] == "checking"), default=0)
+    session = [record for record in log.events if record.seq > began]
+    moments = [*_temperature(log), *_verdicts(log), *_events(session), *_strip(log, session)]
     moments += _end(log, session, live=live)
     moments.sort(key=lambda moment: moment.seq)
     over = not live or log.states["run"] in OVER
@@ -74,7 +74,8 @@ def explain(text: str, run: str = "RUN") -> list[Alarm]:
 def _alarm(moment: _Moment, run: str, *, over: bool) -> Alarm:
     entry, finding = entry_of(moment.finding), moment.finding
     severity = moment.severity or entry.severity
-    steps = [line(finding.act), *entry.do]
+    act = "" if finding.act.startswith(SAYS_NOTHING) else line(finding.act)
+    steps = [act, *entry.do]
     if severity != "notice":
         steps.append(_then(entry, run, over=over))
     return Alarm(
@@ -96,35 +97,22 @@ def _then(entry: Entry, run: str, *, over: bool) -> str:
 # -- what the journal tells -----------------------------------------------------------------------
 
 
-def _session(log: Log) -> list[Record]:
-    """Return the events of the last session: "connected" opens it, "closed" ends it."""
-    found: list[Record] = []
-    closed = False
-    for record in log.events:
-        what = record.body["what"]
-        if what == "connected" or (closed and what != "internal error"):  # its trace comes last
-            found, closed = [], False
-        found.append(record)
-        closed = closed or what == "closed"
-    begun_anew = closed and log.states["run"] not in OVER
-    return [] if begun_anew else found
-
-
-def _events(log: Log, session: list[Record], *, suspended: bool) -> Iterator[_Moment]:
-    asked = next((r for r in reversed(session) if r.body["what"] == "no reading"), None)
+def _events(session: list[Record]) -> Iterator[_Moment]:
     for record in session:
         body, t, seq = record.body, record.t, record.seq
         match body["what"]:
-            case "no reading":
+            case "no reading":  # tried again at once; whether that helped is told elsewhere
                 (finding,) = findings_of(f"{body['key']}: {body['reason']}")
-                retried: Severity | None = None if suspended and record is asked else "notice"
-                yield _Moment(finding, t, seq, retried)
+                yield _Moment(finding, t, seq, "notice")
             case "safe stop" | "closed" as what:
                 for name, problem in body["problems"].items():
                     yield _Moment(Finding("Cell", what, f"{name}: {problem}"), t, seq)
             case "command refused":
                 found = f"{body['command']} is not possible while {body['in']}"
                 yield _Moment(Finding("Cell", "command", found), t, seq)
+            case "screen lost" | "answer refused" | "retake refused" as what:
+                found = ": ".join(str(body[name]) for name in ("key", "reason") if name in body)
+                yield _Moment(Finding("Cell", what, found), t, seq)
             case "outlier measured again":
                 found = f"{body['key']} stands out from its neighbours and was measured again"
                 yield _Moment(Finding("Cell", "outlier", found), t, seq)
@@ -176,24 +164,37 @@ def _figures(body: dict[str, Any]) -> str:
 
 
 def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
-    """Yield how the run came to stand; the record that says so follows the session's events."""
-    last = session[-1] if session else None
-    t, seq = (last.t, last.seq + 1) if last is not None else ("", 0)
+    """Yield why the run stands as it does."""
     state, end = log.states["run"], log.end
-    reason = str(end.get("reason", "")) if end is not None else ""
+    last = log.life[-1] if log.life else None
+    body = last.body if last is not None else {}
+    t, seq = (last.t, last.seq) if last is not None else ("", 0)
+    told = str(body.get("reason", ""))
     if state == "faulted":
         broken = any(record.body["what"] == "internal error" for record in session)
-        for finding in _causes(log.fault, broken=broken):
+        for finding in _causes(told, body, broken=broken):
             yield _Moment(finding, t, seq, "fault")
+    elif state == "suspended" and live:
+        for finding in findings_of(told):
+            if finding.device:  # a question that no device's error has raised is no alarm
+                yield _Moment(finding, t, seq)
     elif state == "aborted":
-        yield _Moment(Finding("Cell", "stopped", "the run was stopped"), t, seq)
+        yield _Moment(Finding("Cell", "stopped", told or "the run was stopped"), t, seq)
     elif end is None and not live:
         found = f"the journal ends while the run was {state}, with {len(log.points)} points"
         yield _Moment(Finding("Cell", "crash", found), t, seq)
-    if reason != log.fault and end is not None and end["exit"] in REFUSED_EXITS:
+    yield from _refused(end, told, t, seq)
+
+
+def _causes(reason: str, body: dict[str, Any], *, broken: bool) -> list[Finding]:
+    if broken:
+        return [Finding("Cell", "internal error", reason)]
+    return findings_of(reason, body)
+
+
+def _refused(end: dict[str, Any] | None, told: str, t: str, seq: int) -> Iterator[_Moment]:
+    """Yield why a session did not begin, where its end alone tells."""
+    reason = str(end.get("reason", "")) if end is not None else ""
+    if end is not None and reason != told and end["exit"] in REFUSED_EXITS:
         for finding in findings_of(reason):
             yield _Moment(finding, t, seq, "fault")
-
-
-def _causes(reason: str, *, broken: bool) -> list[Finding]:
-    return [Finding("Cell", "internal error", reason)] if broken else findings_of(reason)

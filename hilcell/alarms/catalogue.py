@@ -15,7 +15,7 @@ from hilcell.alarms.finding import Finding
 
 Severity = Literal["notice", "warning", "fault"]
 SEVERITIES: tuple[Severity, ...] = ("notice", "warning", "fault")
-FILES = ("strip", "rail", "robot", "tracker", "verdict", "cell", "journal")
+FILES = ("strip", "rail", "robot", "tracker", "verdict", "journal", "cell")
 REST = "99"  # the end of the codes that take what no other entry takes
 
 

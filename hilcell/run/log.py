@@ -77,6 +77,7 @@ class Log:
         self.verdicts: dict[str, dict[str, Any]] = {}
         self.events: list[Record] = []
         self.states = {"run": "idle", "calibration": "unknown"}
+        self.life: list[Record] = []  # the states that the run went through
         self.session = 0
         self.end: dict[str, Any] | None = None
         self.fault = ""
@@ -93,7 +94,7 @@ class Log:
                 self.plan = msgspec.convert(body, PlanRecord)
                 self._cell = None
             case "state":
-                self._take_state(body)
+                self._take_state(record)
             case "point":
                 self.points[record.key] = msgspec.convert(body | {"key": record.key}, Point)
                 self.retakes.pop(record.key, None)
@@ -116,10 +117,12 @@ class Log:
             case "retake refused":
                 self.retakes.pop(body["key"], None)
 
-    def _take_state(self, body: dict[str, Any]) -> None:
+    def _take_state(self, record: Record) -> None:
+        body = record.body
         self.states[body["machine"]] = body["to"]
         if body["machine"] != "run":
             return
+        self.life.append(record)
         if body["to"] == "checking":
             self.session, self.end, self.fault = self.session + 1, None, ""
             self.moved = False

@@ -1,0 +1,51 @@
+"""The manual's page of alarms, written from the catalogue: ``python -m hilcell.alarms.page``."""
+
+from __future__ import annotations
+
+import sys
+
+from hilcell.alarms.catalogue import Entry, catalogue
+
+CHAPTERS = {
+    "R": "Rail", "S": "Strip", "B": "Robot", "T": "Tracker", "V": "Verdicts", "J": "Journal",
+    "C": "Cell",
+}  # fmt: skip
+THEN = {
+    "resume": "Continue: space, or `hilcell resume RUN`.",
+    "anew": "Start a new run: `hilcell run`.",
+    "nothing": "The run needs nothing to go on.",
+}
+HEAD = """# Alarms
+
+Every alarm of hilcell: its code, what it means, what to do. This page is written from the
+catalogue in `hilcell/alarms/` by `python -m hilcell.alarms.page`.
+
+A **fault** has stopped the run; devices are stopped, measured points are kept. A **warning** asks
+for somebody: the run waits, or its result is in doubt. A **notice** is worth knowing. A warning
+that nobody can answer, because the run is unattended, ends it as a fault; what a repetition has
+healed is told as a notice.
+
+On the screen an alarm also says where it was found, what was read and what was wanted. The first
+step there is what the failing operation itself advises. A stop on the screen is a software stop,
+not the E-stop.
+"""
+
+
+def page() -> str:
+    """Return the page as Markdown."""
+    parts = [HEAD]
+    for letter, title in CHAPTERS.items():
+        entries = [entry for entry in catalogue() if entry.code.startswith(f"HC-{letter}")]
+        parts += [f"## {title}\n", *map(_section, sorted(entries, key=lambda each: each.code))]
+    return "\n".join(parts)
+
+
+def _section(entry: Entry) -> str:
+    steps = [*entry.do, THEN[entry.then]]
+    numbered = "\n".join(f"{number}. {step}" for number, step in enumerate(steps, start=1))
+    head = f"### {entry.code} {entry.title}\n\n{entry.severity.capitalize()}. {entry.means}"
+    return f"{head}\n\n{numbered}\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())
