@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+from textual.events import Key
 from textual.pilot import Pilot
 
 from hilcell.tui.app import HilcellApp, Options
@@ -19,6 +21,8 @@ from tests.hilcell.tui.scenes import BEGAN, RUN, fresh, stories
 
 DEFAULT_KEYS = {action.name: action.keys for action in ACTIONS}
 SIZE = (80, 24)
+ROUNDS = 3  # a key opens a screen, the screen begins its work, the work is shown
+LETTERS = {"space": " ", "slash": "/", "question_mark": "?"}
 
 
 class Listener(Session):
@@ -84,16 +88,29 @@ def options(
 
 
 async def settle(pilot: Pilot[int]) -> None:
-    """Wait until what was begun in the background is done and painted."""
-    await pilot.pause()
-    await pilot.app.workers.wait_for_complete()
-    await pilot.pause()
+    """Wait until what was begun in the background is done and painted.
+
+    By messages and not by seconds, so that a slow machine sees what a fast one sees.
+    """
+    for _ in range(ROUNDS):
+        await _round(pilot)
+        await pilot.app.workers.wait_for_complete()
+    await _round(pilot)
+
+
+async def _round(pilot: Pilot[int]) -> None:
+    await pilot._wait_for_screen()
+    await asyncio.sleep(0)
+    if pilot.app.screen_stack:
+        pilot.app.screen._on_timer_update()
 
 
 async def press(pilot: Pilot[int], *keys: str) -> None:
-    """Press keys, and wait until what they began is done and painted."""
-    await pilot.press(*keys)
-    await settle(pilot)
+    """Press keys, and wait until what each began is done and painted."""
+    for key in keys:
+        letter = key if len(key) == 1 else LETTERS.get(key)
+        pilot.app.post_message(Key(key, letter))
+        await settle(pilot)
 
 
 def text_of(app: HilcellApp) -> str:
