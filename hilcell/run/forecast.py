@@ -165,7 +165,6 @@ class Forecast:
         self._steps = [_Step(step) for step in body["steps"]]
         if body["simulated"]:
             self._pace = _Pace(1.0 / body["speed"] if body["speed"] else 0.0)
-        self._working = True
 
     def _enter(self, state: str) -> None:
         self._working = state in AT_WORK

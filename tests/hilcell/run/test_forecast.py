@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.forecast import told, worst_after
 from hilcell.run.forecast import CLOSING_S, Forecast
 from hilcell.run.journal import Record
 
 BEGAN = datetime(2026, 1, 1, tzinfo=UTC)
+RECORDED = Path(__file__).with_name("forecast_run.jsonl")
 KINDS = ("flange", "10 readings", "survey")
 
 
@@ -351,3 +356,47 @@ def test_where_the_plan_is_proportionate_the_total_is_exact_once_each_kind_was_s
                 tape.point(duration_s / measured / speed + extra_s[kind])
                 totals += [tape.total_s] * (number > 1)
     assert totals == pytest.approx([tape.now_s + CLOSING_S] * len(totals), abs=1e-3)
+
+
+@pytest.fixture
+def recorded() -> list[Record]:
+    """Return a small calibration at speed 10, paused once, as its journal held it.
+
+    Bodies are cut down to what a forecast reads.
+    """
+    lines = RECORDED.read_bytes().splitlines()
+    return [msgspec.json.decode(line, type=Record) for line in lines]
+
+
+def test_a_recorded_run_is_told_within_five_percent_after_a_tenth(recorded: list[Record]) -> None:
+    assert abs(worst_after(0.1, recorded)) <= 0.05
+    assert abs(worst_after(0.5, recorded)) <= 0.025
+
+
+def test_a_recorded_run_is_not_told_as_well_with_a_plan_out_of_proportion(
+    recorded: list[Record],
+) -> None:
+    for step_ in recorded[0].body["steps"]:
+        for span_ in step_["spans"]:
+            span_["duration_s"] *= 3.0 if step_["name"] == "validate" else 1.0
+    assert abs(worst_after(0.1, recorded)) > 0.2
+
+
+def test_every_moment_of_a_recorded_run_is_looked_at(recorded: list[Record]) -> None:
+    shares = [share for share, _ in told(recorded)]
+    assert shares == sorted(shares)
+    assert len(shares) == 3 * (len(recorded) - 1)
+    assert shares[-1] == pytest.approx(1.0)
+
+
+def test_a_record_costs_the_same_early_and_late() -> None:
+    """A hundred thousand points: were it not so, this would take hours."""
+    tape = Tape()
+    tape.plan([step("grid", 100_000, 3e5)], None, real=True)
+    tape.start()
+    tape.step(1)
+    began_s = time.process_time()
+    for _ in range(100_000):
+        tape.point(3.0)
+    assert tape.remaining_s == pytest.approx(CLOSING_S)
+    assert time.process_time() - began_s < 20.0
