@@ -18,9 +18,9 @@ from hilcell.run.procedure import Span, Step
 POINTING_S = 0.6  # the beam turns to a reflector and locks on it
 READING_S = 0.5  # one stationary reading
 RAMP_S = 0.4  # all axes of the robot, from standstill to full speed
-ACKNOWLEDGED_S = 0.05  # a motion's end is looked for so often: half of it is lost at either end
-SWITCHED_S = 0.2  # the rail's drive is switched on, takes its target, and is seen to stand
-STRIP_STANDS_S = 0.1  # five readings of the strip
+ACKNOWLEDGED_S = 0.025  # its motion's end is looked for every 0.05 s: half of that passes
+SWITCHED_S = 0.05  # the rail's drive takes its target and is seen to stand, looks 0.02 s apart
+STRIP_STANDS_S = 0.08  # from the first of five such looks at the strip to the last
 APPROACHES = 2  # first by the drive, then by what the strip said
 HOMING_MM_S = 100.0
 

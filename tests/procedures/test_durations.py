@@ -1,0 +1,91 @@
+"""Planned durations against the motions of the simulated cell, and spans against their steps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fakes.motion import travel_s
+from fakes.robot_motion import RobotMotion
+from fakes.time import PlantTime
+from hilcell.cell import Station, load_cell
+from hilcell.run.procedure import Step
+from procedures import durations
+from procedures.paper import EXPERIMENTS
+
+CELL = load_cell("paper")
+STEPS = {part.name: part.plan(CELL, 1) for part in EXPERIMENTS}
+
+
+@given(
+    here_deg=st.lists(st.floats(-90.0, 90.0), min_size=6, max_size=6),
+    there_deg=st.lists(st.floats(-90.0, 90.0), min_size=6, max_size=6),
+    percent=st.integers(1, 100),
+)
+def test_a_robots_motion_takes_what_its_trapezoid_takes(
+    here_deg: list[float], there_deg: list[float], percent: int
+) -> None:
+    cell = load_cell("paper", {"robot.speed_percent": str(percent)})
+    here_rad, there_rad = np.radians(here_deg), np.radians(there_deg)
+    time = PlantTime()
+    motion = RobotMotion(cell, time, lambda _: np.zeros(6))
+    motion.move(here_rad, 1.0)
+    time.advance(1e4)
+    began_s = time.now_s()
+    motion.move(there_rad, percent / 100.0)
+    took_s = motion._path.end_s - began_s
+    planned_s = float(durations.robot_moves_s(cell, here_rad, there_rad))
+    assert planned_s - durations.ACKNOWLEDGED_S == pytest.approx(took_s, abs=2e-3)
+
+
+@given(distance_mm=st.floats(0.001, 3000.0), back=st.booleans())
+def test_the_slides_travel_takes_what_its_trapezoid_takes(distance_mm: float, back: bool) -> None:
+    rail = CELL.rail
+    planned_s = durations.rail_travel_s(CELL, -distance_mm if back else distance_mm)
+    planned_s -= durations.SWITCHED_S + durations.STRIP_STANDS_S
+    assert planned_s == pytest.approx(
+        travel_s(distance_mm, rail.speed_mm_s, rail.acceleration_mm_s2)
+    )
+
+
+def test_a_slide_that_stands_there_travels_no_time() -> None:
+    seen_s = durations.SWITCHED_S + durations.STRIP_STANDS_S
+    assert durations.rail_travel_s(CELL, 0.0) == pytest.approx(seen_s)
+    assert durations.leg(CELL, CELL.station[0], CELL.station[0]).duration_s == 0.0
+
+
+def test_a_farther_station_takes_longer_and_the_robot_is_parked_first() -> None:
+    near, far = (Station(name=n, rail_mm=mm, strip_mm=mm) for n, mm in (("N", 500.0), ("F", 2e3)))
+    here = CELL.station[0]
+    assert durations.leg(CELL, here, near).duration_s < durations.leg(CELL, here, far).duration_s
+    alone_s = durations.approach_s(CELL, here.rail_mm, far)
+    assert durations.leg(CELL, here, far).duration_s == pytest.approx(
+        alone_s + durations.park_s(CELL)
+    )
+
+
+def test_the_trackers_own_measuring_time_counts_where_the_cell_states_it() -> None:
+    slow = load_cell("paper", {"tracker.options.stationary_ms": "2000"})
+    assert durations.measure_s(slow, 3) == pytest.approx(durations.POINTING_S + 6.0)
+    assert durations.measure_s(CELL, 3) == pytest.approx(durations.POINTING_S + 1.5)
+
+
+@pytest.mark.parametrize("planned", STEPS.values(), ids=STEPS)
+def test_spans_add_up_to_their_step(planned: Step) -> None:
+    assert math.isfinite(planned.duration_s)
+    assert planned.duration_s >= 0.0
+    if planned.spans:
+        assert sum(span.duration_s for span in planned.spans) == pytest.approx(planned.duration_s)
+        assert sum(span.measured for span in planned.spans) >= planned.points
+
+
+def test_a_robot_twice_as_fast_shortens_what_it_moves_and_nothing_else() -> None:
+    fast = load_cell("paper", {"robot.speed_percent": "60"})
+    sooner = {part.name: part.plan(fast, 1).duration_s for part in EXPERIMENTS}
+    assert sooner["validate"] < 0.95 * STEPS["validate"].duration_s
+    assert sooner["world-frame"] == STEPS["world-frame"].duration_s
+    assert sooner["rail-survey"] == STEPS["rail-survey"].duration_s
