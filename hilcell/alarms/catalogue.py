@@ -21,7 +21,7 @@ REST = "99"  # the end of the codes that take what no other entry takes
 
 @dataclass(frozen=True, slots=True)
 class When:
-    """What fits: a device by name ("" for none), operation and found by regular expressions."""
+    """What fits: a device by name ("" for none, "*" for any), the others by regular expressions."""
 
     device: str = ""
     operation: str = ""
@@ -30,7 +30,7 @@ class When:
     def fits(self, finding: Finding) -> bool:
         """Whether ``finding`` is one of these."""
         return (
-            self.device == finding.device
+            self.device in (finding.device, "*")
             and re.search(self.operation, finding.operation) is not None
             and re.search(self.found, finding.found) is not None
         )
@@ -69,5 +69,5 @@ def catalogue() -> tuple[Entry, ...]:
 
 
 def entry_of(finding: Finding) -> Entry:
-    """Return the entry that a finding belongs to; there is one for the rest of every device."""
+    """Return the entry that a finding belongs to; the last one takes everything."""
     return next(entry for entry in catalogue() if any(when.fits(finding) for when in entry.when))

@@ -1,0 +1,59 @@
+"""Journals in memory, record by record, for tests of what alarms make of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hilcell.alarms import Alarm, alarms_of
+from hilcell.ports import DeviceError
+from hilcell.run.journal import Kind, Record
+from hilcell.run.log import Log
+from hilcell.run.runner import facts_of
+from tests.hilcell.report.journals import plan_record
+
+Row = tuple[Kind, str, dict[str, Any]]
+RUN = "20261121-120000-home-abcd"
+END = {"state": "faulted", "exit": 3, "result": {}}
+CONNECTED: Row = ("event", "", {"what": "connected", "devices": []})
+CLOSED: Row = ("event", "", {"what": "closed", "problems": {}})
+
+
+def state(to: str, **more: Any) -> Row:
+    return ("state", "", {"machine": "run", "from": "?", "to": to, "trigger": "?"} | more)
+
+
+def event(what: str, **facts: Any) -> Row:
+    return ("event", "", {"what": what} | facts)
+
+
+def faulted(error: Exception) -> Row:
+    return state("faulted", reason=str(error), **facts_of(error))
+
+
+def ended(reason: str, code: int = 3, to: str = "faulted") -> Row:
+    return ("end", "", END | {"reason": reason, "exit": code, "state": to})
+
+
+def point(key: str, temperature_c: float = 20.0) -> Row:
+    return ("point", key, {
+        "group": "grid", "station": "S1100", "frame": "tracker", "reflector": "SMR", "samples": 1,
+        "xyz_mm": (1.0, 2.0, 3.0), "std_mm": (0.0, 0.0, 0.0), "temperature_c": temperature_c,
+        "pressure_mbar": 1013.0, "humidity_percent": 50.0, "session": 1,
+    })  # fmt: skip
+
+
+BEGUN = (state("checking"), CONNECTED, state("running"))
+BEAM = DeviceError("Tracker", "measure", "the beam broke", act="clear the line of sight")
+
+
+def log_of(*rows: Row) -> Log:
+    """Return the log of a journal with a plan and these records, dated by their numbers."""
+    plan: Row = ("plan", "", plan_record())
+    return Log(
+        Record(seq, f"2026-11-21T12:00:{seq:02d}Z", kind, key, body)
+        for seq, (kind, key, body) in enumerate((plan, *rows), start=1)
+    )
+
+
+def alarms(*rows: Row, live: bool = False) -> list[Alarm]:
+    return alarms_of(log_of(*rows), RUN, live=live)

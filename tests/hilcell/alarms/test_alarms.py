@@ -1,0 +1,250 @@
+"""What a journal's records become: one alarm each, with its place, its words and its steps."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from hilcell.alarms import Alarm, alarms_of, explain
+from hilcell.devices import ConnectFailed
+from hilcell.ports import DeviceError, DeviceRefused, HilcellError
+from hilcell.run.log import Log
+from tests.hilcell.alarms.journals import (
+    BEAM,
+    BEGUN,
+    CLOSED,
+    RUN,
+    Row,
+    alarms,
+    ended,
+    event,
+    faulted,
+    point,
+    state,
+)  # fmt: skip
+
+STALLED = DeviceError(
+    "Rail", "move to 500.000 mm", "no progress for 3 s at 480.000 mm",
+    wanted="target reached at 500.000 mm", act="check the slide for an obstacle",
+)  # fmt: skip
+HELD = {"station": "S1100", "tries": 2, "rail_mm": 1100.0, "strip_mm": 1100.0}
+DONE = (CLOSED, state("finished"), ended("", 0, "finished"))
+OVER = (*BEGUN, *DONE)
+
+# What each of these records becomes; the sites that raise errors are another test's.
+BY_EVENTS: dict[str, tuple[Row, ...]] = {
+    "HC-C02": (*BEGUN, event("safe stop", problems={"Robot": "Robot: write HC_STOP: gone"}), *DONE),
+    "HC-C03": (*BEGUN, event("closed", problems={"Rail": "no answer within 10 s"}), *DONE[1:]),
+    "HC-C05": (*BEGUN, state("stopping"), CLOSED, state("aborted")),
+    "HC-C06": (*BEGUN, event("command refused", command="proceed", **{"in": "running"}), *DONE),
+    "HC-C07": (*BEGUN, CLOSED, faulted(KeyError("x")), event("internal error", trace="...")),
+    "HC-C08": (*BEGUN, event("screen lost"), *DONE),
+    "HC-C09": (*BEGUN, event("answer refused", reason="nothing is seen"), *DONE),
+    "HC-C14": (*BEGUN, event("retake refused", key="grid/0", reason="it is fitted"), *DONE),
+    "HC-J05": BEGUN,
+    "HC-S08": (*BEGUN, event("station held", **HELD | {"tries": 5}), *DONE),
+    "HC-S09": (*BEGUN, event("station held", **HELD),
+               event("station held", **HELD | {"rail_mm": 1101.5}), *DONE),
+    "HC-V01": (*OVER, ("verdict", "validation.others", {"holds": False, "max_mm": 0.5})),
+    "HC-V02": (*OVER, ("verdict", "sign", {"holds": False, "ratio": 2.0})),
+    "HC-V03": (*OVER, ("verdict", "station-repeatability", {"holds": False, "found_mm": 0.1})),
+    "HC-V04": (point("a"), point("b", 22.5), *OVER),
+    "HC-V05": (*BEGUN, event("outlier measured again", key="grid/1-2-3"), *DONE),
+    "HC-V99": (*OVER, ("verdict", "beauty", {"holds": False})),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("code", BY_EVENTS)
+def test_each_record_worth_an_alarm_becomes_one(code: str) -> None:
+    (alarm,) = alarms(*BY_EVENTS[code])
+    assert alarm.code == code
+    assert alarm.title
+    assert alarm.means
+    assert alarm.do
+
+
+def test_a_good_run_has_none() -> None:
+    good: list[Row] = [
+        *BEGUN,
+        event("station held", **HELD),
+        point("a"),
+        point("b", 21.9),
+        event("safe stop", problems={}),
+        ("verdict", "validation.others", {"holds": True}),
+    ]
+    assert alarms(*good, *DONE) == []
+    assert alarms(*good, live=True) == []
+    assert alarms_of(Log(), RUN, live=False) == []
+
+
+def test_a_fault_says_code_place_words_and_steps() -> None:
+    (alarm,) = alarms(*BEGUN, CLOSED, faulted(STALLED), ended(str(STALLED)))
+    assert alarm == Alarm(
+        code="HC-R31", severity="fault", title="Slide does not get on",
+        where="Rail: move to 500.000 mm",
+        found="no progress for 3 s at 480.000 mm, wanted target reached at 500.000 mm",
+        means=alarm.means,
+        do=(
+            "check the slide for an obstacle",
+            "Look for an obstacle and for a brake that stays closed.",
+            "Check coupling and belt.",
+            f"Continue: space, or `hilcell resume {RUN}`.",
+        ),
+        t="2026-11-21T12:00:06Z", seq=6,
+    )  # fmt: skip
+
+
+def test_an_older_journal_without_the_parts_says_the_same() -> None:
+    now = alarms(*BEGUN, CLOSED, faulted(STALLED))
+    then = alarms(*BEGUN, CLOSED, state("faulted", reason=str(STALLED)))
+    assert now == then
+
+
+def test_parts_are_believed_before_the_text() -> None:
+    """A device's words may look like the text's marks; the parts tell where they end."""
+    error = DeviceError("Robot", "read $X", "it says: a, wanted b; c", act="restart it")
+    (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
+    assert alarm.code == "HC-B26"
+    assert alarm.found == "it says: a, wanted b; c"
+    assert alarm.do[0] == "restart it"
+
+
+def test_an_act_that_says_nothing_is_left_out() -> None:
+    error = DeviceError("Rail", "home", "homing error", act="put the cause right, then resume")
+    (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
+    assert alarm.do[0] == "Check the negative limit switch and its cable."
+
+
+def test_devices_that_failed_together_are_told_one_by_one() -> None:
+    error = ConnectFailed({
+        "Rail": DeviceError("Rail", "connect", "slcan x:1: refused", act="check the CAN gateway"),
+        "Tracker": DeviceRefused("Tracker", "connect", "serial 7", wanted="8"),
+    })  # fmt: skip
+    rows = (state("checking"), CLOSED, faulted(error))
+    assert [(a.code, a.where) for a in alarms(*rows)] == [
+        ("HC-R04", "Rail: connect"), ("HC-T03", "Tracker: connect"),
+    ]  # fmt: skip
+    assert {a.seq for a in alarms(*rows)} == {4}
+
+
+NO_READING = event("no reading", key="grid/1", tries=1, reason=str(BEAM))
+
+
+def test_a_reading_that_came_at_the_second_try_is_a_notice() -> None:
+    (alarm,) = alarms(*BEGUN, NO_READING, point("grid/1"), live=True)
+    assert (alarm.code, alarm.severity) == ("HC-T10", "notice")
+    assert alarm.where == "Tracker: measure grid/1"
+    assert alarm.do[0] == "clear the line of sight"
+    assert not any("Continue" in step for step in alarm.do)
+
+
+def test_a_run_that_asks_for_it_is_a_warning_while_it_asks() -> None:
+    asks = (*BEGUN, NO_READING, state("suspended", reason=f"grid/1: {BEAM}"))
+    *_, alarm = alarms(*asks, live=True)
+    assert (alarm.code, alarm.severity, alarm.where) == (
+        "HC-T10", "warning", "Tracker: measure grid/1",
+    )  # fmt: skip
+    assert alarm.do[-1] == "Continue: space."
+    assert [a.severity for a in alarms(*asks, state("running"), live=True)] == ["notice"]
+
+
+def test_a_question_that_no_error_raised_is_no_alarm() -> None:
+    asks = (*BEGUN, state("suspended", reason="move the reflector to nest F2"))
+    assert alarms(*asks, live=True) == []
+
+
+def test_unattended_it_is_the_run_s_fault() -> None:
+    error = DeviceError("Tracker", "measure", f"grid/1: {BEAM}", act="clear the beam, resume")
+    *_, alarm = alarms(*BEGUN, NO_READING, CLOSED, faulted(error))
+    assert (alarm.code, alarm.severity, alarm.found) == ("HC-T10", "fault", "the beam broke")
+    assert alarm.where == "Tracker: measure grid/1"
+
+
+def test_what_stopped_an_earlier_session_was_dealt_with() -> None:
+    first = (
+        *BEGUN,
+        NO_READING,
+        event("safe stop", problems={"Rail": "gone"}),
+        CLOSED,
+        faulted(STALLED),
+        ended(str(STALLED)),
+    )
+    assert alarms(*first, *BEGUN, live=True) == []
+    later = alarms(*first, state("checking"), CLOSED, faulted(BEAM), ended(str(BEAM)))
+    assert [alarm.code for alarm in later] == ["HC-T10"]
+
+
+def test_a_resume_that_was_refused_stands_beside_the_fault() -> None:
+    first = (*BEGUN, CLOSED, faulted(STALLED), ended(str(STALLED)))
+    found = alarms(*first, ended("device rail is locked by run x (pid 1); wait for its end", 6))
+    assert [alarm.code for alarm in found] == ["HC-R31", "HC-C04"]
+
+
+def test_a_run_that_never_began_says_why() -> None:
+    (alarm,) = alarms(ended("robot: 1 problem\n  port: a whole number is expected", 2, "idle"))
+    assert (alarm.code, alarm.severity) == ("HC-C11", "fault")
+    assert alarm.found == "robot: 1 problem; port: a whole number is expected"
+
+
+def test_temperature_is_judged_from_the_first_point_and_told_once() -> None:
+    (alarm,) = alarms(point("a"), point("b", 17.9), point("c", 15.0), *BEGUN, live=True)
+    assert alarm.found == "17.9 C at b, -2.1 K from the start, wanted within 2 K"
+    (alarm,) = alarms(point("a"), point("b", float("nan")), *BEGUN, live=True)
+    assert alarm.code == "HC-V04"
+
+
+def test_figures_of_a_verdict_carry_their_unit() -> None:
+    (alarm,) = alarms(*BY_EVENTS["HC-V01"])
+    assert (alarm.where, alarm.found) == ("Cell: verdict validation.others", "max 0.500 mm")
+
+
+def test_newest_is_last() -> None:
+    found = alarms(
+        *BEGUN, NO_READING, event("command refused", command="abort", **{"in": "x"}),
+        event("safe stop", problems={"Rail": "gone"}), CLOSED, faulted(STALLED),
+        ("verdict", "sign", {"holds": False}),
+    )  # fmt: skip
+    assert [alarm.code for alarm in found] == ["HC-V02", "HC-T10", "HC-C06", "HC-C02", "HC-R31"]
+    assert [alarm.seq for alarm in found] == sorted(alarm.seq for alarm in found)
+
+
+def test_a_device_s_hostile_words_stay_words() -> None:
+    hostile = "\x1b]0;owned\x07[bold][/nope][@click=app.quit]x[/]\u202e\x9b2J\ninjected: line\r"
+    error = DeviceError(hostile, hostile, hostile, wanted=hostile, act=hostile)
+    told = DeviceError("Tracker", hostile, hostile, wanted=hostile, act=hostile)
+    rows = (
+        *BEGUN,
+        event("no reading", key=hostile, tries=1, reason=hostile),
+        event("closed", problems={"Rail": hostile}),
+    )
+    for found in (
+        alarms(*rows, faulted(error)),
+        alarms(*rows, faulted(told)),
+        alarms(*rows, state("faulted", reason=hostile)),
+        explain(hostile, RUN),
+    ):
+        assert found
+        for alarm in found:
+            for text in (alarm.where, alarm.found, alarm.title, *alarm.do):
+                assert text.isprintable(), text
+                assert "\u202e" not in text
+                assert len(text) <= 420
+
+
+def test_explain_tells_a_refusal_by_itself() -> None:
+    (alarm,) = explain("run x: no engine is running; `hilcell show` tells how it ended", "x")
+    assert (alarm.code, alarm.do[0]) == ("HC-J08", "`hilcell show` tells how it ended")
+    (alarm,) = explain("")
+    assert alarm.code == "HC-C99"
+    (alarm,) = explain(str(HilcellError("calibrate refused before anything moves\ngrid: x")))
+    assert alarm.code == "HC-C10"
+
+
+def test_import_is_light() -> None:
+    """The screen shows itself within 0.8 s; benchmarks hold the seconds."""
+    code = "import sys, hilcell.alarms; print([m for m in ('numpy', 'scipy', 'msgspec', 'tomllib')"
+    code += " if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,68 @@
+"""Alarms stay until they are acknowledged, at the highest severity they had."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hilcell.alarms import Alarm, Latch
+from tests.hilcell.alarms.journals import BEAM, BEGUN, CLOSED, alarms, event, faulted, state
+
+ONE = Alarm("HC-T10", "warning", "Beam broken", "Tracker", "broke", "means", ("do",), "t", 5)
+
+
+def standing(latch: Latch) -> list[tuple[str, str, int]]:
+    return [(each.alarm.code, each.severity, each.count) for each in latch.standing()]
+
+
+def test_the_highest_severity_and_the_newest_words_are_kept() -> None:
+    latch = Latch()
+    fault = replace(ONE, severity="fault", seq=6, found="first")
+    notice = replace(ONE, severity="notice", seq=7, found="second")
+    latch.take([ONE, fault])
+    latch.take([notice])
+    (only,) = latch.standing()
+    assert (only.severity, only.count) == ("fault", 3)
+    assert only.alarm == notice
+
+
+def test_the_same_journal_read_again_counts_nothing_twice() -> None:
+    latch = Latch()
+    again = replace(ONE, seq=9)
+    for _ in range(3):
+        latch.take([ONE, again])
+    assert standing(latch) == [("HC-T10", "warning", 2)]
+
+
+def test_acknowledged_is_gone_until_it_comes_again() -> None:
+    latch = Latch()
+    other = replace(ONE, code="HC-R31", severity="fault", seq=6)
+    latch.take([ONE, other])
+    latch.acknowledge("HC-R31")
+    latch.acknowledge("HC-R31")
+    assert standing(latch) == [("HC-T10", "warning", 1)]
+    latch.acknowledge()
+    latch.take([ONE, other])
+    assert standing(latch) == []
+    latch.take([replace(other, seq=12, severity="notice")])
+    assert standing(latch) == [("HC-R31", "notice", 1)]
+
+
+def test_the_worst_stands_first_and_of_these_the_newest() -> None:
+    latch = Latch()
+    codes = {"a": "notice", "b": "fault", "c": "warning", "d": "fault"}
+    latch.take(
+        replace(ONE, code=code, severity=severity, seq=seq)  # type: ignore[arg-type]
+        for seq, (code, severity) in enumerate(codes.items())
+    )
+    assert [each.alarm.code for each in latch.standing()] == ["d", "b", "c", "a"]
+
+
+def test_a_healed_reading_that_comes_back_as_a_fault_is_one_alarm() -> None:
+    latch = Latch()
+    tried = (*BEGUN, event("no reading", key="grid/1", tries=1, reason=str(BEAM)))
+    latch.take(alarms(*tried, live=True))
+    assert standing(latch) == [("HC-T10", "notice", 1)]
+    asks = (*tried, state("suspended", reason=f"grid/1: {BEAM}"))
+    latch.take(alarms(*asks, live=True))
+    latch.take(alarms(*asks, state("stopping"), CLOSED, faulted(BEAM)))
+    assert standing(latch) == [("HC-T10", "fault", 3)]

@@ -1,0 +1,102 @@
+"""Whoever adds a fault adds its text: every error that the source builds has an alarm of its own.
+
+The samples stand for what the syntax does not tell: names of devices that a class is given, and
+words that come from tables.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers import cia406, emcy, emscon
+from drivers.robot_kuka_c3 import HEALTH
+from hilcell.alarms.catalogue import catalogue, entry_of
+from hilcell.alarms.finding import Finding
+from tests.hilcell.alarms.sites import HOLE, Site, loaded, modules, sites
+from tests.hilcell.alarms.test_alarms import BY_EVENTS
+
+CODES = [*emcy.CODES, *(family << 8 for family in emcy.FAMILIES if family >= 0x10), 0x1234, 0x0000]
+SAMPLES = {
+    "drivers/tcp.py": {"device": ["Robot", "Tracker"], "self.device": ["Robot", "Tracker"]},
+    "drivers/c3.py": {"self._device": ["Robot"]},
+    "drivers/can_link.py": {"device": ["Rail"], "self.device": ["Rail"]},
+    "drivers/pdo.py": {"self._device": ["Rail"]},
+    "drivers/sdo.py": {
+        "self._device": ["Rail"],
+        "device": ["Rail"],
+        "operation": ["read 6041h:00"],
+    },
+    "drivers/node_watch.py": {
+        "self._device": ["Rail"],
+        "emcy.text(code)": [emcy.text(code) for code in CODES],
+    },
+    "drivers/drive.py": {
+        "emcy.text(code)": [emcy.text(code) for code in CODES],
+        "cia406.alarm_text(now.alarms)": [cia406.alarm_text(1 << bit) for bit in range(16)],
+    },
+    "drivers/robot_kuka_c3.py": {
+        "name": [*HEALTH, "HC_VER", "$OV_PRO", "$ACT_TOOL", "$ACT_BASE", "$TOOL", "$BASE"],
+        "error": ["1", "2", "9", "77"],
+    },
+    "drivers/tracker_leica_emscon.py": {
+        "emscon.status_text(status)": [emscon.status_text(code) for code in [*emscon.STATUS, 777]],
+    },
+    "procedures/plan.py": {"error": ["1 of 8 poses are out of reach: 3"]},
+}
+# Where a run begins: what these import may end it, or keep it from beginning.
+ENGINE = ("hilcell/commands/run.py", "hilcell/run/", "procedures/", "drivers/")
+# These hand on what another error says, or are met by commands on files alone.
+ELSEWHERE = {
+    ("hilcell/run/runner.py", "_ask"),
+    ("hilcell/commands/run.py", "_resume_live"),
+    ("hilcell/commands/run.py", "resume"),
+    ("hilcell/calibration_file.py", "compensate_targets"),
+    ("hilcell/calibration_file.py", "_refuse_turned"),
+}
+
+FOUND = sites(SAMPLES)
+MET = loaded(modules(), ENGINE)
+JUDGED = [
+    site
+    for site in FOUND
+    if (site.kind == "device" or site.path in MET) and (site.path, site.function) not in ELSEWHERE
+]
+
+
+@pytest.mark.parametrize("site", JUDGED, ids=str)
+def test_every_error_has_an_alarm_of_its_own(site: Site) -> None:
+    assert site.findings
+    for finding in site.findings:
+        assert entry_of(finding).specific, finding
+
+
+def test_the_walk_sees_the_errors() -> None:
+    """It reads f-strings, tables, helpers and attributes; a count would only grow stale."""
+    told = {(finding.device, finding.found) for site in FOUND for finding in site.findings}
+    for finding in (
+        ("Rail", "node 7: no heartbeat for 7 s"),
+        ("Rail", "following error at 7 mm"),
+        ("Rail", "the rail was stopped"),
+        ("Robot", "$ALARM_STOP is 7"),
+        ("Robot", "7:7: the device closed the connection"),
+        ("Tracker", "7 7 7 is not between 7 and 7"),
+        ("Tracker", "status 10012 (not warmed up)"),
+        ("", "journal 7: record 7 could not be stored: 7"),
+    ):
+        assert finding in told
+    assert {(site.path, site.function) for site in FOUND} >= ELSEWHERE
+
+
+def test_a_fault_without_a_text_is_found_out() -> None:
+    for device in ("Rail", "Robot", "Tracker", "Cell", ""):
+        assert not entry_of(Finding(device, "dance", f"the {HOLE} fell over")).specific
+
+
+REACHED = {entry_of(finding).code for site in FOUND for finding in site.findings}
+
+
+@pytest.mark.parametrize(
+    "code", sorted(entry.code for entry in catalogue() if entry.specific), ids=str
+)
+def test_every_entry_is_reached(code: str) -> None:
+    assert code in REACHED | set(BY_EVENTS)
