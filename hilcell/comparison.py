@@ -14,8 +14,7 @@ import msgspec
 import numpy as np
 
 from hilcell.errors import HilcellError
-from hilcell.report.budget import budget_of
-from hilcell.report.drift import Change, base_variance_mm2, frame_changes, grid_drift
+from hilcell.report.drift import Change, Side, base_variance_mm2, frame_changes, grid_drift, side_of
 from hilcell.report.errors import Errors, places, validation
 from hilcell.report.uncertainty import expanded_mm
 from hilcell.run.log import Log
@@ -63,10 +62,11 @@ def compare_runs(first: Log, second: Log) -> Comparison:
     runs that have nothing in common.
     """
     _refuse_others(first, second)
-    drift = grid_drift(first, second)
+    sides = side_of(first), side_of(second)
+    drift = grid_drift(*sides)
     changes = [
-        *_validation(first, second),
-        *frame_changes(first, second),
+        *_validation(*sides),
+        *frame_changes(*sides),
         *(drift.changes if drift is not None else []),
     ]
     if not changes:
@@ -101,12 +101,12 @@ def _has(log: Log) -> str:
 # -- figures --------------------------------------------------------------------------------------
 
 
-def _validation(first: Log, second: Log) -> Iterator[Change]:
+def _validation(first: Side, second: Side) -> Iterator[Change]:
     """Yield mean, p95 and maximum of |e| per place, before and after."""
-    there = places(second.cell)
-    for place, stations in places(first.cell).items():
+    there = places(second.log.cell)
+    for place, stations in places(first.log.cell).items():
         if there.get(place) == stations:
-            series, other = (validation(log, stations) for log in (first, second))
+            series, other = (validation(side.log, stations) for side in (first, second))
             for how in (how for how in series if how in other):
                 one, two = series[how], other[how]
                 limit = _mean_limit_mm(how, (first, one), (second, two))
@@ -123,18 +123,18 @@ def _validated(
     return Change("validation", place, f"{how} {what}", "mm", one_mm, two_mm, change_mm, limit_mm)
 
 
-def _mean_limit_mm(how: str, *runs: tuple[Log, Errors]) -> float | None:
+def _mean_limit_mm(how: str, *runs: tuple[Side, Errors]) -> float | None:
     """Return U of a change of the mean: which targets were drawn, the measurement's u, {B}'s.
 
     {B} counts before only: a correction learnt in a run's {B} makes up for where that {B} is.
     """
     variance_mm2 = 0.0
-    for log, errors in runs:
-        budget, base_mm2 = budget_of(log), base_variance_mm2(log)
-        if budget is None or base_mm2 is None or len(errors) < 2:
+    for side, errors in runs:
+        base_mm2 = base_variance_mm2(side.log)
+        if side.u_mm is None or base_mm2 is None or len(errors) < 2:
             return None
         variance_mm2 += float(np.var(errors.norms_mm, ddof=1)) / len(errors)
-        variance_mm2 += budget.measurement_u_mm**2 + (base_mm2 if how == "before" else 0.0)
+        variance_mm2 += side.u_mm**2 + (base_mm2 if how == "before" else 0.0)
     return expanded_mm(math.sqrt(variance_mm2))
 
 

@@ -11,6 +11,7 @@ from hilcell.commands.common import say
 from hilcell.comparison import Comparison, compare_runs
 from hilcell.faces import print_table
 from hilcell.report.drift import Change
+from hilcell.report.words import harmless
 from hilcell.runs import find_run, read_log
 
 DIGITS = {"mm": 4, "deg": 5, "°C": 2}
@@ -37,12 +38,16 @@ def _facts(found: Comparison, first: str, second: str) -> dict[str, object]:
 
 def _print(found: Comparison, first: str, second: str) -> None:
     settings = [[each.key, each.first, each.second] for each in found.settings]
-    print_table((["differs", "first", "second"], [["run", first, second], *settings]))
+    _draw(["differs", "first", "second"], [["run", first, second], *settings])
     headers = ["where", "what", "first", "second", "change", "limit", "unit", "verdict"]
-    print_table((headers, [_row(each) for each in found.changes]))
+    _draw(headers, [_row(each) for each in found.changes])
     for note in found.notes:
-        print(f"note: {note}", file=sys.stderr)
+        print(f"note: {harmless(note)}", file=sys.stderr)
     print(found.verdict, file=sys.stderr)
+
+
+def _draw(headers: list[str], rows: list[list[str]]) -> None:
+    print_table((headers, [[harmless(text) for text in row] for row in rows]))
 
 
 def _row(each: Change) -> list[str]:

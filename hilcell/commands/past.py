@@ -10,6 +10,7 @@ from hilcell.commands.common import say
 from hilcell.devices import load_entry
 from hilcell.faces import print_table
 from hilcell.index import RunRow, read_index, row_of
+from hilcell.report.words import harmless
 from hilcell.run.procedure import Procedure
 from hilcell.runs import find_run, read_log
 
@@ -24,7 +25,8 @@ def runs(args: argparse.Namespace) -> int:
         print(f"no runs in {args.runs}", file=sys.stderr)
         return 0
     headers = ["run", "procedure", "cell", "state", "points", "exit"]
-    print_table((headers, [[str(each.get(name, "")) for name in headers] for each in found]))
+    rows = [[harmless(str(each.get(name, ""))) for name in headers] for each in found]
+    print_table((headers, rows))
     return 0
 
 

@@ -68,14 +68,28 @@ class GridDrift:
     changes: list[Change]
 
 
-def frame_changes(first: Log, second: Log) -> list[Change]:
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One run, and u of one coordinate of a position that it measured, where its budget knows."""
+
+    log: Log
+    u_mm: float | None
+
+
+def side_of(log: Log) -> Side:
+    """Return a run as one side of a comparison."""
+    budget = budget_of(log)
+    return Side(log, budget.measurement_u_mm if budget is not None else None)
+
+
+def frame_changes(first: Side, second: Side) -> list[Change]:
     """Return how far the base and the station frames, as both runs have them, moved in {W}."""
     found: list[Change] = []
-    for key, frame in first.frames.items():
-        if "covariance" in frame and "covariance" in second.frames.get(key, {}):
+    for key, frame in first.log.frames.items():
+        if "covariance" in frame and "covariance" in second.log.frames.get(key, {}):
             place = key.replace(".", " ")
             limits = _frame_limits(first, second, key)
-            T_1, T_2 = first.matrix(key), second.matrix(key)
+            T_1, T_2 = first.log.matrix(key), second.log.matrix(key)
             moved = (float(np.linalg.norm(T_2[:3, 3] - T_1[:3, 3])), _angle_deg(T_1, T_2))
             for what, unit, change, limit in zip(
                 ("moved", "turned"), ("mm", "deg"), moved, limits, strict=True
@@ -91,9 +105,9 @@ def _angle_deg(T_1: Array, T_2: Array) -> float:
     return math.degrees(math.atan2(float(sine), (float(np.trace(R)) - 1) / 2))
 
 
-def _frame_limits(first: Log, second: Log, key: str) -> tuple[float | None, float | None]:
+def _frame_limits(first: Side, second: Side, key: str) -> tuple[float | None, float | None]:
     """Return the limits of a frame's move in mm and of its turn in deg."""
-    both = [_frame_covariance(log, key) for log in (first, second)]
+    both = [_frame_covariance(side, key) for side in (first, second)]
     covariance = sum((each for each in both if each is not None), np.zeros((6, 6)))
     if any(each is None for each in both):
         return None, None
@@ -105,21 +119,21 @@ def _frame_limits(first: Log, second: Log, key: str) -> tuple[float | None, floa
     return moved_mm, math.degrees(turned_rad)
 
 
-def _frame_covariance(log: Log, key: str) -> Array | None:
+def _frame_covariance(side: Side, key: str) -> Array | None:
     """Return the covariance (6, 6) of a frame in {W}: its own, {W}'s, the budget's, the strip's."""
-    budget, at_mm = budget_of(log), log.matrix(key)[:3, 3]
+    log, u_mm = side.log, side.u_mm
     nests = [log.points.get(f"world/{nest.name}") for nest in log.cell.layout.floor[:3]]
     floor = [nest for nest in nests if nest is not None]
-    if budget is None or len(floor) < len(nests):
+    if u_mm is None or len(floor) < len(nests):
         return None
     covariance: Array = np.array(log.frames[key]["covariance"], dtype=float)
-    covariance += _world_covariance(log, floor, at_mm)
+    covariance += _world_covariance(log, floor, log.matrix(key)[:3, 3])
     along = np.array(log.cell.layout.rail_direction)
     covariance[:3, :3] += np.outer(along, along) * log.cell.rail.strip_tolerance_mm**2 / 3
     if key == "base":
-        covariance[:3, :3] += budget.measurement_u_mm**2 * np.eye(3)
+        covariance[:3, :3] += u_mm**2 * np.eye(3)
     else:
-        covariance += _slide_covariance(log.cell, log.matrix(key), budget.measurement_u_mm)
+        covariance += _slide_covariance(log.cell, log.matrix(key), u_mm)
     return covariance
 
 
@@ -152,16 +166,16 @@ def _world_covariance(log: Log, nests: Sequence[Point], at_mm: Array) -> Array:
     return covariance
 
 
-def grid_drift(first: Log, second: Log) -> GridDrift | None:
+def grid_drift(first: Side, second: Side) -> GridDrift | None:
     """Return how the error at the vertices changed, or nothing where the grids differ.
 
     An error of {B} moves all vertices together; what no small rigid motion explains is the arm's.
     """
-    if not _same_grid(first, second):
+    if not _same_grid(first.log, second.log):
         return None
-    grid = grid_of(first.cell)
+    grid = grid_of(first.log.cell)
     order = tuple(grid.serpentine().T)
-    before_mm, after_mm = (grid_errors_mm(log)[order] for log in (first, second))
+    before_mm, after_mm = (grid_errors_mm(side.log)[order] for side in (first, second))
     both = np.isfinite(before_mm + after_mm).all(axis=1)
     if not both.any():
         return None
@@ -209,27 +223,27 @@ def _less_rigid(places_mm: Array, moved_mm: Array) -> Array:
     return rest.reshape(-1, 3)
 
 
-def _vertex_u_mm(first: Log, second: Log, *, based: bool) -> float | None:
+def _vertex_u_mm(first: Side, second: Side, *, based: bool) -> float | None:
     """Return u of one coordinate of the difference of two errors at a vertex, in {B}.
 
     {W} cancels: base and vertices were measured in the same set-up. ``based`` adds {B}'s own.
     """
-    variances_mm2 = [_vertex_variance_mm2(log) for log in (first, second)]
+    variances_mm2 = [_vertex_variance_mm2(side) for side in (first, second)]
     if based:
-        variances_mm2 += [base_variance_mm2(log) for log in (first, second)]
+        variances_mm2 += [base_variance_mm2(side.log) for side in (first, second)]
     known = [each for each in variances_mm2 if each is not None]
     return math.sqrt(sum(known)) if len(known) == len(variances_mm2) else None
 
 
-def _vertex_variance_mm2(log: Log) -> float | None:
+def _vertex_variance_mm2(side: Side) -> float | None:
     """Return the measurement's and the robot's share, where places were visited again."""
-    budget = budget_of(log)
+    log = side.log
     groups = {p.group for p in log.points.values() if p.group.startswith("repeatability_")}
     clouds_mm = [positions_mm(log.group(name)) for name in sorted(groups)]
     visited_mm = [cloud for cloud in clouds_mm if len(cloud) > 1]
-    if budget is None or not visited_mm:
+    if side.u_mm is None or not visited_mm:
         return None
-    return budget.measurement_u_mm**2 + pooled_std_mm(visited_mm) ** 2
+    return side.u_mm**2 + pooled_std_mm(visited_mm) ** 2
 
 
 def base_variance_mm2(log: Log) -> float | None:

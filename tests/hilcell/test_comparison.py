@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.commands.compare import compare
+from hilcell.commands.compare import _print, compare
 from hilcell.comparison import Comparison, Setting, compare_runs
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, three_point_frame
@@ -394,3 +394,17 @@ def test_the_command(
     assert "seed" in out
     assert seeds.verdict in err
     assert all(note in err for note in seeds.notes)
+
+
+def test_hostile_strings_do_not_reach_the_terminal(
+    first: Log, records: list[Record], capsys: pytest.CaptureFixture[str]
+) -> None:
+    esc = "\x1b[2J\u202e[red]"
+    found = compare_runs(
+        first, plan_with(records, lambda plan: plan["cell"]["tracker"].update(reflector=esc))
+    )
+    assert [each.second for each in found.settings] == [esc]
+    _print(found, "one", f"two{esc}")
+    out, err = capsys.readouterr()
+    assert "[red]" in out
+    assert not {"\x1b", "\u202e"} & {*out, *err}

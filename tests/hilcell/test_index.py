@@ -18,6 +18,7 @@ import msgspec
 import pytest
 
 from hilcell import index
+from hilcell.cli import main
 from hilcell.index import NAME, RunRow, matches, read_index
 from hilcell.run.control import EngineFile
 from hilcell.run.journal import Journal, StorageError, read_journal
@@ -366,12 +367,14 @@ def test_several_threads_at_once(runs: Path) -> None:
     assert found == [3] * 4
 
 
-def test_strange_names(tmp_path: Path) -> None:
+def test_strange_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     strange = [os.fsdecode(b"not\xfftext"), "[b]bold[b]", "ESC\x1b[2J", "a'b\"c;--", "run\u202e"]
     for number, name in enumerate(strange):
         written(tmp_path / str(number)).rename(tmp_path / name)
     for _ in range(2):
         assert sorted(names(tmp_path)) == sorted(strange)
+    assert main(["runs", "--runs", str(tmp_path)]) == 0
+    assert not {"\x1b", "\u202e"} & {*capsys.readouterr().out}
 
 
 def test_no_runs(tmp_path: Path) -> None:
@@ -429,8 +432,6 @@ def test_a_row_without_a_seed_matches_no_seed() -> None:
 
 
 def test_the_command_keeps_its_keys(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from hilcell.cli import main
-
     (runs / "0-damaged").mkdir()
     (runs / "0-damaged" / JOURNAL).write_bytes(b"x" * 5000)
     assert main(["runs", "--json", "--runs", str(runs)]) == 0
