@@ -19,9 +19,11 @@ from textual.binding import Binding, BindingType
 from textual.command import Hit, Hits, Provider
 from textual.driver import Driver
 from textual.message import Message
+from textual.scrollbar import ScrollBar
 
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
+from hilcell.tui.bars import WholeBar
 from hilcell.tui.driver import StopDriver
 from hilcell.tui.glyphs import Glyphs
 from hilcell.tui.keys import ACTIONS, Keymap
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from hilcell.tui.session import Session
 
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
+ScrollBar.renderer = WholeBar  # Textual's way to choose: a class, for all of its bars
 
 
 @dataclass(frozen=True, slots=True)
