@@ -30,8 +30,8 @@ class Glyphs:
 UNICODE = Glyphs(
     states={
         "idle": "○", "checking": "◌", "running": "■", "pausing": "▽", "paused": "▲",
-        "suspended": "◆", "stopping": "▼", "done": "●", "intolerant": "▣", "aborted": "◼",
-        "fault": "✖", "gone": "✖",
+        "suspended": "◆", "stopping": "▼", "done": "●", "intolerant": "▣", "aborted": "□",
+        "fault": "✖", "gone": "◇",
     },
     fresh="●", moving="◐", stale="○", lost="✖", full="█", empty="░", mark="▼", rule="─",
     over_left="◀", over_right="▶", degree="°", plus_minus="±", delta="Δ", dot="·", plain=False,
@@ -39,9 +39,9 @@ UNICODE = Glyphs(
 
 ASCII = Glyphs(
     states={
-        "idle": "-", "checking": "~", "running": "#", "pausing": "v", "paused": "^",
+        "idle": "-", "checking": "~", "running": "#", "pausing": "=", "paused": "^",
         "suspended": "?", "stopping": "V", "done": "*", "intolerant": "!", "aborted": "o",
-        "fault": "X", "gone": "X",
+        "fault": "X", "gone": "/",
     },
     fresh="*", moving="~", stale="o", lost="X", full="#", empty=".", mark="V", rule="-",
     over_left="<", over_right=">", degree=" deg", plus_minus="+-", delta="d", dot="|", plain=True,

@@ -55,7 +55,7 @@ PALETTES = (
     ),
     Palette(
         name="daylight", dark=False, background="#fafafa", text="#1a1a1a", dim="#555f69",
-        cursor="#d6e4f0", on="#ffffff", good="#005a8f", warn="#7a5200", bad="#a83200",
+        cursor="#d6e4f0", on="#ffffff", good="#005a8f", warn="#7c6400", bad="#7a0000",
         info="#2d5f8a", quiet="#4a5560", sim="#8a2a78",
     ),
     Palette(

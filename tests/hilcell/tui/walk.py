@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -23,8 +24,8 @@ PAGES = {
 QUESTIONS = {"pause": "space", "abort": "a", "quit": "ctrl+q", "retake": "r"}
 RUNS = [
     RunRow(
-        name=RUN, begun="2026-03-04T08:00:00+00:00", state="finished", exit=0, procedure="calibrate",
-        job="J-7", operator="Ann", cell="paper", simulated=True, points=21,
+        name=RUN, begun="2026-03-04T08:00:00+00:00", state="finished", exit=0,
+        procedure="calibrate", job="J-7", operator="Ann", cell="paper", simulated=True, points=21,
         before_mean_mm=1.2, chosen_mean_mm=0.11, chosen_max_mm=0.31,
     ),
     RunRow(
@@ -53,6 +54,8 @@ SAID = {
     "compare": "S1100: mean |e| 0.240 -> 0.110 mm\nbase frame: moved 0.02 mm\n",
 }
 
+Look = Callable[[Stage], str]
+
 
 class _Entry:
     def __init__(self, name: str) -> None:
@@ -78,83 +81,83 @@ def outside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
 
 
-async def screens_of(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
-    """Return what every screen shows, by the screens' names."""
+async def screens_of(app: Stage, pilot: Pilot[int], look: Look = text_of) -> dict[str, str]:
+    """Return what every screen shows, or whatever ``look`` sees, by the screens' names."""
     await settle(pilot)
     home = app.screen
-    seen = {"run": text_of(app)}
+    seen = {"run": look(app)}
     for name, key in PAGES.items():
         await press(pilot, key)
         if app.screen is not home:
-            seen[name] = text_of(app)
+            seen[name] = look(app)
             await press(pilot, "q")
-    seen |= await _plots(app, pilot)
-    seen |= await _history(app, pilot)
-    seen |= await _questions(app, pilot)
-    seen |= await _point(app, pilot)
-    seen |= await _palette(app, pilot)
+    seen |= await _plots(app, pilot, look)
+    seen |= await _history(app, pilot, look)
+    seen |= await _questions(app, pilot, look)
+    seen |= await _point(app, pilot, look)
+    seen |= await _palette(app, pilot, look)
     assert app.screen is home
     return seen
 
 
-async def _plots(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+async def _plots(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
     seen, home = {}, app.screen
     await press(pilot, "p")
     if app.screen is not home:
         for number in "1234":
             await press(pilot, number)
-            seen[f"plot-{number}"] = text_of(app)
+            seen[f"plot-{number}"] = look(app)
         await press(pilot, "q")
     return seen
 
 
-async def _history(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+async def _history(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
     await press(pilot, "h")
-    seen = {"history": text_of(app)}
+    seen = {"history": look(app)}
     await press(pilot, "x", "down", "x", "c")
-    seen["compare"] = text_of(app)
+    seen["compare"] = look(app)
     await press(pilot, "q", "q")
     return seen
 
 
-async def _questions(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+async def _questions(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
     seen = {}
     for name, key in QUESTIONS.items():
         if name == "quit" and not app.live:
             continue
         await press(pilot, key)
         if isinstance(app.screen, Confirm):
-            seen[f"asks-{name}"] = text_of(app)
+            seen[f"asks-{name}"] = look(app)
             await press(pilot, "n")
     return seen
 
 
-async def _point(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+async def _point(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
     seen = {}
     await press(pilot, "enter")
     if isinstance(app.screen, DetailPage):
-        seen["point"] = text_of(app)
+        seen["point"] = look(app)
         await press(pilot, "q")
     return seen
 
 
-async def _palette(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+async def _palette(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
     await press(pilot, "ctrl+p", *"alarm")
     await settle(pilot)
     assert isinstance(app.screen, CommandPalette)
-    seen = {"palette": text_of(app)}
+    seen = {"palette": look(app)}
     app.pop_screen()
     await settle(pilot)
     return seen
 
 
-async def form_of(app: Stage, pilot: Pilot[int]) -> dict[str, str]:
+async def form_of(app: Stage, pilot: Pilot[int], look: Look = text_of) -> dict[str, str]:
     """Return what the form for a new run shows, and the summary of its plan."""
     await settle(pilot)
     assert isinstance(app.screen, StartScreen)
-    seen = {"form": text_of(app)}
+    seen = {"form": look(app)}
     await press(pilot, "enter")
     assert isinstance(app.screen, PlanSummary)
-    seen["plan"] = text_of(app)
+    seen["plan"] = look(app)
     await press(pilot, "q")
     return seen

@@ -1,0 +1,127 @@
+"""Colours: read on what they stand on, told apart by every eye, and never alone."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+from rich.segment import Segment
+
+from hilcell.cli import _parser
+from hilcell.tui.glyphs import ASCII, UNICODE, Glyphs
+from hilcell.tui.scene import Scene
+from hilcell.tui.themes import NAMES, PALETTES, TONES, Palette
+from hilcell.tui.words import STATES
+from tests.hilcell.tui.eyes import MATRICES, contrast, distance
+from tests.hilcell.tui.scenes import stories
+from tests.hilcell.tui.stage import SIZE, Stage, options
+from tests.hilcell.tui.walk import form_of, outside, screens_of
+
+__all__ = ["outside"]
+
+LEAST = 4.5  # WCAG 2.2, success criterion 1.4.3
+FRAME = " ▔▁"  # drawn, not read
+CLEAR = 20.0  # CIE76; about 2 is just seen
+by_palette = pytest.mark.parametrize("palette", PALETTES, ids=lambda palette: palette.name)
+
+
+@by_palette
+@pytest.mark.parametrize("tone", TONES)
+def test_tones_are_read_on_the_ground_and_under_their_own_text(palette: Palette, tone: str) -> None:
+    colour = getattr(palette, tone)
+    assert contrast(colour, palette.background) >= LEAST
+    assert contrast(palette.on, colour) >= LEAST
+
+
+@by_palette
+def test_text_is_read_wherever_it_stands(palette: Palette) -> None:
+    for ground in (palette.background, palette.cursor):
+        assert contrast(palette.text, ground) >= LEAST
+    assert contrast(palette.dim, palette.background) >= LEAST
+
+
+@by_palette
+@pytest.mark.parametrize("eyes", MATRICES)
+def test_good_warn_and_bad_differ_for_colour_blind_eyes(palette: Palette, eyes: str) -> None:
+    for one, other in combinations(("good", "warn", "bad"), 2):
+        apart = distance(getattr(palette, one), getattr(palette, other), eyes)
+        assert apart >= CLEAR, (one, other, apart)
+
+
+@by_palette
+def test_nothing_else_has_the_colour_of_a_simulation(palette: Palette) -> None:
+    others = {getattr(palette, tone) for tone in TONES if tone != "sim"}
+    assert palette.sim not in others | {palette.text, palette.dim}
+
+
+def test_the_formula_is_the_standards() -> None:
+    assert contrast("#000000", "#ffffff") == pytest.approx(21.0)
+    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.005)
+
+
+def hard_to_read(app: Stage) -> str:
+    """Return what is printed with too little contrast, as the terminal gets it."""
+    found = [
+        f"{segment.text!r}: {ratio:.2f}"
+        for strip in app.screen._compositor.render_strips()
+        for segment in strip
+        if segment.text.strip(FRAME) and (ratio := contrast_of(segment)) < LEAST
+    ]
+    return "\n".join(found)
+
+
+def contrast_of(segment: Segment) -> float:
+    style = segment.style
+    assert style is not None
+    assert style.color is not None
+    assert style.bgcolor is not None
+    return contrast(style.color.get_truecolor().hex, style.bgcolor.get_truecolor().hex)
+
+
+@pytest.mark.usefixtures("outside")
+@pytest.mark.parametrize("theme", NAMES)
+def test_every_letter_on_every_screen_is_read(theme: str) -> None:
+    async def play(state: str) -> dict[str, str]:
+        app = Stage(options(Path("/runs"), theme=theme), state)
+        async with app.run_test(size=SIZE) as pilot:
+            walk = screens_of if state else form_of
+            return await walk(app, pilot, hard_to_read)
+
+    for state in ("suspended", "intolerant", ""):
+        problems = {name: text for name, text in asyncio.run(play(state)).items() if text}
+        assert not problems, problems
+
+
+def test_the_command_offers_every_theme_and_no_other() -> None:
+    wanted = [_parser().parse_args(["tui", "--theme", name]).theme for name in NAMES]
+    assert tuple(wanted) == NAMES
+    with pytest.raises(SystemExit):
+        _parser().parse_args(["tui", "--theme", "none"])
+    assert _parser().parse_args(["tui"]).theme == NAMES[0]
+
+
+@pytest.mark.parametrize("glyphs", [UNICODE, ASCII], ids=["unicode", "ascii"])
+def test_each_state_has_a_word_and_a_shape_of_its_own(glyphs: Glyphs) -> None:
+    words = [word for word, _ in STATES.values()]
+    shapes = [glyphs.states[key].lower() for key in STATES]
+    assert set(glyphs.states) == set(STATES) == set(stories())
+    assert len(set(words)) == len(words)
+    assert len(set(shapes)) == len(shapes)
+    assert all(tone in TONES for _, tone in STATES.values())
+
+
+def test_every_state_of_a_run_can_be_shown() -> None:
+    for name, story in stories().items():
+        scene = Scene("r")
+        for record in story.records:
+            scene.take(record)
+        assert scene.key in STATES, name
+
+
+def test_ascii_shapes_are_ascii() -> None:
+    shapes = [*ASCII.states.values(), ASCII.fresh, ASCII.moving, ASCII.stale, ASCII.lost]
+    shapes += [ASCII.full, ASCII.empty, ASCII.mark, ASCII.rule, ASCII.over_left, ASCII.over_right]
+    shapes += [ASCII.degree, ASCII.plus_minus, ASCII.delta, ASCII.dot]
+    assert "".join(shapes).isascii()
