@@ -1,8 +1,9 @@
 """The simulated cell's control channel: JSON lines over TCP on loopback.
 
-``{"do": "addresses" | "now" | "wait" | "fault" | "clear" | "truth" | "quit", ...}`` is answered by
-``{"ok": true, ...}`` or ``{"ok": false, "error": ...}``. The engine uses it for time alone; faults
-and truth are for tests, and nothing of this reaches a device's wire.
+``{"do": "addresses" | "now" | "wait" | "fault" | "clear" | "truth" | "seat" | "quit", ...}`` is
+answered by ``{"ok": true, ...}`` or ``{"ok": false, "error": ...}``. The engine uses it for time
+alone; faults and truth are for tests, ``seat`` is the person who carries the reflector, and nothing
+of this reaches a device's wire.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ class ControlServer:
         *,
         addresses: Callable[[], Answer],
         truth: Callable[[Answer], Answer],
+        seat: Callable[[str], None],
         restore: Callable[[], None],
         quit_: Callable[[], None],
     ) -> None:
@@ -49,6 +51,7 @@ class ControlServer:
             "fault": self._fault,
             "clear": self._clear,
             "truth": truth,
+            "seat": lambda order: seat_at(seat, order),
             "quit": self._leave,
         }
         self._listener = Listener("control", self._serve, limit=100)
@@ -110,11 +113,17 @@ class ControlServer:
         return {"leaving": True}
 
 
+def seat_at(seat: Callable[[str], None], order: Answer) -> Answer:
+    """Do what a person does with the reflector of a cell where it is carried by hand."""
+    seat(str(order["place"]))
+    return {}
+
+
 def truth_of(plant: Plant, order: Answer) -> Answer:
     """Return the truth in {W}: reflectors, frames; and e (N, 3) in {B} at ``joints_deg`` (N, 6)."""
     reflectors = {name: at.tolist() for name, at in plant.reflectors_in_world().items()}
     answer: Answer = {
-        "flange_mm": reflectors[FLANGE],
+        "flange_mm": plant.places_in_world()[FLANGE].tolist(),
         "reflectors_mm": reflectors,
         "slide_mm": plant.rail.slide_mm(),
         "T_W_S": plant.rail.slide_pose().tolist(),

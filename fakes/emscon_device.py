@@ -318,10 +318,10 @@ class EmsconDevice:
             return Answer([reply(command, refused)])
         target = self._target
         if self._faults.take("tracker.beam_break_before") is not None or target is None:
-            self._target = None
-            lost = [status_change(Change.NOT_READY)]
-            return Answer([*lost, reply(command, Status.NOT_READY)])
-        began_mm = self._instrument.reflectors()[target]
+            return self._broken(command)
+        began_mm = self._instrument.reflectors().get(target)
+        if began_mm is None:  # carried away
+            return self._broken(command)
         later = Later(
             self._settings.stationary[0] / 1000.0,
             lambda: self._result(command, target, began_mm),
@@ -348,11 +348,10 @@ class EmsconDevice:
         ready = status_change(Change.READY)
         with self._lock:
             take = self._faults.take
-            if take("tracker.beam_break_after") is not None:
-                self._target = None
-                broken = reply(command, Status.NOT_READY)
-                return Answer([status_change(Change.NOT_READY), broken])
-            moved_mm = np.linalg.norm(self._instrument.reflectors()[target] - began_mm)
+            ended_mm = self._instrument.reflectors().get(target)
+            if take("tracker.beam_break_after") is not None or ended_mm is None:
+                return self._broken(command)
+            moved_mm = np.linalg.norm(ended_mm - began_mm)
             measured = self._instrument.measure(target) if moved_mm <= STILL_MM else None
             if measured is None:
                 return Answer([reply(command, Status.NO_STATIONARY_RESULT), ready])
@@ -363,6 +362,11 @@ class EmsconDevice:
                 packets = []
             storm = int(self._faults.number("tracker.status_storm") or 0)
             return Answer([*[status_change(Change.REFRACTION)] * storm, *packets, ready])
+
+    def _broken(self, command: Command) -> Answer:
+        """The beam has lost its reflector."""
+        self._target = None
+        return Answer([status_change(Change.NOT_READY), reply(command, Status.NOT_READY)])
 
     def _packed(self, measured: Measurement) -> bytes:
         in_metres = self._faults.take("tracker.metres") is not None

@@ -54,6 +54,7 @@ class Host:
             faults,
             addresses=self.addresses,
             truth=lambda asked: truth_of(plant, asked) if isinstance(plant, Plant) else {},
+            seat=plant.seat,
             restore=controller.restore,
             quit_=self.end,
         )

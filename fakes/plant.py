@@ -44,6 +44,7 @@ class Plant:
         self._bolted = _bolted(fixed.generator("base"))
         self._floor = _placed(cell.layout.floor, FLOOR_NEST_MM, fixed.generator("floor"))
         self._slide = _placed(cell.layout.slide, SLIDE_NEST_MM, fixed.generator("slide"))
+        self.seated = ""  # where the one reflector is that is carried by hand; "": out of sight
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
 
     def lose_zero(self, axis_1_rad: float) -> None:
@@ -53,8 +54,25 @@ class Plant:
         turn[:3, :3] = Rotation.from_euler("z", angle).as_matrix()
         self._bolted = self._bolted @ turn
 
+    def seat(self, place: str) -> None:
+        """Carry the reflector to a nest, the flange, or (empty) away; raises `ValueError`."""
+        if not self.cell.layout.by_hand:
+            raise ValueError("the reflectors of this cell are mounted")
+        places = [*self._floor, *self._slide, FLANGE, ""]
+        if place not in places:
+            raise ValueError(f"place {place!r} is none of {', '.join(places)}")
+        self.seated = place
+
     def reflectors_in_world(self) -> dict[str, Array]:
-        """Return where the reflectors (3,) in all nests and on the flange really are, in {W}."""
+        """Return where reflectors (3,) are seen, in {W}: everywhere, or where the one sits."""
+        places = self.places_in_world()
+        if not self.cell.layout.by_hand:
+            return places
+        seated = self.seated
+        return {seated: places[seated]} if seated else {}
+
+    def places_in_world(self) -> dict[str, Array]:
+        """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
         T_W_S = self.rail.slide_pose()
         found = dict(self._floor)
         found |= {name: apply(T_W_S, at_mm[None])[0] for name, at_mm in self._slide.items()}

@@ -34,6 +34,10 @@ class ReplayPlant:
         self.robot = RobotMotion(cell, time, lambda key: np.zeros(6))
         self.tracker = ReplayTracker(data, self.robot)
 
+    def seat(self, place: str) -> None:
+        """Refuse: the recorded reflectors stay; raises `ValueError`."""
+        raise ValueError("the reflectors of recorded data are where they were")
+
     def lose_zero(self, axis_1_rad: float) -> None:
         """Leave the recorded data as they are."""
 

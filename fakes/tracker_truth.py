@@ -98,8 +98,8 @@ class TrackerTruth:
 
     def measure(self, name: str) -> Measurement | None:
         """Return one measurement of a reflector, or None where it is out of range."""
-        at_mm = self.reflectors()[name]
-        if not self._in_range(at_mm):
+        at_mm = self.reflectors().get(name)
+        if at_mm is None or not self._in_range(at_mm):
             return None
         self._measured += 1
         std_mm = self._faults.number("tracker.noisy")

@@ -12,68 +12,46 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib import resources
-from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 from msgspec import Meta, field
-from scipy.spatial.transform import Rotation
 
 from hilcell.geometry.kinematics import Arm, Array
+from hilcell.layout import Layout, Nest
 from hilcell.settings import SettingsError, convert, refuse
+from hilcell.tables import (
+    Acceleration,
+    Angle,
+    Count,
+    Frozen,
+    Length,
+    Name,
+    Percent,
+    Point,
+    Pose,
+    Six,
+    Size,
+    Speed,
+    Step,
+    Sweep,
+    Wait,
+    refuse_descending,
+)
+
+__all__ = [
+    "BaseFrameTable", "CampaignTable", "Cell", "Frozen", "GridTable", "Joint", "Layout", "Nest",
+    "Pose", "RailTable", "RobotTable", "SettleTable", "SimulationTable", "Six", "Station",
+    "SurveyTable", "TrackerTable", "ValidationTable", "arm_from_joints", "built_in_cells",
+    "load_cell",
+]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it
 MOST_STEPS = 10_000
-MOST_NESTS = 100
 MOST_STATIONS = 1000
 LEAST_ARC_DEG = 10.0
-APART_MM = 20.0  # nests closer than this are one nest, or their reflectors touch
-
-Length = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Size = Annotated[float, Meta(gt=0, le=1e6)]
-Step = Annotated[float, Meta(ge=0.01, le=1e6)]
-Angle = Annotated[float, Meta(ge=-3600, le=3600)]
-Speed = Annotated[float, Meta(ge=0.1, le=1e5)]
-Acceleration = Annotated[float, Meta(ge=1, le=1e6)]
-Wait = Annotated[float, Meta(ge=0, le=3600)]
-Percent = Annotated[float, Meta(gt=0, le=100)]
-Count = Annotated[int, Meta(ge=1, le=1000)]
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.\- ]{0,63}$")]
-Point = tuple[Length, Length, Length]
-Sweep = tuple[Angle, Angle]
-Six = tuple[Angle, Angle, Angle, Angle, Angle, Angle]
-
-
-class Frozen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
-    """A table of the cell file."""
-
-
-def _refuse_descending(table: Frozen, low: str, high: str) -> None:
-    least, most = getattr(table, low), getattr(table, high)
-    if not least < most:
-        raise ValueError(f"{low} {least} must be below {high} {most}")
-
-
-class Pose(Frozen, frozen=True, kw_only=True):
-    """A frame: position in mm and Z-Y-X angles in deg."""
-
-    x_mm: Length
-    y_mm: Length
-    z_mm: Length
-    a_deg: Angle = 0.0
-    b_deg: Angle = 0.0
-    c_deg: Angle = 0.0
-
-    def matrix(self) -> Array:
-        """Return the homogeneous matrix (4, 4)."""
-        T = np.eye(4)
-        T[:3, :3] = Rotation.from_euler(
-            "ZYX", (self.a_deg, self.b_deg, self.c_deg), degrees=True
-        ).as_matrix()
-        T[:3, 3] = (self.x_mm, self.y_mm, self.z_mm)
-        return T
 
 
 class Station(Frozen, frozen=True, kw_only=True):
@@ -99,7 +77,7 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _refuse_descending(self, "travel_min_mm", "travel_max_mm")
+        refuse_descending(self, "travel_min_mm", "travel_max_mm")
 
 
 class Joint(Frozen, frozen=True, kw_only=True):
@@ -117,7 +95,7 @@ class Joint(Frozen, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not self.sign:
             raise ValueError("sign must be 1 or -1")
-        _refuse_descending(self, "min_deg", "max_deg")
+        refuse_descending(self, "min_deg", "max_deg")
 
 
 class RobotTable(Frozen, frozen=True, kw_only=True):
@@ -190,74 +168,7 @@ class TrackerTable(Frozen, frozen=True, kw_only=True):
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _refuse_descending(self, "min_range_mm", "max_range_mm")
-
-
-class Nest(Frozen, frozen=True, kw_only=True):
-    """A magnet nest that carries a reflector: on the floor in {W}, on the slide in nominal {B}."""
-
-    name: Name
-    x_mm: Length
-    y_mm: Length
-    z_mm: Length
-
-    @property
-    def xyz_mm(self) -> Array:
-        """Return the position (3,)."""
-        return np.array([self.x_mm, self.y_mm, self.z_mm])
-
-
-class Layout(Frozen, frozen=True, kw_only=True):
-    """Where the rail stands: nominal {B} in {W} at rail 0, the rail's direction in {W}."""
-
-    base: Pose
-    rail_direction: Point
-    floor: list[Nest]
-    slide: list[Nest]
-    nest_tolerance_mm: Size = 5.0
-    nest_samples: Count = 10
-
-    def __post_init__(self) -> None:
-        if not abs(np.linalg.norm(self.rail_direction) - 1) < 1e-6:
-            raise ValueError("rail_direction must have length 1")
-        for nests in (self.floor, self.slide):
-            if not 3 <= len(nests) <= MOST_NESTS:
-                raise ValueError(f"3 .. {MOST_NESTS} nests are needed, found {len(nests)}")
-        names = [nest.name for nest in (*self.floor, *self.slide)]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"nest names must differ, found {name} twice")
-        for nests in (self.floor, self.slide):
-            _refuse_collinear(nests[:3])  # they make the frame's axes
-            _refuse_collinear(nests)
-            _refuse_close(nests)
-
-    def nominal_base(self, rail_mm: float) -> Array:
-        """Return nominal {B} in {W} (4, 4) with the slide at ``rail_mm``."""
-        T = self.base.matrix()
-        T[:3, 3] += rail_mm * np.array(self.rail_direction)
-        return T
-
-
-def _refuse_close(nests: list[Nest]) -> None:
-    for one, other in combinations(nests, 2):
-        apart_mm = float(np.linalg.norm(one.xyz_mm - other.xyz_mm))
-        if not apart_mm >= APART_MM:
-            raise ValueError(
-                f"nests {one.name} and {other.name} are {apart_mm:.1f} mm apart, "
-                f"wanted at least {APART_MM} mm"
-            )
-
-
-def _refuse_collinear(nests: list[Nest]) -> None:
-    points = np.array([nest.xyz_mm for nest in nests])
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if not spread[1] > 0.02 * spread[0]:
-        names = ", ".join(nest.name for nest in nests)
-        raise ValueError(
-            f"nests {names} lie on one line (spread {spread[0]:.1f} mm along it, "
-            f"{spread[1]:.3f} mm across): a frame needs a triangle; move one nest aside"
-        )
+        refuse_descending(self, "min_range_mm", "max_range_mm")
 
 
 class GridTable(Frozen, frozen=True, kw_only=True):
@@ -422,9 +333,10 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @cached_property
     def digest(self) -> str:
-        """Return SHA-256 over the canonical JSON of everything but the simulation."""
+        """Return SHA-256 over canonical JSON of what stands, however it is simulated."""
         values = msgspec.to_builtins(self)
         values.pop("simulation")
+        values["layout"].pop("reflectors")  # who carries them changes nothing that stands there
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
     def station_named(self, name: str) -> Station:

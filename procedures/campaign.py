@@ -33,7 +33,9 @@ class Campaign:
     yields = "measured targets and the fit of the robot's nominal kinematics to them"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Refuse poses outside the joint limits."""
+        """Refuse poses outside the joint limits, and a reflector that would have to be carried."""
+        if cell.layout.by_hand:
+            raise HilcellError("reflectors are by_hand: those of a campaign must be mounted")
         rows = poses_of(cell)
         for pose, joints in zip(rows.pose, rows.joints_rad, strict=True):
             check_joint_limits(cell, joints, f"pose {pose}")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell, Station
+from hilcell.cell import Cell, Nest, Station
 from hilcell.geometry.frames import (
     RigidFit,
     apply,
@@ -21,13 +21,13 @@ from hilcell.geometry.frames import (
 )
 from hilcell.ports import Array
 from hilcell.run.bench import Bench
-from hilcell.run.log import Log, positions_mm
+from hilcell.run.log import Log, Point, positions_mm
 from hilcell.run.procedure import Span, Step
 from procedures.durations import floor_points, leg, park_s, readings, step
 from procedures.plan import check_range, other_stations
 from procedures.world_frame import check_control_points
 
-THREE = "three_points"
+THREE, FEW = "three_points", 3
 THREE_SAMPLES = 3  # the paper does not state how many readings it took of each
 
 
@@ -71,15 +71,12 @@ class StationFrames:
         bench.park_robot()
         check_control_points(bench)
         nests, samples = bench.cell.layout.slide, bench.cell.layout.nest_samples
-        for nest in nests:
+        for number, nest in enumerate(nests):
             key = f"slide/{station.name}/{nest.name}"
             bench.slide_point(key, "frames", station, nest, samples=samples)
-        few = [
-            bench.slide_point(
-                f"three/{station.name}/{nest.name}", THREE, station, nest, samples=THREE_SAMPLES
-            )
-            for nest in nests[:3]
-        ]
+            if bench.cell.layout.by_hand and number < FEW:
+                three_point(bench, station, nest)  # while the reflector is there
+        few = [three_point(bench, station, nest) for nest in nests[:FEW]]
         three_mm = apply(bench.log.matrix("world"), positions_mm(few))
         bench.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
         fit = station_fit(bench.log, station, reference)
@@ -104,6 +101,12 @@ class StationFrames:
                 for station in log.cell.station
             }
         }
+
+
+def three_point(bench: Bench, station: Station, nest: Nest) -> Point:
+    """Return a slide nest's point for the paper's own frame, measured once."""
+    key = f"three/{station.name}/{nest.name}"
+    return bench.slide_point(key, THREE, station, nest, samples=THREE_SAMPLES)
 
 
 def slide_in_world_mm(log: Log, station: Station) -> Array:

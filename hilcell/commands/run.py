@@ -35,12 +35,15 @@ from hilcell.run.signals import stopped_by_signals
 from hilcell.runs import JOURNAL, find_run, new_run, read_log
 from hilcell.writing import NotWritten
 
+SWITCH_S = 0.005
+
 
 def run(args: argparse.Namespace) -> int:
     """Perform a procedure on a cell."""
     cell = load_cell(args.cell, dict(args.set))
     if args.speed is not None and cell.simulation is None:
         raise HilcellError(f"--speed is for simulated cells; cell {cell.name} is real")
+    check_attended(cell, unattended=args.unattended)
     procedure: Procedure = load_entry("procedures", args.procedure)
     plan = procedure.plan(cell, args.seed)
     check_options(cell)
@@ -74,6 +77,7 @@ def resume(args: argparse.Namespace) -> int:
     over = log.states["run"] == "finished" and log.end is not None and _calibrated(log, folder)
     if over and not (anew or log.retakes):
         raise HilcellError(f"run {folder.name} is finished; start a new one with `hilcell run`")
+    check_attended(cell, unattended=args.unattended)
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     with locked(lock_of_name(folder.parent, cell.name), f"cell {cell.name}", folder.name):
         journal = Journal(folder / JOURNAL, folder.name, create=False)
@@ -85,6 +89,15 @@ def resume(args: argparse.Namespace) -> int:
         return _perform(cell, procedure, journal, log, face, folder, unattended=args.unattended)
 
 
+def check_attended(cell: Cell, *, unattended: bool) -> None:
+    """Refuse to leave a cell alone whose reflector is carried by hand."""
+    if unattended and cell.layout.by_hand:
+        raise HilcellError(
+            f"cell {cell.name}: layout.reflectors is by_hand: somebody must be there to carry the "
+            "reflector; leave out --unattended, or mount reflectors in all nests"
+        )
+
+
 def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
     for key in retakes:
         answer = send_command(folder, "retake", key=key)
@@ -93,6 +106,11 @@ def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
     answer = send_command(folder, "proceed")
     print(f"run {folder.name}: asked to go on; it was {answer.get('state')}", file=sys.stderr)
     return 0
+
+
+def quicken() -> None:
+    """Let a thread that has a stop to send wait no longer than that for the interpreter."""
+    sys.setswitchinterval(SWITCH_S)
 
 
 def _calibrated(log: Log, folder: Path) -> bool:

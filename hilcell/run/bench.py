@@ -16,6 +16,7 @@ import numpy as np
 from hilcell.calibration import Frames
 from hilcell.cell import Cell, Nest, Station
 from hilcell.devices import Devices
+from hilcell.geometry.frames import inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array, Clock, DeviceError, NoReading, RobotReading, TrackerReading
 from hilcell.run.interlocks import check_joint_limits, check_strip, rail_may_move, robot_may_move
@@ -24,7 +25,7 @@ from hilcell.run.log import Log, Point
 from hilcell.run.machine import CALIBRATION, StateMachine
 from hilcell.run.prompts import Look, Prompt
 from hilcell.run.retake import still_refused
-from hilcell.run.seat import FLANGE, beam_prompt
+from hilcell.run.seat import FLANGE, beam_prompt, seat_prompt
 from hilcell.run.strip import approach_station
 
 __all__ = ["FLANGE", "Bench"]
@@ -230,6 +231,7 @@ class Bench:
     ) -> Point:  # fmt: skip
         self.checkpoint()
         self.hold_station(station)
+        self._seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
         robot = self.robot_to(joints_rad, key)
         expected = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
         reading = self._measure_in_world(key, FLANGE, expected[:3, 3], self.cell.tracker.samples)
@@ -268,6 +270,7 @@ class Bench:
         if key in self.log.points:
             return self.log.points[key]
         self.checkpoint()
+        self._seat(nest.name, nest.xyz_mm)
         samples = self.cell.layout.nest_samples
         reading = self._measure_in_world(key, nest.name, nest.xyz_mm, samples)
         return self._keep(key, group, "", reading)
@@ -281,6 +284,7 @@ class Bench:
         self.checkpoint()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
+        self._seat(nest.name, expected)
         reading = self._measure_in_world(key, nest.name, expected, samples)
         if self.frames.based():
             self._check_expected(key, reading, expected, 2 * self.cell.layout.nest_tolerance_mm)
@@ -294,12 +298,57 @@ class Bench:
         rail = self.devices.rail.read()
         T_W_B = self.cell.layout.nominal_base(rail.strip_mm)
         if name == FLANGE:
-            expected = (T_W_B @ forward(self._arm, np.radians(self.cell.robot.safe_deg)))[:3, 3]
+            expected = self._parked_flange_mm(T_W_B)
         else:
             nests = {nest.name: nest.xyz_mm for nest in self.cell.layout.slide}
             expected = (T_W_B @ np.append(nests[name], 1.0))[:3]
+        self._seat(name, expected)
         reading = self._measure_in_world(key, name, expected, self.cell.layout.nest_samples)
         return self._keep(key, group, "", reading)
+
+    def _parked_flange_mm(self, T_W_B: Array) -> Array:
+        """Return where the flange's reflector (3,) is in {W} with the robot at its safe pose."""
+        at_mm: Array = (T_W_B @ forward(self._arm, np.radians(self.cell.robot.safe_deg)))[:3, 3]
+        return at_mm
+
+    # -- a reflector that is carried by hand --------------------------------------------------
+
+    def _seat(self, place: str, nominal_mm: Array) -> None:
+        """Have the one reflector carried to ``place``, nominally (3,) in {W}, unless it is there.
+
+        Robot parked, slide held. Mounted reflectors are where they are.
+        """
+        if not self.cell.layout.by_hand or self.log.seated == place:
+            return
+        self._park_robot()
+        strip_mm = self.devices.rail.read().strip_mm
+        near_mm, limit_mm = self._expected(place, nominal_mm, strip_mm)
+        prompt = seat_prompt(self.cell, place, self.log.seated, near_mm, limit_mm)
+        seen = self._ask(prompt, lambda: self._look(f"look at {place}", near_mm))
+        self.event("seated", place=place, xyz_mm=seen.xyz_mm, strip_mm=strip_mm)
+
+    def _expected(
+        self, place: str, nominal_mm: Array, strip_mm: float
+    ) -> tuple[Array, float]:  # fmt: skip
+        """Return where a seated reflector (3,) will be, tracker's frame, and within which distance.
+
+        Where it sat before tells that best; what rides on the slide has moved along the rail since.
+        """
+        layout = self.cell.layout
+        if place in self.log.sights:
+            sight = self.log.sights[place]
+            rides = place not in {nest.name for nest in layout.floor}
+            T_L_W = inverse(self.frames.tracker_in_world())
+            along = T_L_W[:3, :3] @ np.array(layout.rail_direction)
+            moved_mm = (strip_mm - sight.strip_mm) * rides * along
+            return np.array(sight.xyz_mm) + moved_mm, layout.nest_tolerance_mm
+        near_mm = self.frames.tracker_from_world(nominal_mm)[0]
+        if "world" not in self.log.frames:
+            return near_mm, self.cell.tracker.find_radius_mm
+        limit_mm = FLANGE_TOLERANCE_MM if place == FLANGE else 2 * layout.nest_tolerance_mm
+        return near_mm, limit_mm
+
+    # -- readings -----------------------------------------------------------------------------
 
     def _measure_in_world(
         self, key: str, place: str, expected_mm: Array, samples: int

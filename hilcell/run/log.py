@@ -47,6 +47,14 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     strip_mm: float | None = None
 
 
+class Seated(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a reflector was seen once it was seated, tracker's frame, and what the strip read."""
+
+    place: str
+    xyz_mm: tuple[float, float, float]
+    strip_mm: float
+
+
 class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The frozen inputs of a run."""
 
@@ -83,6 +91,8 @@ class Log:
         self.fault = ""
         self.moved = False  # in this session
         self.retakes: dict[str, None] = {}  # keys of points that wait to be measured anew
+        self.seated = ""  # the place of a reflector that is carried by hand
+        self.sights: dict[str, Seated] = {}
         for record in records:
             self.take(record)
 
@@ -116,6 +126,9 @@ class Log:
                 self.retakes[body["key"]] = None
             case "retake refused":
                 self.retakes.pop(body["key"], None)
+            case "seated":
+                sight = msgspec.convert(body, Seated)
+                self.seated, self.sights[sight.place] = sight.place, sight
 
     def _take_state(self, record: Record) -> None:
         body = record.body

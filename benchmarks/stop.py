@@ -1,0 +1,294 @@
+"""``python -m benchmarks.stop [STOPS]``: from a screen's socket to the stop frames on the wires.
+
+A real engine (runner, control channel, drivers) works on the simulated cell; a relay between them
+notes when each stop frame passes. One engine process is stopped again and again, in every phase,
+at a clock of speed 1 and as fast as it goes. Relay and engine share the machine: what is measured
+is rather too long than too short.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+from typing import Any, cast
+
+import msgspec
+import numpy as np
+
+from drivers import emscon
+from hilcell.cell import Cell, Nest, load_cell
+from hilcell.commands.run import quicken
+from hilcell.devices import build_devices, start_simulation
+from hilcell.ports import SimulatedCell
+from hilcell.run.bench import Bench
+from hilcell.run.control import Control, EngineFile
+from hilcell.run.journal import Journal
+from hilcell.run.log import Log
+from hilcell.run.procedure import Procedure, Step
+from hilcell.run.runner import Runner
+from hilcell.runs import JOURNAL
+
+STOPS = 1000
+TARGET_MS = 20.0
+PHASES = ("rail", "robot", "tracker", "prompt")
+FRAMES = {
+    "rail": b"t20560200",  # RPDO 1 of node 5, control word 0002h: quick stop
+    "robot": b"HC_STOP\x00\x04TRUE",
+    "tracker": emscon.encode(emscon.Command.STOP_MEASUREMENT),
+}
+
+
+# -- the engine's process -------------------------------------------------------------------------
+
+
+class Phase:
+    """A part that does one thing without end."""
+
+    name = "phase"
+    needs = moves = measures = yields = ""
+
+    def __init__(self, phase: str) -> None:
+        self.phase = phase
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        return Step(self.name, 0, 0.0)
+
+    def result(self, log: Log) -> dict[str, Any]:
+        return {}
+
+    def perform(self, bench: Bench) -> None:
+        bench.reach("connect")
+        if not bench.rail_referenced():
+            bench.home_rail()
+        for number in count():
+            bench.event("phase", phase=self.phase)
+            getattr(self, self.phase)(bench, number)
+
+    def rail(self, bench: Bench, number: int) -> None:
+        bench.rail_to(900.0 if number % 2 else 1500.0)
+
+    def robot(self, bench: Bench, number: int) -> None:
+        joints = np.radians(bench.cell.robot.home_deg)
+        joints[0] = 1.0 if number % 2 else -1.0
+        bench.robot_to(joints, "away")
+
+    def tracker(self, bench: Bench, number: int) -> None:
+        bench.floor_point(f"p/{number}", "p", bench.cell.layout.floor[0])
+
+    def prompt(self, bench: Bench, number: int) -> None:
+        nowhere = Nest(name="nowhere", x_mm=700.0, y_mm=700.0, z_mm=700.0)
+        bench.floor_point(f"q/{number}", "q", nowhere)
+
+
+class Place(msgspec.Struct):
+    """Where an engine works: folder, and addresses of its devices."""
+
+    folder: str
+    control: str
+    addresses: dict[str, dict[str, Any]]
+
+
+def engine() -> None:
+    """Run one phase for every line of stdin, each until it is stopped."""
+    place = msgspec.json.decode(sys.stdin.buffer.readline(), type=Place)
+    cell = load_cell("paper", {"simulation.address": place.control})
+    simulated = start_simulation(cell, seed=1, speed=math.inf)
+    assert simulated is not None
+    quicken()
+    for number, line in enumerate(sys.stdin):
+        folder = Path(place.folder) / str(number)
+        folder.mkdir()
+        code = cycle(cell, simulated, place, folder, line.strip())
+        print(code, flush=True)
+
+
+def cycle(
+    cell: Cell, simulated: SimulatedCell, place: Place, folder: Path, phase: str
+) -> int:  # fmt: skip
+    stop = threading.Event()
+    clock = simulated.clock(stop)
+    journal, log = Journal(folder / JOURNAL, folder.name, create=True), Log()
+    journal.listen(log.take)
+    runner = Runner(
+        cell, Procedure(phase, "", (Phase(phase),), lambda result: ([], [])), journal, log,
+        devices=build_devices(cell, place.addresses, clock), clock=clock, stop=stop,
+        unattended=False,
+    )  # fmt: skip
+    control = Control(folder, runner)
+    try:
+        return runner.run()
+    finally:
+        control.close()
+        journal.close()
+
+
+# -- the relay between engine and cell ------------------------------------------------------------
+
+
+class Relay:
+    """Hands bytes on and notes when a stop frame came by."""
+
+    def __init__(self, name: str, host: str, port: int) -> None:
+        self.seen_s = math.nan
+        self._frame, self._far = FRAMES[name], (host, port)
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._socket.getsockname()[1])
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            near, _ = self._socket.accept()
+            far = socket.create_connection(self._far)
+            for one, other, watch in ((near, far, True), (far, near, False)):
+                one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                threading.Thread(target=self._pump, args=(one, other, watch), daemon=True).start()
+
+    def _pump(self, one: socket.socket, other: socket.socket, watch: bool) -> None:
+        tail = b""
+        with suppress(OSError):
+            while data := one.recv(65536):
+                now_s = time.monotonic()
+                other.sendall(data)
+                if watch:
+                    tail = (tail + data)[-200:]
+                    if math.isnan(self.seen_s) and self._frame in tail:
+                        self.seen_s = now_s
+                        tail = b""
+        for each in (one, other):
+            with suppress(OSError):
+                each.shutdown(socket.SHUT_RDWR)
+
+
+# -- the measurement ------------------------------------------------------------------------------
+
+
+class Rig:
+    """A simulated cell, the relays and an engine that is stopped again and again."""
+
+    def __init__(self, folder: Path, speed: float) -> None:
+        simulated = start_simulation(load_cell("paper"), seed=1, speed=speed)
+        assert simulated is not None
+        self._simulated = simulated
+        addresses = {name: dict(each) for name, each in simulated.options.items()}
+        rail_port = int(str(addresses["rail"]["channel"]).rpartition(":")[2])
+        self.relays = {"rail": Relay("rail", "127.0.0.1", rail_port)}
+        for name in ("robot", "tracker"):
+            self.relays[name] = Relay(name, "127.0.0.1", int(str(addresses[name]["port"])))
+            addresses[name]["port"] = self.relays[name].port
+        addresses["rail"]["channel"] = f"socket://127.0.0.1:{self.relays['rail'].port}"
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.stop", "--engine"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        self._folder, self._cycles = folder, 0
+        self._say(msgspec.json.encode(Place(str(folder), simulated.address, addresses)).decode())
+
+    def _say(self, line: str) -> None:
+        stdin = cast("Any", self._process.stdin)
+        stdin.write(f"{line}\n")
+        stdin.flush()
+
+    def stop(self, phase: str, rng: random.Random) -> dict[str, float]:
+        """Return the time, s, from the screen's ``sendall`` to each device's stop frame."""
+        folder = self._folder / str(self._cycles)
+        self._cycles += 1
+        self._say(phase)
+        link = connected(folder / "engine.json")
+        with link, link.makefile("rb") as answers:
+            # A screen attends all the while, and has its stop on a connection of its own.
+            with connected(folder / "engine.json") as screen, screen.makefile("rb") as statuses:
+                await_phase(screen, statuses, phase)
+                time.sleep(rng.uniform(0.0, 0.6))
+                for relay in self.relays.values():
+                    relay.seen_s = math.nan
+                sent_s = time.monotonic()
+                link.sendall(b'{"command": "stop"}\n')
+                answers.readline()
+            code = int(cast("Any", self._process.stdout).readline())
+        assert code == 4, f"the engine ended with {code}"
+        return {name: relay.seen_s - sent_s for name, relay in self.relays.items()}
+
+    def close(self) -> None:
+        cast("Any", self._process.stdin).close()
+        self._process.wait(30)
+        self._simulated.close()
+
+
+def connected(where: Path) -> socket.socket:
+    deadline_s = time.monotonic() + 60.0
+    while time.monotonic() < deadline_s:
+        with suppress(OSError, msgspec.DecodeError):
+            path = msgspec.json.decode(where.read_bytes(), type=EngineFile).socket
+            link = socket.socket(socket.AF_UNIX)
+            link.connect(path)
+            return link
+        time.sleep(0.005)
+    raise TimeoutError(f"no engine at {where}")
+
+
+def await_phase(screen: socket.socket, answers: Any, phase: str) -> None:
+    """Wait until the engine does what is to be stopped."""
+    moving = {"rail": "rail", "robot": "robot"}.get(phase)
+    for status in statuses(screen, answers):
+        if phase == "prompt":
+            if status["state"] == "suspended":
+                return
+        elif moving is not None:
+            if status["devices"][moving]["state"] == "moving" and status["state"] == "running":
+                return
+        elif status["points"]:
+            return
+        time.sleep(0.01)
+
+
+def statuses(screen: socket.socket, answers: Any) -> Iterator[dict[str, Any]]:
+    while True:
+        screen.sendall(b'{"command": "status"}\n')
+        yield msgspec.json.decode(answers.readline())
+
+
+def report(name: str, taken_s: list[float]) -> None:
+    ordered = sorted(1e3 * each for each in taken_s)
+    p999 = ordered[min(math.ceil(0.999 * len(ordered)) - 1, len(ordered) - 1)]
+    verdict = "holds" if p999 <= TARGET_MS else "MISSED"
+    print(
+        f"{name:22} {len(ordered):5} stops   median {statistics.median(ordered):6.2f} ms   "
+        f"p99.9 {p999:6.2f} ms   max {ordered[-1]:6.2f} ms   {verdict} ({TARGET_MS:.0f} ms)"
+    )
+
+
+def main() -> None:
+    stops = int(sys.argv[1]) if len(sys.argv) > 1 else STOPS
+    rng = random.Random(1)
+    for speed in (1.0, math.inf):
+        with tempfile.TemporaryDirectory() as folder:
+            rig = Rig(Path(folder), speed)
+            taken: dict[str, list[float]] = {}
+            try:
+                for number in range(stops // 2):
+                    phase = PHASES[number % len(PHASES)]
+                    frames = rig.stop(phase, rng)
+                    assert not math.isnan(sum(frames.values())), f"{phase}: a frame is missing"
+                    for name, value in frames.items():
+                        taken.setdefault(f"frame of the {name}", []).append(value)
+                    taken.setdefault(f"all, in: {phase}", []).append(max(frames.values()))
+            finally:
+                rig.close()
+        print(f"speed {'max' if math.isinf(speed) else speed:}")
+        for name, values in sorted(taken.items()):
+            report(name, values)
+
+
+if __name__ == "__main__":
+    engine() if "--engine" in sys.argv else main()

@@ -1,0 +1,60 @@
+"""The words that all tables of the cell file share: ranges of numbers, a table, a pose.
+
+Lengths mm, angles deg.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from scipy.spatial.transform import Rotation
+
+from hilcell.geometry.kinematics import Array
+
+Length = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Size = Annotated[float, Meta(gt=0, le=1e6)]
+Step = Annotated[float, Meta(ge=0.01, le=1e6)]
+Angle = Annotated[float, Meta(ge=-3600, le=3600)]
+Speed = Annotated[float, Meta(ge=0.1, le=1e5)]
+Acceleration = Annotated[float, Meta(ge=1, le=1e6)]
+Wait = Annotated[float, Meta(ge=0, le=3600)]
+Percent = Annotated[float, Meta(gt=0, le=100)]
+Count = Annotated[int, Meta(ge=1, le=1000)]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.\- ]{0,63}$")]
+Point = tuple[Length, Length, Length]
+Sweep = tuple[Angle, Angle]
+Six = tuple[Angle, Angle, Angle, Angle, Angle, Angle]
+
+
+class Frozen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
+    """A table of the cell file."""
+
+
+def refuse_descending(table: Frozen, low: str, high: str) -> None:
+    """Refuse a table whose lower end is not below its upper; raises `ValueError`."""
+    least, most = getattr(table, low), getattr(table, high)
+    if not least < most:
+        raise ValueError(f"{low} {least} must be below {high} {most}")
+
+
+class Pose(Frozen, frozen=True, kw_only=True):
+    """A frame: position in mm and Z-Y-X angles in deg."""
+
+    x_mm: Length
+    y_mm: Length
+    z_mm: Length
+    a_deg: Angle = 0.0
+    b_deg: Angle = 0.0
+    c_deg: Angle = 0.0
+
+    def matrix(self) -> Array:
+        """Return the homogeneous matrix (4, 4)."""
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler(
+            "ZYX", (self.a_deg, self.b_deg, self.c_deg), degrees=True
+        ).as_matrix()
+        T[:3, 3] = (self.x_mm, self.y_mm, self.z_mm)
+        return T

@@ -1,0 +1,102 @@
+"""A cell with one reflector: it is seen where it was put, and nowhere else."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import numpy as np
+import pytest
+
+from drivers.emscon import MILLIMETRE_UNITS, POSITION, UNITS, Command, encode
+from fakes.control import truth_of
+from fakes.emscon_device import EmsconDevice
+from fakes.faults import Faults
+from fakes.plant import FLANGE, Plant
+from fakes.simulator import Control
+from fakes.time import PlantTime
+from hilcell.cell import Cell, load_cell
+from hilcell.ports import DeviceError
+from tests.whole.bench import simulation
+
+BY_HAND = {"layout.reflectors": "by_hand"}
+
+
+@pytest.fixture
+def plant() -> Plant:
+    return Plant(load_cell("paper", BY_HAND), 1, PlantTime(), Faults())
+
+
+def test_it_lies_nowhere_until_it_is_put_somewhere(plant: Plant) -> None:
+    places = plant.places_in_world()
+    assert plant.reflectors_in_world() == {}
+    assert plant.tracker.find(np.zeros(3), 1e9) is None
+    for place in ("F2", "P8", FLANGE):
+        plant.seat(place)
+        (found,) = plant.reflectors_in_world().items()
+        assert found[0] == place
+        assert np.array_equal(found[1], places[place])
+    plant.seat("")
+    assert plant.reflectors_in_world() == {}
+    assert plant.tracker.measure(FLANGE) is None
+
+
+def test_it_is_seen_where_mounted_ones_are(plant: Plant, cell: Cell) -> None:
+    mounted = Plant(cell, 1, PlantTime(), Faults()).reflectors_in_world()
+    places = plant.places_in_world()
+    assert places.keys() == mounted.keys()
+    assert all(np.array_equal(places[name], mounted[name]) for name in mounted)
+
+
+def test_the_truth_tells_of_one_reflector_and_of_the_flange(plant: Plant) -> None:
+    plant.seat("P1")
+    truth = truth_of(plant, {})
+    assert list(truth["reflectors_mm"]) == ["P1"]
+    assert truth["flange_mm"] == plant.places_in_world()[FLANGE].tolist()
+
+
+def test_places_that_are_none_are_refused(plant: Plant, cell: Cell) -> None:
+    with pytest.raises(ValueError, match="'P9' is none of F1, F2, F3, P1"):
+        plant.seat("P9")
+    with pytest.raises(ValueError, match="are mounted"):
+        Plant(cell, 1, PlantTime(), Faults()).seat("P1")
+
+
+@pytest.mark.parametrize("when", ["before the start", "while measuring"])
+def test_carried_away_the_beam_breaks(plant: Plant, when: str) -> None:
+    device = EmsconDevice(plant.cell, plant.tracker, Faults())
+    plant.seat("F1")
+    at = plant.tracker.reflectors()["F1"]
+    for packet in (
+        encode(Command.INITIALIZE),
+        encode(Command.SET_UNITS, UNITS.pack(*MILLIMETRE_UNITS)),
+        encode(Command.GO_POSITION, POSITION.pack(*at, 1)),
+    ):
+        answer = device.handle(packet)
+        if answer.later is not None:
+            answer = answer.later.finish()
+    assert len(answer.packets[0]) == 16  # found: status OK comes first
+    assert answer.packets[0][-4:] == struct.pack("<I", 0)
+    if when == "before the start":
+        plant.seat("F2")
+        answer = device.handle(encode(Command.START_MEASUREMENT))
+    else:
+        started = device.handle(encode(Command.START_MEASUREMENT))
+        assert started.later is not None
+        plant.seat("F2")
+        answer = started.later.finish()
+    assert answer.packets[-1][-4:] == struct.pack("<I", 10004)  # not ready
+    assert answer.later is None
+
+
+def test_the_control_channel_seats_it() -> None:
+    words = [f"--set={key}={value}" for key, value in BY_HAND.items()]
+    with simulation("--speed", "max", *words) as cell, Control(cell.control) as control:
+        assert control.ask("truth")["reflectors_mm"] == {}
+        control.ask("seat", place="F2")
+        (seen,) = control.ask("truth")["reflectors_mm"].values()
+        assert math.dist(seen, (1500.0, 0.0, 0.0)) < 6.0
+        with pytest.raises(DeviceError, match="place 'F9' is none of"):
+            control.ask("seat", place="F9")
+        with pytest.raises(DeviceError, match="KeyError"):
+            control.ask("seat")

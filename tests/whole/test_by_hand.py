@@ -1,0 +1,220 @@
+"""One reflector carried by hand: a test plays the operator, with status and orders alone."""
+
+import threading
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hilcell.ports import HilcellError
+from hilcell.run.control import send_command
+from tests.whole.bench import (
+    SMALL,
+    Engine,
+    Simulation,
+    end_of,
+    events,
+    hilcell,
+    sets,
+    simulation,
+)
+from tests.whole.trace import judge
+
+BY_HAND = SMALL | {"layout.reflectors": "by_hand"}
+
+
+class Operator:
+    """Somebody at the cell who sees the run's status and carries the reflector."""
+
+    def __init__(self, folder: Path, cell: Simulation) -> None:
+        self.folder, self.cell = folder, cell
+        self.seats: list[str] = []
+
+    def status(self) -> dict[str, Any]:
+        return send_command(self.folder, "status")
+
+    def prompt(self, place: str = "") -> dict[str, Any]:
+        """Wait until something is asked, and return it."""
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            status = self.status()
+            prompt = status["prompt"]
+            if status["state"] == "suspended" and prompt is not None:
+                assert place in ("", prompt["place"]), prompt
+                return dict(prompt)
+            time.sleep(0.01)
+        raise AssertionError("nothing was asked")
+
+    def wanted(self) -> bool:
+        """Wait for a prompt or for the end; return whether it is a prompt."""
+        while True:
+            try:
+                status = self.status()
+            except HilcellError:
+                return False
+            if status["prompt"] is not None and status["state"] == "suspended":
+                return True
+            time.sleep(0.01)
+
+    def seat(self, place: str) -> None:
+        assert self.cell.ask(do="seat", place=place)["ok"]
+
+    def answer(self) -> str:
+        """Return why the answer was refused."""
+        answer = send_command(self.folder, "answer")
+        return str(answer.get("error", ""))
+
+    def obey(self, place: str = "") -> str:
+        """Do what is asked, say so, and return the place."""
+        asked = str(self.prompt(place)["place"])
+        self.seat(asked)
+        assert self.answer() == ""
+        self.seats.append(asked)
+        return asked
+
+
+@pytest.fixture(scope="module")
+def cell() -> Iterator[Simulation]:
+    with simulation("--speed", "max", *sets(BY_HAND)) as cell:
+        yield cell
+
+
+@pytest.fixture(autouse=True)
+def taken_away(cell: Simulation) -> None:
+    """Before each test the reflector lies in its box."""
+    assert cell.ask(do="seat", place="")["ok"]
+
+
+def words(cell: Simulation, runs: Path, name: str = "hand") -> list[str | Path]:
+    values = sets(BY_HAND | {"simulation.address": cell.control})
+    return ["--name", name, "--runs", runs, *values]
+
+
+@pytest.mark.timeout(300)
+def test_a_whole_calibration_with_one_reflector(tmp_path: Path, cell: Simulation) -> None:
+    engine = Engine("run", *words(cell, tmp_path))
+    engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
+    operator = Operator(tmp_path / "hand", cell)
+
+    first = operator.prompt("F1")
+    assert first["title"] == "Seat the reflector in F1"
+    assert "nest F1 on the floor, x 0, y 0, z 0 mm in {W}" in first["text"]
+    assert (first["seen_mm"], first["ready"], first["check"]) == (None, False, True)
+    assert "sees no reflector at F1" in operator.answer()  # said without doing it
+    assert operator.status()["state"] == "suspended"
+    operator.seat("F2")  # the wrong nest
+    assert "sees no reflector at F1" in operator.answer()
+    operator.seat("F1")
+    while not operator.prompt("F1")["ready"]:
+        time.sleep(0.01)
+    assert operator.status()["state"] == "suspended"  # seen, but nobody has said so
+    assert operator.answer() == ""
+    operator.seats.append("F1")
+
+    # Its events are read all the while, for a full pipe would hold the run.
+    listener = threading.Thread(target=engine.until, args=(lambda event: event["kind"] == "end",))
+    listener.start()
+    while operator.wanted():
+        operator.obey()
+    listener.join(60)
+    printed = engine.rest()
+    assert printed[-1]["exit"] == 0, engine.told
+    assert judge(printed) == []
+    seated = [e["place"] for e in printed if e.get("what") == "seated"]
+    assert seated == operator.seats
+    assert seated[:4] == ["F1", "F2", "F3", "flange"]
+    assert not [one for one, other in pairwise(seated) if one == other]
+    assert len(seated) <= 55
+    refused = [e for e in printed if e.get("what") == "answer refused"]
+    assert len(refused) == 2
+    suspended = [e for e in printed if e["kind"] == "state" and e["to"] == "suspended"]
+    assert len(suspended) == len(seated)
+    after = [e["prompt"]["limit_mm"] for e in suspended if e["prompt"]["place"] == "F1"]
+    assert after == [50.0] + [5.0] * (len(after) - 1)
+
+
+def test_kill_9_during_a_prompt_asks_again_only_for_what_is_missing(
+    tmp_path: Path, cell: Simulation
+) -> None:
+    engine = Engine("run", *words(cell, tmp_path))
+    engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
+    operator = Operator(tmp_path / "hand", cell)
+    operator.obey("F1")
+    operator.prompt("F2")
+    operator.seat("F2")  # carried, not yet answered
+    engine.kill()
+
+    again = Engine("resume", "hand", "--runs", tmp_path)
+    again.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
+    assert operator.prompt("F2")["title"] == "Seat the reflector in F2"
+    assert "Take the reflector from nest F1" in operator.prompt("F2")["text"]
+    assert operator.answer() == ""  # it sits there already
+    operator.prompt("F3")
+    again.kill()
+
+    last = Engine("resume", "hand", "--runs", tmp_path)
+    last.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
+    assert operator.prompt()["place"] == "F3"
+    operator.obey("F3")
+    operator.prompt("flange")
+    assert send_command(tmp_path / "hand", "abort")["ok"]
+    assert last.rest()[-1]["exit"] == 4
+    journal = events(hilcell("watch", "hand", "--runs", tmp_path, "--json").stdout)
+    assert judge(journal) == []
+    points = [e["key"] for e in journal if e["kind"] == "point"]
+    assert points == ["world/F1", "world/F2", "world/F3"]
+
+
+def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
+    tmp_path: Path, cell: Simulation
+) -> None:
+    engine = Engine("run", "base-frame", *words(cell, tmp_path))
+    engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
+    operator = Operator(tmp_path / "hand", cell)
+    for place in ("F1", "F2", "F3", "flange"):
+        operator.obey(place)
+    engine.until(lambda event: event["kind"] == "point" and event["group"] == "base")
+    operator.seat("")
+    prompt = operator.prompt("flange")
+    assert prompt["title"] == "Clear the beam to flange"
+    assert hilcell("resume", "hand", "--runs", tmp_path).returncode == 0
+    engine.until(lambda event: event.get("what") == "answer refused")
+    assert operator.status()["state"] == "suspended"
+    operator.seat("flange")
+    assert hilcell("resume", "hand", "--runs", tmp_path).returncode == 0
+    assert engine.rest()[-1]["exit"] == 0, engine.told
+    assert judge(engine.events) == []
+
+
+@pytest.mark.parametrize("command", ["run", "resume"])
+def test_nobody_is_left_alone_with_it(tmp_path: Path, cell: Simulation, command: str) -> None:
+    if command == "run":
+        done = hilcell("run", *words(cell, tmp_path), "--unattended", "--json")
+    else:
+        engine = Engine("run", *words(cell, tmp_path))
+        engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
+        engine.kill()
+        done = hilcell("resume", "hand", "--runs", tmp_path, "--unattended")
+    assert done.returncode == 2
+    assert "layout.reflectors is by_hand: somebody must be there" in done.stderr
+    if command == "run":
+        assert end_of(done)["state"] == "idle"
+        assert not list(tmp_path.iterdir())
+
+
+def test_a_campaign_needs_mounted_reflectors() -> None:
+    done = hilcell("run", "campaign", "--dry-run", *sets(BY_HAND))
+    assert done.returncode == 2
+    assert "must be mounted" in done.stderr
+
+
+def test_stop_from_a_prompt(tmp_path: Path, cell: Simulation) -> None:
+    engine = Engine("run", *words(cell, tmp_path))
+    engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
+    assert send_command(tmp_path / "hand", "stop")["ok"]
+    printed = engine.rest()
+    assert printed[-1]["exit"] == 4
+    assert judge(printed) == []
