@@ -11,7 +11,7 @@ from hilcell.errors import HilcellError
 from hilcell.tui.glyphs import ASCII, UNICODE
 from hilcell.tui.keys import load_keys
 
-COLOURS = {"auto": "auto", "16": "standard", "256": "256", "truecolor": "truecolor"}
+COLOURS = {"auto": "auto", "none": "auto", "16": "standard", "256": "256", "truecolor": "truecolor"}
 
 
 SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one that draws

@@ -26,7 +26,7 @@ from hilcell.tui import engine
 from hilcell.tui.bars import WholeBar
 from hilcell.tui.driver import StopDriver
 from hilcell.tui.glyphs import Glyphs
-from hilcell.tui.keys import ACTIONS, Keymap
+from hilcell.tui.keys import ACTIONS, BY_NAME, Keymap
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.opening import Opening
@@ -208,7 +208,7 @@ class HilcellApp(App[int]):
     def _show(self) -> None:
         top = self.screen
         if isinstance(top, SceneScreen):
-            top.show(self.scene)
+            top.show_again()
 
     def say(self, text: str) -> None:
         """Say something on the line above the keys."""
@@ -277,7 +277,7 @@ class HilcellApp(App[int]):
             self.do_stop()
         elif isinstance(self.screen, SceneScreen) or name == "quit":
             if not self.allowed(name):
-                self.say(f"{name}: nothing to do now")
+                self.say(f"{BY_NAME[name].label}: nothing to do now")
                 return
             act = getattr(self.screen, f"do_{name}", None) or getattr(self, f"do_{name}")
             act()

@@ -8,11 +8,11 @@ import pty
 import select
 import signal
 import struct
+import subprocess
 import sys
 import termios
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Self
 
 import pyte
@@ -29,13 +29,16 @@ class Terminal:
         self.raw = bytearray()
         self._stream = pyte.ByteStream(self.screen)
         self.began_s = time.monotonic()
-        size = struct.pack("HHHH", rows, columns, 0, 0)
-        self.pid, self._end = pty.fork()
-        if self.pid == 0:
-            fcntl.ioctl(sys.stdin.fileno(), termios.TIOCSWINSZ, size)
-            seen = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
-            os.environ.update(seen | environment)
-            os.execv(sys.executable, [sys.executable, "-m", "hilcell", *words])
+        self._end, inner = pty.openpty()
+        fcntl.ioctl(inner, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+        seen = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "hilcell", *words], stdin=inner, stdout=inner, stderr=inner,
+            env=os.environ | seen | environment, start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # its loss is then told
+        )  # fmt: skip
+        os.close(inner)
+        self.pid = self.process.pid
 
     def __enter__(self) -> Self:
         return self
@@ -81,9 +84,16 @@ class Terminal:
     @property
     def ended(self) -> bool:
         """Whether the program has ended."""
-        with suppress(ChildProcessError):
-            return os.waitpid(self.pid, os.WNOHANG) != (0, 0)
-        return True
+        return self.process.poll() is not None
+
+    def ends(self, limit_s: float = 30.0) -> int:
+        """Wait until the program has ended; return its exit code."""
+        deadline_s = time.monotonic() + limit_s
+        while not self.ended:
+            self.pump(0.1)
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"lives on after {limit_s} s; the screen shows\n{self.text}")
+        return self.process.wait()
 
     def cpu_s(self) -> float:
         """Return how much processor time the program has used."""
@@ -94,8 +104,6 @@ class Terminal:
     def close(self) -> None:
         """End the program and the terminal."""
         if not self.ended:
-            os.kill(self.pid, signal.SIGKILL)
-            with suppress(ChildProcessError):
-                os.waitpid(self.pid, 0)
-        with suppress(OSError):
-            os.close(self._end)
+            self.process.send_signal(signal.SIGKILL)
+            self.process.wait()
+        os.close(self._end)

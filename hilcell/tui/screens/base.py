@@ -44,11 +44,16 @@ class SceneScreen(Screen[None]):
 
     def on_resize(self) -> None:
         """Lay the lines out anew."""
-        self.call_after_refresh(lambda: self.show(self.cell.scene))
+        self.call_after_refresh(self.show_again)
 
     def on_screen_resume(self) -> None:
         """Show what came while another screen was on top."""
-        self.show(self.cell.scene)
+        self.show_again()
+
+    def show_again(self) -> None:
+        """Show the scene as it is now; before this screen is built, or after it, nothing."""
+        if self.is_attached and self.query("#keys"):
+            self.show(self.cell.scene)
 
     def show(self, scene: Scene | None) -> None:
         """Show the scene."""
@@ -60,14 +65,15 @@ class SceneScreen(Screen[None]):
 
     def notice(self, text: str) -> None:
         """Say something on the line above the keys, until the next key."""
+        if not self.query("#notice"):
+            return  # not built yet
         panel = self.panel("notice")
         panel.display = bool(text)
         panel.show(Content.styled(text, "$warn"))
 
     def on_key(self) -> None:
         """A key was pressed: what was said has been read."""
-        if self.query("#notice"):
-            self.notice("")
+        self.notice("")
 
     def key_line(self) -> Content:
         """Return element 10: the keys that do something now."""

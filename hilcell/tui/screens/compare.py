@@ -37,6 +37,6 @@ class ComparePage(TextPage):
             )
         except Exception:
             self._found = "the runs could not be compared"
-            self.show(self.cell.scene)
+            self.show_again()
             raise
-        self.show(self.cell.scene)
+        self.show_again()

@@ -40,7 +40,7 @@ class ReportPage(TextPage):
     async def _show_figures(self) -> None:
         runs = str(self._folder.parent)
         self._figures = await engine.ask_hilcell("show", self._folder.name, "--runs", runs)
-        self.show(self.cell.scene)
+        self.show_again()
 
     async def _write(self) -> None:
         path = (self._folder / FILE).resolve()
@@ -49,9 +49,9 @@ class ReportPage(TextPage):
             await engine.ask_hilcell("report", self._folder.name, "--runs", runs, "-o", str(path))
         except Exception:
             self._where = "the report was not written"
-            self.show(self.cell.scene)
+            self.show_again()
             raise
         self._where = f"report written: {path}"
         if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
             webbrowser.open(path.as_uri())
-        self.show(self.cell.scene)
+        self.show_again()

@@ -1,0 +1,132 @@
+"""The pictures of the screen in README and docs, from real engines.
+
+``HILCELL_PICTURES=docs/pictures pytest tests/whole/test_pictures.py`` draws them anew, from whole
+calibrations; without it small ones are looked at, and nothing is written.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import subprocess
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+
+from hilcell.tui.app import HilcellApp, Options
+from hilcell.tui.glyphs import UNICODE
+from hilcell.tui.keys import load_keys
+from tests.whole.bench import HILCELL, LIMIT_S, SMALL, hilcell, sets
+
+ROOT = Path(__file__).parents[2]
+WANTED = os.environ.get("HILCELL_PICTURES", "")
+PICTURES = ("screen-running", "screen-plan", "screen-done", "screen-plots", "screen-wide")
+WORDS = ["--operator", "Ann", "--job", "J-7", *([] if WANTED else sets(SMALL))]
+
+
+def keep(app: HilcellApp, name: str) -> None:
+    """Look at a picture, and write it where pictures are wanted."""
+    picture = app.export_screenshot(title="hilcell tui")
+    # Rich's fonts come from the net; a terminal's own will do.
+    picture = re.sub(r"@font-face\s*{[^}]*}", "", picture)
+    links = set(re.findall(r"https?://[^\"' )]+", picture))
+    assert links <= {"http://www.w3.org/2000/svg", "https://www.textualize.io"}, links
+    picture = re.sub(r"<!-- Generated with Rich .*?-->", "", picture)
+    assert "</svg>" in picture
+    if WANTED:
+        (ROOT / WANTED / f"{name}.svg").write_text(picture, encoding="utf-8")
+
+
+def shown(app: HilcellApp) -> str:
+    """Return what the terminal shows."""
+    strips = app.screen._compositor.render_strips()
+    return "\n".join("".join(segment.text for segment in strip) for strip in strips)
+
+
+async def until(pilot: Pilot[int], words: str) -> None:
+    """Wait until the screen shows words; the test's time limit bounds the wait."""
+    assert isinstance(pilot.app, HilcellApp)
+    while words not in shown(pilot.app):
+        await pilot.pause(0.05)
+
+
+@asynccontextmanager
+async def screen(runs: Path, run: str, size: tuple[int, int]) -> AsyncIterator[Pilot[int]]:
+    """Show a run, without a terminal."""
+    app = HilcellApp(Options(runs=runs, keymap=load_keys(None), glyphs=UNICODE, run=run))
+    async with app.run_test(size=size) as pilot:
+        yield pilot
+        app.let_go(leave=True)
+
+
+def app_of(pilot: Pilot[int]) -> HilcellApp:
+    """Return the application."""
+    assert isinstance(pilot.app, HilcellApp)
+    return pilot.app
+
+
+@pytest.mark.timeout(180)
+def test_a_live_run(tmp_path: Path) -> None:
+    asyncio.run(a_live_run(tmp_path))
+
+
+async def a_live_run(tmp_path: Path) -> None:
+    words = [*HILCELL, "run", "--speed", "60", "--runs", str(tmp_path), *WORDS]
+    engine = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        while not list(tmp_path.glob("*/engine.json")):
+            assert engine.poll() is None
+        async with screen(tmp_path, "last", (80, 24)) as pilot:
+            await until(pilot, "/10 robot-grid: 5/")
+            assert "■ RUNNING" in shown(app_of(pilot))
+            keep(app_of(pilot), "screen-running")
+    finally:
+        engine.terminate()
+        engine.wait(LIMIT_S)
+
+
+@pytest.mark.timeout(180)
+def test_a_finished_run(tmp_path: Path) -> None:
+    asyncio.run(a_finished_run(tmp_path))
+
+
+async def a_finished_run(tmp_path: Path) -> None:
+    done = hilcell("run", "--runs", tmp_path, *WORDS)
+    assert done.returncode == 0, done.stderr
+    async with screen(tmp_path, "last", (80, 24)) as pilot:
+        await until(pilot, "● DONE")
+        await pilot.press("w")
+        await until(pilot, "as measured")
+        keep(app_of(pilot), "screen-done")
+        await pilot.press("p")
+        await until(pilot, "xx chosen")
+        keep(app_of(pilot), "screen-plots")
+    async with screen(tmp_path, "last", (160, 42)) as pilot:
+        await until(pilot, "newest records")
+        await pilot.pause(0.5)
+        keep(app_of(pilot), "screen-wide")
+
+
+@pytest.mark.timeout(60)
+def test_a_plan(tmp_path: Path) -> None:
+    asyncio.run(a_plan(tmp_path))
+
+
+async def a_plan(tmp_path: Path) -> None:
+    async with screen(tmp_path, "", (80, 24)) as pilot:
+        await until(pilot, "validated before and after")
+        await pilot.press("enter")
+        await until(pilot, "The robot and the rail will move")
+        keep(app_of(pilot), "screen-plan")
+
+
+def test_the_docs_show_every_picture() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    text = "\n".join(page.read_text("utf-8") for page in pages)
+    for name in PICTURES:
+        assert f"pictures/{name}.svg" in text, name
+        assert (ROOT / "docs" / "pictures" / f"{name}.svg").is_file(), name

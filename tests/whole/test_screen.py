@@ -1,0 +1,199 @@
+"""The technician's screen in a real terminal, with real engines, by keys alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from hilcell.run.control import live_engine
+from hilcell.run.journal import read_journal
+from hilcell.runs import JOURNAL, read_log, run_folders
+from tests.whole.bench import LIMIT_S, SMALL, sets, simulation, wait_gone
+from tests.whole.terminal import Terminal
+from tests.whole.trace import judge
+
+ESC = "\x1b"
+ENTER = "\r"
+PACED = "100"
+
+
+@contextmanager
+def screen(runs: Path, *words: str) -> Iterator[Terminal]:
+    """Show the screen; an engine that outlives it is stopped."""
+    with Terminal(["tui", "--runs", str(runs), *sets(SMALL), *words]) as terminal:
+        try:
+            yield terminal
+        finally:
+            for folder in run_folders(runs):
+                engine = live_engine(folder)
+                if engine is not None:
+                    os.kill(engine.pid, signal.SIGTERM)
+                    wait_gone(engine.pid)
+
+
+def start(terminal: Terminal, keys: str = ENTER) -> None:
+    """Choose what the form offers, read the plan, start."""
+    terminal.shows("what it does")
+    terminal.shows("validated before and after")
+    terminal.press(keys)
+    terminal.shows("The robot and the rail will move")
+    terminal.press(ENTER)
+
+
+def folder_of(runs: Path) -> Path:
+    """Return the only run."""
+    (folder,) = run_folders(runs)
+    return folder
+
+
+def judged(folder: Path) -> list[str]:
+    """Return the invariants that a run's journal breaks."""
+    return judge(record.event(folder.name) for record in read_journal(folder / JOURNAL))
+
+
+def wait_for(true: object, what: str) -> None:
+    """Wait until something outside the terminal is so."""
+    deadline_s = time.monotonic() + LIMIT_S
+    while not true():  # type: ignore[operator]
+        assert time.monotonic() < deadline_s, what
+        time.sleep(0.05)
+
+
+def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the_report(
+    tmp_path: Path,
+) -> None:
+    with screen(tmp_path) as terminal:
+        start(terminal)
+        terminal.shows("● DONE", LIMIT_S)
+        log = read_log(folder_of(tmp_path))
+        terminal.press("w")
+        terminal.shows("as measured")
+        worst = next(line for line in terminal.text.splitlines() if line.startswith(">"))
+        key = worst[1:].split()[0]
+        assert key.startswith("validate/")
+        terminal.press("r")
+        terminal.shows("Open this run again")
+        terminal.press(ENTER)
+        terminal.shows("LIVE")
+        terminal.shows("● DONE", LIMIT_S)
+        wait_for(lambda: live_engine(folder_of(tmp_path)) is None, "the engine ends")
+        again = read_log(folder_of(tmp_path))
+        assert again.points[key].retaken
+        assert again.points[key].session == 2
+        assert not log.points[key].retaken
+        terminal.press("o")
+        terminal.shows("report written", LIMIT_S)
+        assert (folder_of(tmp_path) / "report.html").stat().st_size > 100_000
+        terminal.shows("chosen:")
+        terminal.press("q\x11")
+        assert terminal.ends() == 0
+    assert judged(folder_of(tmp_path)) == []
+
+
+def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
+    with simulation("--speed", PACED, *sets(SMALL)) as cell:
+        words = ("--set", f"simulation.address={cell.control}")
+        with screen(tmp_path, *words) as terminal:
+            start(terminal)
+            terminal.shows("/10 robot-grid: ", LIMIT_S)
+            terminal.press(" ")
+            terminal.shows("▲ PAUSED", LIMIT_S)
+            terminal.press(" ")
+            terminal.shows("Go on?")
+            terminal.press(ENTER)
+            terminal.shows("■ RUNNING", LIMIT_S)
+            assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
+            terminal.shows("✖ FAULT", LIMIT_S)
+            terminal.shows("HC-B")
+            terminal.shows("do: ")
+            terminal.press("e")
+            terminal.shows("means")
+            terminal.shows("not acknowledged")
+            terminal.press("q")
+            assert cell.ask(do="clear")["ok"]
+            wait_for(lambda: live_engine(folder_of(tmp_path)) is None, "the engine ends")
+            terminal.shows("space resume")
+            terminal.press(" ")  # three keys: resume, yes, acknowledge
+            terminal.shows("Resume this run?")
+            terminal.press(ENTER)
+            terminal.shows("■ RUNNING", LIMIT_S)
+            terminal.press("k")
+            terminal.until(lambda text: "HC-B" not in text)
+            terminal.shows("● DONE", LIMIT_S)
+        assert judged(folder_of(tmp_path)) == []
+
+
+@pytest.mark.parametrize("keys", ["", "p", "l", "?", "/", "a", "h/", "\x10"])
+def test_esc_stops_from_wherever_one_is(tmp_path: Path, keys: str) -> None:
+    with screen(tmp_path) as terminal:
+        start(terminal, "\x1b[Z\x1b[C\x1b[C\x1b[C\x1b[B" + ENTER)  # shift-tab: speed, to 1
+        terminal.shows("■ RUNNING", LIMIT_S)
+        for key in keys:
+            terminal.press(key)
+            terminal.pump(0.3)
+        terminal.press(ESC)
+        folder = folder_of(tmp_path)
+        wait_for(lambda: read_log(folder).end is not None, "the run ends")
+        assert read_log(folder).states["run"] == "aborted"
+        terminal.shows("ABORTED")
+
+
+def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: Path) -> None:
+    with simulation("--speed", PACED, *sets(SMALL)) as cell:
+        words = ("--set", f"simulation.address={cell.control}")
+        with screen(tmp_path, *words) as second:
+            with Terminal(["tui", "--runs", str(tmp_path), *sets(SMALL), *words]) as first:
+                start(first)
+                first.shows("/10 robot-grid: ", LIMIT_S)
+            folder = folder_of(tmp_path)
+            wait_for(lambda: read_log(folder).states["run"] == "paused", "the run pauses")
+            second.press("\x11")  # it looked before there was a run: leave it, look again
+            assert second.ends() == 0
+            with Terminal(["tui", "--runs", str(tmp_path), "last"]) as third:
+                third.shows("▲ PAUSED")
+                third.press(" ")
+                third.shows("Go on?")
+                third.press(ENTER)
+                third.shows("■ RUNNING")
+                third.press("d")
+                assert third.ends() == 0
+            wait_for(lambda: read_log(folder).end is not None, "detached, it goes on to its end")
+            assert read_log(folder).states["run"] == "finished"
+
+
+def test_a_refused_start_says_why_and_leaves_nothing(tmp_path: Path) -> None:
+    with screen(tmp_path, "--set", "robot.speed_percent=-5") as terminal:
+        terminal.shows("validated before and after")
+        terminal.press(ENTER)
+        terminal.shows("speed_percent")
+        assert not run_folders(tmp_path)
+
+
+def test_keys_that_conflict_are_refused_before_anything_is_shown(tmp_path: Path) -> None:
+    keys = tmp_path / "keys.toml"
+    keys.write_text('[keys]\nhistory = "p"\n')
+    with Terminal(["tui", "--runs", str(tmp_path), "--keys", str(keys)]) as terminal:
+        terminal.shows("key 'p' means")
+        assert terminal.ends() == 2
+
+
+def test_sixteen_colours_and_none(tmp_path: Path) -> None:
+    for colours, forbidden in (("16", (b"38;2;", b"38;5;", b"48;2;", b"48;5;")), ("none", ())):
+        with Terminal(["tui", "--runs", str(tmp_path), "--colors", colours]) as terminal:
+            terminal.shows("validated before and after")
+            assert not [code for code in forbidden if code in terminal.raw], colours
+            if colours == "none":
+                shades = {code for code in json.dumps(terminal.raw.decode()).split("38;2;")[1:]}
+                assert all(_grey(each) for each in shades)
+
+
+def _grey(code: str) -> bool:
+    red, green, blue = code.split("m")[0].split(";")[:3]
+    return red == green == blue
