@@ -11,10 +11,11 @@ import os
 import sqlite3
 import stat
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from itertools import islice
+from operator import attrgetter
 from pathlib import Path
 
 import msgspec
@@ -104,38 +105,37 @@ def matches(row: RunRow, words: str) -> bool:
     ``field:word`` looks into one field only, ``-word`` excludes. A word not yet typed to its end
     (``-``, ``state:``) excludes nothing.
     """
-    texts = _texts(row)
-    return all(_holds(word, texts) for word in words.casefold().split())
+    whole = "\n".join([look(row) for look in _LOOKS.values()]).casefold()
+    return all(_holds(word, row, whole) for word in words.casefold().split())
 
 
-def _holds(word: str, texts: dict[str, str]) -> bool:
+def _holds(word: str, row: RunRow, whole: str) -> bool:
     text = word.removeprefix("-")
     field, colon, value = text.partition(":")
-    if colon and field in texts:
-        where = texts[field]
-        found = value == where if where.isdecimal() and value else value in where
-        return not value or found != word.startswith("-")
-    return not text or any(text in each for each in texts.values()) != word.startswith("-")
+    if colon and field in _LOOKS:
+        where, text = _LOOKS[field](row).casefold(), value
+        found = text == where if where.isdecimal() else text in where
+    else:
+        found = text in whole
+    return not text or found != word.startswith("-")
 
 
-def _texts(row: RunRow) -> dict[str, str]:
-    """Return what is looked into, by the names of its fields."""
-    return {
-        "run": row.name.casefold(),
-        "begun": row.begun.casefold(),
-        "ended": row.ended.casefold(),
-        "procedure": row.procedure.casefold(),
-        "cell": row.cell.casefold(),
-        "serial": row.serial.casefold(),
-        "operator": row.operator.casefold(),
-        "job": row.job.casefold(),
-        "seed": "" if row.seed is None else str(row.seed),
-        "kind": "simulated" if row.simulated else "real",
-        "state": f"{row.condition}, live" if row.live else row.condition,
-        "exit": "" if row.exit is None else str(row.exit),
-        "points": str(row.points),
-        "reason": row.reason.casefold(),
-    }
+_LOOKS: dict[str, Callable[[RunRow], str]] = {
+    "run": attrgetter("name"),
+    "begun": attrgetter("begun"),
+    "ended": attrgetter("ended"),
+    "procedure": attrgetter("procedure"),
+    "cell": attrgetter("cell"),
+    "serial": attrgetter("serial"),
+    "operator": attrgetter("operator"),
+    "job": attrgetter("job"),
+    "seed": lambda row: "" if row.seed is None else str(row.seed),
+    "kind": lambda row: ("simulated" if row.simulated else "real") if row.readable else "",
+    "state": lambda row: f"{row.condition}, live" if row.live else row.condition,
+    "exit": lambda row: "" if row.exit is None else str(row.exit),
+    "points": lambda row: str(row.points),
+    "reason": attrgetter("reason"),
+}
 
 
 # -- what a journal tells --------------------------------------------------------------------------
