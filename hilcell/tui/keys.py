@@ -2,7 +2,7 @@
 
     # ~/.config/hilcell/keys.toml
     [keys]
-    history = ["h", "ctrl+h"]
+    history = ["h", "ctrl+y"]
 
 The trap: terminals, multiplexers and layouts eat keys, so no action hangs on a function key alone,
 and Esc stops whatever a file says.
@@ -59,6 +59,7 @@ BY_NAME = {action.name: action for action in ACTIONS}
 RESERVED = (
     "enter", "tab", "shift+tab", "up", "down", "left", "right", "pageup", "pagedown", "home",
     "end", "backspace", "q", "ctrl+p", "y", "x", "c",
+    "ctrl+h", "ctrl+i", "ctrl+j", "ctrl+m",  # what terminals send for Backspace, Tab and Enter
 )  # fmt: skip
 NAMED = (
     "space", "slash", "question_mark", "comma", "full_stop", "minus", "plus", "semicolon", "colon",
@@ -133,9 +134,9 @@ def _keys_of(name: str, value: object, problems: list[str]) -> tuple[str, ...]:
 
 def is_key(key: str) -> bool:
     """Whether a word names a key."""
-    plain = key.removeprefix("ctrl+")
-    letters = string.ascii_letters + string.digits
-    return (len(plain) == 1 and plain in letters) or plain in NAMED or key == ESCAPE
+    if key.startswith("ctrl+"):
+        return key.removeprefix("ctrl+") in tuple(string.ascii_lowercase)
+    return key in (*string.ascii_letters, *string.digits, *NAMED, ESCAPE)
 
 
 def conflicts(keymap: Keymap) -> list[str]:

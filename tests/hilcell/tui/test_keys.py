@@ -1,0 +1,191 @@
+"""Keys from a file: what may be bound, what is refused, and with which words."""
+
+from __future__ import annotations
+
+import random
+import string
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from textual.keys import Keys
+
+from hilcell.settings import SettingsError
+from hilcell.tui.keys import (
+    ACTIONS,
+    BY_NAME,
+    ESCAPE,
+    NAMED,
+    RESERVED,
+    Keymap,
+    conflicts,
+    default_file,
+    is_key,
+    load_keys,
+    shown,
+)
+
+DEFAULTS = {action.name: action.keys for action in ACTIONS}
+FREE = sorted({*string.ascii_letters, *string.digits, *NAMED} - set(RESERVED))
+REBOUND = [action.name for action in ACTIONS if action.name != "stop"]
+
+
+def load(folder: Path, text: str | bytes) -> Keymap:
+    file = folder / "keys.toml"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return load_keys(file)
+
+
+def problems_of(folder: Path, text: str | bytes) -> str:
+    with pytest.raises(SettingsError) as caught:
+        load(folder, text)
+    assert "keys.toml" in str(caught.value)
+    return str(caught.value)
+
+
+def test_the_defaults_have_no_conflict_and_are_keys() -> None:
+    assert conflicts(DEFAULTS) == []
+    assert all(is_key(key) for keys in DEFAULTS.values() for key in keys)
+    assert len(BY_NAME) == len(ACTIONS)
+
+
+def test_no_default_hangs_on_a_function_key() -> None:
+    for action in ACTIONS:
+        assert any(not (key[:1] == "f" and key[1:].isdigit()) for key in action.keys), action.name
+
+
+def test_the_keys_that_were_promised() -> None:
+    promised = {
+        "pause": "space", "stop": "escape", "abort": "a", "retake": "r", "history": "h", "log": "l",
+        "plots": "p", "interlocks": "i", "help": "question_mark", "detach": "d",
+    }  # fmt: skip
+    for name, key in promised.items():
+        assert key in DEFAULTS[name]
+
+
+def test_without_a_file_the_defaults_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    assert default_file() == tmp_path / "hilcell" / "keys.toml"
+    assert load_keys(None) == DEFAULTS
+
+
+def test_the_default_file_is_read_where_it_exists(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    default_file().parent.mkdir()
+    default_file().write_text('[keys]\nhistory = "H"\n')
+    assert load_keys(None) == DEFAULTS | {"history": ("H",)}
+
+
+def test_without_a_configuration_folder_it_is_looked_for_at_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert default_file() == tmp_path / ".config" / "hilcell" / "keys.toml"
+
+
+def test_a_key_or_several(tmp_path: Path) -> None:
+    found = load(tmp_path, '[keys]\nhistory = ["H", "ctrl+y"]\nlog = "L"\n')
+    assert found["history"] == ("H", "ctrl+y")
+    assert found["log"] == ("L",)
+    assert found["pause"] == DEFAULTS["pause"]
+
+
+def test_two_actions_may_swap_their_keys(tmp_path: Path) -> None:
+    found = load(tmp_path, '[keys]\nlog = "h"\nhistory = "l"\n')
+    assert (found["log"], found["history"]) == (("h",), ("l",))
+
+
+def test_escape_stops_whatever_the_file_says(tmp_path: Path) -> None:
+    assert load(tmp_path, '[keys]\nstop = "s"\n')["stop"] == ("s", ESCAPE)
+    assert load(tmp_path, '[keys]\nstop = ["escape", "s"]\n')["stop"] == (ESCAPE, "s")
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ('[keys]\nhistori = "H"', "keys.histori: no such action; did you mean 'history'?"),
+        ('[keys]\nxyzzy = "H"', "keys.xyzzy: no such action; actions: stop, pause"),
+        ("[keys]\nlog = 5", "keys.log: a key, or a list of keys, is wanted, found 5"),
+        ("[keys]\nlog = []", "keys.log: a key, or a list of keys, is wanted, found []"),
+        ('[keys]\nlog = ["L", 5]', "keys.log: a key, or a list of keys, is wanted"),
+        ('[keys]\nlog = "super+l"', "keys.log: 'super+l' is no key; write a, A, ctrl+a, f5"),
+        ('[keys]\nlog = ""', "keys.log: '' is no key"),
+        ('[keys]\nlog = "é"', "keys.log: 'é' is no key"),
+        ('[keys]\nlog = "ctrl+A"', "keys.log: 'ctrl+A' is no key"),
+        ('[keys]\nlog = "f5"', "keys.log: function keys alone (f5) are eaten"),
+        ('[keys]\nlog = ["f5", "f12"]', "keys.log: function keys alone (f5, f12) are eaten"),
+        ('[keys]\nlog = "h"', "key 'h' means log and history; give each a key of its own"),
+        ('[keys]\nlog = "space"', "key 'space' means pause and log"),
+        ('[keys]\nlog = "slash"', "key '/' means find and log"),
+        ('[keys]\nlog = "escape"', "key 'Esc' means stop and log"),
+        ('[keys]\nlog = "q"', "key 'q' of log has a fixed meaning; choose another"),
+        ('[keys]\nlog = "ctrl+p"', "key '^p' of log has a fixed meaning"),
+        ('[keys]\nlog = "ctrl+i"', "key '^i' of log has a fixed meaning"),
+        ('[keys]\nlog = "ctrl+m"', "key '^m' of log has a fixed meaning"),
+        ('[keys]\nlog = "ctrl+c"', "key '^c' means log and quit"),
+        ("keys = 5", "keys: a table is wanted, found 5"),
+        ('log = "L"', "log: only [keys] is known"),
+        ('[key]\nlog = "L"', "key: only [keys] is known"),
+        ("[keys\n", "cannot be read as TOML"),
+        (b"[keys]\nlog = '\xff'", "cannot be read as TOML"),
+    ],
+)
+def test_what_is_refused_says_what_is_wrong(tmp_path: Path, text: str | bytes, wanted: str) -> None:
+    assert wanted in problems_of(tmp_path, text)
+
+
+def test_a_function_key_beside_another_is_welcome(tmp_path: Path) -> None:
+    assert load(tmp_path, '[keys]\nlog = ["f5", "L"]')["log"] == ("f5", "L")
+
+
+def test_a_file_that_was_named_must_be_there(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="cannot be read"):
+        load_keys(tmp_path / "none.toml")
+
+
+def test_all_problems_are_told_at_once(tmp_path: Path) -> None:
+    text = '[keys]\nlog = "h"\nhistori = "H"\nplots = "f1"\nreport = "q"\n[other]\n'
+    told = problems_of(tmp_path, text)
+    for part in ("means log and history", "histori", "function keys", "of report", "other:"):
+        assert part in told
+
+
+@given(st.randoms(use_true_random=False))
+def test_any_choice_of_different_keys_is_accepted(chance: random.Random) -> None:
+    keys = chance.sample(FREE, len(REBOUND))
+    keymap = dict(zip(REBOUND, ((key,) for key in keys), strict=True)) | {"stop": (ESCAPE,)}
+    assert conflicts(keymap) == []
+
+
+@given(st.randoms(use_true_random=False))
+def test_any_key_used_twice_is_refused(chance: random.Random) -> None:
+    keys = chance.sample(FREE, len(REBOUND))
+    keymap = dict(zip(REBOUND, ((key,) for key in keys), strict=True)) | {"stop": (ESCAPE,)}
+    one, other = chance.sample(REBOUND, 2)
+    keymap[one] = (*keymap[one], *keymap[other])
+    (told,) = conflicts(keymap)
+    assert one in told
+    assert other in told
+    assert repr(shown(keymap[other][0])) in told
+
+
+@pytest.mark.parametrize("key", RESERVED)
+def test_fixed_keys_cannot_be_taken(key: str) -> None:
+    assert any("fixed meaning" in told for told in conflicts({"log": (key,)}))
+
+
+def test_named_keys_are_named_as_the_terminal_library_names_them() -> None:
+    known = {key.value for key in Keys} | {
+        "slash", "question_mark", "comma", "full_stop", "minus", "plus", "semicolon", "colon",
+    }  # fmt: skip
+    assert set(NAMED) <= known | {"space"}
+
+
+def test_keys_are_printed_shortly() -> None:
+    assert [shown(key) for key in ("slash", "question_mark", ESCAPE, "ctrl+q", "a")] == [
+        "/", "?", "Esc", "^q", "a",
+    ]  # fmt: skip
