@@ -37,6 +37,16 @@ def test_all_problems_are_told_at_once_with_the_nearest_key() -> None:
     ]
 
 
+def test_who_carries_the_reflectors_changes_nothing_that_stands() -> None:
+    assert load_cell("paper").layout.reflectors == "mounted"
+    by_hand = load_cell("paper", {"layout.reflectors": "by_hand"})
+    assert by_hand.layout.by_hand
+    assert by_hand.digest == load_cell("paper").digest
+    (problem,) = refused({"layout.reflectors": "by_feet"})
+    assert problem.startswith("layout.reflectors: ")
+    assert "by_feet" in problem
+
+
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e999"])
 def test_numbers_must_be_finite(value: str) -> None:
     assert any("not a finite number" in line for line in refused({"rail.speed_mm_s": value}))

@@ -1,7 +1,10 @@
 """A live run is paused, watched, resumed and stopped from other processes; signals too."""
 
+import json
 import signal
+import socket
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -59,3 +62,69 @@ def test_a_lost_listener_does_not_stop_a_run(tmp_path: Path) -> None:
     assert engine.process.returncode in (0, 1), told
     (run,) = events(hilcell("runs", "--json", "--runs", tmp_path).stdout)[0]["runs"]
     assert run["state"] == "finished"
+
+
+class Screen:
+    """A screen that attends over one connection, and can vanish."""
+
+    def __init__(self, folder: Path) -> None:
+        where = json.loads((folder / "engine.json").read_text())["socket"]
+        self.link = socket.socket(socket.AF_UNIX)
+        self.link.settimeout(20)
+        self.link.connect(where)
+        self.lines = self.link.makefile("rb")
+
+    def ask(self, command: str) -> dict[str, Any]:
+        self.link.sendall(json.dumps({"command": command}).encode() + b"\n")
+        answer: dict[str, Any] = json.loads(self.lines.readline())
+        return answer
+
+    def vanish(self) -> None:
+        self.lines.close()
+        self.link.close()
+
+
+@pytest.mark.parametrize("attended", [True, False])
+def test_losing_the_last_screen_pauses_an_attended_run_only(tmp_path: Path, attended: bool) -> None:
+    words = [] if attended else ["--unattended"]
+    engine = Engine("run", "--runs", tmp_path, "--speed", "50", *words, *sets(SMALL))
+    engine.until(lambda event: event["kind"] == "point")
+    one, other = Screen(tmp_path / engine.run), Screen(tmp_path / engine.run)
+    assert one.ask("attend")["screens"] == 1
+    assert other.ask("attend")["screens"] == 2
+    one.vanish()
+    engine.until(lambda event: event["kind"] == "point")
+    assert other.ask("status")["screens"] == 1
+    assert other.ask("status")["state"] == "running"
+    other.vanish()
+    engine.until(lambda event: event.get("what") == "screen lost")
+    if attended:
+        paused = engine.until(lambda event: state(event, "paused"))
+        assert paused["reason"] == "the screen was lost"
+    else:
+        engine.until(lambda event: event["kind"] == "point")
+    assert hilcell("stop", engine.run, "--runs", tmp_path).returncode == 0
+    assert engine.rest()[-1]["exit"] == 4
+    assert judge(engine.events) == []
+
+
+def test_a_screen_that_leaves_lets_the_run_go_on(tmp_path: Path) -> None:
+    engine = Engine("run", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
+    engine.until(lambda event: event["kind"] == "point")
+    screen = Screen(tmp_path / engine.run)
+    screen.ask("attend")
+    assert screen.ask("leave")["screens"] == 0
+    screen.vanish()
+    engine.until(lambda event: event["kind"] == "point" and event["group"] == "grid")
+    assert not [event for event in engine.events if event.get("what") == "screen lost"]
+    assert hilcell("stop", engine.run, "--runs", tmp_path).returncode == 0
+    assert engine.rest()[-1]["exit"] == 4
+
+
+def test_a_lost_terminal_pauses_an_attended_run(tmp_path: Path) -> None:
+    engine = Engine("run", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
+    engine.until(lambda event: event["kind"] == "point")
+    engine.process.send_signal(signal.SIGHUP)
+    engine.until(lambda event: state(event, "paused"))
+    engine.process.send_signal(signal.SIGTERM)
+    assert engine.rest()[-1]["exit"] == 4

@@ -5,7 +5,14 @@ import pytest
 
 from hilcell.cell import load_cell
 from hilcell.ports import RailReading, RobotReading
-from hilcell.run.interlocks import Blocked, check_joint_limits, rail_may_move, robot_may_move
+from hilcell.run.interlocks import (
+    Blocked,
+    Sight,
+    check_joint_limits,
+    overview,
+    rail_may_move,
+    robot_may_move,
+)
 
 CELL = load_cell("paper")
 S1100 = CELL.station_named("S1100")
@@ -82,3 +89,55 @@ def test_joint_limits_hold_with_their_margin(deg: float) -> None:
     joints[1] = np.radians(deg)
     with pytest.raises(Blocked, match="A2"):
         check_joint_limits(CELL, joints, "vertex 3")
+
+
+def sight(**changes: object) -> Sight:
+    values = {
+        "rail": rail(), "robot": robot(), "rail_moves": False, "robot_moves": False,
+        "station": S1100, "now_s": 10.1,
+    }  # fmt: skip
+    return Sight(**(values | changes))  # type: ignore[arg-type]
+
+
+def blocked(**changes: object) -> dict[str, str]:
+    return {each["name"]: each["blocked"] for each in overview(CELL, sight(**changes))}
+
+
+def test_the_overview_opens_on_good_readings() -> None:
+    assert blocked() == {"rail may move": "", "robot may move": "", "measure": ""}
+
+
+REST = "the robot is moving, wanted at rest"
+AWAY = "robot not at safe pose, A2 -99.800 deg, wanted -100.000 +-0.1 deg"
+NOT_HELD = "station S1100 not held: strip 1100.05 mm, wanted 1100.00 +-0.02 mm"
+OLD = "reading is 6000 ms old, wanted <= 5000 ms"
+
+
+@pytest.mark.parametrize(
+    ("changes", "by_rail", "by_robot", "measure"),
+    [
+        ({"robot_moves": True}, REST, "", REST),
+        ({"robot": robot(still=False)}, REST + " at its safe pose", "", REST),
+        ({"robot": robot(joints_rad=off(1, 0.2))}, AWAY, "", ""),
+        ({"robot": robot(taken_s=4.1)}, OLD, "", OLD),
+        ({"robot": None}, "the robot was not read yet", "", "the robot was not read yet"),
+        ({"rail_moves": True}, "", *["the rail is moving, wanted at rest"] * 2),
+        ({"rail": rail(velocity_mm_s=3.2)}, "", *["slide moves at 3.200 mm/s, wanted 0"] * 2),
+        ({"rail": rail(velocity_mm_s=float("nan"))}, "",
+         *["slide moves at nan mm/s, wanted 0"] * 2),
+        ({"rail": rail(powered=True)}, "",
+         *["the drive has power to move, wanted held by the brake"] * 2),
+        ({"rail": rail(strip_mm=1100.05)}, "", NOT_HELD, NOT_HELD),
+        ({"rail": rail(strip_mm=1100.05), "station": None}, "", "", ""),
+        ({"rail": rail(taken_s=4.1)}, "", OLD, OLD),
+        ({"rail": None}, "", *["the rail was not read yet"] * 2),
+    ],
+)  # fmt: skip
+def test_the_overview_says_what_blocks(
+    changes: dict[str, object], by_rail: str, by_robot: str, measure: str
+) -> None:
+    assert blocked(**changes) == {
+        "rail may move": by_rail,
+        "robot may move": by_robot,
+        "measure": measure,
+    }
