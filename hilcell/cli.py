@@ -107,6 +107,12 @@ def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     runs = _command(commands, "runs", "commands.past:runs", "list the runs")
     _runs_option(runs)
     _json_option(runs, "one object with all runs")
+    compare = _command(commands, "compare", "commands.compare:compare", "compare two runs of a "
+                       "cell: what has drifted")  # fmt: skip
+    compare.add_argument("first", metavar="RUN", help="the earlier run")
+    compare.add_argument("second", metavar="RUN", help="the later run")
+    _runs_option(compare)
+    _json_option(compare, "one object")
     show = _command(commands, "show", "commands.past:show", "show a run, computed from its journal")
     _run_argument(show)
     _json_option(show, "one object")

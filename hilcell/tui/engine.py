@@ -62,7 +62,7 @@ def last_words(runs: Path, run: str) -> str:
 
 
 async def ask_hilcell(*words: str) -> str:
-    """Run a command that moves nothing and return its stdout; raises `HilcellError`."""
+    """Run a command that moves nothing and return what it said; raises `HilcellError`."""
     process = await asyncio.create_subprocess_exec(
         *HILCELL, *words, stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -71,7 +71,7 @@ async def ask_hilcell(*words: str) -> str:
     if process.returncode:
         said = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
         raise HilcellError(said.removeprefix("hilcell: "))
-    return out.decode(errors="replace")
+    return out.decode(errors="replace") + err.decode(errors="replace")
 
 
 async def dry_run(order: Order) -> dict[str, Any]:

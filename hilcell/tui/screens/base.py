@@ -24,6 +24,8 @@ class SceneScreen(Screen[None]):
     footer: ClassVar[tuple[str, ...]] = ()  # actions, in the order of their weight
     fixed: ClassVar[tuple[tuple[str, str], ...]] = ()  # keys that cannot be rebound
 
+    built = False  # whether every part stands; messages may come before
+
     @property
     def cell(self) -> HilcellApp:
         """Return the application, by its own type."""
@@ -40,6 +42,7 @@ class SceneScreen(Screen[None]):
 
     def on_mount(self) -> None:
         """Show what is known already."""
+        self.built = True
         self.show(self.cell.scene)
 
     def on_resize(self) -> None:
@@ -52,7 +55,7 @@ class SceneScreen(Screen[None]):
 
     def show_again(self) -> None:
         """Show the scene as it is now; before this screen is built, or after it, nothing."""
-        if self.is_attached and self.query("#keys"):
+        if self.built and self.is_attached:
             self.show(self.cell.scene)
 
     def show(self, scene: Scene | None) -> None:
@@ -65,8 +68,8 @@ class SceneScreen(Screen[None]):
 
     def notice(self, text: str) -> None:
         """Say something on the line above the keys, until the next key."""
-        if not self.query("#notice"):
-            return  # not built yet
+        if not self.built:
+            return
         panel = self.panel("notice")
         panel.display = bool(text)
         panel.show(Content.styled(text, "$warn"))

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import msgspec
+from textual.app import ComposeResult
 from textual.content import Content
 
 from hilcell.tui import engine
-from hilcell.tui.scene import Scene
-from hilcell.tui.screens.pages import TextPage
+from hilcell.tui.panel import Panel
+from hilcell.tui.rows import Column, Row, Rows
+from hilcell.tui.screens.base import Page
+
+COLUMNS = (
+    Column("where", 9), Column("what", 20), Column("first", 9, right=True),
+    Column("second", 9, right=True), Column("change", 9, right=True),
+    Column("limit", 7, right=True), Column("verdict", 9),
+)  # fmt: skip
+DIGITS = {"mm": 4, "deg": 5}
 
 
-class ComparePage(TextPage):
+class ComparePage(Page):
     """Shows what `hilcell compare` says of two runs."""
 
     title_text = "Comparison"
@@ -18,25 +30,44 @@ class ComparePage(TextPage):
     def __init__(self, first: str, second: str) -> None:
         super().__init__()
         self._first, self._second = first, second
-        self._found = "reading both journals ..."
+
+    def body(self) -> ComposeResult:
+        """Build the words and the rows."""
+        yield Panel("told")
+        yield Rows(COLUMNS, empty="reading both journals ...", plain=self.cell.glyphs.plain)
 
     def on_mount(self) -> None:
         """Compare."""
         super().on_mount()
         self.cell.background(self._compare())
 
-    def text(self, scene: Scene | None) -> Content:
-        """Return the comparison."""
-        return Content(self._found)
-
     async def _compare(self) -> None:
         runs = str(self.cell.options.runs)
-        try:
-            self._found = await engine.ask_hilcell(
-                "compare", self._first, self._second, "--runs", runs
-            )
-        except Exception:
-            self._found = "the runs could not be compared"
-            self.show_again()
-            raise
-        self.show_again()
+        words = ("compare", self._first, self._second, "--runs", runs, "--json")
+        found = msgspec.json.decode(await engine.ask_hilcell(*words), type=dict[str, Any])
+        if self.is_attached:
+            self.panel("told").show(told(found))
+            self.query_one(Rows).put([change_row(each) for each in found["changes"]])
+
+
+def told(found: dict[str, Any]) -> Content:
+    """Return which runs, in what they differ, and the verdict."""
+    lines = [f"{found['first']}  ->  {found['second']}"]
+    lines += [
+        f"{each['key']}: {each['first'] or '-'} -> {each['second'] or '-'}"
+        for each in found["settings"][:4]
+    ]
+    return Content.assemble("\n".join(lines), "\n", (str(found["verdict"]), "bold"))
+
+
+def change_row(change: dict[str, Any]) -> Row:
+    """Return one change; what lies beyond its limit stands out."""
+    digits = DIGITS.get(change["unit"], 2)
+    numbers = [
+        "" if change[name] is None else f"{change[name]:{sign}.{digits}f}"
+        for name, sign in (("first", ""), ("second", ""), ("change", "+"), ("limit", ""))
+    ]
+    what = f"{change['what']}, {change['unit']}"
+    tone = "" if change["verdict"] in ("", "within") else "bad"
+    cells = (change["place"], what, *numbers, change["verdict"])
+    return Row(f"{change['place']}/{change['what']}", cells, tone)
