@@ -1,0 +1,190 @@
+"""Every fault that the simulated cell knows, really injected: the run's alarm names it.
+
+The engine runs in this process, against a simulated cell in another; only the drivers' patience
+on a dead wire is shortened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from drivers import drive, rail_setup, robot_kuka_c3
+from drivers.tracker_leica_emscon import LeicaEmsconTracker
+from fakes.faults import KNOWN
+from hilcell.alarms import Alarm, alarms_of, catalogue
+from hilcell.cli import main
+from hilcell.runs import read_log
+from tests.whole.bench import Simulation, sets, simulation
+
+# What each fault does to the run: its alarm, and the value with which it strikes.
+# Where a strip freezes or the backlash grows, what shows first depends on where the slide stands.
+ENDS: dict[str, tuple[str, object]] = {
+    "rail.vanish": ("HC-R01", True),
+    "rail.wrong_identity": ("HC-R08", 0x999),
+    "rail.heartbeat_loss": ("HC-R10", 5),
+    "rail.node_reset": ("HC-R03", 5),
+    "rail.emcy": ("HC-R24", 0x7305),
+    "rail.fault": ("HC-R21", 0x2310),
+    "rail.limit_switch": ("HC-R32", -1),
+    "rail.no_acknowledge": ("HC-R31", True),
+    "rail.sdo_abort": ("HC-R09", 0x06020000),
+    "rail.sdo_timeout": ("HC-R05", True),
+    "rail.late_reply": ("HC-R05", 0.45),
+    "rail.late_tpdo": ("HC-R07", 1.5),
+    "rail.strip_frozen": ("HC-S02 HC-S03", True),
+    "rail.missing_magnet": ("HC-S01", True),
+    "rail.backlash": ("HC-S04 HC-S02 HC-S03", 0.5),
+    "rail.slip": ("HC-S03", 5.0),
+    "rail.eof": ("HC-R01", True),
+    "rail.garbage": ("HC-R05", True),
+    "rail.nack": ("HC-R05", True),
+    "rail.stalled": ("HC-R05", True),
+    "robot.vanish": ("HC-B02", True),
+    "robot.wrong_identity": ("HC-B05", "#KR6"),
+    "robot.e_stop": ("HC-B10", True),
+    "robot.stopmess": ("HC-B14", True),
+    "robot.mode_t1": ("HC-B12", True),
+    "robot.override_zero": ("HC-B16", True),
+    "robot.deselected": ("HC-B15", True),
+    "robot.wrong_tool": ("HC-B07", 2),
+    "robot.wrong_base": ("HC-B07", 3),
+    "robot.softlimit": ("HC-B20", True),
+    "robot.stops_short": ("HC-B24", 1.0),
+    "robot.frozen": ("HC-B23", True),
+    "robot.idle_close": ("HC-B02", True),
+    "robot.tag_mismatch": ("HC-B02", True),
+    "robot.no_reply": ("HC-B02", True),
+    "robot.failure_footer": ("HC-B03", 0),
+    "robot.restarted": ("HC-B03", True),
+    "robot.half_open": ("HC-B02", True),
+    "robot.late_reply": ("HC-B02", 3.0),
+    "robot.bad_number": ("HC-B26", "NaN"),
+    "robot.ack_previous": ("HC-B23", True),
+    "robot.lost_zero": ("HC-T11", 5.0),
+    "tracker.vanish": ("HC-T02", True),
+    "tracker.wrong_identity": ("HC-T03", True),
+    "tracker.beam_break_before": ("HC-T11", True),
+    "tracker.beam_break_after": ("HC-T10", True),
+    "tracker.no_reflector": ("HC-T11", True),
+    "tracker.no_result": ("HC-T13", True),
+    "tracker.wrong_reflector": ("HC-T12", True),
+    "tracker.not_warmed_up": ("HC-T19", True),
+    "tracker.init_lost": ("HC-T04", True),
+    "tracker.drift_step": ("HC-T15", 5.0),
+    "tracker.noisy": ("HC-T15", 1.0),
+    "tracker.metres": ("HC-T18", True),
+    "tracker.left_handed": ("HC-T16", True),
+    "tracker.no_weather": ("HC-T05", True),
+    "tracker.bad_number": ("HC-T14", "nan"),
+    "tracker.length_zero": ("HC-T02", True),
+    "tracker.length_huge": ("HC-T02", True),
+    "tracker.eof": ("HC-T02", True),
+    "tracker.wrong_target": ("HC-T16", 500.0),
+}
+# A driver that is sound goes through these; how often they strike, and with what.
+SURVIVED: dict[str, tuple[int, object]] = {
+    "rail.early_target_reached": (1000, True),
+    "rail.strip_jitter": (20, True),
+    "rail.wrong_mode": (2, 3),
+    "robot.split_reply": (20, True),
+    "robot.stale_position": (2, True),
+    "tracker.late_result": (1, True),
+    "tracker.spike": (1, 0.05),
+    "tracker.busy": (2, True),
+    "tracker.status_storm": (2, 100),
+    "tracker.split_packet": (1000, True),
+    "tracker.glued_packets": (1000, True),
+}
+# What these leave behind stays, or comes late, so the next fault gets another cell.
+LASTING = (
+    ".vanish", ".backlash", ".slip", ".lost_zero", ".drift_step", ".limit_switch", ".late_tpdo",
+    ".late_reply",
+)  # fmt: skip
+SPECIFIC = {entry.code for entry in catalogue() if entry.specific}
+
+
+class Cells:
+    """The simulated cell that stands, or a new one."""
+
+    def __init__(self) -> None:
+        self._stack = ExitStack()
+        self._cell: Simulation | None = None
+
+    def standing(self) -> Simulation:
+        if self._cell is None:
+            self._cell = self._stack.enter_context(simulation("--speed", "max"))
+        return self._cell
+
+    def close(self) -> None:
+        self._stack.close()
+        self._cell = None
+
+
+@pytest.fixture(scope="module")
+def cells() -> Iterator[Cells]:
+    cells = Cells()
+    yield cells
+    cells.close()
+
+
+@pytest.fixture
+def injected(
+    cells: Cells, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, request: pytest.FixtureRequest
+) -> list[Alarm]:
+    """Run a small procedure that uses all three devices under one fault; return its alarms."""
+    name, value, count = request.param
+    monkeypatch.setattr(rail_setup, "FIND_S", 0.5)
+    monkeypatch.setattr(drive, "STALL_S", 1.0)
+    monkeypatch.setattr(robot_kuka_c3, "STALL_S", 1.0)
+    monkeypatch.setattr(robot_kuka_c3, "REST_S", 1.0)
+    monkeypatch.setattr(LeicaEmsconTracker, "RESULT_S", 0.5)
+    cell = cells.standing()
+    cell.ask(do="fault", name=name, value=value, count=count)
+    words = {
+        "simulation.address": cell.control,
+        "base_frame.points": "6",
+        "layout.nest_samples": "2",
+    }
+    main(["run", "base-frame", "--unattended", "--runs", str(tmp_path), "--name", "x",
+          *sets(words)])  # fmt: skip
+    cell.ask(do="clear")
+    if name.endswith(LASTING):
+        cells.close()
+    return alarms_of(read_log(tmp_path / "x"), "x", live=False)
+
+
+@pytest.mark.parametrize(
+    ("injected", "codes"),
+    [((name, value, 1000), codes) for name, (codes, value) in ENDS.items()],
+    ids=ENDS,
+    indirect=["injected"],
+)
+def test_a_fault_that_ends_a_run_is_named(injected: list[Alarm], codes: str) -> None:
+    fault = injected[-1]
+    assert fault.code in codes.split(), injected
+    assert fault.severity == "fault"
+    assert fault.where
+    assert fault.found
+    assert len(fault.do) >= 2
+    assert "space" in fault.do[-1] or "Start a new run" in fault.do[-1]
+    assert {alarm.code for alarm in injected} <= SPECIFIC
+
+
+@pytest.mark.parametrize(
+    "injected",
+    [(name, value, count) for name, (count, value) in SURVIVED.items()],
+    ids=SURVIVED,
+    indirect=True,
+)
+def test_a_fault_that_is_survived_is_a_notice_at_most(injected: list[Alarm]) -> None:
+    assert {alarm.severity for alarm in injected} <= {"notice"}, injected
+    assert {alarm.code for alarm in injected} <= SPECIFIC
+
+
+def test_no_fault_is_left_out() -> None:
+    assert set(ENDS) | set(SURVIVED) == set(KNOWN)
+    assert not set(ENDS) & set(SURVIVED)
