@@ -23,9 +23,9 @@ from hilcell.planning.bound import lower_bound
 from hilcell.planning.cuts import cut_bound
 
 GOOD = 1.02  # a route this near to its bound is not worth more search
-FAR = 1.025  # over its bound: the bound is to blame, as a rule, and worth sharpening
+FAR = 1.03  # over its bound: the bound is to blame, as a rule, and worth sharpening
 FIRST_KICKS_PER_HOLE = 2  # before the bound is sharpened
-KICKS_PER_HOLE = 8  # after that
+KICKS_PER_HOLE = 4  # after that
 MOST_CUT = 1000  # holes up to which sharpening is quick
 SLACK = 0.3  # mean steps by which a kicked route may be worse than the best, at first
 KICK_SPAN = 50  # holes within which one kick swaps two stretches

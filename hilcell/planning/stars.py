@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hilcell.geometry.kinematics import Array
 
 VIOLATED = 1e-3  # less is not worth a cut
-CLOSE = 0.7  # a blossom that holds by less may grow into a star that does not
+CLOSE = 0.3  # a blossom that holds by less may grow into a star that does not
 MOST_SHELLS = 12  # in each direction
 HELD = 0.05  # share by which a node must hang on a tooth to join it
 MOST_STARS = 100  # of one round
