@@ -287,10 +287,14 @@ class HilcellApp(App[int]):
         session = self.session
         sent = session is not None and not session.scene.over and session.stop()
         if sent or self.live:
-            while not isinstance(self.screen, SceneScreen):
-                self.pop_screen()
+            self._close_questions()
             self.say("STOP sent" if sent else "STOP: no engine is there to hear it")
         elif len(self.screen_stack) > 2:
+            self.pop_screen()
+
+    def _close_questions(self) -> None:
+        """Go back to the screen under whatever is asked, or under the palette."""
+        while not isinstance(self.screen, SceneScreen):
             self.pop_screen()
 
     def do_pause(self) -> None:
@@ -436,6 +440,7 @@ class HilcellApp(App[int]):
             self.let_go(leave=True)
             self.exit(0)
         else:
+            self._close_questions()
             self.ask(
                 "A run is live.", "Detach: the run goes on without this screen. To stop it, "
                 "press q here and then Esc.", "detach", self.do_detach,

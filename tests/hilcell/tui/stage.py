@@ -39,8 +39,8 @@ class Listener(Session):
         self.asked.append((command, facts))
 
     def stop(self) -> bool:
-        """Count a stop; an engine that only listens is there to hear it."""
-        self.stops += 1
+        """Count a stop, where an engine would hear it."""
+        self.stops += self.scene.alive
         return self.scene.alive
 
     def close(self, *, leave: bool) -> None:

@@ -154,17 +154,21 @@ def test_all_problems_are_told_at_once(tmp_path: Path) -> None:
         assert part in told
 
 
+def bound(keys: list[str]) -> Keymap:
+    keymap: Keymap = {name: (key,) for name, key in zip(REBOUND, keys, strict=True)}
+    return keymap | {"stop": (ESCAPE,)}
+
+
 @given(st.randoms(use_true_random=False))
 def test_any_choice_of_different_keys_is_accepted(chance: random.Random) -> None:
     keys = chance.sample(FREE, len(REBOUND))
-    keymap = dict(zip(REBOUND, ((key,) for key in keys), strict=True)) | {"stop": (ESCAPE,)}
-    assert conflicts(keymap) == []
+    assert conflicts(bound(keys)) == []
 
 
 @given(st.randoms(use_true_random=False))
 def test_any_key_used_twice_is_refused(chance: random.Random) -> None:
     keys = chance.sample(FREE, len(REBOUND))
-    keymap = dict(zip(REBOUND, ((key,) for key in keys), strict=True)) | {"stop": (ESCAPE,)}
+    keymap = bound(keys)
     one, other = chance.sample(REBOUND, 2)
     keymap[one] = (*keymap[one], *keymap[other])
     (told,) = conflicts(keymap)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import pytest
 from textual.command import CommandPalette
 from textual.pilot import Pilot
@@ -48,10 +49,21 @@ PLAN: dict[str, Any] = {
 PROCEDURES = {
     "calibrate": "the whole calibration", "home": "home the rail", "rail-survey": "survey the rail",
 }  # fmt: skip
+COMPARISON = {
+    "first": "20260303-070000-calibrate-cd34", "second": RUN, "verdict": "1 drift",
+    "settings": [{"key": "tracker.max_std_mm", "first": "0.05", "second": ""}],
+    "changes": [
+        {"place": "S1100", "what": "mean |e|", "unit": "mm", "first": 0.24, "second": 0.11,
+         "change": -0.13, "limit": None, "verdict": ""},
+        {"place": "base", "what": "position", "unit": "mm", "first": None, "second": None,
+         "change": 0.32, "limit": 0.2, "verdict": "drift"},
+    ],
+    "notes": [],
+}  # fmt: skip
 SAID = {
     "show": "calibrate on paper: finished\n\n  S1100   before 1.200 mm   chosen 0.110 mm\n",
     "report": "",
-    "compare": "S1100: mean |e| 0.240 -> 0.110 mm\nbase frame: moved 0.02 mm\n",
+    "compare": msgspec.json.encode(COMPARISON).decode(),
 }
 
 Look = Callable[[Stage], str]
