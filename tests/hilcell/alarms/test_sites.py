@@ -6,13 +6,16 @@ words that come from tables.
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Iterator
+
 import pytest
 
 from drivers import cia406, emcy, emscon
 from drivers.robot_kuka_c3 import HEALTH
 from hilcell.alarms.catalogue import catalogue, entry_of
 from hilcell.alarms.finding import Finding
-from tests.hilcell.alarms.sites import HOLE, Site, loaded, modules, sites
+from tests.hilcell.alarms.sites import HOLE, ROOT, Module, Site, loaded, modules, sites
 from tests.hilcell.alarms.test_alarms import BY_EVENTS
 
 CODES = [*emcy.CODES, *(family << 8 for family in emcy.FAMILIES if family >= 0x10), 0x1234, 0x0000]
@@ -100,3 +103,32 @@ REACHED = {entry_of(finding).code for site in FOUND for finding in site.findings
 )
 def test_every_entry_is_reached(code: str) -> None:
     assert code in REACHED | set(BY_EVENTS)
+
+
+# Events that are the run's ordinary course; every other one becomes an alarm.
+ORDINARY = {"connected", "station found held", "step", "retake asked", "seated"}
+ALARMING = {
+    "no reading", "safe stop", "closed", "command refused", "screen lost", "answer refused",
+    "retake refused", "outlier measured again", "station held", "internal error",
+}  # fmt: skip
+
+
+def events_of(module: Module) -> Iterator[str]:
+    """Yield the names of all events that a module journals."""
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Dict):
+            said = zip(node.keys, node.values, strict=True)
+            named = [v for k, v in said if k is not None and ast.unparse(k) == "'what'"]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith((".event", "._note")):
+            named = node.args[:1]
+        else:
+            continue
+        yield from (str(name.value) for name in named if isinstance(name, ast.Constant))
+
+
+def test_every_event_is_either_ordinary_or_an_alarm() -> None:
+    rooms = ("hilcell/run/", "hilcell/commands/", "procedures/")
+    found = {name for m in modules() if m.path.startswith(rooms) for name in events_of(m)}
+    assert found == ORDINARY | ALARMING
+    judged = (ROOT / "hilcell/alarms/alarm.py").read_text("utf-8")
+    assert all(f'"{name}"' in judged for name in ALARMING)
