@@ -87,7 +87,9 @@ def _alarm(moment: _Moment, run: str, *, over: bool) -> Alarm:
 def _then(entry: Entry, run: str, *, over: bool) -> str:
     match entry.then:
         case "resume":
-            return f"Continue: space, or `hilcell resume {run}`." if over else "Continue: space."
+            return (
+                f"Continue: space, or `hilcell resume {line(run)}`." if over else "Continue: space."
+            )
         case "anew":
             return "Start a new run: `hilcell run`."
         case _:

@@ -223,7 +223,7 @@ def test_a_device_s_hostile_words_stay_words() -> None:
         alarms(*rows, faulted(error)),
         alarms(*rows, faulted(told)),
         alarms(*rows, state("faulted", reason=hostile)),
-        explain(hostile, RUN),
+        explain(hostile, hostile),
     ):
         assert found
         for alarm in found:
