@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 from textual.content import Content
 
 from hilcell.tui.deviation import Deviation
@@ -114,6 +115,8 @@ def share_done(scene: Scene) -> float:
 
 def duration(seconds: float) -> str:
     """Return a duration as M:SS, or H:MM:SS."""
+    if not math.isfinite(seconds):
+        return "-:--"
     whole = max(round(seconds), 0)
     minutes, second = divmod(whole, 60)
     hours, minute = divmod(minutes, 60)
@@ -139,7 +142,7 @@ def lamp(name: str, device: DeviceStatus, scene: Scene, glyphs: Glyphs) -> Conte
         return Content.styled(f"{glyphs.lost} {title} lost", "bold $bad")
     if device.state == "moving" and not scene.stale:
         return Content.styled(f"{glyphs.moving} {title} moves", "$info")
-    if scene.stale or not age_s <= STALE_AFTER_S:
+    if device.state not in ("fresh", "moving") or scene.stale or not age_s <= STALE_AFTER_S:
         return Content.styled(f"{glyphs.stale} {title} {short_age(age_s)}", "$dim")
     return Content.styled(f"{glyphs.fresh} {title} {short_age(age_s)}", "$good")
 
@@ -149,9 +152,14 @@ STALE_AFTER_S = 5.0
 
 def short_age(seconds: float) -> str:
     """Return an age in at most five columns."""
-    if seconds < 10:
+    if not seconds < math.inf:
+        return "?"
+    if seconds < 9.95:
         return f"{seconds:.1f} s"
-    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} m"
+    for size_s, unit in ((1, "s"), (60, "m"), (3600, "h")):
+        if seconds / size_s < 99.5:
+            return f"{seconds / size_s:.0f} {unit}"
+    return f"{seconds / 86400:.0f} d"
 
 
 def drift_k(scene: Scene) -> float | None:
@@ -173,12 +181,25 @@ def air(scene: Scene, glyphs: Glyphs) -> Content:
     return Content.styled(text if within else f"! {text}", "" if within else "bold $warn")
 
 
+class _Mean(msgspec.Struct):
+    mean: float
+
+
+class _Place(msgspec.Struct):
+    before: _Mean
+    chosen: _Mean
+
+
 def result(scene: Scene, width: int) -> Content:
     """Return a finished run's main figures in one line, mean |e| before and after."""
-    places = (scene.log.end or {}).get("result", {}).get("validation", {})
+    found = (scene.log.end or {}).get("result", {}).get("validation", {})
+    try:
+        places = msgspec.convert(found, dict[str, _Place])
+    except msgspec.ValidationError:  # another procedure's result
+        return Content("")
     parts = [
-        f"{place}: {figures['before']['mean']:.3f} -> {figures['chosen']['mean']:.3f}"
-        for place, figures in places.items()
+        f"{name}: {place.before.mean:.3f} -> {place.chosen.mean:.3f}"
+        for name, place in places.items()
     ]
     if not parts:
         return Content("")
@@ -225,7 +246,8 @@ def tolerance_line(found: Deviation, glyphs: Glyphs, width: int) -> Content:
     if found.limit_mm is None:
         return Content.styled(f"{found.key}: raw, not corrected; no limit", "$dim")
     room = 30
-    at = math.floor(room * min(found.norm_mm / (1.5 * found.limit_mm), 1.0))
+    share = found.norm_mm / (1.5 * found.limit_mm)
+    at = math.floor(room * share) if share <= 1.0 else room  # NaN is beyond everything
     edge = math.floor(room / 1.5)
     cells = ["="] * at + [glyphs.rule] * (room + 1 - at)
     cells[edge] = "|"

@@ -270,7 +270,7 @@ def test_looking_at_another_run_over_a_live_one_asks() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         home = app.screen
         await press(pilot, "h", "down", "enter")
-        assert "Esc does not stop it from there" in text_of(app)
+        assert "look at the other" in text_of(app)
         await press(pilot, "n")
         assert type(app.screen) is HistoryPage
         await press(pilot, "home", "enter")  # the run that is shown: back to it

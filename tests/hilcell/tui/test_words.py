@@ -1,0 +1,313 @@
+"""The lines of the screen, as pure functions of a scene: what they say, and never too wide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from textual.content import Content
+
+from hilcell.cell import load_cell
+from hilcell.tui import words
+from hilcell.tui.deviation import Deviation
+from hilcell.tui.digits import large
+from hilcell.tui.glyphs import ASCII, UNICODE, to_ascii
+from hilcell.tui.prompt_words import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, sight
+from hilcell.tui.scene import DeviceStatus, Scene
+from tests.hilcell.tui.scenes import PROMPT, fresh, stories
+from tests.hilcell.tui.stage import Listener
+
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def scene_of(name: str) -> Scene:
+    """Return the scene of a made-up run."""
+    session = Listener(Path("/runs/made-up"))
+    session.take(fresh(name), stories()[name].now)
+    return session.scene
+
+
+# -- durations and ages ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("seconds", "wanted"),
+    [(0, "0:00"), (-3, "0:00"), (0.6, "0:01"), (59.4, "0:59"), (59.6, "1:00"), (61, "1:01"),
+     (3599, "59:59"), (3600, "1:00:00"), (86399, "23:59:59"), (100 * 3600, "100:00:00")],
+)  # fmt: skip
+def test_durations(seconds: float, wanted: str) -> None:
+    assert words.duration(seconds) == wanted
+
+
+@pytest.mark.parametrize("seconds", [math.nan, math.inf, -math.inf])
+def test_a_duration_that_is_no_number_is_said_so(seconds: float) -> None:
+    assert words.duration(seconds) == "-:--"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "wanted"),
+    [(0, "0.0 s"), (0.24, "0.2 s"), (9.94, "9.9 s"), (9.96, "10 s"), (10, "10 s"), (99.4, "99 s"),
+     (99.6, "2 m"), (100, "2 m"), (3600, "60 m"), (7200, "2 h"), (360000, "4 d"),
+     (math.nan, "?"), (math.inf, "?")],
+)  # fmt: skip
+def test_ages(seconds: float, wanted: str) -> None:
+    assert words.short_age(seconds) == wanted
+
+
+@given(st.floats(0, 1e6))
+def test_ages_are_short(seconds: float) -> None:
+    assert len(words.short_age(seconds)) <= 5
+
+
+# -- lamps -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("device", "wanted", "good"),
+    [
+        (DeviceStatus("fresh", 0.2), "● Rail 0.2 s", True),
+        (DeviceStatus("fresh", 5.1), "○ Rail 5.1 s", False),
+        (DeviceStatus("fresh", math.nan), "○ Rail ?", False),
+        (DeviceStatus("moving", 0.2), "◐ Rail moves", False),
+        (DeviceStatus("lost", 3.0, reason="no heartbeat"), "✖ Rail lost", False),
+        (DeviceStatus("lost", None), "✖ Rail lost", False),
+        (DeviceStatus("unknown", None), "○ Rail -", False),
+        (DeviceStatus(), "○ Rail -", False),
+        (DeviceStatus("unknown", 1.0), "○ Rail 1.0 s", False),
+    ],
+)
+def test_lamps(device: DeviceStatus, wanted: str, good: bool) -> None:
+    lamp = words.lamp("rail", device, scene_of("running"), UNICODE)
+    assert lamp.plain == wanted
+    assert any("good" in str(span.style) for span in lamp.spans) == good
+
+
+def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
+    scene = scene_of("running")
+    scene.heard_s = 2.1
+    for device in (DeviceStatus("fresh", 0.2), DeviceStatus("moving", 0.2)):
+        lamp = words.lamp("rail", device, scene, UNICODE)
+        assert lamp.plain == "○ Rail 2.3 s"
+        assert not any("good" in str(span.style) for span in lamp.spans)
+    scene.heard_s = math.nan
+    assert scene.stale
+
+
+def test_a_past_run_has_no_lamps() -> None:
+    assert words.lamps(scene_of("done"), UNICODE, 80).plain.count(" -") == len(words.LAMPS)
+
+
+# -- lines -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", stories())
+@given(width=st.integers(20, 200))
+def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
+    scene = scene_of(name)
+    lines = [words.progress(scene, UNICODE, width), words.interlocks(scene, width)]
+    if width >= 80:
+        lines += [
+            words.banner(scene, UNICODE, width), words.identity(scene, width),
+            words.step(scene, width), words.lamps(scene, UNICODE, width),
+        ]  # fmt: skip
+    for line in lines:
+        assert line.cell_length <= max(width, 40), line.plain
+
+
+@pytest.mark.parametrize("name", stories())
+def test_the_banner_names_the_state_and_says_what_the_stop_is_not(name: str) -> None:
+    line = words.banner(scene_of(name), UNICODE, 80).plain
+    assert f"{UNICODE.states[name]} {words.STATES[name][0]}" in line
+    assert ("LIVE" in line) != ("HISTORIC" in line)
+    assert words.NOT_E_STOP in line
+    assert ("SIMULATION" in line) == (name != "idle")
+
+
+def test_a_real_run_is_not_called_a_simulation() -> None:
+    scene = scene_of("running")
+    assert scene.log.plan is not None
+    scene.log.plan = msgspec.structs.replace(scene.log.plan, simulated=False)
+    assert "SIMULATION" not in words.banner(scene, UNICODE, 80).plain
+
+
+def test_the_step_is_told_with_its_count_and_the_next() -> None:
+    line = words.step(scene_of("running"), 80).plain
+    assert line.startswith("step 5/7 robot-grid: 5/8, last grid/0-0-4 at S1100")
+    assert line.endswith("next: fit")
+    assert words.step(scene_of("done"), 80).plain.endswith("next: the end")
+    assert words.step(scene_of("checking"), 80).plain == "step: none yet"
+
+
+@pytest.mark.parametrize("remaining_s", [None, 0.0, 30.0, 1e9])
+def test_the_bar_is_as_long_as_the_share(remaining_s: float | None) -> None:
+    scene = scene_of("running")
+    scene.elapsed_s, scene.remaining_s = 10.0, remaining_s
+    share = words.share_done(scene)
+    assert 0.0 <= share <= 1.0
+    line = words.progress(scene, UNICODE, 80).plain
+    bar = line.count("█") + line.count("░")
+    assert line.count("█") == math.floor(bar * share)
+    assert f"{math.floor(100 * share):3d} %" in line
+
+
+def test_a_run_that_is_over_is_done() -> None:
+    assert words.share_done(scene_of("done")) == words.share_done(scene_of("intolerant")) == 1.0
+    assert words.share_done(scene_of("fault")) < 1.0
+    assert words.share_done(scene_of("idle")) == 0.0
+
+
+def test_interlocks_name_the_first_that_is_blocked() -> None:
+    scene = scene_of("running")
+    assert "rail may move: blocked: robot not at safe pose" in words.interlocks(scene, 80).plain
+    assert scene.status is not None
+    scene.heard_s = 9.0
+    assert words.interlocks(scene, 80).plain == "interlocks: last heard 9.0 s ago"
+    scene.status = None
+    assert words.interlocks(scene, 80).plain == "interlocks: no reading"
+
+
+def test_a_finished_run_says_its_figures_there() -> None:
+    assert words.interlocks(scene_of("done"), 80).plain == "mean |e| mm  S1100: 1.200 -> 0.110"
+
+
+@pytest.mark.parametrize("result", [
+    {}, {"validation": {}}, {"validation": {"S1100": {"points": 2}}},
+    {"validation": {"S1100": {"before": {"mean": 1.0}}}}, {"validation": [1.0]},
+    {"validation": {"S1100": {"before": {"mean": None}, "chosen": {"mean": None}}}},
+])  # fmt: skip
+def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) -> None:
+    scene = scene_of("done")
+    scene.log.end = {"state": "finished", "exit": 0, "result": result}
+    assert words.result(scene, 80).plain == ""
+
+
+# -- air -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("drift_k", "warns"), [(0.0, False), (2.0, False), (-2.1, True),
+                                                (math.nan, True)])  # fmt: skip
+def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
+    scene = scene_of("running")
+    assert scene.last is not None
+    scene.last = msgspec.structs.replace(scene.last, temperature_c=22.5 + drift_k)
+    assert words.air(scene, UNICODE).plain.startswith("! ") == warns
+
+
+# -- deviation -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("norm_mm", "limit_mm", "said"),
+    [(0.5, None, "no limit"), (0.5, 1.0, "] in 1.000 mm"), (1.5, 1.0, "] OUT OF 1.000 mm"),
+     (math.nan, 1.0, "] OUT OF 1.000 mm"), (math.inf, 1.0, "] OUT OF 1.000 mm"),
+     (1e9, 1.0, "] OUT OF 1.000 mm"), (0.0, 1.0, "] in 1.000 mm")],
+)  # fmt: skip
+def test_the_tolerance_bar(norm_mm: float, limit_mm: float | None, said: str) -> None:
+    found = Deviation("p", (norm_mm, 0.0, 0.0), (0.0, 0.0, 0.0), limit_mm)
+    for glyphs in (UNICODE, ASCII):
+        assert said in words.tolerance_line(found, glyphs, 80).plain
+        assert len(words.deviation(found, glyphs, 80).plain.split("\n")) == 5
+
+
+@given(ANY, ANY, ANY, st.one_of(st.none(), st.floats(1e-3, 1e3)))
+def test_any_deviation_can_be_shown(dx: float, dy: float, dz: float, limit: float | None) -> None:
+    found = Deviation("p", (dx, dy, dz), (0.0, 0.0, 0.0), limit)
+    assert len(words.deviation(found, UNICODE, 80).plain.split("\n")) == 5
+
+
+def test_the_mark_crosses_the_limit_with_the_error() -> None:
+    lines = [
+        words.tolerance_line(Deviation("p", (e, 0, 0), (0, 0, 0), 1.0), UNICODE, 80).plain
+        for e in (0.9, 1.1)
+    ]
+    assert lines[0].index("▼") < lines[0].index("|")
+    assert lines[1].index("▼") > lines[1].index("|")
+
+
+# -- large digits ----------------------------------------------------------------------------------
+
+
+def test_every_digit_looks_different() -> None:
+    assert len({large(letter) for letter in "0123456789+-. "}) == 14
+
+
+@given(st.text("0123456789+-. ", max_size=12))
+def test_large_rows_are_of_one_length(text: str) -> None:
+    assert len({len(row) for row in large(text)}) == 1
+
+
+@pytest.mark.parametrize("text", ["nan", "+inf", "-inf"])
+def test_what_is_no_number_can_be_shown(text: str) -> None:
+    assert len({len(row) for row in large(text)}) == 1
+
+
+# -- prompts ---------------------------------------------------------------------------------------
+
+
+def test_the_prompt_says_what_is_expected_and_seen() -> None:
+    scene = scene_of("suspended")
+    text = prompt_lines(PROMPT, scene, UNICODE, 76).plain
+    assert "expected reading: x 4007.5  y -238.7  z -480.3 mm" in text
+    assert "reflector 1.24 mm from there, limit 5.0 (0.3 s ago); press Enter" in text
+    assert ">P1<" in text
+
+
+def test_a_prompt_is_not_ready_when_the_engine_has_gone_silent() -> None:
+    scene = scene_of("suspended")
+    scene.heard_s = 60.0
+    assert "Enter does not work" in sight(PROMPT, scene).plain
+
+
+def test_a_place_that_is_no_nest_is_not_drawn() -> None:
+    assert nest_map(load_cell("paper", {}).layout, "nowhere", UNICODE) == []
+
+
+def test_every_nest_is_drawn_where_it_is() -> None:
+    layout = load_cell("paper", {}).layout
+    for where in (layout.floor, layout.slide):
+        for nest in where:
+            rows = [line.plain for line in nest_map(layout, nest.name, UNICODE)[1:]]
+            assert len(rows) == MAP_HEIGHT
+            assert all(len(row) == MAP_WIDTH for row in rows)
+            assert sum(row.count(f">{nest.name[:3]}<") for row in rows) == 1
+
+
+def test_right_is_right_and_up_is_up() -> None:
+    layout = load_cell("paper", {}).layout
+    found = {
+        nest.name: (nest.xyz_mm, _at(nest_map(layout, nest.name, UNICODE), nest.name))
+        for nest in layout.slide
+    }
+    for (x, y, _), (column, row) in found.values():
+        for (other_x, other_y, _), (other_column, other_row) in found.values():
+            assert x <= other_x or column >= other_column
+            assert y <= other_y or row <= other_row
+
+
+def _at(drawing: Sequence[Content], name: str) -> tuple[int, int]:
+    rows = [line.plain for line in drawing[1:]]
+    (row,) = [number for number, text in enumerate(rows) if f">{name[:3]}<" in text]
+    return rows[row].index(">"), row
+
+
+# -- ASCII -----------------------------------------------------------------------------------------
+
+
+@given(st.text())
+def test_ascii_is_ascii_of_the_same_length(text: str) -> None:
+    assert to_ascii(text).isascii()
+    assert len(to_ascii(text)) == len(text)
+
+
+def test_deviations_are_values() -> None:
+    found = Deviation("p", (3.0, 4.0, 0.0), (0, 0, 0), 5.0)
+    assert found.norm_mm == 5.0
+    assert found.within
+    assert not replace(found, limit_mm=4.9).within
+    assert not replace(found, error_mm=(math.nan, 0.0, 0.0)).within
