@@ -3,7 +3,8 @@
 A real engine (runner, control channel, drivers) works on the simulated cell; a relay between them
 notes when each stop frame passes. One engine process is stopped again and again, in every phase,
 at a clock of speed 1 and as fast as it goes. Relay and engine share the machine: what is measured
-is rather too long than too short.
+is rather too long than too short. Beside it stands the bare measure: a byte to another process and
+back, which tells how long this machine lets a process wait that does nothing else.
 """
 
 from __future__ import annotations
@@ -39,8 +40,10 @@ from hilcell.run.procedure import Procedure, Step
 from hilcell.run.runner import Runner
 from hilcell.runs import JOURNAL
 
-STOPS = 1000
+STOPS = 500
 TARGET_MS = 20.0
+BARE = 10  # round trips for every stop
+ECHO = "import os\nwhile data := os.read(0, 1): os.write(1, data)"
 PHASES = ("rail", "robot", "tracker", "prompt")
 FRAMES = {
     "rail": b"t20560200",  # RPDO 1 of node 5, control word 0002h: quick stop
@@ -191,6 +194,9 @@ class Rig:
             [sys.executable, "-m", "benchmarks.stop", "--engine"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
+        self._echo = subprocess.Popen(
+            [sys.executable, "-c", ECHO], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+        )
         self._folder, self._cycles = folder, 0
         self._say(msgspec.json.encode(Place(str(folder), simulated.address, addresses)).decode())
 
@@ -219,7 +225,15 @@ class Rig:
         assert code == 4, f"the engine ended with {code}"
         return {name: relay.seen_s - sent_s for name, relay in self.relays.items()}
 
+    def bare(self) -> float:
+        """Return the time, s, of a byte to another process and back."""
+        began_s = time.monotonic()
+        cast("Any", self._echo.stdin).write(b"x")
+        cast("Any", self._echo.stdout).read(1)
+        return time.monotonic() - began_s
+
     def close(self) -> None:
+        self._echo.communicate()
         cast("Any", self._process.stdin).close()
         self._process.wait(30)
         self._simulated.close()
@@ -260,11 +274,12 @@ def statuses(screen: socket.socket, answers: Any) -> Iterator[dict[str, Any]]:
 
 def report(name: str, taken_s: list[float]) -> None:
     ordered = sorted(1e3 * each for each in taken_s)
-    p999 = ordered[min(math.ceil(0.999 * len(ordered)) - 1, len(ordered) - 1)]
-    verdict = "holds" if p999 <= TARGET_MS else "MISSED"
+    p999 = ordered[math.ceil(0.999 * len(ordered)) - 1]
+    verdict = "holds" if p999 <= TARGET_MS else "ABOVE"
     print(
-        f"{name:22} {len(ordered):5} stops   median {statistics.median(ordered):6.2f} ms   "
-        f"p99.9 {p999:6.2f} ms   max {ordered[-1]:6.2f} ms   {verdict} ({TARGET_MS:.0f} ms)"
+        f"{name:20} {len(ordered):5}   median {statistics.median(ordered):5.2f}   "
+        f"p99 {ordered[math.ceil(0.99 * len(ordered)) - 1]:6.2f}   p99.9 {p999:6.2f}   "
+        f"max {ordered[-1]:6.2f} ms   {verdict} ({TARGET_MS:.0f} ms)"
     )
 
 
@@ -275,6 +290,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             rig = Rig(Path(folder), speed)
             taken: dict[str, list[float]] = {}
+            bare: list[float] = []
             try:
                 for number in range(stops // 2):
                     phase = PHASES[number % len(PHASES)]
@@ -283,11 +299,14 @@ def main() -> None:
                     for name, value in frames.items():
                         taken.setdefault(f"frame of the {name}", []).append(value)
                     taken.setdefault(f"all, in: {phase}", []).append(max(frames.values()))
+                    taken.setdefault("all", []).append(max(frames.values()))
+                    bare += [rig.bare() for _ in range(BARE)]
             finally:
                 rig.close()
         print(f"speed {'max' if math.isinf(speed) else speed:}")
         for name, values in sorted(taken.items()):
             report(name, values)
+        report("bare round trip", bare)
 
 
 if __name__ == "__main__":

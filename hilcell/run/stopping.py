@@ -1,13 +1,15 @@
 """The safe stop: every device gets its stop frame at once, whatever the rest of the engine does.
 
-Threads that send it wait ready from the start of a run; whoever asks for the stop only wakes them.
-The trap: a stop that first asked a queue, a lock or a file would come late when it matters.
+Threads that send it wait ready from the start of a run; whoever asks for the stop wakes them and
+lends a hand, so that it does not matter who of them gets the processor first. The trap: a stop
+that first asked a queue, a lock or a file would come late when it matters.
 """
 
 from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 
 from hilcell.devices import Devices
@@ -24,8 +26,9 @@ class SafeStop:
         self._acts = Acts({name: device.stop for name, device in devices.named().items()}, self._go)
 
     def trigger(self) -> None:
-        """Send the stop frames, and return before they are sent."""
+        """Have the stop frames sent; a device that hangs keeps this thread, but no other frame."""
         self._go.set()
+        self._acts.help()
 
     def wait(self) -> dict[str, str]:
         """Stop, wait until all frames are on their wires, and return the problems by device."""
@@ -40,34 +43,41 @@ def close_all(devices: Devices) -> dict[str, str]:
 
 
 class Acts:
-    """Acts that are done at once, each in a thread of its own, when ``go`` is set."""
+    """Acts that are done once each, as many at a time as there are, when ``go`` is set."""
 
     def __init__(
         self, acts: Mapping[str, Callable[[], None]], go: threading.Event | None = None
     ) -> None:
         self._go = go
+        self._waiting = deque(acts.items())
         self._problems: dict[str, str] = {}
-        self._threads = {
-            name: threading.Thread(target=self._do, args=(name, act), name=name, daemon=True)
-            for name, act in acts.items()
-        }
-        for thread in self._threads.values():
-            thread.start()
+        self._done = {name: threading.Event() for name in acts}
+        for name in acts:
+            threading.Thread(target=self._work, name=f"act {name}", daemon=True).start()
+
+    def help(self) -> None:
+        """Do what nobody has begun yet."""
+        while self._waiting:
+            try:
+                name, act = self._waiting.popleft()
+            except IndexError:  # another thread was quicker
+                return
+            try:
+                act()
+            except Exception as error:  # noqa: BLE001 - one device's failure must not keep the others
+                self._problems[name] = str(error)
+            self._done[name].set()
 
     def wait(self, limit_s: float) -> dict[str, str]:
         """Return the problems by name, among them the acts that take longer than ``limit_s``."""
         deadline_s = time.monotonic() + limit_s
         late = {}
-        for name, thread in self._threads.items():
-            thread.join(max(0.0, deadline_s - time.monotonic()))
-            if thread.is_alive():
-                late[name] = f"no answer within {limit_s:.0f} s"
+        for name, done in self._done.items():
+            if not done.wait(max(0.0, deadline_s - time.monotonic())):
+                late[name] = f"no answer within {limit_s:g} s"
         return self._problems | late
 
-    def _do(self, name: str, act: Callable[[], None]) -> None:
+    def _work(self) -> None:
         if self._go is not None:
             self._go.wait()
-        try:
-            act()
-        except Exception as error:  # noqa: BLE001 - one device's failure must not keep the others
-            self._problems[name] = str(error)
+        self.help()

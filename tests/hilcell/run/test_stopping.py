@@ -1,0 +1,75 @@
+"""Every device is stopped once, at once, and none waits for another."""
+
+import threading
+import time
+
+import pytest
+
+from hilcell.ports import DeviceError
+from hilcell.run.stopping import Acts, SafeStop, close_all
+from tests.hilcell.run.bed import CELL, until
+from tests.hilcell.run.desk import DeskRail, DeskRobot, desk, hang
+
+
+def test_all_are_done_once_by_whoever_comes_first() -> None:
+    done: list[str] = []
+    go = threading.Event()
+    acts = Acts({name: lambda name=name: done.append(name) for name in "abcdef"}, go)
+    assert done == []
+    go.set()
+    helpers = [threading.Thread(target=acts.help) for _ in range(4)]
+    for helper in helpers:
+        helper.start()
+    assert acts.wait(10.0) == {}
+    for helper in helpers:
+        helper.join(10)
+    assert sorted(done) == list("abcdef")
+
+
+@pytest.mark.parametrize("hung", ["Rail", "Robot", "Tracker"])
+def test_a_device_that_hangs_keeps_no_other_waiting(
+    hung: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    devices = desk(CELL)
+    entered, release = threading.Event(), threading.Event()
+    stopped: list[str] = []
+    for name, device in devices.named().items():
+        wait = hang(entered, release) if name == hung else lambda: None
+        monkeypatch.setattr(device, "stop", lambda n=name, w=wait: (w(), stopped.append(n)))
+    stop = SafeStop(devices)
+    asking = threading.Thread(target=stop.trigger)
+    asking.start()
+    assert entered.wait(10)
+    until(lambda: len(stopped) == 2)
+    assert hung not in stopped
+    release.set()
+    assert stop.wait() == {}
+    asking.join(10)
+    assert sorted(stopped) == ["Rail", "Robot", "Tracker"]
+
+
+def test_problems_are_told_by_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone() -> None:
+        raise DeviceError("Rail", "stop", "link lost")
+
+    devices = desk(CELL)
+    monkeypatch.setattr(devices.rail, "stop", gone)
+    assert SafeStop(devices).wait() == {"Rail": "Rail: stop: link lost"}
+    assert isinstance(devices.robot, DeskRobot)
+    assert devices.robot.stopped == 1
+
+
+def test_a_late_one_is_told_and_left() -> None:
+    entered, release = threading.Event(), threading.Event()
+    acts = Acts({"slow": hang(entered, release)})
+    began_s = time.monotonic()
+    assert acts.wait(0.1) == {"slow": "no answer within 0.1 s"}
+    assert time.monotonic() - began_s < 5.0
+    release.set()
+
+
+def test_closing_closes_each_once() -> None:
+    devices = desk(CELL)
+    assert close_all(devices) == {}
+    assert isinstance(devices.rail, DeskRail)
+    assert devices.rail.closed == 1
