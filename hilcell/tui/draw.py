@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import plotext
 from textual.content import Content
 
@@ -13,7 +15,7 @@ TICKS = 5
 
 def draw(plot: Plot, width: int, height: int) -> Content:
     """Return a plot of this size in columns and rows."""
-    shown = [line for line in plot.lines if line.values]
+    shown = [line for line in plot.lines if any(map(math.isfinite, line.values))]
     if not shown:
         return Content.styled("nothing measured for this plot yet", "$dim")
     longest = max(len(line.values) for line in shown)
@@ -21,7 +23,8 @@ def draw(plot: Plot, width: int, height: int) -> Content:
     plotext.theme("clear")
     plotext.plotsize(width, height)
     for mark, line in zip(MARKS, shown, strict=False):
-        plotext.scatter(range(1, len(line.values) + 1), line.values, marker=mark, label=line.name)
+        numbers = [(at, y) for at, y in enumerate(line.values, start=1) if math.isfinite(y)]
+        plotext.scatter(*zip(*numbers, strict=True), marker=mark, label=line.name)
     if plot.limit is not None:
         plotext.hline(plot.limit)
     plotext.ylim(*plot.y_limits)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 
 from hilcell.run.log import Log
@@ -45,7 +46,8 @@ def filtered(log: Log, wanted: str, *, bad_only: bool, worst: bool) -> list[Poin
 
 def _badness(row: PointRow) -> tuple[bool, float]:
     """Raw errors come after those that a tolerance stands for: they are meant to be large."""
-    return row.deviation is not None and row.deviation.limit_mm is not None, row.norm_mm
+    norm_mm = row.norm_mm if row.norm_mm < math.inf else math.inf  # NaN is the worst of all
+    return row.deviation is not None and row.deviation.limit_mm is not None, norm_mm
 
 
 def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -32,7 +33,7 @@ class Plot:
     @property
     def y_limits(self) -> tuple[float, float]:
         """Return limits that hold every value and the limit off the plot's edge."""
-        values = [value for line in self.lines for value in line.values]
+        values = [value for line in self.lines for value in line.values if math.isfinite(value)]
         values += [] if self.limit is None else [self.limit]
         low, high = min([0.0, *values]), max([1e-6, *values])
         return low * 1.08, high * 1.08

@@ -1,0 +1,288 @@
+"""Points, deviations and plots: the same figures as the report's, the worst first."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.geometry.frames import apply
+from hilcell.report.errors import errors_of
+from hilcell.run.log import Log, Point, positions_mm
+from hilcell.runs import read_log
+from hilcell.tui.deviation import deviation_of, point_rows, rms_mm, row_of, state_of
+from hilcell.tui.draw import draw
+from hilcell.tui.point_words import point_page
+from hilcell.tui.points import WIDE, columns_for, filtered, to_row
+from hilcell.tui.scene import Scene
+from hilcell.tui.series import (
+    PLOTS,
+    Line,
+    Plot,
+    errors_plot,
+    repeat_plot,
+    sorted_plot,
+    strip_plot,
+)
+from tests.hilcell.report.journals import Writer
+from tests.hilcell.tui.scenes import Story, measuring, validated
+
+ROTATION_DEG = 37.0
+
+
+def log_of(story: Story) -> Log:
+    return Log(story.records)
+
+
+def tilted() -> list[list[float]]:
+    """Return a frame that is no identity: turned about z and moved."""
+    c, s = math.cos(math.radians(ROTATION_DEG)), math.sin(math.radians(ROTATION_DEG))
+    return [[c, -s, 0.0, 120.0], [s, c, 0.0, -45.0], [0.0, 0.0, 1.0, 7.5], [0.0, 0.0, 0.0, 1.0]]
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Log:
+    """Return a run on disk, {W} turned against the tracker, with odd errors."""
+    writer = Writer(tmp_path / "run").began()
+    writer.journal.append("frame", "world", {"matrix": tilted()})
+    chance = np.random.default_rng(3)
+    to_tracker = np.linalg.inv(np.array(tilted()))
+    for number in range(25):
+        nominal_mm = chance.uniform(-2000.0, 2000.0, 3)
+        actual_mm = nominal_mm + chance.normal(0.0, 0.8, 3)
+        xyz_mm = apply(to_tracker, actual_mm.reshape(1, 3))[0]
+        for group in ("grid", "validate_chosen"):
+            writer.point(f"{group}/{number:03d}", group, xyz_mm, "S1100",
+                         nominal_mm=tuple(nominal_mm))  # fmt: skip
+    writer.point("world/F1", "world", (1.0, 2.0, 3.0))
+    return read_log(writer.ended())
+
+
+# -- deviations ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("group", ["grid", "validate_chosen"])
+def test_deviations_are_the_reports(journal: Log, group: str) -> None:
+    points = journal.group(group)
+    wanted = errors_of(journal, points)
+    assert len(wanted) == 25
+    for point, error_mm, norm_mm in zip(points, wanted.error_mm, wanted.norms_mm, strict=True):
+        found = deviation_of(journal, point)
+        assert found is not None
+        np.testing.assert_allclose(found.error_mm, error_mm, atol=1e-9)
+        assert found.norm_mm == pytest.approx(norm_mm, abs=1e-9)
+        actual_mm = apply(journal.matrix("world"), positions_mm([point]))[0]
+        np.testing.assert_allclose(found.actual_mm, actual_mm, atol=1e-9)
+
+
+def test_plots_show_the_reports_errors(journal: Log) -> None:
+    wanted = errors_of(journal, journal.group("validate_chosen")).norms_mm
+    (line,) = errors_plot(journal).lines
+    np.testing.assert_allclose(line.values, wanted, atol=1e-9)
+    (line,) = sorted_plot(journal).lines
+    np.testing.assert_allclose(line.values, np.sort(wanted), atol=1e-9)
+
+
+def test_only_corrected_points_have_a_limit(journal: Log) -> None:
+    limits = {row.point.group: row.deviation and row.deviation.limit_mm
+              for row in point_rows(journal)}  # fmt: skip
+    limit_mm = journal.cell.validation.max_tolerance_mm
+    assert limits == {"grid": None, "validate_chosen": limit_mm, "world": None}
+
+
+def test_without_a_world_frame_there_is_no_deviation() -> None:
+    log = log_of(measuring())
+    point = log.points["grid/0-0-0"]
+    assert deviation_of(log, point) is not None
+    del log.frames["world"]
+    assert deviation_of(log, point) is None
+
+
+def changed(log: Log, key: str, **more: Any) -> Point:
+    log.points[key] = msgspec.structs.replace(log.points[key], **more)
+    return log.points[key]
+
+
+@pytest.mark.parametrize(
+    ("more", "wanted"),
+    [
+        ({}, "ok"),
+        ({"std_mm": (9.0, 9.0, 9.0)}, "noisy"),
+        ({"std_mm": (math.nan, 0.0, 0.0)}, "noisy"),
+        ({"retaken": True}, "again"),
+        ({"xyz_mm": (0.0, 0.0, 0.0)}, "out"),
+        ({"xyz_mm": (math.nan, 0.0, 0.0)}, "out"),
+        ({"xyz_mm": (0.0, 0.0, 0.0), "retaken": True}, "out"),
+    ],
+)
+def test_states_of_points(more: dict[str, Any], wanted: str) -> None:
+    log = log_of(validated())
+    point = changed(log, "validate/S1100/chosen/000", **more)
+    assert state_of(log, point, deviation_of(log, point)) == wanted
+
+
+def test_the_rms_of_three_axes() -> None:
+    log = log_of(measuring())
+    point = changed(log, "grid/0-0-0", std_mm=(0.03, 0.04, 0.0))
+    assert rms_mm(point) == pytest.approx(0.05 / math.sqrt(3))
+
+
+# -- the table -------------------------------------------------------------------------------------
+
+
+def keys_of(log: Log, wanted: str = "", *, bad: bool = False, worst: bool = False) -> list[str]:
+    return [row.point.key for row in filtered(log, wanted, bad_only=bad, worst=worst)]
+
+
+def test_points_stand_in_the_order_in_which_they_were_measured() -> None:
+    assert keys_of(log_of(measuring())) == [
+        "world/F1", "world/F2", "world/F3", *[f"grid/0-0-{n}" for n in range(5)],
+    ]  # fmt: skip
+
+
+def test_worst_first_puts_points_with_a_tolerance_before_raw_ones() -> None:
+    log = log_of(validated())
+    rows = filtered(log, "", bad_only=False, worst=True)
+    toleranced = [row.deviation is not None and row.deviation.limit_mm is not None for row in rows]
+    assert toleranced == sorted(toleranced, reverse=True)
+    for group in (True, False):
+        norms = [row.norm_mm for row, has in zip(rows, toleranced, strict=True) if has == group]
+        assert norms == sorted(norms, reverse=True)
+    assert rows[0].point.key == "validate/S1100/idw/001"
+    assert {row.point.group for row in rows[-3:]} == {"world"}
+
+
+def test_a_point_that_is_no_number_is_the_worst_of_all() -> None:
+    log = log_of(validated())
+    changed(log, "validate/S1100/chosen/001", xyz_mm=(math.nan, 0.0, 0.0))
+    assert keys_of(log, worst=True)[0] == "validate/S1100/chosen/001"
+
+
+@pytest.mark.parametrize(
+    ("wanted", "found"),
+    [("grid", 5), ("GRID", 5), ("0-0-3", 1), ("s1100 grid", 5), ("grid s300", 0), ("ok", 8),
+     ("world f2", 1), ("", 8), ("   ", 8), ("[/nope]", 0), ("\x1b[31m", 0)],
+)  # fmt: skip
+def test_filters(wanted: str, found: int) -> None:
+    assert len(keys_of(log_of(measuring()), wanted)) == found
+
+
+def test_only_bad_ones() -> None:
+    log = log_of(validated())
+    assert keys_of(log, bad=True) == ["validate/S1100/idw/001"]
+    changed(log, "grid/0-0-0", retaken=True)
+    changed(log, "grid/0-0-1", std_mm=(9.0, 0.0, 0.0))
+    assert keys_of(log, bad=True) == ["grid/0-0-0", "grid/0-0-1", "validate/S1100/idw/001"]
+
+
+@pytest.mark.parametrize("width", [40, 80, WIDE + 40, 300])
+def test_rows_fit_their_columns(width: int) -> None:
+    log = log_of(validated())
+    columns = columns_for(width)
+    for found in point_rows(log):
+        row = to_row(found, (), width)
+        assert len(row.cells) == len(columns)
+        assert all(len(c) <= column.width for c, column in zip(row.cells, columns, strict=True))
+
+
+def test_a_row_tells_the_deviation_and_its_state() -> None:
+    log = log_of(validated())
+    point = log.points["validate/S1100/idw/001"]
+    row = to_row(row_of(log, point), (), 80)
+    assert row.cells == (point.key, "+1.200", "+0.000", "+0.000", "1.200", "0.010", "out")
+    assert row.tone == "bad"
+    assert to_row(row_of(log, point), [point.key], 80).cells[-1] == "waits"
+
+
+def test_a_point_without_nominal_has_no_errors() -> None:
+    log = log_of(measuring())
+    row = to_row(row_of(log, log.points["world/F1"]), (), 80)
+    assert row.cells == ("world/F1", "", "", "", "", "0.010", "ok")
+
+
+# -- one point -------------------------------------------------------------------------------------
+
+
+def test_the_page_of_a_point_tells_everything() -> None:
+    scene = Scene("r", log_of(validated()))
+    text = point_page(scene, "validate/S1100/chosen/001").plain
+    for part in ("validate/S1100/chosen/001", "validate_chosen", "S1100", "+0.0000  +0.1000",
+                 "0.1005", "1.000", "SMR 1.5in", "22.50 C", "1010.0 mbar", "45 %",
+                 "1100.200 / 1100.00"):  # fmt: skip
+        assert part in text
+    assert "nominal" not in point_page(scene, "world/F1").plain
+    assert "no such point" in point_page(scene, "grid/9-9-9").plain
+
+
+# -- plots -----------------------------------------------------------------------------------------
+
+
+def test_before_and_after_are_lines_of_their_own() -> None:
+    assert [line.name for line in errors_plot(log_of(validated())).lines] == [
+        "before", "idw", "chosen",
+    ]  # fmt: skip
+    assert [line.name for line in errors_plot(log_of(measuring())).lines] == ["grid"]
+
+
+def test_repeated_visits_scatter_about_their_mean() -> None:
+    story = measuring(0)
+    for place in range(2):
+        for visit, x in enumerate((0.0, 0.3)):
+            story.point(f"repeatability/{place}/{visit:03d}", f"repeatability_{place}",
+                        off=(x + place, 0.0, 0.0))  # fmt: skip
+    lines = repeat_plot(log_of(story)).lines
+    assert len(lines) == 2
+    for line in lines:
+        assert line.values == pytest.approx([0.15, 0.15])
+
+
+def test_many_places_become_one_line() -> None:
+    story = measuring(0)
+    for place in range(5):
+        for visit in range(2):
+            story.point(f"repeatability/{place}/{visit:03d}", f"repeatability_{place}")
+    (line,) = repeat_plot(log_of(story)).lines
+    assert len(line.values) == 10
+
+
+def test_the_strip_is_shown_less_its_station() -> None:
+    log = log_of(measuring(2))
+    station = next(each for each in log.cell.station if each.name == "S1100")
+    changed(log, "grid/0-0-1", strip_mm=station.strip_mm + 0.02)
+    plot = strip_plot(log)
+    (line,) = plot.lines
+    assert line.values == pytest.approx([0.0, 0.02])
+    assert plot.limit == 2.0 * log.cell.rail.strip_tolerance_mm
+
+
+def test_limits_hold_every_value_and_the_limit() -> None:
+    low, high = Plot("t", "x", "y", [Line("a", [-1.0, 3.0])], limit=5.0).y_limits
+    assert low < -1.0
+    assert high > 5.0
+    low, high = Plot("t", "x", "y", []).y_limits
+    assert low < high
+
+
+def test_values_that_are_no_numbers_spoil_no_plot() -> None:
+    plot = Plot("t", "x", "y", [Line("a", [math.nan, 1.0, math.inf]), Line("b", [math.nan])])
+    low, high = plot.y_limits
+    assert math.isfinite(low)
+    assert math.isfinite(high)
+    assert "a" in draw(plot, 60, 12).plain
+
+
+@pytest.mark.parametrize("make", PLOTS)
+@pytest.mark.parametrize("size", [(20, 5), (30, 8), (80, 20), (200, 60)])
+def test_every_plot_is_drawn_at_any_size(make: Any, size: tuple[int, int]) -> None:
+    for story in (measuring(0), measuring(1), validated()):
+        text = draw(make(log_of(story)), *size).plain
+        assert "\x1b" not in text
+        assert all(len(line) <= size[0] for line in text.split("\n")) or "nothing" in text
+
+
+def test_an_empty_plot_says_so() -> None:
+    assert "nothing measured" in draw(Plot("t", "x", "y", []), 60, 12).plain
