@@ -132,7 +132,7 @@ class _ProgressFace(Face):
         elif record.kind == "state" and body["machine"] == "calibration":
             self._say(f"{body['to'].replace('_', ' ')}")
         elif record.kind == "state" and body["to"] in ("paused", "suspended"):
-            self._say(f"{body['to']}: {body.get('reason', 'hilcell resume goes on, ctrl-C stops')}")
+            self._say(f"{body['to']}: {_asked(body)}hilcell resume goes on, ctrl-C stops")
         elif record.kind == "event" and body["what"] == "no reading":
             self._say(f"{body['key']}: {body['reason']} (try {body['tries']})")
 
@@ -176,6 +176,14 @@ def print_end(
             print(f"out of tolerance: {key}: {_facts(verdict)}", file=sys.stderr)
     kind = "SIMULATED run" if log.inputs.simulated else "run"
     print(f"{kind} {folder.name}: {log.states['run']}; journal in {folder}", file=sys.stderr)
+
+
+def _asked(body: dict[str, Any]) -> str:
+    """Return what a paused or suspended run waits for, in words that go before what to do."""
+    prompt = body.get("prompt")
+    if prompt is not None:
+        return f"{prompt['title']}. {prompt['text']} When it is done, "
+    return f"{body['reason']}; " if "reason" in body else ""
 
 
 def _facts(verdict: dict[str, Any]) -> str:

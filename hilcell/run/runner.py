@@ -108,6 +108,7 @@ class Runner:
                 error = self._attend(worker)
             return self._end(error)
         except StorageError as error:
+            self._stop.set()
             self._safe_stop.wait()
             close_all(self._devices)
             self._fault = error
