@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from rich.cells import cell_len, set_cell_size
 from rich.segment import Segment
 from rich.style import Style
 from textual.binding import Binding, BindingType
@@ -161,13 +162,14 @@ class Rows(ScrollView, can_focus=True):
         return Strip([Segment(shown, style)]).adjust_cell_length(width, style).crop(0, width)
 
     def _line(self, cells: Sequence[str], *, cursor: bool = False) -> str:
-        parts = [
-            _fit(clean(cell), column) for cell, column in zip(cells, self.columns, strict=False)
-        ]
+        safe = [to_ascii(clean(cell)) if self.plain else clean(cell) for cell in cells]
+        parts = [_fit(text, column) for text, column in zip(safe, self.columns, strict=False)]
         return (">" if cursor else " ") + " ".join(parts)
 
 
 def _fit(text: str, column: Column) -> str:
-    if len(text) > column.width:
-        return text[: column.width - 1] + "…"
-    return text.rjust(column.width) if column.right else text.ljust(column.width)
+    """Return text in exactly as many cells as the column has; a wide letter takes two."""
+    if cell_len(text) > column.width:
+        return set_cell_size(text, column.width - 1) + "…"
+    room = " " * (column.width - cell_len(text))
+    return room + text if column.right else text + room

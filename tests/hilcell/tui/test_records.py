@@ -1,0 +1,87 @@
+"""The event log's words: every kind of record, in one line."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilcell.run.journal import Kind, Record
+from hilcell.tui.history_words import NARROW, WIDE, WIDE_FROM, columns_for, history_row
+from hilcell.tui.record_words import COLUMNS, record_row, record_words
+from tests.hilcell.tui.scenes import stories
+from tests.hilcell.tui.walk import RUNS
+
+T = "2026-03-04T08:00:01.250+00:00"
+TOLD: list[tuple[Kind, str, dict[str, Any], str]] = [
+    ("plan", "", {"procedure": "home", "points": 3, "seed": 1}, "home, 3 points, seed 1"),
+    ("state", "", {"machine": "run", "to": "paused"}, "run is paused"),
+    ("state", "", {"machine": "run", "to": "faulted", "reason": "a\nb"}, "run is faulted: a b"),
+    ("point", "grid/0", {"station": "S1100"}, "grid/0 at S1100"),
+    ("point", "world/F1", {"station": ""}, "world/F1"),
+    ("point", "grid/0", {"station": "", "retaken": True}, "grid/0, measured anew"),
+    ("intent", "grid/0", {"action": "robot.move", "joints_deg": [0.0]}, "robot.move grid/0"),
+    ("intent", "", {"action": "rail.move", "to_mm": 5.0}, "rail.move to_mm 5.000"),
+    ("frame", "world", {"matrix": [[1.0]], "rms_mm": 0.01234}, "world rms_mm 0.012"),
+    ("verdict", "v", {"holds": False, "mean_mm": 0.3}, "v holds False, mean_mm 0.300"),
+    ("event", "", {"what": "closed", "problems": {}}, "closed"),
+    ("event", "", {"what": "step", "name": "fit", "number": 6}, "step name fit, number 6"),
+    ("end", "", {"state": "finished", "exit": 0, "result": {}}, "finished, exit 0"),
+]
+
+
+@pytest.mark.parametrize(("kind", "key", "body", "wanted"), TOLD)
+def test_each_kind_has_its_words(kind: Kind, key: str, body: dict[str, Any], wanted: str) -> None:
+    assert record_words(Record(1, T, kind, key, body)) == wanted
+
+
+def test_no_kind_is_left_out() -> None:
+    assert {kind for kind, *_ in TOLD} == set(get_args(Kind))
+
+
+@pytest.mark.parametrize("kind", get_args(Kind))
+@given(body=st.dictionaries(st.text(), st.none() | st.floats() | st.text() | st.lists(st.text())))
+def test_any_body_can_be_told(kind: Kind, body: dict[str, Any]) -> None:
+    row = record_row(Record(1, T, kind, "key", body))
+    assert len(row.cells) == len(COLUMNS)
+
+
+def test_a_row_tells_number_time_and_kind() -> None:
+    row = record_row(Record(17, T, "state", "", {"machine": "run", "to": "faulted"}))
+    assert row.cells[:3] == ("17", "08:00:01.250", "state")
+    assert row.tone == "bad"
+
+
+@pytest.mark.parametrize("name", stories())
+def test_the_records_of_every_run_are_one_line_each(name: str) -> None:
+    for record in stories()[name].records:
+        assert "\n" not in record_words(record)
+
+
+# -- the history -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", [60, 80, WIDE_FROM, 200])
+def test_the_history_fits_its_columns(width: int) -> None:
+    for run in RUNS:
+        row = history_row(run, (), width)
+        assert len(row.cells) == len(columns_for(width))
+        assert row.key == run.name
+
+
+def test_what_is_marked_is_seen() -> None:
+    assert history_row(RUNS[0], [RUNS[0].name], 80).cells[0] == "*"
+    assert history_row(RUNS[0], [RUNS[1].name], 80).cells[0] == ""
+
+
+def test_the_history_tells_how_a_run_ended() -> None:
+    told = [history_row(run, (), 200).cells[3] for run in RUNS]
+    assert told == ["finished", "out of tolerance", "running, engine gone", "unreadable"]
+    assert [history_row(run, (), 200).tone for run in RUNS[:2]] == ["", "bad"]
+
+
+def test_a_screen_of_eighty_columns_holds_the_history() -> None:
+    for columns, width in ((NARROW, 80), (WIDE, 200)):
+        assert sum(column.width + 1 for column in columns) <= width

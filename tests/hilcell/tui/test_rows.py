@@ -1,0 +1,194 @@
+"""The table that draws what is in sight: ten thousand rows, a cursor, and following."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from time import perf_counter
+
+import pytest
+from rich.cells import cell_len
+from textual.app import App, ComposeResult
+from textual.pilot import Pilot
+
+from hilcell.tui.rows import Column, Row, Rows
+from hilcell.tui.themes import PALETTES
+
+MANY = 10_000
+HEIGHT = 20  # rows in sight, under the header
+COLUMNS = (Column("name", 10), Column("mm", 8, right=True))
+
+
+def rows_of(count: int, start: int = 0) -> list[Row]:
+    return [Row(f"k{n}", (f"run {n}", f"{n:.2f}")) for n in range(start, start + count)]
+
+
+class Table(App[None]):
+    """A table alone, which writes down what it says."""
+
+    def __init__(self, *, follow: bool = False, plain: bool = False) -> None:
+        super().__init__()
+        self.rows = Rows(COLUMNS, empty="nothing here", plain=plain)
+        self.rows.follow = follow
+        self.chosen: list[str] = []
+        self.moved: list[str] = []
+        self.register_theme(PALETTES[0].theme())
+        self.theme = PALETTES[0].name
+
+    CSS = "Rows { height: 21; } Rows > .rows--cursor { text-style: bold; }"
+
+    def compose(self) -> ComposeResult:
+        yield self.rows
+
+    def on_mount(self) -> None:
+        self.rows.focus()
+
+    def on_rows_chosen(self, message: Rows.Chosen) -> None:
+        self.chosen.append(message.key)
+
+    def on_rows_moved(self, message: Rows.Moved) -> None:
+        self.moved.append(message.key)
+
+    def seen(self) -> list[str]:
+        """Return the lines in sight, the header first."""
+        lines = [self.rows.render_line(y).text.rstrip() for y in range(HEIGHT + 1)]
+        return [line for line in lines if line]
+
+
+Act = Callable[[Table, Pilot[None]], Awaitable[None]]
+
+
+def play(act: Act, table: Table | None = None) -> Table:
+    app = table or Table()
+
+    async def run() -> None:
+        async with app.run_test(size=(60, 24)) as pilot:
+            await pilot.pause()
+            await act(app, pilot)
+
+    asyncio.run(run())
+    return app
+
+
+def test_ten_thousand_rows_are_paged_to_their_end() -> None:
+    async def act(app: Table, pilot: Pilot[None]) -> None:
+        app.rows.put(rows_of(MANY))
+        assert app.seen()[:2] == [" name             mm", ">run 0          0.00"]
+        await pilot.press("end")
+        assert app.rows.key == f"k{MANY - 1}"
+        assert app.seen()[-1] == ">run 9999    9999.00"
+        assert len(app.seen()) == HEIGHT + 1
+        await pilot.press("pageup", "up", "down")
+        assert app.rows.cursor == MANY - 1 - (HEIGHT - 1)
+        await pilot.press("home", "pagedown")
+        assert app.rows.cursor == HEIGHT - 1
+        await pilot.press("home", "up")
+        assert app.rows.cursor == 0
+
+    play(act)
+
+
+def test_a_row_costs_nothing_out_of_sight() -> None:
+    async def act(app: Table, pilot: Pilot[None]) -> None:
+        def cost_s(count: int) -> float:
+            app.rows.put(rows_of(count))
+            began_s = perf_counter()
+            for y in range(HEIGHT):
+                app.rows.render_line(y)
+            return perf_counter() - began_s
+
+        few_s, many_s = (min(cost_s(count) for _ in range(5)) for count in (HEIGHT, MANY))
+        assert many_s < 20 * few_s
+
+    play(act)
+
+
+def test_the_cursor_stays_on_its_row_when_rows_come_before_it() -> None:
+    async def act(app: Table, pilot: Pilot[None]) -> None:
+        app.rows.put(rows_of(50, start=50))
+        await pilot.press("down", "down")
+        assert app.rows.key == "k52"
+        app.rows.put(rows_of(100))
+        assert (app.rows.key, app.rows.cursor) == ("k52", 52)
+        await pilot.pause()
+        assert any(line.startswith(">run 52") for line in app.seen())
+
+    play(act)
+
+
+def test_the_cursor_stays_near_when_its_row_goes() -> None:
+    async def act(app: Table, pilot: Pilot[None]) -> None:
+        app.rows.put(rows_of(50))
+        await pilot.press("end")
+        app.rows.put(rows_of(10))
+        assert app.rows.key == "k9"
+        app.rows.put([])
+        assert app.rows.key == ""
+        assert app.seen()[-1] == "nothing here"
+        await pilot.press("down", "end", "pagedown", "enter")
+        assert app.chosen == [""]
+        app.rows.put(rows_of(3))
+        assert app.rows.key == "k0"
+
+    play(act)
+
+
+def test_following_keeps_to_the_end_until_one_looks_back() -> None:
+    async def act(app: Table, pilot: Pilot[None]) -> None:
+        for count in (1, 5, 40):
+            app.rows.put(rows_of(count))
+            assert app.rows.key == f"k{count - 1}"
+        await pilot.press("up")
+        app.rows.put(rows_of(60))
+        assert app.rows.key == "k38"
+        await pilot.press("end")
+        app.rows.put(rows_of(80))
+        assert app.rows.key == "k79"
+        await pilot.pause()
+        assert app.seen()[-1].startswith(">run 79")
+
+    play(act, Table(follow=True))
+
+
+def test_it_says_what_is_chosen_and_where_the_cursor_is() -> None:
+    async def act(app: Table, pilot: Pilot[None]) -> None:
+        app.rows.put(rows_of(5))
+        await pilot.press("down", "enter", "down")
+        await pilot.pause()
+
+    app = play(act)
+    assert (app.chosen, app.moved) == (["k1"], ["k1", "k2"])
+
+
+HOSTILE = [
+    "[/nope]", "[@click=app.quit]x[/]", "\x1b[31mred", "\x9b31m", "\u202eevil", "\u200bzero",
+    "a\nb", "\r\x08\x07", "x" * 5000, "漢字漢字漢字漢字", "👩‍🔧 done",
+    "e\u0301" * 8, "\ud800", "[b",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
+def test_cells_are_plain_text_and_stay_in_their_columns(text: str, plain: bool) -> None:
+    async def act(app: Table, pilot: Pilot[None]) -> None:
+        app.rows.put([Row(text, (text, "1.25"), "bad"), Row("k", ("fine", "2.50"))])
+        line = app.rows.render_line(1)
+        assert line.cell_length == app.rows.size.width
+        shown = line.text
+        assert not set(shown) & {
+            "\x1b",
+            "\x9b",
+            "\u202e",
+            "\u200b",
+            "\n",
+            "\r",
+            "\x08",
+            "\x07",
+            "\ud800",
+        }
+        assert shown.isascii() or not plain
+        before, _, _ = shown.partition("1.25")
+        assert cell_len(before) == 1 + 10 + 1 + 4
+        await pilot.press("enter")
+
+    assert play(act, Table(plain=plain)).chosen == [text]
