@@ -19,7 +19,13 @@ from hilcell.devices import Devices
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array, Clock, DeviceError, NoReading, RobotReading, TrackerReading
-from hilcell.run.interlocks import check_joint_limits, check_strip, rail_may_move, robot_may_move
+from hilcell.run.interlocks import (
+    check_held,
+    check_joint_limits,
+    check_strip,
+    rail_may_move,
+    robot_may_move,
+)
 from hilcell.run.journal import Journal
 from hilcell.run.log import Log, Point
 from hilcell.run.machine import CALIBRATION, StateMachine
@@ -321,11 +327,12 @@ class Bench:
         if not self.cell.layout.by_hand or self.log.seated == place:
             return
         self._park_robot()
-        strip_mm = self.devices.rail.read().strip_mm
-        near_mm, limit_mm = self._expected(place, nominal_mm, strip_mm)
+        rail = self.devices.rail.read()
+        check_held(self.cell, rail, self._held, f"seat the reflector at {place}")
+        near_mm, limit_mm = self._expected(place, nominal_mm, rail.strip_mm)
         prompt = seat_prompt(self.cell, place, self.log.seated, near_mm, limit_mm)
         seen = self._ask(prompt, lambda: self._look(f"look at {place}", near_mm))
-        self.event("seated", place=place, xyz_mm=seen.xyz_mm, strip_mm=strip_mm)
+        self.event("seated", place=place, xyz_mm=seen.xyz_mm, strip_mm=rail.strip_mm)
 
     def _expected(
         self, place: str, nominal_mm: Array, strip_mm: float
