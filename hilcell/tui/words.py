@@ -28,6 +28,7 @@ STATES = {
 }
 NOT_E_STOP = "software stop; not the E-stop"
 DRIFT_LIMIT_K = 2.0
+SHORT = 4
 LAMPS = ("rail", "strip", "robot", "tracker")
 
 
@@ -69,7 +70,10 @@ def identity(scene: Scene, width: int) -> Content:
     words += [f"job {plan.job}"] if plan.job else []
     words += [f"operator {plan.operator}"] if plan.operator else []
     words += ["unattended" if plan.unattended else "attended"]
-    return spread(Content("  ".join(words)), Content.styled(scene.run, "$dim"), width)
+    left = Content("  ".join(words))
+    fits = left.cell_length + len(scene.run) < width
+    run = scene.run if fits else f"run {scene.run[-SHORT:]}"  # its last letters tell runs apart
+    return spread(left, Content.styled(run, "$dim"), width)
 
 
 def step(scene: Scene, width: int) -> Content:

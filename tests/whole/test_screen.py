@@ -133,7 +133,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
 @pytest.mark.parametrize("keys", ["", "p", "l", "?", "/", "a", "h/", "\x10"])
 def test_esc_stops_from_wherever_one_is(tmp_path: Path, keys: str) -> None:
     with screen(tmp_path) as terminal:
-        start(terminal, "\x1b[Z\x1b[C\x1b[C\x1b[C\x1b[B" + ENTER)  # shift-tab: speed, to 1
+        start(terminal, "\x1b[Z\x1b[C\x1b[C\x1b[B" + ENTER)  # shift-tab: speed, to 10
         terminal.shows("■ RUNNING", LIMIT_S)
         for key in keys:
             terminal.press(key)
