@@ -168,6 +168,25 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
             assert read_log(folder).states["run"] == "finished"
 
 
+def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None:
+    by_hand = ("--set", "layout.reflectors=by_hand")
+    with simulation("--speed", PACED, *sets(SMALL), *by_hand) as cell:
+        words = (*by_hand, "--set", f"simulation.address={cell.control}")
+        with screen(tmp_path, *words) as terminal:
+            start(terminal, "\x1b[F" + ENTER)  # the last procedure: world-frame
+            for nest in ("F1", "F2", "F3"):
+                terminal.shows(f"Seat the reflector in {nest}", LIMIT_S)
+                terminal.shows(f">{nest}<")
+                terminal.shows("Enter waits")
+                terminal.press(ENTER)
+                terminal.shows("Enter works when the tracker sees")
+                assert cell.ask(do="seat", place=nest)["ok"]
+                terminal.shows("press Enter")
+                terminal.press(ENTER)
+            terminal.shows("● DONE", LIMIT_S)
+        assert judged(folder_of(tmp_path)) == []
+
+
 def test_a_refused_start_says_why_and_leaves_nothing(tmp_path: Path) -> None:
     with screen(tmp_path, "--set", "robot.speed_percent=-5") as terminal:
         terminal.shows("validated before and after")
