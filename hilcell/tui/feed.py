@@ -40,6 +40,7 @@ class Feed:
         self.link: Link | None = None
         self._deliver, self._period_s = deliver, period_s
         self._seen = 0
+        self._leave = False
         self._ended = threading.Event()
         self._soon = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="feed", daemon=True)
@@ -54,11 +55,15 @@ class Feed:
 
     def close(self, *, leave: bool) -> None:
         """Stop looking. ``leave`` tells the engine that nobody is lost."""
+        self._leave = leave
         self._ended.set()
         self._soon.set()
-        link = self.link
+        self._let_go()
+
+    def _let_go(self) -> None:
+        link, self.link = self.link, None
         if link is not None:
-            if leave:
+            if self._leave:
                 with suppress(HilcellError):  # an engine that is gone has nothing to be told
                     link.ask("leave")
             link.close()
@@ -67,11 +72,11 @@ class Feed:
         while not self._ended.is_set():
             began_s = time.monotonic()
             fresh = self._look()
-            if self._ended.is_set():
-                return
-            self._deliver(fresh)
-            self._soon.wait(max(self._period_s - (time.monotonic() - began_s), 0.02))
-            self._soon.clear()
+            if not self._ended.is_set():
+                self._deliver(fresh)
+                self._soon.wait(max(self._period_s - (time.monotonic() - began_s), 0.02))
+                self._soon.clear()
+        self._let_go()  # a line that was being opened when the end came
 
     def _look(self) -> Fresh:
         status = self._status()
@@ -86,12 +91,13 @@ class Feed:
 
     def _status(self) -> Status | None:
         try:
-            if self.link is None:
-                self.link = Link.to(self.folder)
-                if self.link is None:
+            link = self.link
+            if link is None:
+                link = self.link = Link.to(self.folder)
+                if link is None:
                     return None
-                self.link.ask("attend")
-            return msgspec.convert(self.link.ask("status"), Status)
+                link.ask("attend")
+            return msgspec.convert(link.ask("status"), Status)
         except LinkLostError:
             self.link = None
         except (HilcellError, msgspec.ValidationError):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import socket
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -59,7 +60,7 @@ class Link:
                 self._asking.sendall(question)
                 line = self._answers.readline(LONGEST)
                 answer: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
-            except (OSError, msgspec.DecodeError) as error:
+            except (OSError, ValueError, msgspec.DecodeError) as error:
                 self.close()  # a late answer must never be taken for the next one's
                 raise LinkLostError(f"engine: {command}: no answer: {error}") from error
         if not answer.get("ok"):
@@ -67,9 +68,12 @@ class Link:
         return answer
 
     def close(self) -> None:
-        """Close both connections."""
+        """Close both connections; who waits for an answer on one is told that none comes."""
         for each in (self._asking, self._stopping):
+            with suppress(OSError):  # it has ended by itself
+                each.shutdown(socket.SHUT_RDWR)
             each.close()
+        self._answers.close()
 
 
 class LinkLostError(HilcellError):

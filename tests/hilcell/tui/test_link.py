@@ -1,0 +1,365 @@
+"""The line to an engine: answers, refusals, silence, garbage, ends; and nothing is leaked."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from hilcell.errors import HilcellError
+from hilcell.tui import link as links
+from hilcell.tui.feed import Feed, Fresh
+from hilcell.tui.link import Link, LinkLostError
+from hilcell.tui.session import Session
+from tests.hilcell.report.journals import Writer
+from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
+
+PERIOD_S = 0.02
+LIMIT_S = 10.0
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for silent engines as long as a test may."""
+    monkeypatch.setattr(links, "ANSWER_S", 0.2)
+
+
+@pytest.fixture(autouse=True)
+def nothing_left_open() -> Iterator[None]:
+    """Let what was leaked be found: what is left open, and what only a collection would close."""
+    before = open_sockets()
+    yield
+    assert open_sockets() <= before
+    gc.collect()
+
+
+def open_sockets() -> set[str]:
+    found = set()
+    for file in Path("/proc/self/fd").iterdir():
+        with suppress(FileNotFoundError):  # the one that lists them
+            found.add(str(file.readlink()))
+    return {target for target in found if target.startswith("socket:")}
+
+
+def linked(folder: Path) -> Link:
+    link = Link.to(folder)
+    assert link is not None
+    return link
+
+
+# -- the link --------------------------------------------------------------------------------------
+
+
+def test_it_asks_and_is_answered(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        link = linked(tmp_path)
+        assert link.ask("status") == STATUS
+        link.ask("retake", key="grid/0-0-0")
+        assert link.stop()
+        peer.until(lambda: "stop" in peer.commands)
+        link.close()
+        peer.until(lambda: peer.open == 0)
+        numbers = {command: number for number, command in peer.heard}
+    assert numbers["status"] == numbers["retake"] != numbers["stop"]
+
+
+def test_a_refusal_keeps_its_reason_and_the_line(tmp_path: Path) -> None:
+    def refuse(words: dict[str, str]) -> bytes:
+        refused = words["command"] == "answer"
+        return says({"ok": False, "error": "not seen"}) if refused else usual(words)
+
+    with Peer(tmp_path, refuse):
+        link = linked(tmp_path)
+        with pytest.raises(HilcellError, match="not seen") as caught:
+            link.ask("answer")
+        assert not isinstance(caught.value, LinkLostError)
+        assert link.ask("status") == STATUS
+        link.close()
+
+
+def test_a_refusal_without_a_reason_is_still_one(tmp_path: Path) -> None:
+    with Peer(tmp_path, lambda _: says({})):
+        link = linked(tmp_path)
+        with pytest.raises(HilcellError, match="refused without a reason"):
+            link.ask("pause")
+        link.close()
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [SILENCE, b"garbage\n", b"\n", b"[1, 2]\n", b'"ok"\n', b"\xff\xfe\n", b'{"ok": true',
+     b"x" * 200_000 + b"\n", None],
+    ids=["silence", "garbage", "empty", "list", "text", "bytes", "torn", "endless", "closed"],
+)  # fmt: skip
+def test_what_is_no_answer_loses_the_line(tmp_path: Path, answer: bytes | None) -> None:
+    with Peer(tmp_path, lambda _: answer) as peer:
+        link = linked(tmp_path)
+        with pytest.raises(LinkLostError, match="engine: status: no answer"):
+            link.ask("status")
+        with pytest.raises(LinkLostError):  # a late answer is never taken for the next one's
+            link.ask("status")
+        assert not link.stop()
+        peer.until(lambda: peer.open == 0)
+
+
+def test_a_stop_waits_for_no_answer(tmp_path: Path) -> None:
+    asked, lost = threading.Event(), threading.Event()
+
+    def hang(words: dict[str, str]) -> bytes:
+        asked.set()
+        return SILENCE
+
+    with Peer(tmp_path, hang) as peer:
+        link = linked(tmp_path)
+
+        def ask() -> None:
+            with pytest.raises(LinkLostError):
+                link.ask("status")
+            lost.set()
+
+        asking = threading.Thread(target=ask)
+        asking.start()
+        assert asked.wait(LIMIT_S)
+        assert link.stop()
+        peer.until(lambda: "stop" in peer.commands)
+        asking.join()
+        assert lost.is_set()
+        link.close()
+
+
+@pytest.mark.parametrize(
+    "text", [None, b"", b"garbage", b"{}", b'{"pid": 1, "socket": "/nowhere/control"}',
+             b'{"pid": 1, "socket": "' + b"x" * 500 + b'"}'],
+    ids=["none", "empty", "garbage", "fields", "nobody", "long"],
+)  # fmt: skip
+def test_no_engine_no_link(tmp_path: Path, text: bytes | None) -> None:
+    if text is not None:
+        (tmp_path / "engine.json").write_bytes(text)
+    assert Link.to(tmp_path) is None
+
+
+# -- the feed --------------------------------------------------------------------------------------
+
+
+class Screen:
+    """Takes what a feed delivers."""
+
+    def __init__(self, folder: Path) -> None:
+        self.brought: list[Fresh] = []
+        self._came = threading.Condition()
+        self.feed = Feed(folder, self._take, PERIOD_S)
+
+    def _take(self, fresh: Fresh) -> None:
+        with self._came:
+            self.brought.append(fresh)
+            self._came.notify_all()
+
+    def until(self, true: Callable[[Fresh], bool]) -> Fresh:
+        """Wait for a look that brings something; return it."""
+        start = len(self.brought)
+        with self._came:
+            assert self._came.wait_for(lambda: any(map(true, self.brought[start:])), LIMIT_S)
+        return next(fresh for fresh in self.brought[start:] if true(fresh))
+
+    def close(self, *, leave: bool = True) -> None:
+        """End, and wait for the thread."""
+        self.feed.close(leave=leave)
+        self.feed._thread.join(LIMIT_S)
+        assert not self.feed._thread.is_alive()
+
+
+def journal(folder: Path) -> Writer:
+    return Writer(folder).began()
+
+
+def test_it_brings_the_journal_and_then_what_is_new(tmp_path: Path) -> None:
+    writer = journal(tmp_path / "r")
+    screen = Screen(tmp_path / "r")
+    screen.feed.start()
+    first = screen.until(lambda fresh: bool(fresh.records))
+    assert [record.kind for record in first.records][:2] == ["plan", "state"]
+    assert (first.alive, first.status) == (False, None)
+    writer.point("grid/0", "grid", (1.0, 2.0, 3.0))
+    second = screen.until(lambda fresh: bool(fresh.records))
+    assert [record.key for record in second.records] == ["grid/0"]
+    screen.close()
+    writer.left()
+
+
+def test_it_attends_asks_and_leaves(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        fresh = screen.until(lambda fresh: fresh.status is not None)
+        assert fresh.alive
+        assert fresh.status is not None
+        assert fresh.status.devices["rail"].text == "1100.20 mm"
+        assert peer.commands == ["attend"]
+        screen.close(leave=True)
+        peer.until(lambda: peer.open == 0)
+        assert peer.commands == ["attend", "leave"]
+
+
+def test_a_screen_that_is_lost_does_not_leave(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        screen.close(leave=False)
+        peer.until(lambda: peer.open == 0)
+        assert peer.commands == ["attend"]
+
+
+def test_a_screen_that_is_killed_does_not_leave(tmp_path: Path) -> None:
+    code = (
+        "import sys, time; from pathlib import Path; from hilcell.tui.feed import Feed; "
+        "Feed(Path(sys.argv[1]), lambda _: None, 0.02).start(); time.sleep(60)"
+    )
+    with Peer(tmp_path) as peer:
+        killed = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)])
+        peer.until(lambda: "attend" in peer.commands, 30.0)
+        killed.send_signal(signal.SIGKILL)
+        killed.wait()
+        peer.until(lambda: peer.open == 0)
+        assert peer.commands == ["attend"]
+
+
+def test_a_line_that_ends_is_opened_again(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        peer.hang_up()
+        peer.until(lambda: peer.commands.count("attend") == 2)
+        assert screen.until(lambda fresh: fresh.status is not None).alive
+        screen.close()
+        peer.until(lambda: peer.open == 0)
+
+
+@pytest.mark.parametrize("answer", [SILENCE, b"garbage\n", None], ids=["silence", "garbage", "end"])
+def test_an_engine_gone_mad_is_asked_anew_until_it_is_well(
+    tmp_path: Path, answer: bytes | None
+) -> None:
+    mad = threading.Event()
+
+    def sometimes(words: dict[str, str]) -> bytes | None:
+        return answer if mad.is_set() else usual(words)
+
+    with Peer(tmp_path, sometimes) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        mad.set()
+        assert not screen.until(lambda fresh: fresh.status is None).alive
+        mad.clear()
+        assert screen.until(lambda fresh: fresh.status is not None).alive
+        screen.close()
+        peer.until(lambda: peer.open == 0)
+
+
+@pytest.mark.parametrize(
+    "told", [{"ok": False, "error": "no"}, {"ok": True}, STATUS | {"devices": 5},
+             STATUS | {"prompt": {"title": 3}}, STATUS | {"retakes": [None]}],
+)  # fmt: skip
+def test_a_status_that_makes_no_sense_leaves_the_last_to_grow_stale(
+    tmp_path: Path, told: dict[str, object]
+) -> None:
+    odd = threading.Event()
+
+    def answer(words: dict[str, str]) -> bytes:
+        return says(told) if odd.is_set() else usual(words)
+
+    with Peer(tmp_path, answer):
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        odd.set()
+        assert screen.until(lambda fresh: fresh.status is None).alive
+        odd.clear()
+        screen.until(lambda fresh: fresh.status is not None)
+        screen.close()
+
+
+def test_what_is_asked_for_is_looked_at_soon(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        screen = Screen(tmp_path)
+        screen.feed._period_s = 60.0
+        screen.feed.start()
+        peer.until(lambda: len(peer.heard) == 2)
+        screen.feed.soon()
+        peer.until(lambda: len(peer.heard) == 3)
+        screen.close()
+
+
+def test_closing_while_a_line_is_being_opened_leaves_nothing_open(tmp_path: Path) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slowly(words: dict[str, str]) -> bytes:
+        begun.set()
+        assert go_on.wait(LIMIT_S)
+        return usual(words)
+
+    with Peer(tmp_path, slowly) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        assert begun.wait(LIMIT_S)
+        go_on.set()
+        screen.close()
+        peer.until(lambda: peer.open == 0)
+
+
+def test_a_journal_that_is_damaged_is_told(tmp_path: Path) -> None:
+    (tmp_path / "journal.sqlite").write_bytes(b"no journal at all, but long enough to be one")
+    screen = Screen(tmp_path)
+    screen.feed.start()
+    assert "damaged or not a journal" in screen.until(lambda fresh: bool(fresh.trouble)).trouble
+    screen.close()
+
+
+def test_a_run_that_has_no_journal_yet_is_waited_for(tmp_path: Path) -> None:
+    screen = Screen(tmp_path / "r")
+    screen.feed.start()
+    assert screen.until(lambda _: True).trouble == ""
+    writer = journal(tmp_path / "r")
+    screen.until(lambda fresh: bool(fresh.records))
+    screen.close()
+    writer.left()
+
+
+# -- the session -----------------------------------------------------------------------------------
+
+
+def test_without_an_engine_nothing_is_asked_or_stopped(tmp_path: Path) -> None:
+    session = Session(tmp_path / "r", lambda _: None, PERIOD_S)
+    with pytest.raises(HilcellError, match="pause: no engine is running for r"):
+        session.ask("pause")
+    assert not session.stop()
+    session.close(leave=True)
+
+
+def test_a_stop_finds_a_line_of_its_own(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        session = Session(tmp_path, lambda _: None, PERIOD_S)
+        assert session.stop()
+        peer.until(lambda: peer.commands == ["stop"] and peer.open == 0)
+        session.close(leave=True)
+
+
+def test_a_detach_over_a_silent_engine_is_not_long(tmp_path: Path) -> None:
+    mad = threading.Event()
+    with Peer(tmp_path, lambda words: SILENCE if mad.is_set() else usual(words)):
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        mad.set()
+        began_s = time.monotonic()
+        screen.close(leave=True)
+        assert time.monotonic() - began_s < 2.0
