@@ -2,7 +2,8 @@
 
 Textual waits to see whether Esc begins a longer sequence, and hands keys to a loop that may be
 drawing. Neither may hold up a stop, so the thread that reads the terminal calls it by itself.
-The price: a sequence that a bad link tears right after its Esc stops the run, too.
+The price: Alt with a letter, and a sequence that a bad link tears right after its Esc, stop the
+run, too: both look like Esc with the next key.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from textual._xterm_parser import XTermParser
 from textual.drivers.linux_driver import LinuxDriver
 
 TICK_S = 0.05
-# A lone Esc, or Esc as terminals with the kitty protocol write it, however often held.
-_ESCAPE = re.compile(rb"\x1b\[27(?:;\d*(?::[12])?)?u|\x1b$")
+# Esc that begins no sequence, or as terminals with the kitty protocol write it, however often held.
+_ESCAPE = re.compile(rb"\x1b(?![\[\]\\NOPX^_])|\x1b\[27(?:;\d*(?::[12])?)?u")
 
 
 def has_escape(read: bytes) -> bool:
