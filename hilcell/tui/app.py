@@ -18,9 +18,11 @@ from textual.app import App
 from textual.binding import Binding, BindingType
 from textual.command import Hit, Hits, Provider
 from textual.driver import Driver
+from textual.events import Event, Paste
 from textual.message import Message
 from textual.scrollbar import ScrollBar
 
+from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
 from hilcell.tui.bars import WholeBar
@@ -126,6 +128,12 @@ class HilcellApp(App[int]):
     def get_driver_class(self) -> type[Driver]:
         """Give the terminal's driver the one call that must not wait."""
         return type("Stopping", (StopDriver,), {"on_escape": staticmethod(self._stop_now)})
+
+    async def on_event(self, event: Event) -> None:
+        """Let nothing be pasted that a terminal would take for a command."""
+        if isinstance(event, Paste):
+            event.text = UNSAFE.sub("", event.text.partition("\n")[0])
+        await super().on_event(event)
 
     def _stop_now(self) -> None:
         session = self.session

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
 
 from hilcell.alarms import Latch, alarms_of
 from hilcell.errors import HilcellError
@@ -13,6 +16,9 @@ from hilcell.run.forecast import Forecast
 from hilcell.tui.feed import Feed, Fresh
 from hilcell.tui.link import Link
 from hilcell.tui.scene import Scene
+
+if TYPE_CHECKING:
+    from hilcell.run.journal import Record
 
 
 class Session:
@@ -30,26 +36,38 @@ class Session:
         self.latch = Latch()
         self.process = process  # the engine, where this screen has started it
         self.trouble = ""
+        self._foreign = ""  # why the journal cannot be understood
         self._forecast = Forecast()
         self._heard: datetime | None = None
         self.feed = Feed(folder, deliver, period_s)
 
     def take(self, fresh: Fresh, now: datetime) -> None:
         """Add what one look has brought."""
+        if not self._foreign:
+            self._take_records(fresh.records)
         scene = self.scene
-        for record in fresh.records:
-            scene.take(record)
-            self._forecast.take(record)
-        self.trouble = fresh.trouble
+        self.trouble = self._foreign or fresh.trouble
         scene.starting = self.process is not None and self.process.poll() is None
         if fresh.status is not None:
             scene.status, self._heard = fresh.status, now
-        if scene.alive != fresh.alive or fresh.records:
+        if scene.alive != fresh.alive or (fresh.records and not self._foreign):
             scene.alive = fresh.alive
             if scene.log.plan is not None:
                 scene.alarms = alarms_of(scene.log, scene.run, live=fresh.alive)
                 self.latch.take(scene.alarms)
         self.tick(now)
+
+    def _take_records(self, records: Sequence[Record]) -> None:
+        scene = self.scene
+        try:
+            for record in records:
+                scene.take(record)
+                self._forecast.take(record)
+            if scene.log.plan is not None:
+                _ = scene.log.cell  # read here, so that every line may rely on it
+        except (HilcellError, msgspec.ValidationError) as error:
+            self._foreign = f"{scene.run}: written by another version of hilcell: {error}"
+            self.scene = Scene(scene.run)
 
     def tick(self, now: datetime) -> None:
         """Let time pass: ages grow, the forecast counts down."""

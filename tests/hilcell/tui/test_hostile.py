@@ -1,0 +1,195 @@
+"""Hostile words on every screen: nothing crashes, nothing acts, nothing is printed raw."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from textual.events import Paste
+from textual.widgets import Input
+
+from hilcell.errors import HilcellError
+from hilcell.tui import engine
+from hilcell.tui.feed import Fresh
+from hilcell.tui.screens import start
+from hilcell.tui.screens.run import RunScreen
+from hilcell.tui.screens.start import PlanSummary
+from tests.hilcell.tui import hostile
+from tests.hilcell.tui.hostile import MARK, NASTY, dangerous, poisoned
+from tests.hilcell.tui.scenes import fresh
+from tests.hilcell.tui.stage import SIZE, Stage, options, press, settle, text_of
+from tests.hilcell.tui.walk import COMPARISON, PLAN, outside, screens_of
+
+__all__ = ["outside"]
+
+RUNS = Path("/runs")
+STATES = ("suspended", "fault", "intolerant", "checking")
+SOME = ("an action", "clearing", "direction", "lines")
+by_text = pytest.mark.parametrize("text", NASTY.values(), ids=NASTY)
+by_some = pytest.mark.parametrize("text", [NASTY[name] for name in SOME], ids=SOME)
+
+
+@pytest.fixture(autouse=True)
+def poisoned_outside(outside: None, request: pytest.FixtureRequest,
+                     monkeypatch: pytest.MonkeyPatch) -> None:  # fmt: skip
+    """Let whatever is asked outside the screen answer with the hostile text."""
+    text = request.node.callspec.params.get("text", "") if hasattr(request.node, "callspec") else ""
+
+    async def ask_hilcell(*words: str) -> str:
+        if words[0] == "compare":
+            return msgspec.json.encode(_poison(COMPARISON, text)).decode()
+        return f"line\n{text}\n"
+
+    async def dry_run(order: engine.Order) -> dict[str, Any]:
+        found: dict[str, Any] = _poison(PLAN, text)
+        return found
+
+    monkeypatch.setattr(engine, "ask_hilcell", ask_hilcell)
+    monkeypatch.setattr(engine, "dry_run", dry_run)
+    monkeypatch.setattr("hilcell.index.read_index", lambda _: hostile.runs(text))
+    monkeypatch.setattr(start, "summaries", lambda names: dict.fromkeys(names, text))
+
+
+def _poison(value: Any, text: str) -> Any:
+    if isinstance(value, str):
+        return value if value in ("mm", "deg") else value + text
+    if isinstance(value, list):
+        return [_poison(each, text) for each in value]
+    if isinstance(value, dict):
+        return {key: _poison(each, text) for key, each in value.items()}
+    return value
+
+
+@by_text
+def test_every_screen_shows_hostile_words_and_does_nothing_by_them(text: str) -> None:
+    async def play(state: str) -> dict[str, str]:
+        app = Stage(options(RUNS), state, poisoned(state, text))
+        async with app.run_test(size=SIZE) as pilot:
+            seen = await screens_of(app, pilot)
+            assert app.is_running
+        assert (app.heard.stops, app.engines) == (0, [])
+        assert {command for command, _ in app.heard.asked} <= {"answer"}
+        return seen
+
+    state = STATES[list(NASTY.values()).index(text) % len(STATES)]  # each state has its share
+    for name, shown in asyncio.run(play(state)).items():
+        assert not dangerous(shown), f"{state} {name}: {dangerous(shown)!r}\n{shown}"
+
+
+@pytest.mark.parametrize("text", [NASTY["an action"], NASTY["closing markup"], NASTY["a style"]])
+def test_markup_is_shown_as_it_was_written(text: str) -> None:
+    async def play() -> dict[str, str]:
+        app = Stage(options(RUNS), "done", poisoned("done", text))
+        async with app.run_test(size=(240, 40)) as pilot:
+            return await screens_of(app, pilot)
+
+    seen = asyncio.run(play())
+    for name in ("run", "log", "history", "point", "report"):
+        assert text in seen[name], seen[name]
+
+
+@by_some
+def test_the_ascii_screen_stays_ascii(text: str) -> None:
+    async def play() -> dict[str, str]:
+        app = Stage(options(RUNS, ascii_only=True), "suspended", poisoned("suspended", text))
+        async with app.run_test(size=SIZE) as pilot:
+            return await screens_of(app, pilot)
+
+    for name, shown in asyncio.run(play()).items():
+        assert shown.isascii(), f"{name}\n{shown}"
+
+
+def test_hostile_words_may_be_pasted_into_every_filter() -> None:
+    async def play() -> None:
+        app = Stage(options(RUNS), "running")
+        async with app.run_test(size=SIZE) as pilot:
+            await settle(pilot)
+            for keys in (("slash",), ("l", "slash"), ("h", "slash"), ("ctrl+p",)):
+                await press(pilot, *keys)
+                for text in NASTY.values():
+                    app.screen.query_one(Input).value = ""
+                    app.post_message(Paste(text))
+                    await settle(pilot)
+                    assert not dangerous(text_of(app)), text_of(app)
+                if not isinstance(app.screen, RunScreen):
+                    app.pop_screen()
+        assert (app.heard.stops, app.heard.asked) == (0, [])
+
+    asyncio.run(play())
+
+
+def test_hostile_words_may_be_pasted_into_the_form() -> None:
+    async def play() -> None:
+        app = Stage(options(RUNS))
+        async with app.run_test(size=SIZE) as pilot:
+            await settle(pilot)
+            for text in NASTY.values():
+                for name in ("cell", "operator", "job", "seed"):
+                    app.screen.query_one(f"#{name}", Input).value = ""
+                    app.screen.query_one(f"#{name}", Input).focus()
+                    app.post_message(Paste(text))
+                    await settle(pilot)
+                assert not dangerous(text_of(app)), text_of(app)
+                await press(pilot, "enter")
+                assert isinstance(app.screen, PlanSummary)
+                assert not dangerous(text_of(app)), text_of(app)
+                await press(pilot, "q")
+
+    asyncio.run(play())
+
+
+@by_some
+def test_refusals_are_said_without_harm(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def refuse(*_: object) -> str:
+        raise HilcellError(f"refused: {text}")
+
+    monkeypatch.setattr(engine, "ask_hilcell", refuse)
+    monkeypatch.setattr(engine, "dry_run", refuse)
+
+    async def play() -> None:
+        app = Stage(options(RUNS), "done")
+        async with app.run_test(size=SIZE) as pilot:
+            await settle(pilot)
+            for keys in (("o",), ("h", "x", "down", "x", "c")):
+                await press(pilot, *keys)
+                assert "refused:" in text_of(app)
+                assert not dangerous(text_of(app)), text_of(app)
+                await press(pilot, "q")
+        form = Stage(options(RUNS))
+        async with form.run_test(size=SIZE) as pilot:
+            await settle(pilot)
+            await press(pilot, "enter")
+            assert "refused:" in text_of(form)
+            assert not dangerous(text_of(form)), text_of(form)
+
+    asyncio.run(play())
+
+
+@pytest.mark.parametrize("part", ["cell", "point", "kind"])
+def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -> None:
+    found = fresh("done")
+    bodies = {record.seq: dict(record.body) for record in found.records}
+    plan, point = 1, next(r.seq for r in found.records if r.kind == "point")
+    if part == "cell":
+        bodies[plan]["cell"] = {"name": f"[/nope]\x1b[31m{MARK}"}
+    elif part == "point":
+        del bodies[point]["xyz_mm"]
+    else:
+        bodies[point]["samples"] = "[/nope]"
+    records = [msgspec.structs.replace(r, body=bodies[r.seq]) for r in found.records]
+
+    async def play() -> str:
+        app = Stage(options(RUNS), brought=Fresh(records))
+        async with app.run_test(size=SIZE) as pilot:
+            await settle(pilot)
+            await press(pilot, "e", "q", "w", "b", "enter", "question_mark", "q")
+            app.say(app.heard.trouble)
+            await settle(pilot)
+            return text_of(app)
+
+    shown = asyncio.run(play())
+    assert "another version of hilcell" in shown
+    assert not dangerous(shown)
