@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.content import Content
-from textual.widgets import Input
 
 from hilcell.tui.history_words import columns_for, history_row
 from hilcell.tui.rows import Rows
 from hilcell.tui.screens.base import Page
+from hilcell.tui.screens.find import Finding
 
 if TYPE_CHECKING:
     from hilcell.index import RunRow
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 TO_COMPARE = 2
 
 
-class HistoryPage(Page):
+class HistoryPage(Finding, Page):
     """Element 12. The rows come from the index; a run is read only when it is opened."""
 
     title_text = "History"
@@ -38,58 +38,40 @@ class HistoryPage(Page):
     def __init__(self) -> None:
         super().__init__()
         self._runs: list[RunRow] = []
-        self._wanted = ""
         self._marked: list[str] = []
 
     def body(self) -> ComposeResult:
         """Build filter and rows."""
         yield Rows(columns_for(80), empty="reading the index ...", plain=self.cell.glyphs.plain)
-        yield Input(placeholder="filter: words, state:faulted, operator:ann, -word", id="find")
+        yield self.find_box("filter: words, state:faulted, operator:ann, -word")
 
     def on_mount(self) -> None:
         """Read the index off the thread that takes keys."""
-        self.query_one("#find", Input).display = False
         super().on_mount()
         self.cell.background(self._read())
 
     def on_resize(self) -> None:
         """Show as many columns as fit."""
         super().on_resize()
-        self._put()
+        self.filter_rows()
 
     async def _read(self) -> None:
         from hilcell.index import read_index
 
         self._runs = await asyncio.to_thread(read_index, self.cell.options.runs)
         self.query_one(Rows).empty = "no such run"
-        self._put()
+        self.filter_rows()
 
-    def _put(self) -> None:
+    def filter_rows(self) -> None:
+        """Show the runs with all the words."""
         from hilcell.index import matches
 
-        found = [run for run in self._runs if matches(run, self._wanted)]
+        found = [run for run in self._runs if matches(run, self.wanted)]
         wide = self.app.size.width
         rows = [history_row(run, self._marked, wide) for run in found]
         self.query_one(Rows).put(rows, columns_for(wide))
         title = f"History: {len(found)} of {len(self._runs)} runs; errors in mm"
         self.panel("title").show(Content.styled(title, "bold"))
-
-    def do_find(self) -> None:
-        """Open the filter."""
-        box = self.query_one("#find", Input)
-        box.display = True
-        box.focus()
-
-    def on_input_changed(self, message: Input.Changed) -> None:
-        """Filter as one types."""
-        self._wanted = message.value
-        self._put()
-
-    def on_input_submitted(self) -> None:
-        """Go back to the rows."""
-        box = self.query_one("#find", Input)
-        box.display = bool(box.value)
-        self.query_one(Rows).focus()
 
     def on_rows_chosen(self, message: Rows.Chosen) -> None:
         """Open a run."""
@@ -103,7 +85,7 @@ class HistoryPage(Page):
             self._marked.remove(key)
         elif key:
             self._marked = [*self._marked, key][-TO_COMPARE:]
-        self._put()
+        self.filter_rows()
 
     def action_compare(self) -> None:
         """Compare the two marked runs."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from textual.app import ComposeResult
-from textual.widgets import Input
 
 from hilcell.tui.record_words import COLUMNS, record_row
 from hilcell.tui.rows import Row, Rows
 from hilcell.tui.scene import Scene
 from hilcell.tui.screens.base import Page
+from hilcell.tui.screens.find import Finding
 
 
-class LogPage(Page):
+class LogPage(Finding, Page):
     """Element 13: the newest two thousand records; the journal keeps all."""
 
     title_text = "Event log"
@@ -21,18 +21,16 @@ class LogPage(Page):
         super().__init__()
         self._rows: list[Row] = []
         self._seq = 0
-        self._wanted = ""
 
     def body(self) -> ComposeResult:
         """Build rows and filter."""
         rows = Rows(COLUMNS, empty="no records", plain=self.cell.glyphs.plain)
         rows.follow = True
         yield rows
-        yield Input(placeholder="filter: words of a record", id="find")
+        yield self.find_box("filter: words of a record")
 
     def on_mount(self) -> None:
-        """Hide the filter until it is asked for."""
-        self.query_one("#find", Input).display = False
+        """Begin at the newest record."""
         super().on_mount()
         self.query_one(Rows).action_to(-1)
 
@@ -45,26 +43,10 @@ class LogPage(Page):
         if fresh:
             self._seq = fresh[-1].seq
             self._rows += [record_row(record) for record in fresh]
-            self._put()
+            self.filter_rows()
 
-    def _put(self) -> None:
-        words = self._wanted.lower().split()
+    def filter_rows(self) -> None:
+        """Show the records with all the words."""
+        words = self.wanted.lower().split()
         wanted = [row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)]
         self.query_one(Rows).put(wanted)
-
-    def do_find(self) -> None:
-        """Open the filter."""
-        box = self.query_one("#find", Input)
-        box.display = True
-        box.focus()
-
-    def on_input_changed(self, message: Input.Changed) -> None:
-        """Filter as one types."""
-        self._wanted = message.value
-        self._put()
-
-    def on_input_submitted(self) -> None:
-        """Go back to the rows."""
-        box = self.query_one("#find", Input)
-        box.display = bool(box.value)
-        self.query_one(Rows).focus()

@@ -7,7 +7,6 @@ from typing import ClassVar
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
-from textual.widgets import Input
 
 from hilcell.tui import words
 from hilcell.tui.alarm_words import alarm_lines
@@ -17,14 +16,14 @@ from hilcell.tui.points import columns_for, filtered, to_row
 from hilcell.tui.prompt_words import prompt_lines
 from hilcell.tui.rows import Rows
 from hilcell.tui.scene import Scene
-from hilcell.tui.screens.base import SceneScreen
+from hilcell.tui.screens.find import Finding
 from hilcell.tui.side_words import side_lines
 
 WIDE = 120  # columns, as in the style sheet
 LINES = ("banner", "identity", "step", "progress", "lamps", "interlock")
 
 
-class RunScreen(SceneScreen):
+class RunScreen(Finding):
     """One run, live or past."""
 
     footer = (
@@ -35,7 +34,7 @@ class RunScreen(SceneScreen):
 
     def __init__(self) -> None:
         super().__init__()
-        self.bad_only, self.worst_first, self.wanted = False, False, ""
+        self.bad_only, self.worst_first = False, False
         self._side_seen: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
@@ -51,7 +50,7 @@ class RunScreen(SceneScreen):
                     columns_for(80), empty="no points yet", id="points",
                     plain=self.cell.glyphs.plain,
                 )  # fmt: skip
-                yield Input(placeholder="filter: words of name, station or state", id="find")
+                yield self.find_box("filter: words of name, station or state")
             yield Panel("side")
         yield Panel("notice")
         yield Panel("keys")
@@ -60,7 +59,6 @@ class RunScreen(SceneScreen):
         """Hide what has nothing to say yet."""
         for name in ("alarm", "prompt", "notice"):
             self.panel(name).display = False
-        self.query_one("#find", Input).display = False
         rows = self.query_one(Rows)
         rows.follow = True
         rows.focus()
@@ -164,22 +162,9 @@ class RunScreen(SceneScreen):
         if self.worst_first:
             self.query_one(Rows).action_to(0)
 
-    def do_find(self) -> None:
-        """Open the filter."""
-        box = self.query_one("#find", Input)
-        box.display = True
-        box.focus()
-
-    def on_input_changed(self, message: Input.Changed) -> None:
-        """Filter as one types."""
-        self.wanted = message.value
+    def filter_rows(self) -> None:
+        """Show the points with all the words."""
         self.show(self.cell.scene)
-
-    def on_input_submitted(self) -> None:
-        """Keep the filter and go back to the rows; an empty one closes."""
-        box = self.query_one("#find", Input)
-        box.display = bool(box.value)
-        self.query_one(Rows).focus()
 
     def do_retake(self) -> None:
         """Measure the chosen point anew."""
