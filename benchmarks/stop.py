@@ -29,7 +29,6 @@ import numpy as np
 
 from drivers import emscon
 from hilcell.cell import Cell, Nest, load_cell
-from hilcell.commands.run import quicken
 from hilcell.devices import build_devices, start_simulation
 from hilcell.ports import SimulatedCell
 from hilcell.run.bench import Bench
@@ -108,7 +107,6 @@ def engine() -> None:
     cell = load_cell("paper", {"simulation.address": place.control})
     simulated = start_simulation(cell, seed=1, speed=math.inf)
     assert simulated is not None
-    quicken()
     for number, line in enumerate(sys.stdin):
         folder = Path(place.folder) / str(number)
         folder.mkdir()

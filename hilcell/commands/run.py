@@ -35,8 +35,6 @@ from hilcell.run.signals import stopped_by_signals
 from hilcell.runs import JOURNAL, find_run, new_run, read_log
 from hilcell.writing import NotWritten
 
-SWITCH_S = 0.005
-
 
 def run(args: argparse.Namespace) -> int:
     """Perform a procedure on a cell."""
@@ -106,11 +104,6 @@ def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
     answer = send_command(folder, "proceed")
     print(f"run {folder.name}: asked to go on; it was {answer.get('state')}", file=sys.stderr)
     return 0
-
-
-def quicken() -> None:
-    """Let a thread that has a stop to send wait no longer than that for the interpreter."""
-    sys.setswitchinterval(SWITCH_S)
 
 
 def _calibrated(log: Log, folder: Path) -> bool:
