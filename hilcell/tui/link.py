@@ -30,6 +30,7 @@ class Link:
         self._asking = _connect(path)
         try:
             self._stopping = _connect(path)
+            self._stopping.setblocking(False)  # a stop waits for nothing
         except OSError:
             self._asking.close()
             raise
@@ -47,10 +48,17 @@ class Link:
     def stop(self) -> bool:
         """Ask for a stop now, waiting for nothing; return whether the words went out."""
         try:
+            self._forget_answers()
             self._stopping.sendall(_STOP)
         except OSError:
             return False
         return True
+
+    def _forget_answers(self) -> None:
+        """Make room: an engine whose answers nobody takes would stand still over the next one."""
+        with suppress(BlockingIOError):
+            while self._stopping.recv(LONGEST):
+                pass
 
     def ask(self, command: str, **facts: str) -> dict[str, Any]:
         """Send a command and return the answer; raises `HilcellError` with the refusal."""

@@ -24,6 +24,7 @@ from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
 
 PERIOD_S = 0.02
 LIMIT_S = 10.0
+MANY_STOPS = 2000  # their answers fill any buffer
 
 
 @pytest.fixture(autouse=True)
@@ -53,6 +54,15 @@ def linked(folder: Path) -> Link:
     link = Link.to(folder)
     assert link is not None
     return link
+
+
+def test_esc_held_down_is_heard_to_the_end(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        link = linked(tmp_path)
+        for heard in range(10, MANY_STOPS + 1, 10):
+            assert all(link.stop() for _ in range(10))
+            peer.until(lambda heard=heard: peer.commands.count("stop") == heard)
+        link.close()
 
 
 # -- the link --------------------------------------------------------------------------------------
