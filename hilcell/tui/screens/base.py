@@ -24,7 +24,12 @@ class SceneScreen(Screen[None]):
     footer: ClassVar[tuple[str, ...]] = ()  # actions, in the order of their weight
     fixed: ClassVar[tuple[tuple[str, str], ...]] = ()  # keys that cannot be rebound
 
-    built = False  # whether every part stands; messages may come before
+    built = False
+
+    @property
+    def here(self) -> bool:
+        """Whether every part stands and the screen was not left: messages come before and after."""
+        return self.built and self in self.app.screen_stack
 
     @property
     def cell(self) -> HilcellApp:
@@ -55,7 +60,7 @@ class SceneScreen(Screen[None]):
 
     def show_again(self) -> None:
         """Show the scene as it is now; before this screen is built, or after it, nothing."""
-        if self.built and self.is_attached:
+        if self.here:
             self.show(self.cell.scene)
 
     def show(self, scene: Scene | None) -> None:
@@ -68,7 +73,7 @@ class SceneScreen(Screen[None]):
 
     def notice(self, text: str) -> None:
         """Say something on the line above the keys, until the next key."""
-        if not self.built:
+        if not self.here:
             return
         panel = self.panel("notice")
         panel.display = bool(text)

@@ -45,7 +45,7 @@ class ComparePage(Page):
         runs = str(self.cell.options.runs)
         words = ("compare", self._first, self._second, "--runs", runs, "--json")
         found = msgspec.json.decode(await engine.ask_hilcell(*words), type=dict[str, Any])
-        if self.is_attached:
+        if self.here:
             self.panel("told").show(told(found))
             self.query_one(Rows).put([change_row(each) for each in found["changes"]])
 

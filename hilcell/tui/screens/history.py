@@ -53,14 +53,16 @@ class HistoryPage(Finding, Page):
     def on_resize(self) -> None:
         """Show as many columns as fit."""
         super().on_resize()
-        self.filter_rows()
+        if self.here:
+            self.filter_rows()
 
     async def _read(self) -> None:
         from hilcell.index import read_index
 
         self._runs = await asyncio.to_thread(read_index, self.cell.options.runs)
-        self.query_one(Rows).empty = "no such run"
-        self.filter_rows()
+        if self.here:
+            self.query_one(Rows).empty = "no such run"
+            self.filter_rows()
 
     def filter_rows(self) -> None:
         """Show the runs with all the words."""

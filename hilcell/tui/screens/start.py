@@ -83,7 +83,7 @@ class StartScreen(SceneScreen):
 
     async def _summaries(self, names: list[str]) -> None:
         found = await asyncio.to_thread(summaries, names)
-        if self.is_mounted:
+        if self.here:
             self.query_one(Rows).put([Row(name, (name, found[name])) for name in names])
 
     def order(self) -> engine.Order:
@@ -109,6 +109,8 @@ class StartScreen(SceneScreen):
         order = self.order()
         self.notice("checking the plan; nothing is opened ...")
         plan = await engine.dry_run(order)
+        if self.app.screen is not self:
+            return  # left meanwhile, or asked twice
         self.notice("")
         self.app.push_screen(
             PlanSummary(order, plan),

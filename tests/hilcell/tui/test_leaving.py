@@ -1,0 +1,53 @@
+"""A page that is left before its answer has come must not miss it."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from pathlib import Path
+
+import pytest
+
+from hilcell import index
+from hilcell.tui import engine
+from tests.hilcell.tui.stage import Stage, options, settle
+
+LIMIT_S = 10.0
+
+
+def leave(folder: Path, key: str, answer: threading.Event) -> str:
+    """Open a page, leave it, let its answer come; return the state of the screens."""
+
+    async def play() -> str:
+        app = Stage(options(folder), "done")
+        async with app.run_test(size=(80, 24)) as pilot:
+            await settle(pilot)
+            await pilot.press(key)
+            await pilot.press("q")
+            answer.set()
+            await settle(pilot)
+            return type(app.screen).__name__
+
+    return asyncio.run(play())
+
+
+def test_the_history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer = threading.Event()
+
+    def late(runs: Path) -> list[index.RunRow]:
+        assert answer.wait(LIMIT_S)
+        return []
+
+    monkeypatch.setattr(index, "read_index", late)
+    assert leave(tmp_path, "h", answer) == "RunScreen"
+
+
+def test_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer = threading.Event()
+
+    async def late(*words: str) -> str:
+        assert await asyncio.to_thread(answer.wait, LIMIT_S)
+        return "figures"
+
+    monkeypatch.setattr(engine, "ask_hilcell", late)
+    assert leave(tmp_path, "o", answer) == "RunScreen"
