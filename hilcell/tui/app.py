@@ -21,11 +21,13 @@ from textual.driver import Driver
 from textual.events import Event, Paste
 from textual.message import Message
 from textual.scrollbar import ScrollBar
+from textual.widgets import Input
 
 from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
 from hilcell.tui.bars import WholeBar
+from hilcell.tui.choice import Choice
 from hilcell.tui.driver import StopDriver
 from hilcell.tui.glyphs import Glyphs
 from hilcell.tui.keys import ACTIONS, BY_NAME, Keymap
@@ -91,7 +93,7 @@ class HilcellApp(App[int]):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(
             ",".join(action.keys), f"do('{action.name}')", action.label, show=False,
-            id=action.name, priority=action.everywhere,
+            id=action.name, priority=True,  # in the order typed, also when typed ahead
         )
         for action in ACTIONS
     ]  # fmt: skip
@@ -275,15 +277,28 @@ class HilcellApp(App[int]):
             return "pause"
         return "proceed" if scene.allows("proceed") or scene.key == "pausing" else ""
 
-    def action_do(self, name: str) -> None:
-        """Do what a key means."""
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Leave letters to a text box or a question, and the space bar to a choice."""
+        if action != "do":
+            return True
+        name = str(parameters[0])
+        if isinstance(self.focused, Choice):
+            return name != "pause"
+        typing = isinstance(self.focused, Input) or not isinstance(self.screen, SceneScreen)
+        return BY_NAME[name].everywhere or not typing
+
+    async def action_do(self, name: str) -> None:
+        """Do what a key means; what it opens stands before the next key is taken."""
         self.do(name)
+        if isinstance(self.screen, SceneScreen):
+            await self.screen.stands.wait()
 
     def do(self, name: str) -> None:
         """Do an action, where it is allowed; the screen on top may have its own way."""
         if name == "stop":
             self.do_stop()
         elif isinstance(self.screen, SceneScreen) or name == "quit":
+            self.say("")
             if not self.allowed(name):
                 self.say(f"{BY_NAME[name].label}: nothing to do now")
                 return

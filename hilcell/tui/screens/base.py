@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING, ClassVar, cast
 
 from textual.app import ComposeResult
@@ -24,12 +25,14 @@ class SceneScreen(Screen[None]):
     footer: ClassVar[tuple[str, ...]] = ()  # actions, in the order of their weight
     fixed: ClassVar[tuple[tuple[str, str], ...]] = ()  # keys that cannot be rebound
 
-    built = False
+    def __init__(self) -> None:
+        super().__init__()
+        self.stands = asyncio.Event()  # set once every part is built
 
     @property
     def here(self) -> bool:
         """Whether every part stands and the screen was not left: messages come before and after."""
-        return self.built and self in self.app.screen_stack
+        return self.stands.is_set() and self in self.app.screen_stack
 
     @property
     def cell(self) -> HilcellApp:
@@ -47,7 +50,7 @@ class SceneScreen(Screen[None]):
 
     def on_mount(self) -> None:
         """Show what is known already."""
-        self.built = True
+        self.stands.set()
         self.show(self.cell.scene)
 
     def on_resize(self) -> None:

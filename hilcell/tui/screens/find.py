@@ -29,11 +29,12 @@ class Finding(SceneScreen):
         """Open the filter."""
         box = self.query_one("#find", Input)
         box.display = True
-        box.focus()
+        self.set_focus(box)  # at once: what is typed ahead belongs into it
 
     def on_input_changed(self, message: Input.Changed) -> None:
         """Filter as one types."""
         self.wanted = message.value
+        message.input.display = bool(message.value) or message.input.has_focus  # never unseen
         self.filter_rows()
 
     def on_input_submitted(self) -> None:

@@ -92,6 +92,10 @@ class Peer:
         with self._changed:
             assert self._changed.wait_for(true, limit_s), self.heard
 
+    def until_stops(self, count: int) -> None:
+        """Wait until so many stops were heard."""
+        self.until(lambda: self.commands.count("stop") == count)
+
     def _accept(self) -> None:
         while True:
             try:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+from textual.app import App
 from textual.events import Key
 from textual.pilot import Pilot
 
@@ -108,9 +109,14 @@ async def _round(pilot: Pilot[int]) -> None:
 async def press(pilot: Pilot[int], *keys: str) -> None:
     """Press keys, and wait until what each began is done and painted."""
     for key in keys:
-        letter = key if len(key) == 1 else LETTERS.get(key)
-        pilot.app.post_message(Key(key, letter))
+        type_ahead(pilot.app, key)
         await settle(pilot)
+
+
+def type_ahead(app: App[int], *keys: str) -> None:
+    """Press keys and wait for nothing."""
+    for key in keys:
+        app.post_message(Key(key, key if len(key) == 1 else LETTERS.get(key)))
 
 
 def text_of(app: HilcellApp) -> str:

@@ -26,7 +26,7 @@ from hilcell.tui.screens.report import ReportPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from tests.hilcell.tui.scenes import LIVE, PROMPT, fresh, stories
-from tests.hilcell.tui.stage import Stage, options, press, settle, text_of
+from tests.hilcell.tui.stage import Stage, options, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import outside
 
 __all__ = ["outside"]
@@ -373,6 +373,27 @@ def test_letters_typed_into_a_filter_do_not_act() -> None:
 
     app = play(act, "running")
     assert (app.heard.asked, app.heard.closed, app.theme) == ([], [], "calm")
+
+
+@pytest.mark.parametrize("first", [(), ("h",), ("l",)])
+def test_what_is_typed_ahead_goes_where_it_was_meant_to(first: tuple[str, ...]) -> None:
+    """A thin link delivers keys in bursts: an "a" meant for a filter must not abort."""
+
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        type_ahead(app, *first, "slash", "a", "d", "space", "y", "enter")
+        await settle(pilot)
+        assert app.screen.query_one("#find", Input).value == "ad y"
+
+    app = play(act, "running")
+    assert (app.heard.asked, app.heard.closed) == ([], [])
+
+
+def test_a_question_typed_ahead_is_answered() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        type_ahead(app, "a", "y")
+        await settle(pilot)
+
+    assert play(act, "running").heard.asked == [("abort", {})]
 
 
 def test_letters_typed_into_the_form_do_not_act() -> None:

@@ -61,7 +61,7 @@ def test_esc_held_down_is_heard_to_the_end(tmp_path: Path) -> None:
         link = linked(tmp_path)
         for heard in range(10, MANY_STOPS + 1, 10):
             assert all(link.stop() for _ in range(10))
-            peer.until(lambda heard=heard: peer.commands.count("stop") == heard)
+            peer.until_stops(heard)
         link.close()
 
 
