@@ -32,9 +32,11 @@ class Terminal:
         self._end, inner = pty.openpty()
         fcntl.ioctl(inner, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
         seen = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
+        # Parallel tests state a size of their own, which would be believed over the terminal's.
+        around = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "hilcell", *words], stdin=inner, stdout=inner, stderr=inner,
-            env=os.environ | seen | environment, start_new_session=True,
+            env=around | seen | environment, start_new_session=True,
             preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # its loss is then told
         )  # fmt: skip
         os.close(inner)

@@ -169,6 +169,21 @@ def test_escape_stops_from_everywhere_and_never_asks() -> None:
     assert play(act, "running").heard.asked == []
 
 
+@pytest.mark.parametrize("key", PAGES)
+def test_what_is_said_is_seen_and_spoils_no_page(key: str) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, key)
+        before = text_of(app).splitlines()
+        app.say("something happened")
+        await settle(pilot)
+        after = text_of(app).splitlines()
+        assert after[-2] == "something happened"
+        assert after[:12] == before[:12] or key == "l"  # the log follows its newest record
+        assert after[-1] == before[-1]
+
+    play(act, "running", size=(80, 24))
+
+
 def test_escape_stops_over_a_prompt() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, "escape")
