@@ -79,6 +79,21 @@ def test_every_screen_shows_hostile_words_and_does_nothing_by_them(text: str) ->
         assert not dangerous(shown), f"{state} {name}: {dangerous(shown)!r}\n{shown}"
 
 
+@by_text
+def test_what_a_prompt_needs_stays_in_sight(text: str) -> None:
+    async def play() -> str:
+        app = Stage(options(RUNS), "suspended", poisoned("suspended", text))
+        async with app.run_test(size=SIZE) as pilot:
+            await settle(pilot)
+            return text_of(app)
+
+    shown = asyncio.run(play())
+    assert "expected reading: x 4007.5" in shown, shown
+    assert "press Enter" in shown
+    assert "◆ ASKS YOU" in shown.splitlines()[0]
+    assert "Esc STOP" in shown.splitlines()[-1]
+
+
 @pytest.mark.parametrize("text", [NASTY["an action"], NASTY["closing markup"], NASTY["a style"]])
 def test_markup_is_shown_as_it_was_written(text: str) -> None:
     async def play() -> dict[str, str]:
