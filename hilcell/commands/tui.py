@@ -29,7 +29,8 @@ def tui(args: argparse.Namespace) -> int:
     os.environ["TEXTUAL_ANIMATIONS"] = "none"
     if args.colors == "none":
         os.environ["NO_COLOR"] = "1"
-    from hilcell.tui.app import HilcellApp, Options
+    from hilcell.tui.app import HilcellApp
+    from hilcell.tui.desk import Options
 
     options = Options(
         runs=args.runs, keymap=keymap, glyphs=ASCII if args.ascii or not _utf8() else UNICODE,

@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import gc
 from collections.abc import Coroutine
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
@@ -28,9 +27,9 @@ from hilcell.errors import HilcellError
 from hilcell.tui import engine
 from hilcell.tui.bars import WholeBar
 from hilcell.tui.choice import Choice
+from hilcell.tui.desk import Options
 from hilcell.tui.driver import StopDriver
-from hilcell.tui.glyphs import Glyphs
-from hilcell.tui.keys import ACTIONS, BY_NAME, Keymap
+from hilcell.tui.keys import ACTIONS, BY_NAME
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.opening import Opening
@@ -44,20 +43,6 @@ if TYPE_CHECKING:
 
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
 ScrollBar.renderer = WholeBar  # Textual's way to choose: a class, for all of its bars
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How the screen was asked for."""
-
-    runs: Path
-    keymap: Keymap
-    glyphs: Glyphs
-    run: str = ""
-    cell: str = "paper"
-    settings: tuple[str, ...] = ()
-    theme: str = NAMES[0]
-    slow: bool = False
 
 
 class Delivered(Message):

@@ -6,16 +6,14 @@ device's or an operator's words can never reach the terminal as commands.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from textual.content import Content
 from textual.widgets import Static
 
 from hilcell.clean import UNSAFE
+from hilcell.tui.desk import Desk
 from hilcell.tui.glyphs import to_ascii
-
-if TYPE_CHECKING:
-    from hilcell.tui.app import HilcellApp
 
 
 def harmless(content: Content, *, plain: bool) -> Content:
@@ -39,7 +37,7 @@ class Panel(Static):
     def show(self, content: Content | str) -> None:
         """Show content, where it differs from what is shown."""
         wanted = Content(content) if isinstance(content, str) else content
-        safe = harmless(wanted, plain=cast("HilcellApp", self.app).glyphs.plain)
+        safe = harmless(wanted, plain=cast("Desk", self.app).glyphs.plain)
         if self.content_shown is None or not same(safe, self.content_shown):
             self.content_shown = safe
             self.update(safe)

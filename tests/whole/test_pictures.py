@@ -18,7 +18,8 @@ from pathlib import Path
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.app import HilcellApp, Options
+from hilcell.tui.app import HilcellApp
+from hilcell.tui.desk import Options
 from hilcell.tui.glyphs import UNICODE
 from hilcell.tui.keys import load_keys
 from tests.whole.bench import HILCELL, LIMIT_S, SMALL, hilcell, sets

@@ -11,11 +11,11 @@ from textual.content import Content
 from textual.screen import Screen
 from textual.widget import Widget
 
+from hilcell.tui.desk import Desk
 from hilcell.tui.keys import BY_NAME, shown
 from hilcell.tui.panel import Panel
 
 if TYPE_CHECKING:
-    from hilcell.tui.app import HilcellApp
     from hilcell.tui.scene import Scene
 
 
@@ -35,9 +35,9 @@ class SceneScreen(Screen[None]):
         return self.stands.is_set() and self in self.app.screen_stack
 
     @property
-    def cell(self) -> HilcellApp:
-        """Return the application, by its own type."""
-        return cast("HilcellApp", self.app)
+    def cell(self) -> Desk:
+        """Return the application, as screens see it."""
+        return cast("Desk", self.app)
 
     @property
     def wide(self) -> int:

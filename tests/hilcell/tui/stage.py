@@ -11,7 +11,8 @@ from textual.app import App
 from textual.events import Key
 from textual.pilot import Pilot
 
-from hilcell.tui.app import HilcellApp, Options
+from hilcell.tui.app import HilcellApp
+from hilcell.tui.desk import Options
 from hilcell.tui.feed import Fresh
 from hilcell.tui.glyphs import ASCII, UNICODE
 from hilcell.tui.keys import ACTIONS, Keymap

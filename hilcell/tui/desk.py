@@ -1,0 +1,67 @@
+"""What a screen asks of the application, so that screens need not know who holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from hilcell.tui.glyphs import Glyphs
+from hilcell.tui.keys import Keymap
+from hilcell.tui.themes import NAMES
+
+if TYPE_CHECKING:
+    from hilcell.alarms import Latch
+    from hilcell.tui.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How the screen was asked for."""
+
+    runs: Path
+    keymap: Keymap
+    glyphs: Glyphs
+    run: str = ""
+    cell: str = "paper"
+    settings: tuple[str, ...] = ()
+    theme: str = NAMES[0]
+    slow: bool = False
+
+
+class Desk(Protocol):
+    """The application as its screens see it."""
+
+    options: Options
+    glyphs: Glyphs
+    keymap: Keymap
+
+    @property
+    def scene(self) -> Scene | None:
+        """Return what is known of the run that is shown."""
+
+    @property
+    def latch(self) -> Latch:
+        """Return its alarms; raises `HilcellError` where no run is shown."""
+
+    def allowed(self, name: str) -> bool:
+        """Whether an action does something now."""
+
+    def background(self, work: Coroutine[Any, Any, None]) -> None:
+        """Do something that may take a while; what goes wrong is said."""
+
+    def attach(self, folder: Path, process: Any = None) -> None:
+        """Show a run in place of the one shown."""
+
+    def open_run(self, folder: Path) -> None:
+        """Show another run; leaving a live one asks."""
+
+    def watch_engine(self, process: Any, folder: Path) -> Coroutine[Any, Any, None]:
+        """Wait for an engine's end, and say what it said where no journal tells."""
+
+    def enter(self, key: str) -> None:
+        """Answer the prompt that is asked, or open a point."""
+
+    def retake(self, key: str) -> None:
+        """Measure a point anew."""
