@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hilcell.calibration_form import Calibration, StationEntry, Validity
 from hilcell.compensation.interpolation import METHODS
 from hilcell.ports import Array
-
-if TYPE_CHECKING:
-    from hilcell.calibration_file import Calibration, StationEntry, Validity
 
 MOST_ERROR_MM = 100.0  # beyond is no robot's error
 MOST_MM = 1e6

@@ -18,7 +18,7 @@ import numpy as np
 from hilcell import __version__
 from hilcell.calibration import Frames, command_mm, grid_errors_mm, grid_of
 from hilcell.calibration_check import MOST_MM, problems_of
-from hilcell.compensation.grid import Grid
+from hilcell.calibration_form import Calibration, Provenance, StationEntry, Validity
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, zyx_from_pose
 from hilcell.ports import Array, HilcellError
 from hilcell.run.log import Log
@@ -29,58 +29,6 @@ SCHEMA = 2  # 2: sealed
 SEAL = "seal"
 ORIENTATION_TOLERANCE_DEG = 2.0
 NAME = "calibration.json"
-
-
-class StationEntry(msgspec.Struct, frozen=True):
-    """A station's frames: {B} and {S} in {W}, covariance (6, 6) of {S}, tool-point uncertainty."""
-
-    T_W_B: list[list[float]]
-    T_W_S: list[list[float]]
-    covariance: list[list[float]]
-    tool_uncertainty_mm: float
-    strip_mm: float
-
-
-class Validity(msgspec.Struct, frozen=True):
-    """Where the calibration holds: the cube in {B}, one orientation, the measured temperatures."""
-
-    low_mm: tuple[float, float, float]
-    high_mm: tuple[float, float, float]
-    orientation: list[list[float]]
-    orientation_tolerance_deg: float
-    temperature_c: tuple[float, float]
-
-
-class Provenance(msgspec.Struct, frozen=True):
-    """Where the calibration comes from, and whether its sign was proven on the cell."""
-
-    run: str
-    cell: str
-    digest: str
-    simulated: bool
-    operator: str
-    job: str
-    software: str
-    written: str
-    sign_checked: bool = False
-
-
-class Calibration(msgspec.Struct, frozen=True):
-    """The file."""
-
-    schema: int
-    provenance: Provenance
-    validity: Validity
-    stations: dict[str, StationEntry]
-    method: str
-    pitch_mm: float
-    grid_errors_mm: list[list[list[tuple[float, float, float]]]]
-
-    def grid(self) -> Grid:
-        """Return the grid in {B}."""
-        errors = np.array(self.grid_errors_mm)
-        shape = (errors.shape[0], errors.shape[1], errors.shape[2])
-        return Grid(np.array(self.validity.low_mm), self.pitch_mm, shape)
 
 
 def calibration_of(log: Log, run: str) -> Calibration:

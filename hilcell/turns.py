@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.calibration_file import Calibration
+from hilcell.calibration_form import Calibration
 from hilcell.cell import Cell
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics, turn_of

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from hilcell.calibration_file import Calibration
+from hilcell.calibration_form import Calibration
 from hilcell.ports import HilcellError
 
 TEMPERATURE_MARGIN_K = 2.0

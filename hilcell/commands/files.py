@@ -8,7 +8,8 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hilcell.calibration_file import NAME, Calibration, compensate_targets, read_calibration
+from hilcell.calibration_file import NAME, compensate_targets, read_calibration
+from hilcell.calibration_form import Calibration
 from hilcell.cell import Cell, load_cell
 from hilcell.commands.common import say
 from hilcell.faces import print_table

@@ -8,7 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration_file import SCHEMA, Calibration, Provenance, StationEntry, Validity
+from hilcell.calibration_file import SCHEMA
+from hilcell.calibration_form import Calibration, Provenance, StationEntry, Validity
 from hilcell.geometry.frames import pose_from_zyx
 
 LOW_MM = np.array([1400.0, -450.0, 500.0])

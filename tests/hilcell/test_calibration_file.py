@@ -8,7 +8,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from hilcell.calibration_file import SCHEMA, Calibration, read_calibration, write_calibration
+from hilcell.calibration_file import SCHEMA, read_calibration, write_calibration
+from hilcell.calibration_form import Calibration
 from hilcell.settings import SettingsError
 from tests.hilcell.calibrations import calibration
 

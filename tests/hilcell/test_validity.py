@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from hilcell.calibration_file import Calibration
+from hilcell.calibration_form import Calibration
 from hilcell.validity import Unfit, check_fitness
 from tests.hilcell.calibrations import STAMP, calibration
 
