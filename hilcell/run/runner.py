@@ -39,6 +39,7 @@ from hilcell.run.retake import retake_refusal
 from hilcell.run.signals import signals_as_commands
 from hilcell.run.stopping import SafeStop, close_all
 
+SIGNAL_S = 0.05
 ENDED = "the run has ended"
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
 
@@ -267,7 +268,7 @@ class Runner:
     def _attend(self, worker: threading.Thread) -> Exception | None:
         """Take messages until the worker has ended; return what ended it."""
         while True:
-            message = self._messages.get()
+            message = self._next()
             match message:
                 case Ended():
                     return message.error
@@ -277,6 +278,17 @@ class Runner:
                     self._life.fire("suspend", reason=message.prompt.reason, prompt=message.prompt)
                 case _:
                     self._obey(message)
+
+    def _next(self) -> Message:
+        """Wait for a message.
+
+        In slices: a signal that comes just before a wait begins is handled when the wait ends.
+        """
+        while True:
+            try:
+                return self._messages.get(timeout=SIGNAL_S)
+            except queue.Empty:
+                continue
 
     def _obey(self, command: str) -> None:
         match command:
