@@ -2,39 +2,30 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import pytest
-from textual.command import CommandPalette
 from textual.pilot import Pilot
-from textual.widgets import Input
 
 from hilcell.tui.feed import Fresh
-from hilcell.tui.keys import ACTIONS, Keymap, load_keys
+from hilcell.tui.keys import ACTIONS
 from hilcell.tui.rows import Rows
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.history import HistoryPage
-from hilcell.tui.screens.log import LogPage
-from hilcell.tui.screens.pages import AlarmPage, DetailPage, HelpPage, InterlockPage
-from hilcell.tui.screens.plots import PlotPage
-from hilcell.tui.screens.report import ReportPage
+from hilcell.tui.screens.pages import DetailPage, HelpPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
+from tests.hilcell.tui.playing import PAGES, footer, play
 from tests.hilcell.tui.scenes import LIVE, PROMPT, fresh, stories
-from tests.hilcell.tui.stage import Stage, options, press, settle, text_of, type_ahead
+from tests.hilcell.tui.stage import Stage, press, settle, text_of
 from tests.hilcell.tui.walk import outside
 
 __all__ = ["outside"]
 
 STATES = tuple(stories())
 OVER = tuple(state for state in STATES if state not in LIVE)
-RUNS = Path("/runs")
-ROOMY = (240, 30)  # a footer that holds every key
 # What the space bar does: the command posted, whether it asks before, and the word in the footer.
 SPACE = {
     "idle": None, "checking": None, "running": ("pause", False, "pause"),
@@ -43,31 +34,7 @@ SPACE = {
     "aborted": ("resume", True, "resume"), "fault": ("resume", True, "resume"),
     "gone": ("resume", True, "resume"),
 }  # fmt: skip
-PAGES: dict[str, type[SceneScreen]] = {
-    "e": AlarmPage, "i": InterlockPage, "l": LogPage, "p": PlotPage, "question_mark": HelpPage,
-    "h": HistoryPage, "o": ReportPage,
-}  # fmt: skip
-
 pytestmark = pytest.mark.usefixtures("outside")
-Act = Callable[[Stage, Pilot[int]], Awaitable[None]]
-
-
-def play(act: Act, state: str = "", *, brought: Fresh | None = None, keymap: Keymap | None = None,
-         size: tuple[int, int] = ROOMY) -> Stage:  # fmt: skip
-    """Put a state on the stage, do something there, and return what is left of it."""
-    app = Stage(options(RUNS, keymap=keymap), state, brought)
-
-    async def run() -> None:
-        async with app.run_test(size=size) as pilot:
-            await settle(pilot)
-            await act(app, pilot)
-
-    asyncio.run(run())
-    return app
-
-
-def footer(app: Stage) -> str:
-    return text_of(app).splitlines()[-1]
 
 
 # -- what is allowed, and what is shown ------------------------------------------------------------
@@ -371,168 +338,3 @@ def test_a_point_is_measured_anew_from_its_own_page() -> None:
         await press(pilot, "r", "y")
 
     assert play(act, "running").heard.asked == [("retake", {"key": "grid/0-0-4"})]
-
-
-# -- rows, filters, alarms -------------------------------------------------------------------------
-
-
-def test_letters_typed_into_a_filter_do_not_act() -> None:
-    typed = "adnkrwbopileht q"
-
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        keys = ["space" if letter == " " else letter for letter in typed]
-        await press(pilot, "slash", *keys)
-        assert isinstance(app.screen, RunScreen)
-        assert app.screen.query_one("#find", Input).value == typed
-        assert "no such point" in text_of(app)
-
-    app = play(act, "running")
-    assert (app.heard.asked, app.heard.closed, app.theme) == ([], [], "calm")
-
-
-@pytest.mark.parametrize("first", [(), ("h",), ("l",)])
-def test_what_is_typed_ahead_goes_where_it_was_meant_to(first: tuple[str, ...]) -> None:
-    """A thin link delivers keys in bursts: an "a" meant for a filter must not abort."""
-
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        type_ahead(app, *first, "slash", "a", "d", "space", "y", "enter")
-        await settle(pilot)
-        assert app.screen.query_one("#find", Input).value == "ad y"
-
-    app = play(act, "running")
-    assert (app.heard.asked, app.heard.closed) == ([], [])
-
-
-def test_a_question_typed_ahead_is_answered() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        type_ahead(app, "a", "y")
-        await settle(pilot)
-
-    assert play(act, "running").heard.asked == [("abort", {})]
-
-
-def test_letters_typed_into_the_form_do_not_act() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        app.screen.query_one("#operator", Input).focus()
-        await press(pilot, *"hqtn", "space", *"ad")
-        assert isinstance(app.screen, StartScreen)
-        assert app.screen.query_one("#operator", Input).value == "hqtn ad"
-
-    play(act)
-
-
-def test_a_filter_is_kept_and_an_empty_one_closes() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        rows = app.screen.query_one(Rows)
-        await press(pilot, "slash", *"0-0-3", "enter")
-        assert [row.key for row in rows.rows] == ["grid/0-0-3"]
-        assert app.screen.focused is rows
-        await press(pilot, "slash", *["backspace"] * 5, "enter")
-        assert len(rows.rows) == 8
-        assert not app.screen.query_one("#find").display
-
-    play(act, "running")
-
-
-def test_the_worst_and_the_bad_are_found_with_a_key() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        rows = app.screen.query_one(Rows)
-        await press(pilot, "w")
-        assert rows.key == "validate/S1100/idw/001"  # raw errors are larger, but meant to be
-        assert "as measured" in footer(app)
-        await press(pilot, "b")
-        assert [row.key for row in rows.rows] == ["validate/S1100/idw/001"]
-        await press(pilot, "b", "w")
-        assert rows.rows[0].key == "world/F1"
-
-    play(act, "done")
-
-
-def test_an_alarm_stands_until_it_is_acknowledged() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        assert "beam broken" in text_of(app)
-        await press(pilot, "k")
-        assert "beam broken" not in text_of(app)
-        assert "acknowledge" not in footer(app)
-        await press(pilot, "e")
-        assert "beam broken" in text_of(app)
-        assert "not acknowledged" not in text_of(app)
-
-    play(act, "fault")
-
-
-def test_pages_open_and_close() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        for key, page in PAGES.items():
-            for back in ("q", "backspace"):
-                await press(pilot, key)
-                assert isinstance(app.screen, page)
-                await press(pilot, back)
-                assert isinstance(app.screen, RunScreen)
-
-    play(act, "running")
-
-
-def test_plots_are_turned_by_arrows_and_numbers() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        await press(pilot, "p", "right")
-        assert "Plot 2 of 4" in text_of(app)
-        await press(pilot, "left", "left")
-        assert "Plot 4 of 4" in text_of(app)
-        await press(pilot, "3")
-        assert "Plot 3 of 4" in text_of(app)
-
-    play(act, "done")
-
-
-def test_the_palette_does_what_it_names() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        await press(pilot, "ctrl+p", *"interlocks")
-        assert isinstance(app.screen, CommandPalette)
-        for _ in range(50):
-            await pilot.pause()
-            if "what may move" in text_of(app):
-                break
-        await pilot.press("enter")
-        for _ in range(50):
-            await pilot.pause()
-            if isinstance(app.screen, InterlockPage):
-                break
-        assert isinstance(app.screen, InterlockPage)
-
-    play(act, "running")
-
-
-def test_the_next_theme_comes_with_a_key() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        await press(pilot, "t")
-        assert app.theme == "daylight"
-        await press(pilot, "t", "t")
-        assert app.theme == "calm"
-
-    play(act, "running")
-
-
-# -- other keys ------------------------------------------------------------------------------------
-
-
-def test_keys_from_a_file_act_in_place_of_the_usual_ones(tmp_path: Path) -> None:
-    file = tmp_path / "keys.toml"
-    file.write_text('[keys]\nabort = "z"\npause = ["f8", "g"]\nstop = "s"\nquit = "Q"\n')
-
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        assert "z abort" in footer(app)
-        assert "f8 pause" in footer(app)
-        await press(pilot, "a", "space", "ctrl+q", "ctrl+c")
-        assert isinstance(app.screen, RunScreen)
-        assert app.heard.asked == []
-        await press(pilot, "g")
-        assert app.heard.asked == [("pause", {})]
-        await press(pilot, "z", "y")
-        assert app.heard.asked == [("pause", {}), ("abort", {})]
-        await press(pilot, "s", "escape")
-        assert app.heard.stops == 2
-        await press(pilot, "question_mark")
-        assert "f8 g" in text_of(app)
-
-    play(act, "running", keymap=load_keys(file))

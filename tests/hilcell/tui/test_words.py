@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from textual.content import Content
 
@@ -107,6 +107,7 @@ def test_a_past_run_has_no_lamps() -> None:
 
 
 @pytest.mark.parametrize("name", stories())
+@settings(max_examples=20)
 @given(width=st.integers(20, 200))
 def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
     scene = scene_of(name)
