@@ -16,7 +16,7 @@ MOST_LINES = 2  # of a prompt's text
 def prompt_lines(prompt: Prompt, scene: Scene, glyphs: Glyphs, width: int) -> Content:
     """Return element 9: one prompt, with the nest drawn where there is one."""
     title = Content.styled(prompt.title, "bold $warn").truncate(width, ellipsis=True)
-    text = Content(" ".join(prompt.text.split())).truncate(MOST_LINES * width, ellipsis=True)
+    text = Content(prompt.text.replace("\n", " ")).truncate(MOST_LINES * width, ellipsis=True)
     parts = [title, text]  # short, so that what the tracker sees stays in sight
     if prompt.expected_mm is not None:
         x, y, z = prompt.expected_mm

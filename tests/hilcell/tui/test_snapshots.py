@@ -19,7 +19,7 @@ __all__ = ["outside"]
 STATES = tuple(stories())
 RUNS = Path("/runs")  # no folder of this machine: nothing is read there
 LEAST = 100
-THOROUGH = ("running", "suspended", "intolerant")  # every screen also where it is crowded
+THOROUGH = ("suspended", "intolerant")  # every screen also where it is crowded
 WIDE, LOW, TINY = (160, 40), (60, 15), (20, 5)
 
 pytestmark = pytest.mark.usefixtures("outside")
