@@ -1,4 +1,4 @@
-"""A real terminal, as a pty with a screen in memory: what is typed goes in, what is seen comes out."""
+"""A real terminal, as a pty with a screen in memory: keys go in, what is seen comes out."""
 
 from __future__ import annotations
 
@@ -13,11 +13,17 @@ import sys
 import termios
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Self
 
 import pyte
 
 READ = 1 << 16
+
+
+def _own_terminal() -> None:
+    """Make the terminal the program's own, so that its loss is told to the program."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 
 class Terminal:
@@ -37,7 +43,7 @@ class Terminal:
         self.process = subprocess.Popen(
             [sys.executable, "-m", "hilcell", *words], stdin=inner, stdout=inner, stderr=inner,
             env=around | seen | environment, start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # its loss is then told
+            preexec_fn=_own_terminal,  # noqa: PLW1509 - one system call, no lock
         )  # fmt: skip
         os.close(inner)
         self.pid = self.process.pid
@@ -51,7 +57,9 @@ class Terminal:
     @property
     def text(self) -> str:
         """Return what is seen."""
-        return "\n".join(line.rstrip() for line in self.screen.display)
+        across = range(self.screen.columns)  # pyte's own lines break on a wide letter half gone
+        rows = (self.screen.buffer[y] for y in range(self.screen.lines))
+        return "\n".join("".join(row[x].data for x in across).rstrip() for row in rows)
 
     def press(self, keys: str) -> None:
         """Type."""
@@ -99,8 +107,8 @@ class Terminal:
 
     def cpu_s(self) -> float:
         """Return how much processor time the program has used."""
-        with open(f"/proc/{self.pid}/stat", encoding="ascii") as stat:
-            fields = stat.read().rsplit(")", 1)[1].split()
+        stat = Path(f"/proc/{self.pid}/stat").read_text("ascii")
+        fields = stat.rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def close(self) -> None:
