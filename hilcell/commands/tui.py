@@ -44,4 +44,3 @@ def tui(args: argparse.Namespace) -> int:
 
 def _utf8() -> bool:
     return (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
-

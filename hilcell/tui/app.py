@@ -333,13 +333,20 @@ class HilcellApp(App[int]):
         scene = self.scene
         if scene is not None and scene.prompt is not None:
             if scene.prompt.ready or not scene.prompt.check:
-                self.command("answer")
+                self.background(self._answer())
             else:
                 self.say("Enter works when the tracker sees the reflector in its place")
         elif key:
             from hilcell.tui.screens.pages import DetailPage
 
             self.push_screen(DetailPage(key))
+
+    async def _answer(self) -> None:
+        session = self.session
+        if session is not None:
+            self.say("the tracker looks once more ...")
+            await asyncio.to_thread(session.ask, "answer")
+            self.say("")
 
     def retake(self, key: str) -> None:
         """Measure a point anew: in the live run, or by opening a finished one again."""

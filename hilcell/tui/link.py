@@ -25,9 +25,11 @@ _STOP = msgspec.json.encode({"command": "stop"}) + b"\n"
 class Link:
     """A screen's attachment to a live engine. Safe to use from several threads."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, patience_s: float | None = None) -> None:
         self._lock = threading.Lock()
         self._asking = _connect(path)
+        if patience_s is not None:
+            self._asking.settimeout(patience_s)
         try:
             self._stopping = _connect(path)
             self._stopping.setblocking(False)  # a stop waits for nothing
@@ -37,11 +39,14 @@ class Link:
         self._answers = self._asking.makefile("rb")
 
     @classmethod
-    def to(cls, folder: Path) -> Self | None:
-        """Return the link to the engine of a run, or None where none lives."""
+    def to(cls, folder: Path, patience_s: float | None = None) -> Self | None:
+        """Return the link to the engine of a run, or None where none lives.
+
+        ``patience_s`` is for what takes longer than an answer usually may.
+        """
         try:
             engine = msgspec.json.decode((folder / "engine.json").read_bytes(), type=EngineFile)
-            return cls(engine.socket)
+            return cls(engine.socket, patience_s)
         except (OSError, msgspec.DecodeError):
             return None
 

@@ -20,6 +20,8 @@ from hilcell.tui.scene import Scene
 if TYPE_CHECKING:
     from hilcell.run.journal import Record
 
+PATIENCE_S = {"answer": 30.0}  # the tracker looks first
+
 
 class Session:
     """What is known of one run, and the line to its engine where one lives."""
@@ -95,10 +97,16 @@ class Session:
 
     def ask(self, command: str, **facts: str) -> None:
         """Send a command; raises `HilcellError` where it is refused or no engine lives."""
-        link = self.feed.link
+        patience_s = PATIENCE_S.get(command)
+        apart = patience_s is not None  # so that the lamps do not wait for it
+        link = Link.to(self.folder, patience_s) if apart else self.feed.link
         if link is None:
             raise HilcellError(f"{command}: no engine is running for {self.folder.name}")
-        link.ask(command, **facts)
+        try:
+            link.ask(command, **facts)
+        finally:
+            if apart:
+                link.close()
         self.feed.soon()
 
     def close(self, *, leave: bool) -> None:

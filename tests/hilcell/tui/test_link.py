@@ -65,6 +65,23 @@ def test_esc_held_down_is_heard_to_the_end(tmp_path: Path) -> None:
         link.close()
 
 
+def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(tmp_path: Path) -> None:
+    looked = threading.Event()
+
+    def slow(command: dict[str, str]) -> bytes:
+        if command["command"] == "answer":
+            assert looked.wait(LIMIT_S)
+        return usual(command)
+
+    with Peer(tmp_path, slow):
+        session = Session(tmp_path, lambda _: None, PERIOD_S)
+        later = threading.Timer(3 * links.ANSWER_S, looked.set)
+        later.start()
+        session.ask("answer")  # raises where it gives up
+        later.join()
+        session.close(leave=True)
+
+
 # -- the link --------------------------------------------------------------------------------------
 
 
