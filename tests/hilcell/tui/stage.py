@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
 from textual.app import App
 from textual.events import Key
 from textual.pilot import Pilot
+from textual.worker import WorkerCancelled
 
 from hilcell.tui.app import HilcellApp
 from hilcell.tui.desk import Options
@@ -96,7 +98,8 @@ async def settle(pilot: Pilot[int]) -> None:
     """
     for _ in range(ROUNDS):
         await _round(pilot)
-        await pilot.app.workers.wait_for_complete()
+        with suppress(WorkerCancelled):  # a screen that was left takes its work along
+            await pilot.app.workers.wait_for_complete()
     await _round(pilot)
 
 

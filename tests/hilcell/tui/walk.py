@@ -74,6 +74,16 @@ class _Entry:
         self.name = name
 
 
+class _Ended:
+    """An engine that has ended before it did anything."""
+
+    def poll(self) -> int:
+        return 0
+
+    def wait(self) -> int:
+        return 0
+
+
 @pytest.fixture
 def outside(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let nothing outside the screen be asked: no process, no index, no browser."""
@@ -86,6 +96,7 @@ def outside(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(engine, "ask_hilcell", ask_hilcell)
     monkeypatch.setattr(engine, "dry_run", dry_run)
+    monkeypatch.setattr(engine, "start", lambda *_: _Ended())
     monkeypatch.setattr("hilcell.index.read_index", lambda _: RUNS)
     monkeypatch.setattr(start, "entry_points", lambda group: [_Entry(name) for name in PROCEDURES])
     monkeypatch.setattr(start, "summaries", lambda names: {n: PROCEDURES[n] for n in names})
