@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from hilcell.tui.session import Session
 
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
+TICK_S = 1.0
 ScrollBar.renderer = WholeBar  # Textual's way to choose: a class, for all of its bars
 
 
@@ -132,7 +133,7 @@ class HilcellApp(App[int]):
         if self.glyphs.plain:
             self.add_class("plain")
         self.push_screen(Opening(self.options.run))
-        self.set_interval(SLOW_PERIOD_S if self.options.slow else PERIOD_S, self._tick)
+        self.set_interval(TICK_S, self._tick)  # the feed ticks, too: this is for a silent engine
         self.call_after_refresh(lambda: self.background(self._open()))
 
     async def _open(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from hilcell.run.log import Log, Point
@@ -72,12 +71,6 @@ class PointRow:
     def norm_mm(self) -> float:
         """Return |e|, or -1 where there is none, so that it sorts last."""
         return -1.0 if self.deviation is None else self.deviation.norm_mm
-
-
-def point_rows(log: Log) -> Iterator[PointRow]:
-    """Yield all points in the order in which they were first measured."""
-    for point in log.points.values():
-        yield row_of(log, point)
 
 
 def row_of(log: Log, point: Point) -> PointRow:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from hilcell.run.log import Log
-from hilcell.tui.deviation import BAD_STATES, PointRow, point_rows
+from hilcell.tui.deviation import BAD_STATES, PointRow, row_of
 from hilcell.tui.deviation import rms_mm as rms_of
 from hilcell.tui.rows import Column, Row
 
@@ -28,12 +28,38 @@ def columns_for(width: int) -> Sequence[Column]:
     return _WIDE_COLUMNS if width >= WIDE + 40 else _NARROW_COLUMNS
 
 
-def filtered(log: Log, wanted: str, *, bad_only: bool, worst: bool) -> list[PointRow]:
+class PointTable:
+    """Makes each row once: while points come, all but the newest stay as they were."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, PointRow] = {}
+        self._drawn: dict[str, tuple[PointRow, bool, int, Row]] = {}
+
+    def rows(self, log: Log) -> Iterator[PointRow]:
+        """Yield the rows of all points in the order in which they were first measured."""
+        for key, point in log.points.items():
+            row = self._found.get(key)
+            if row is None or row.point is not point or row.deviation is None:
+                row = self._found[key] = row_of(log, point)
+            yield row
+
+    def drawn(self, found: PointRow, waiting: Collection[str], width: int) -> Row:
+        """Return the cells of one point."""
+        key, waits = found.point.key, found.point.key in waiting
+        known = self._drawn.get(key)
+        if known is None or known[0] is not found or known[1:3] != (waits, width):
+            known = self._drawn[key] = (found, waits, width, to_row(found, waiting, width))
+        return known[3]
+
+
+def filtered(
+    points: Iterable[PointRow], wanted: str, *, bad_only: bool, worst: bool
+) -> list[PointRow]:
     """Return the points asked for: with all the words, bad ones, worst first."""
     words = wanted.lower().split()
     rows = [
         row
-        for row in point_rows(log)
+        for row in points
         if (not bad_only or row.state in (*BAD_STATES, "again"))
         and all(
             word in f"{row.point.key} {row.point.station} {row.state}".lower() for word in words

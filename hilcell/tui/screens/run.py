@@ -12,7 +12,7 @@ from hilcell.tui import words
 from hilcell.tui.alarm_words import alarm_lines
 from hilcell.tui.deviation import deviation_of
 from hilcell.tui.panel import Panel
-from hilcell.tui.points import columns_for, filtered, to_row
+from hilcell.tui.points import PointTable, columns_for, filtered
 from hilcell.tui.prompt_words import prompt_lines
 from hilcell.tui.rows import Rows
 from hilcell.tui.scene import Scene
@@ -35,6 +35,8 @@ class RunScreen(Finding):
     def __init__(self) -> None:
         super().__init__()
         self.bad_only, self.worst_first = False, False
+        self._table = PointTable()
+        self._points_seen: tuple[object, ...] = ()
         self._side_seen: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
@@ -77,6 +79,7 @@ class RunScreen(Finding):
         self.panel("interlock").show(words.interlocks(scene, width))
         self._show_boxes(scene)
         self._show_points(scene)
+        self._show_side(scene)
         self._show_deviation(scene)
 
     def _show_deviation(self, scene: Scene) -> None:
@@ -110,13 +113,18 @@ class RunScreen(Finding):
 
     def _show_points(self, scene: Scene) -> None:
         rows = self.query_one(Rows)
-        found = filtered(scene.log, self.wanted, bad_only=self.bad_only, worst=self.worst_first)
+        waiting = frozenset(scene.status.retakes) if scene.status is not None else frozenset()
+        wide = rows.size.width or self.wide
+        newest = scene.records[-1].seq if scene.records else 0
+        state = (newest, self.wanted, self.bad_only, self.worst_first, waiting, wide)
+        if state == self._points_seen:
+            return
+        self._points_seen = state
+        points = self._table.rows(scene.log)
+        found = filtered(points, self.wanted, bad_only=self.bad_only, worst=self.worst_first)
         rows.empty = "no such point" if self.wanted or self.bad_only else "no points yet"
         rows.follow = not self.worst_first
-        waiting = set(scene.status.retakes) if scene.status is not None else set()
-        wide = rows.size.width or self.wide
-        rows.put([to_row(each, waiting, wide) for each in found], columns_for(wide))
-        self._show_side(scene)
+        rows.put([self._table.drawn(each, waiting, wide) for each in found], columns_for(wide))
 
     def _show_side(self, scene: Scene) -> None:
         """Draw the panel beside the points, where there is room and something new."""

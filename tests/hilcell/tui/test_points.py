@@ -14,10 +14,10 @@ from hilcell.geometry.frames import apply
 from hilcell.report.errors import errors_of
 from hilcell.run.log import Log, Point, positions_mm
 from hilcell.runs import read_log
-from hilcell.tui.deviation import deviation_of, point_rows, rms_mm, row_of, state_of
+from hilcell.tui.deviation import deviation_of, rms_mm, row_of, state_of
 from hilcell.tui.draw import draw
 from hilcell.tui.point_words import point_page
-from hilcell.tui.points import WIDE, columns_for, filtered, to_row
+from hilcell.tui.points import WIDE, PointTable, columns_for, filtered, to_row
 from hilcell.tui.scene import Scene
 from hilcell.tui.series import (
     PLOTS,
@@ -89,7 +89,7 @@ def test_plots_show_the_reports_errors(journal: Log) -> None:
 
 def test_only_corrected_points_have_a_limit(journal: Log) -> None:
     limits = {row.point.group: row.deviation and row.deviation.limit_mm
-              for row in point_rows(journal)}  # fmt: skip
+              for row in PointTable().rows(journal)}  # fmt: skip
     limit_mm = journal.cell.validation.max_tolerance_mm
     assert limits == {"grid": None, "validate_chosen": limit_mm, "world": None}
 
@@ -135,7 +135,8 @@ def test_the_rms_of_three_axes() -> None:
 
 
 def keys_of(log: Log, wanted: str = "", *, bad: bool = False, worst: bool = False) -> list[str]:
-    return [row.point.key for row in filtered(log, wanted, bad_only=bad, worst=worst)]
+    found = filtered(PointTable().rows(log), wanted, bad_only=bad, worst=worst)
+    return [row.point.key for row in found]
 
 
 def test_points_stand_in_the_order_in_which_they_were_measured() -> None:
@@ -146,7 +147,7 @@ def test_points_stand_in_the_order_in_which_they_were_measured() -> None:
 
 def test_worst_first_puts_points_with_a_tolerance_before_raw_ones() -> None:
     log = log_of(validated())
-    rows = filtered(log, "", bad_only=False, worst=True)
+    rows = filtered(PointTable().rows(log), "", bad_only=False, worst=True)
     toleranced = [row.deviation is not None and row.deviation.limit_mm is not None for row in rows]
     assert toleranced == sorted(toleranced, reverse=True)
     for group in (True, False):
@@ -183,7 +184,7 @@ def test_only_bad_ones() -> None:
 def test_rows_fit_their_columns(width: int) -> None:
     log = log_of(validated())
     columns = columns_for(width)
-    for found in point_rows(log):
+    for found in PointTable().rows(log):
         row = to_row(found, (), width)
         assert len(row.cells) == len(columns)
         assert all(len(c) <= column.width for c, column in zip(row.cells, columns, strict=True))
