@@ -199,6 +199,7 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
     if as_json:
         body = {
             "procedure": procedure.name, "cell": cell.name, "digest": cell.digest,
+            "simulated": cell.simulation is not None,
             "steps": msgspec.to_builtins(plan.steps), "points": plan.points,
             "duration_s": plan.duration_s,
         }  # fmt: skip

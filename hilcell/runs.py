@@ -35,6 +35,8 @@ def run_folders(runs: Path) -> list[Path]:
 
 def find_run(runs: Path, name: str) -> Path:
     """Return the folder of one run; raises `HilcellError` where none or several are meant."""
+    if not name:
+        raise HilcellError("a run's name is wanted, its beginning, or `last`; found nothing")
     direct = Path(name)
     if len(name) <= LONGEST_NAME and (direct / JOURNAL).is_file():
         return direct

@@ -9,6 +9,7 @@ import msgspec
 
 from hilcell.commands.common import say
 from hilcell.comparison import Comparison, compare_runs
+from hilcell.errors import HilcellError
 from hilcell.faces import print_table
 from hilcell.report.drift import Change
 from hilcell.report.words import harmless
@@ -20,6 +21,8 @@ DIGITS = {"mm": 4, "deg": 5, "°C": 2}
 def compare(args: argparse.Namespace) -> int:
     """Print the changes from the first run to the second; a drift is no failure of the command."""
     folders = [find_run(args.runs, name) for name in (args.first, args.second)]
+    if folders[0].resolve() == folders[1].resolve():
+        raise HilcellError(f"run {folders[0].name} is both: two runs are wanted")
     found = compare_runs(*(read_log(folder) for folder in folders))
     names = [folder.resolve().name for folder in folders]
     if args.json:

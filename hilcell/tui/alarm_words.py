@@ -42,10 +42,15 @@ def alarm_page(alarms: Sequence[Alarm], latch: Latch, glyphs: Glyphs) -> Content
     )
 
 
+def _shape(severity: Severity, glyphs: Glyphs) -> str:
+    return {"fault": glyphs.lost, "warning": "!", "notice": "i"}[severity]
+
+
 def _block(alarm: Alarm, severity: Severity, glyphs: Glyphs) -> Content:
     tone = _TONES[severity]
     return Content.styled(
-        f" {glyphs.lost} {severity.upper()} {alarm.code} ", f"bold $on-{tone} on ${tone}"
+        f" {_shape(severity, glyphs)} {severity.upper()} {alarm.code} ",
+        f"bold $on-{tone} on ${tone}",
     )
 
 

@@ -149,18 +149,24 @@ class HilcellApp(App[int]):
 
     def attach(self, folder: Path, process: Any = None) -> None:
         """Show a run, live or past, in place of the one shown."""
-        from hilcell.tui.screens.run import RunScreen
+        from hilcell.tui.screens.run import RunScreen, View
         from hilcell.tui.session import Session
 
+        before = self.session if self.session and self.session.folder == folder else None
+        view = next(
+            (each.view for each in self.screen_stack if isinstance(each, RunScreen)), View()
+        )
         self.let_go(leave=True)
         period_s = SLOW_PERIOD_S if self.options.slow else PERIOD_S
         session: Session = Session(
             folder, lambda fresh: self.post_message(Delivered(session, fresh)), period_s, process
         )
         self.session = session
+        if before is not None:  # what nobody has acknowledged still stands
+            session.latch = before.latch
         while len(self.screen_stack) > 1:
             self.pop_screen()
-        self.push_screen(RunScreen())
+        self.push_screen(RunScreen(view if before is not None else View()))
         session.feed.start()
 
     def open_run(self, folder: Path) -> None:

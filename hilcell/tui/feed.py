@@ -21,6 +21,8 @@ from hilcell.runs import JOURNAL
 from hilcell.tui.link import Link, LinkLostError
 from hilcell.tui.scene import Status
 
+QUIET_S = 0.5  # where no engine is at work, little happens
+
 
 @dataclass(frozen=True, slots=True)
 class Fresh:
@@ -74,7 +76,8 @@ class Feed:
             fresh = self._look()
             if not self._ended.is_set():
                 self._deliver(fresh)
-                self._soon.wait(max(self._period_s - (time.monotonic() - began_s), 0.02))
+                period_s = self._period_s if fresh.alive else max(self._period_s, QUIET_S)
+                self._soon.wait(max(period_s - (time.monotonic() - began_s), 0.02))
                 self._soon.clear()
         self._let_go()  # a line that was being opened when the end came
 

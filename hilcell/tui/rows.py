@@ -103,6 +103,12 @@ class Rows(ScrollView, can_focus=True):
         self.virtual_size = Size(self.size.width, len(self.rows) + 1)
         self._show_cursor()
 
+    def choose(self, key: str) -> None:
+        """Put the cursor on a row."""
+        found = next((n for n, row in enumerate(self.rows) if row.key == key), None)
+        if found is not None:
+            self._move(found)
+
     def action_by(self, step: int) -> None:
         """Move the cursor by some rows."""
         self._move(self.cursor + step)

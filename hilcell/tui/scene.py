@@ -84,7 +84,7 @@ class Scene:
     records: list[Record] = field(default_factory=list)  # the newest, for the event log
     last: Point | None = None
     step: dict[str, Any] = field(default_factory=dict)
-    step_points: int = 0
+    measured: dict[int, set[str]] = field(default_factory=dict)  # keys of points by step
 
     def take(self, record: Record) -> None:
         """Add one durable record."""
@@ -94,9 +94,10 @@ class Scene:
             del self.records[:-MOST_NOTED]
         if record.kind == "point":
             self.last = self.log.points[record.key]
-            self.step_points += self.last.group != "control"
+            if self.step and self.last.group != "control":
+                self.measured.setdefault(int(self.step["number"]), set()).add(record.key)
         elif record.kind == "event" and record.body.get("what") == "step":
-            self.step, self.step_points = record.body, 0
+            self.step = record.body
 
     @property
     def over(self) -> bool:

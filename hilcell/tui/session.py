@@ -38,6 +38,7 @@ class Session:
         self.latch = Latch()
         self.process = process  # the engine, where this screen has started it
         self.trouble = ""
+        self._was_alive, self._present = False, process is not None
         self._foreign = ""  # why the journal cannot be understood
         self._forecast = Forecast()
         self._heard: datetime | None = None
@@ -49,13 +50,17 @@ class Session:
             self._take_records(fresh.records)
         scene = self.scene
         self.trouble = self._foreign or fresh.trouble
-        scene.starting = self.process is not None and self.process.poll() is None
+        self._was_alive = self._was_alive or fresh.alive
+        running = self.process is not None and self.process.poll() is None
+        scene.starting = running and not self._was_alive
         if fresh.status is not None:
             scene.status, self._heard = fresh.status, now
-        if scene.alive != fresh.alive or (fresh.records and not self._foreign):
-            scene.alive = fresh.alive
+        scene.alive = fresh.alive
+        present = fresh.alive or scene.starting
+        if present != self._present or (fresh.records and not self._foreign):
+            self._present = present
             if scene.log.plan is not None:
-                scene.alarms = alarms_of(scene.log, scene.run, live=fresh.alive)
+                scene.alarms = alarms_of(scene.log, scene.run, live=present)
                 self.latch.take(scene.alarms)
         self.tick(now)
 

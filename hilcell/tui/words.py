@@ -85,7 +85,7 @@ def step(scene: Scene, width: int) -> Content:
     head = f"step {number}/{of} {now['name']}"
     planned = plan.steps[number - 1]["points"] if number <= len(plan.steps) else 0
     if planned:
-        head += f": {min(scene.step_points, planned)}/{planned}"
+        head += f": {min(len(scene.measured.get(number, ())), planned)}/{planned}"
     if scene.last is not None:
         place = f" at {scene.last.station}" if scene.last.station else ""
         head += f", last {scene.last.key}{place}"
@@ -201,13 +201,13 @@ def result(scene: Scene, width: int) -> Content:
         places = msgspec.convert(found, dict[str, _Place])
     except msgspec.ValidationError:  # another procedure's result
         return Content("")
-    parts = [
-        f"{name}: {place.before.mean:.3f} -> {place.chosen.mean:.3f}"
-        for name, place in places.items()
-    ]
-    if not parts:
-        return Content("")
-    return Content(f"mean |e| mm  {'   '.join(parts)}").truncate(width, ellipsis=True)
+    verdict = "out of tolerance" if scene.key == "intolerant" else "in tolerance"
+    line = f"{verdict}: mean |e| mm" if places else ""
+    for name, place in places.items():
+        part = f"  {name} {place.before.mean:.3f} -> {place.chosen.mean:.3f}"
+        if len(line) + len(part) <= width:  # the first places say most
+            line += part
+    return Content(line)
 
 
 def interlocks(scene: Scene, width: int) -> Content:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 from textual.app import ComposeResult
@@ -23,18 +24,28 @@ WIDE = 120  # columns, as in the style sheet
 LINES = ("banner", "identity", "step", "progress", "lamps", "interlock")
 
 
+@dataclass(frozen=True, slots=True)
+class View:
+    """How the points were looked at: kept when a run is opened again."""
+
+    bad_only: bool = False
+    worst_first: bool = False
+    key: str = ""
+
+
 class RunScreen(Finding):
     """One run, live or past."""
 
     footer = (
-        "stop", "pause", "acknowledge", "retake", "report", "sort", "help", "abort", "plots",
+        "stop", "pause", "help", "acknowledge", "retake", "abort", "report", "sort", "plots",
         "history", "detach", "new", "bad", "find", "log", "interlocks", "alarms", "quit",
     )  # fmt: skip
     BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "enter", "answer", show=False)]
 
-    def __init__(self) -> None:
+    def __init__(self, view: View | None = None) -> None:
         super().__init__()
-        self.bad_only, self.worst_first = False, False
+        start = view or View()
+        self.bad_only, self.worst_first, self._chosen = start.bad_only, start.worst_first, start.key
         self._table = PointTable()
         self._points_seen: tuple[object, ...] = ()
         self._side_seen: tuple[object, ...] = ()
@@ -111,6 +122,12 @@ class RunScreen(Finding):
         if asked is not None:
             prompt.show(prompt_lines(asked, scene, self.cell.glyphs, self.wide - 4))
 
+    @property
+    def view(self) -> View:
+        """Return how the points are looked at."""
+        rows = self.query(Rows)
+        return View(self.bad_only, self.worst_first, rows.first().key if rows else "")
+
     def _show_points(self, scene: Scene) -> None:
         rows = self.query_one(Rows)
         waiting = frozenset(scene.status.retakes) if scene.status is not None else frozenset()
@@ -125,6 +142,9 @@ class RunScreen(Finding):
         rows.empty = "no such point" if self.wanted or self.bad_only else "no points yet"
         rows.follow = not self.worst_first
         rows.put([self._table.drawn(each, waiting, wide) for each in found], columns_for(wide))
+        if self._chosen in scene.log.points:
+            rows.choose(self._chosen)
+            self._chosen = ""
 
     def _show_side(self, scene: Scene) -> None:
         """Draw the panel beside the points, where there is room and something new."""

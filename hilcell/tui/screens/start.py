@@ -161,12 +161,15 @@ def plan_lines(order: engine.Order, plan: dict[str, Any]) -> Content:
         for step in plan["steps"]
     ]
     rows.append(f"{'all':<26}{plan['points']:>7}  {duration(plan['duration_s']):>9}")
+    simulated = bool(plan.get("simulated"))
     who = "somebody is here to be asked" if order.attended else "unattended: a question is a fault"
     return Content.assemble(
         (f"{plan['procedure']} on cell {plan['cell']}", "bold $warn"),
         f"   job {order.job or '-'}, operator {order.operator or '-'}\n",
         (f"{'step':<26}{'points':>7}  {'cell time':>9}\n", "$dim"),
-        "\n".join(rows), f"\n\n{who}. The robot and the rail will move.\n",
+        "\n".join(rows), f"\n\n{who}.\nThe robot and the rail will move",
+        (", in simulation only: ", "bold") if simulated else "",
+        (" SIMULATION ", "bold $on-sim on $sim") if simulated else "", ".\n",
         (" Enter ", "bold $on-quiet on $quiet"), " start   ",
         (" q ", "bold $on-quiet on $quiet"), " back",
     )  # fmt: skip
