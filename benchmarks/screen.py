@@ -142,16 +142,16 @@ def escapes(folder: Path, state: str, pages: dict[str, str], times: int) -> None
           f"{len(everything)} stops")  # fmt: skip
 
 
-def processor(folder: Path) -> None:
-    """Processor time and bytes while a whole calibration runs at ten times its pace."""
-    words = [*HILCELL, "run", "--speed", "10", "--runs", str(folder)]
+def processor(folder: Path, speed: int) -> None:
+    """Processor time and bytes while a calibration runs at so many times its pace."""
+    words = [*HILCELL, "run", "--unattended", "--speed", str(speed), "--runs", str(folder)]
     run = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         while not list(folder.glob("*/engine.json")):
             time.sleep(0.1)
         for slow in ([], ["--slow"]):
             with Terminal(["tui", "--runs", str(folder), "last", *slow]) as terminal:
-                terminal.shows("RUNNING")
+                terminal.shows("RUNNING", 100.0)
                 shares, mark = [], len(terminal.raw)
                 for _ in range(4):
                     before_s, end_s = terminal.cpu_s(), time.monotonic() + 10.0
@@ -159,7 +159,7 @@ def processor(folder: Path) -> None:
                         terminal.pump(0.2)
                     shares.append((terminal.cpu_s() - before_s) / 10.0)
                 sent = (len(terminal.raw) - mark) / 40.0 / 1e3
-            print(f"processor {' '.join(slow):7} {100 * max(shares):4.1f} % of a core at most "
+            print(f"processor, speed {speed} {' '.join(slow):7} {100 * max(shares):4.1f} % of a core at most "
                   f"(target 5), {sent:.1f} kB/s")  # fmt: skip
     finally:
         run.terminate()
@@ -177,7 +177,8 @@ def main() -> None:
         stand_in.close()
         escapes(running, "running", PAGES, 100)
         escapes(write_run(folder / "asked", "suspended"), "suspended", {"prompt": ""}, 100)
-        processor(folder / "live")
+        for speed in (1, 10):
+            processor(folder / f"speed-{speed}", speed)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ imported after the first screen is painted.
 from __future__ import annotations
 
 import asyncio
-import gc
+import time
 from collections.abc import Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
@@ -29,6 +29,7 @@ from hilcell.tui.bars import WholeBar
 from hilcell.tui.choice import Choice
 from hilcell.tui.desk import Options
 from hilcell.tui.driver import StopDriver
+from hilcell.tui.garbage import Collector
 from hilcell.tui.keys import ACTIONS, BY_NAME
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
@@ -88,6 +89,7 @@ class HilcellApp(App[int]):
         super().__init__()
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
         self.session: Session | None = None
+        self._collector: Collector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
         for palette in PALETTES:
             self.register_theme(palette.theme())
@@ -141,7 +143,7 @@ class HilcellApp(App[int]):
         from hilcell.tui.opening import run_to_open
 
         found = await asyncio.to_thread(run_to_open, self.options.runs, self.options.run)
-        gc.freeze()  # what was loaded stays: a collection over all of it would hold up a stop
+        self._collector = Collector(time.monotonic())
         if found is not None:
             self.attach(found)
         else:
@@ -206,6 +208,14 @@ class HilcellApp(App[int]):
         if self.session is not None and self.live:
             self.session.tick(utc_now())
             self._show()
+        if self._collector is not None:
+            at_rest = self.scene is None or self.scene.at_rest
+            self._collector.tick(at_rest=at_rest, now_s=time.monotonic())
+
+    def on_unmount(self) -> None:
+        """Leave the process as it was found."""
+        if self._collector is not None:
+            self._collector.end()
 
     def _show(self) -> None:
         top = self.screen

@@ -131,6 +131,11 @@ class Scene:
         )
 
     @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves: no engine is at work, or it waits for the operator."""
+        return not self.live or self.key in ("paused", "suspended")
+
+    @property
     def stale(self) -> bool:
         """Whether the engine's last words are too old to be shown as good."""
         return self.status is None or not self.heard_s <= STALE_S
