@@ -159,8 +159,9 @@ def processor(folder: Path, speed: int) -> None:
                         terminal.pump(0.2)
                     shares.append((terminal.cpu_s() - before_s) / 10.0)
                 sent = (len(terminal.raw) - mark) / 40.0 / 1e3
-            print(f"processor, speed {speed} {' '.join(slow):7} {100 * max(shares):4.1f} % of a core at most "
-                  f"(target 5), {sent:.1f} kB/s")  # fmt: skip
+            how = " ".join([f"speed {speed}", *slow])
+            print(f"processor, {how:16} {100 * max(shares):4.1f} % of a core at most (target 5), "
+                  f"{sent:.1f} kB/s")  # fmt: skip
     finally:
         run.terminate()
         run.wait()
