@@ -35,16 +35,14 @@ def run_folders(runs: Path) -> list[Path]:
 
 def find_run(runs: Path, name: str) -> Path:
     """Return the folder of one run; raises `HilcellError` where none or several are meant."""
-    if not name:
-        raise HilcellError("a run's name is wanted, its beginning, or `last`; found nothing")
     direct = Path(name)
-    if len(name) <= LONGEST_NAME and (direct / JOURNAL).is_file():
+    if name and len(name) <= LONGEST_NAME and (direct / JOURNAL).is_file():
         return direct
     folders = run_folders(runs)
     if name == "last" and folders:
         return max(folders, key=lambda folder: (folder / JOURNAL).stat().st_mtime)
     meant = [folder for folder in folders if folder.name == name]
-    meant = meant or [folder for folder in folders if folder.name.startswith(name)]
+    meant = meant or [folder for folder in folders if name and folder.name.startswith(name)]
     if len(meant) == 1:
         return meant[0]
     if meant:

@@ -174,7 +174,8 @@ def test_interlocks_name_the_first_that_is_blocked() -> None:
 
 
 def test_a_finished_run_says_its_figures_there() -> None:
-    assert words.interlocks(scene_of("done"), 80).plain == "mean |e| mm  S1100: 1.200 -> 0.110"
+    line = words.interlocks(scene_of("done"), 80).plain
+    assert line == "in tolerance: mean |e| mm  S1100 1.200 -> 0.110"
 
 
 @pytest.mark.parametrize("result", [
