@@ -29,8 +29,14 @@ WORDS = f"paper state:faulted {datetime.now(UTC):%Y}- -operator:eve"
 def write_journal(path: Path, operator: str, *, faulted: bool) -> None:
     """Write a small run's journal."""
     cell = {"name": "paper", "serial": "P-1", "grid": {"station": "S1100"}}
-    plan = {"procedure": "calibrate", "cell": cell, "operator": operator, "job": "J-17", "seed": 1,
-            "simulated": True}  # fmt: skip
+    plan = {
+        "procedure": "calibrate",
+        "cell": cell,
+        "operator": operator,
+        "job": "J-17",
+        "seed": 1,
+        "simulated": True,
+    }
     errors = {"mean": 1.2, "p95": 1.9, "max": 2.2}
     result = {"validation": {"S1100": {"before": errors, "chosen": errors}}}
     journal = Journal(path, path.parent.name, create=True)

@@ -87,8 +87,10 @@ def first_screen(folder: Path) -> None:
         bare.append(time.monotonic() - began_s)
     median, worst = quantile_ms(taken, 0.5), quantile_ms(taken, 1.0)
     ratio = median / quantile_ms(bare, 0.5)
-    print(f"first screen      {median:6.0f} ms, worst {worst:.0f} (target 800) = {ratio:.1f} x "
-          "importing textual alone")  # fmt: skip
+    print(
+        f"first screen      {median:6.0f} ms, worst {worst:.0f} (target 800) = {ratio:.1f} x "
+        "importing textual alone"
+    )
 
 
 def keys(runs: Path) -> None:
@@ -104,8 +106,10 @@ def keys(runs: Path) -> None:
                 terminal.pump(0.5)
             taken.append(time.monotonic() - began_s)
             terminal.pump(0.03)
-    print(f"key to paint      p50 {quantile_ms(taken, 0.5):.1f} ms, "
-          f"p99 {quantile_ms(taken, 0.99):.1f} (target 50), {len(taken)} keys")  # fmt: skip
+    print(
+        f"key to paint      p50 {quantile_ms(taken, 0.5):.1f} ms, "
+        f"p99 {quantile_ms(taken, 0.99):.1f} (target 50), {len(taken)} keys"
+    )
 
 
 def escapes(folder: Path, state: str, pages: dict[str, str], times: int) -> None:
@@ -134,12 +138,15 @@ def escapes(folder: Path, state: str, pages: dict[str, str], times: int) -> None
                         terminal.press("\rq" if "/" in open_keys else "q")
                         terminal.pump(0.05)
             everything += taken
-            print(f"  {name:24} p99 {quantile_ms(taken, 0.99):5.1f} ms, "
-                  f"worst {max(taken) * 1e3:.1f}")  # fmt: skip
+            print(
+                f"  {name:24} p99 {quantile_ms(taken, 0.99):5.1f} ms, worst {max(taken) * 1e3:.1f}"
+            )
     finally:
         control.close()
-    print(f"Esc to the engine ({state})  p99.9 {quantile_ms(everything, 0.999):.1f} ms, "
-          f"{len(everything)} stops")  # fmt: skip
+    print(
+        f"Esc to the engine ({state})  p99.9 {quantile_ms(everything, 0.999):.1f} ms, "
+        f"{len(everything)} stops"
+    )
 
 
 def processor(folder: Path, speed: int) -> None:
@@ -160,8 +167,10 @@ def processor(folder: Path, speed: int) -> None:
                     shares.append((terminal.cpu_s() - before_s) / 10.0)
                 sent = (len(terminal.raw) - mark) / 40.0 / 1e3
             how = " ".join([f"speed {speed}", *slow])
-            print(f"processor, {how:16} {100 * max(shares):4.1f} % of a core at most (target 5), "
-                  f"{sent:.1f} kB/s")  # fmt: skip
+            print(
+                f"processor, {how:16} {100 * max(shares):4.1f} % of a core at most (target 5), "
+                f"{sent:.1f} kB/s"
+            )
     finally:
         run.terminate()
         run.wait()

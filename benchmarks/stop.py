@@ -114,18 +114,21 @@ def engine() -> None:
         print(code, flush=True)
 
 
-def cycle(
-    cell: Cell, simulated: SimulatedCell, place: Place, folder: Path, phase: str
-) -> int:  # fmt: skip
+def cycle(cell: Cell, simulated: SimulatedCell, place: Place, folder: Path, phase: str) -> int:
     stop = threading.Event()
     clock = simulated.clock(stop)
     journal, log = Journal(folder / JOURNAL, folder.name, create=True), Log()
     journal.listen(log.take)
     runner = Runner(
-        cell, Procedure(phase, "", (Phase(phase),), lambda result: ([], [])), journal, log,
-        devices=build_devices(cell, place.addresses, clock), clock=clock, stop=stop,
+        cell,
+        Procedure(phase, "", (Phase(phase),), lambda result: ([], [])),
+        journal,
+        log,
+        devices=build_devices(cell, place.addresses, clock),
+        clock=clock,
+        stop=stop,
         unattended=False,
-    )  # fmt: skip
+    )
     control = Control(folder, runner)
     try:
         return runner.run()
@@ -190,8 +193,10 @@ class Rig:
         addresses["rail"]["channel"] = f"socket://127.0.0.1:{self.relays['rail'].port}"
         self._process = subprocess.Popen(
             [sys.executable, "-m", "benchmarks.stop", "--engine"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         self._echo = subprocess.Popen(
             [sys.executable, "-c", ECHO], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )

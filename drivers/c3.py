@@ -135,9 +135,11 @@ class C3Connection:
             self.used_s = time.monotonic()
         if not reply.ok:
             raise DeviceError(
-                self._device, operation, f"refused with error {reply.error}",
+                self._device,
+                operation,
+                f"refused with error {reply.error}",
                 act="is the variable declared, and the controller up? see docs/hardware.md",
-            )  # fmt: skip
+            )
         return reply
 
     def _receive(self, operation: str, tag: int) -> Reply:

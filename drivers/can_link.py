@@ -34,9 +34,11 @@ def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.Bus
         return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
     except (can.CanError, OSError, ValueError) as error:
         raise DeviceError(
-            device, "connect", f"{interface} {channel}: {error}",
+            device,
+            "connect",
+            f"{interface} {channel}: {error}",
             act="check the CAN gateway, its cable and rail.options",
-        ) from error  # fmt: skip
+        ) from error
 
 
 class LinkLost(DeviceError):
@@ -84,9 +86,11 @@ class CanLink:
         """Raise `LinkLost` when the link is lost."""
         if self._failure:
             raise LinkLost(
-                self.device, "CAN", f"link lost: {self._failure}",
+                self.device,
+                "CAN",
+                f"link lost: {self._failure}",
                 act="check the gateway, the cable and the terminators, then resume",
-            )  # fmt: skip
+            )
 
     def start_heartbeat(self, node: int) -> None:
         """Produce the heartbeat of ``node`` (CiA 301, 7.2.8.3.2.2) until the link closes."""

@@ -65,14 +65,18 @@ class Drive:
         if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
             code = self._sdo.read(cia402.ERROR_CODE)
             raise DeviceError(
-                DEVICE, operation, f"drive in {now.state.value}, error {emcy.text(code)}",
+                DEVICE,
+                operation,
+                f"drive in {now.state.value}, error {emcy.text(code)}",
                 act="put the cause right, then resume",
-            )  # fmt: skip
+            )
         if now.alarms:
             raise DeviceError(
-                DEVICE, operation, f"strip sensor: {cia406.alarm_text(now.alarms)}",
+                DEVICE,
+                operation,
+                f"strip sensor: {cia406.alarm_text(now.alarms)}",
                 act="check the strip and its head, then resume",
-            )  # fmt: skip
+            )
         return now
 
     def reset_fault(self) -> None:
@@ -87,9 +91,11 @@ class Drive:
         while self._image.refresh(self._clock.check).state is State.FAULT:
             if time.monotonic() > deadline_s:
                 raise DeviceError(
-                    DEVICE, operation, f"drive stays in fault, error {emcy.text(code)}",
+                    DEVICE,
+                    operation,
+                    f"drive stays in fault, error {emcy.text(code)}",
                     act="put the cause right, then resume",
-                )  # fmt: skip
+                )
             self._clock.wait(POLL_S)
         self._image.control(cia402.DISABLE_VOLTAGE)
 
@@ -119,9 +125,12 @@ class Drive:
         self._image.control(cia402.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
             raise DeviceError(
-                DEVICE, operation, f"the drive stands at {self._limits.mm(now.position)}",
-                wanted=f"0 +-{self._limits.mm(tolerance)}", act="check the homing settings",
-            )  # fmt: skip
+                DEVICE,
+                operation,
+                f"the drive stands at {self._limits.mm(now.position)}",
+                wanted=f"0 +-{self._limits.mm(tolerance)}",
+                act="check the homing settings",
+            )
 
     def move(self, target: int) -> None:
         """Go to ``target`` counts in profile position; return at standstill, still enabled."""
@@ -195,12 +204,14 @@ class Drive:
 
     def _stalled(self, operation: str, wanted: str, now: Snapshot) -> DeviceError:
         return DeviceError(
-            DEVICE, operation,
+            DEVICE,
+            operation,
             f"no progress for {STALL_S:.0f} s at {self._limits.mm(now.position)}, "
             f"{self._limits.mm(now.velocity)}/s, "
             f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}",
-            wanted=wanted, act="check the slide for an obstacle and the drive, then resume",
-        )  # fmt: skip
+            wanted=wanted,
+            act="check the slide for an obstacle and the drive, then resume",
+        )
 
 
 def _left(state: State) -> Callable[[Snapshot], bool]:

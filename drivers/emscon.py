@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 SMALLEST, LARGEST = 12, 65536
 _HEADER = struct.Struct("<II")
@@ -249,7 +250,7 @@ def unpack(layout: struct.Struct, body: bytes) -> tuple[float, ...]:
     return tuple(_unpack(layout, body))
 
 
-def _unpack(layout: struct.Struct, body: bytes) -> tuple:  # type: ignore[type-arg]
+def _unpack(layout: struct.Struct, body: bytes) -> tuple[Any, ...]:
     try:
         return layout.unpack_from(body)
     except struct.error as error:

@@ -47,9 +47,11 @@ class NodeWatch:
             self._failure = f"NMT state 0x{self.state or 0:02X}, not operational"
         if self._failure:
             raise DeviceError(
-                self._device, operation, f"node {self._node}: {self._failure}",
+                self._device,
+                operation,
+                f"node {self._node}: {self._failure}",
                 act="put the cause right, then resume; home the rail after a reset of its drive",
-            )  # fmt: skip
+            )
 
     def _on_heartbeat(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         self.state = data[0] & 0x7F

@@ -74,9 +74,11 @@ class Inbox:
                     return dict(self._values), min(self._arrived_s.values())
         missing = [f"0x{cob_id:03X}" for cob_id in before if self._count[cob_id] == before[cob_id]]
         raise DeviceError(
-            self._device, "read", f"no fresh TPDO {', '.join(missing)} within {SYNCS} SYNCs",
+            self._device,
+            "read",
+            f"no fresh TPDO {', '.join(missing)} within {SYNCS} SYNCs",
             act="check the nodes' power and the bus load, then resume",
-        )  # fmt: skip
+        )
 
     def _await(self, before: dict[int, int], check: Callable[[], None]) -> bool:
         deadline_s = time.monotonic() + REPLY_S

@@ -56,21 +56,37 @@ class ProcessImage:
         self._stopped = False
         self._target = 0
         self.status = Mapping(
-            0x1800, 0x1A00, 0x180 + drive_node, EVERY_SYNC,
-            ((cia402.STATUSWORD, 16), (cia402.POSITION_ACTUAL, 32)), struct.Struct("<Hi"),
-        )  # fmt: skip
+            0x1800,
+            0x1A00,
+            0x180 + drive_node,
+            EVERY_SYNC,
+            ((cia402.STATUSWORD, 16), (cia402.POSITION_ACTUAL, 32)),
+            struct.Struct("<Hi"),
+        )
         self.motion = Mapping(
-            0x1801, 0x1A01, 0x280 + drive_node, EVERY_SYNC,
-            ((cia402.VELOCITY_ACTUAL, 32), (cia402.MODE_DISPLAY, 8)), struct.Struct("<ib"),
-        )  # fmt: skip
+            0x1801,
+            0x1A01,
+            0x280 + drive_node,
+            EVERY_SYNC,
+            ((cia402.VELOCITY_ACTUAL, 32), (cia402.MODE_DISPLAY, 8)),
+            struct.Struct("<ib"),
+        )
         self.command = Mapping(
-            0x1400, 0x1600, 0x200 + drive_node, ON_EVENT,
-            ((cia402.CONTROLWORD, 16), (cia402.TARGET_POSITION, 32)), struct.Struct("<Hi"),
-        )  # fmt: skip
+            0x1400,
+            0x1600,
+            0x200 + drive_node,
+            ON_EVENT,
+            ((cia402.CONTROLWORD, 16), (cia402.TARGET_POSITION, 32)),
+            struct.Struct("<Hi"),
+        )
         self.strip = Mapping(
-            0x1800, 0x1A00, 0x180 + strip_node, EVERY_SYNC,
-            ((cia406.POSITION, 32), (cia406.ALARMS, 16)), struct.Struct("<iH"),
-        )  # fmt: skip
+            0x1800,
+            0x1A00,
+            0x180 + strip_node,
+            EVERY_SYNC,
+            ((cia406.POSITION, 32), (cia406.ALARMS, 16)),
+            struct.Struct("<iH"),
+        )
         self._inbox = Inbox(DEVICE, link, (self.status, self.motion, self.strip))
 
     def refresh(self, check: Callable[[], None]) -> Snapshot:

@@ -113,10 +113,12 @@ class CanopenRail:
         options, drive = self._options, self._used()
         if not options.travel_min_mm <= position_mm <= options.travel_max_mm:
             raise DeviceError(
-                DEVICE, "move", f"target {position_mm:.3f} mm",
+                DEVICE,
+                "move",
+                f"target {position_mm:.3f} mm",
                 wanted=f"{options.travel_min_mm:.1f} .. {options.travel_max_mm:.1f} mm",
                 act="correct the station or the rail's travel",
-            )  # fmt: skip
+            )
         try:
             drive.move(round(position_mm * options.counts_per_mm))
         except BaseException:
@@ -137,12 +139,13 @@ class CanopenRail:
                 return self._reading(now, median(strip))
             if time.monotonic() > deadline_s:
                 raise DeviceError(
-                    DEVICE, "settle",
+                    DEVICE,
+                    "settle",
                     f"strip {now.strip / self._options.strip_counts_per_mm:.2f} mm, "
                     f"speed {now.velocity / self._options.counts_per_mm:.3f} mm/s",
                     wanted=f"{SETTLE_READINGS} readings within +-1 count within {SETTLE_S:.0f} s",
                     act="the slide creeps or the strip's head is loose; check, then resume",
-                )  # fmt: skip
+                )
             self._clock.wait(POLL_S)
 
     def read(self) -> RailReading:
@@ -181,10 +184,15 @@ class CanopenRail:
         for node in (options.drive_node, options.strip_node):
             link.send(NMT, bytes((NMT_PRE_OPERATIONAL, node)))
         link.start_heartbeat(options.heartbeat_node)
-        rail_setup.apply(drive_sdo, rail_setup.drive_settings(
-            pc_node=options.heartbeat_node, counts_per_mm=options.counts_per_mm,
-            speed_mm_s=options.speed_mm_s, acceleration_mm_s2=options.acceleration_mm_s2,
-        ))  # fmt: skip
+        rail_setup.apply(
+            drive_sdo,
+            rail_setup.drive_settings(
+                pc_node=options.heartbeat_node,
+                counts_per_mm=options.counts_per_mm,
+                speed_mm_s=options.speed_mm_s,
+                acceleration_mm_s2=options.acceleration_mm_s2,
+            ),
+        )
         rail_setup.apply(strip_sdo, rail_setup.STRIP_SETTINGS)
         for pdo in (image.status, image.motion, image.command):
             configure(drive_sdo, pdo)
@@ -228,10 +236,12 @@ class CanopenRail:
             if time.monotonic() > deadline_s:
                 states = ", ".join(f"{watch.state}" for watch in self._watches)
                 raise DeviceError(
-                    DEVICE, "connect", f"NMT states {states} of drive and strip, by heartbeat",
+                    DEVICE,
+                    "connect",
+                    f"NMT states {states} of drive and strip, by heartbeat",
                     wanted=f"{OPERATIONAL} (operational) within {OPERATIONAL_S:.0f} s",
                     act="switch the nodes off and on, then resume",
-                )  # fmt: skip
+                )
             self._clock.wait(POLL_S)
 
     def _limits(self) -> Limits:
@@ -282,9 +292,12 @@ class CanopenRail:
                 image.quick_stop()
             if time.monotonic() > deadline_s:
                 raise DeviceError(
-                    DEVICE, "close", f"the drive keeps its power: {now.state.value}",
-                    wanted=f"held within {RELEASE_S:.0f} s", act="switch the drive off",
-                )  # fmt: skip
+                    DEVICE,
+                    "close",
+                    f"the drive keeps its power: {now.state.value}",
+                    wanted=f"held within {RELEASE_S:.0f} s",
+                    act="switch the drive off",
+                )
             time.sleep(POLL_S)
         # From here on nobody produces the heartbeat; without this the drive would go to fault.
         if self._drive_sdo is not None and not image.stopped:

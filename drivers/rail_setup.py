@@ -53,10 +53,12 @@ def find_node(sdo: SdoChannel, expected: Expected, clock: Clock) -> int:
         except DeviceError as error:
             if time.monotonic() > deadline_s:
                 raise DeviceError(
-                    "Rail", "connect", f"node {expected.node} ({expected.name}) does not answer",
+                    "Rail",
+                    "connect",
+                    f"node {expected.node} ({expected.name}) does not answer",
                     wanted=f"an answer within {FIND_S:.0f} s",
                     act="check its power, cable, terminators, bit rate and node number",
-                ) from error  # fmt: skip
+                ) from error
         clock.check()
 
 
@@ -71,9 +73,12 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     for what, found, wanted in checks:
         if wanted and found != wanted:
             raise DeviceRefused(
-                "Rail", "connect", f"node {expected.node} ({expected.name}): {what} is 0x{found:X}",
-                wanted=f"0x{wanted:X}", act="another device; check node numbers and options",
-            )  # fmt: skip
+                "Rail",
+                "connect",
+                f"node {expected.node} ({expected.name}): {what} is 0x{found:X}",
+                wanted=f"0x{wanted:X}",
+                act="another device; check node numbers and options",
+            )
     vendor, product, serial = (found for _, found, _ in checks[1:])
     model = clean(f"{expected.name} vendor 0x{vendor:X} product 0x{product:X}")
     return Identity("Rail", model, str(serial), f"{address} node {expected.node}")
@@ -85,9 +90,12 @@ def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
     for found_nm, where in ((_step(sdo), "6005h"), (_optional(sdo, cia406.POSITION_STEP), "6501h")):
         if found_nm is not None and found_nm != wanted_nm:
             raise DeviceRefused(
-                "Rail", "connect", f"strip step ({where}) is {found_nm} nm",
-                wanted=f"{wanted_nm} nm", act="correct strip_counts_per_mm or the sensor",
-            )  # fmt: skip
+                "Rail",
+                "connect",
+                f"strip step ({where}) is {found_nm} nm",
+                wanted=f"{wanted_nm} nm",
+                act="correct strip_counts_per_mm or the sensor",
+            )
 
 
 def _step(sdo: SdoChannel) -> int | None:

@@ -147,14 +147,20 @@ class KukaC3Robot:
         model, serial = clean(str(self._value("$TRAFONAME[]"))), self._integer("$KR_SERIALNO")
         if self._options.model not in model:
             raise DeviceRefused(
-                DEVICE, "connect", f"model {model!r}", wanted=f"{self._options.model!r} in it",
+                DEVICE,
+                "connect",
+                f"model {model!r}",
+                wanted=f"{self._options.model!r} in it",
                 act="this is another robot; correct robot.options",
-            )  # fmt: skip
+            )
         if self._options.serial not in (0, serial):
             raise DeviceRefused(
-                DEVICE, "connect", f"serial {serial}", wanted=f"{self._options.serial}",
+                DEVICE,
+                "connect",
+                f"serial {serial}",
+                wanted=f"{self._options.serial}",
                 act="this is another robot; correct robot.options",
-            )  # fmt: skip
+            )
         return Identity(DEVICE, model, str(serial), f"{self._options.host}:{self._options.port}")
 
     def _check(self, *names: str) -> None:
@@ -193,9 +199,12 @@ class KukaC3Robot:
         found = self._numbers(name, FRAME)
         if not all(abs(f - w) <= FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
             raise DeviceRefused(
-                DEVICE, "connect", f"{name} is {_frame_text(found)}", wanted=_frame_text(wanted),
+                DEVICE,
+                "connect",
+                f"{name} is {_frame_text(found)}",
+                wanted=_frame_text(wanted),
                 act="correct the frame on the controller, or robot.smr_mm in the cell file",
-            )  # fmt: skip
+            )
 
     def _take_back_stop(self) -> None:
         """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
@@ -206,9 +215,12 @@ class KukaC3Robot:
         while (acknowledged := self._integer("HC_ACK")) != self._sequence:
             if time.monotonic() > deadline_s:
                 raise DeviceRefused(
-                    DEVICE, "connect", f"HC_ACK {acknowledged}", wanted=f"HC_SEQ {self._sequence}",
+                    DEVICE,
+                    "connect",
+                    f"HC_ACK {acknowledged}",
+                    wanted=f"HC_SEQ {self._sequence}",
                     act="the program hilcell owes an answer; restart it at the panel",
-                )  # fmt: skip
+                )
             self._clock.wait(POLL_S)
         self._under_way = self._stopped = False
 
@@ -253,10 +265,12 @@ class KukaC3Robot:
     def _stalled(self, now_deg: Array, acknowledged: int, number: int) -> DeviceError:
         self._check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
         return DeviceError(
-            DEVICE, "move",
+            DEVICE,
+            "move",
             f"no axis moved for {STALL_S:.0f} s at {_joints_text(now_deg)}, HC_ACK {acknowledged}",
-            wanted=f"HC_ACK {number}", act="see the panel; is the program hilcell running? resume",
-        )  # fmt: skip
+            wanted=f"HC_ACK {number}",
+            act="see the panel; is the program hilcell running? resume",
+        )
 
     def _await_rest(self, target_deg: Array) -> RobotReading:
         # The pose means something only with the tool and the base that connect has verified.
@@ -275,10 +289,12 @@ class KukaC3Robot:
                 break
             self._clock.wait(POLL_S)
         raise DeviceError(
-            DEVICE, "move", f"stands or creeps at {_joints_text(axes_deg)}",
+            DEVICE,
+            "move",
+            f"stands or creeps at {_joints_text(axes_deg)}",
             wanted=f"{_joints_text(target_deg)} +-{AXIS_TOLERANCE_DEG} deg, at rest",
             act="the robot stopped short of its target; see the panel, resume",
-        )  # fmt: skip
+        )
 
     # -- variables ----------------------------------------------------------------------------
 

@@ -34,9 +34,11 @@ class Aborted(DeviceError):
     def __init__(self, device: str, operation: str, error: SdoAbortedError) -> None:
         self.code = error.code
         super().__init__(
-            device, operation, f"SDO abort {str(error).removeprefix('Code ')}",
+            device,
+            operation,
+            f"SDO abort {str(error).removeprefix('Code ')}",
             act="the device differs from its EDS, or is in the wrong state; see docs/hardware.md",
-        )  # fmt: skip
+        )
 
 
 class _Client(SdoClient):
@@ -45,7 +47,7 @@ class _Client(SdoClient):
     def __init__(
         self, request: int, response: int, objects: ObjectDictionary, check: Callable[[], None]
     ) -> None:
-        super().__init__(request, response, objects)  # type: ignore[no-untyped-call]
+        super().__init__(request, response, objects)  # type: ignore[no-untyped-call] # canopen's
         self.check = check
 
     def read_response(self) -> bytes:
@@ -66,7 +68,7 @@ class _Client(SdoClient):
 
     def abort(self, abort_code: int = 0x08000000) -> None:
         """Abort the transfer; canopen's own also prints on a screen that is not its to use."""
-        self.send_request(struct.pack("<BHBL", 0x80, 0, 0, abort_code))  # type: ignore[no-untyped-call]
+        self.send_request(struct.pack("<BHBL", 0x80, 0, 0, abort_code))  # type: ignore[no-untyped-call] # canopen's
 
 
 class SdoChannel:
@@ -101,9 +103,12 @@ class SdoChannel:
         found = self.read(index, sub)
         if found != value:
             raise DeviceError(
-                self._device, operation, f"reads back as {found}", wanted=str(value),
+                self._device,
+                operation,
+                f"reads back as {found}",
+                wanted=str(value),
                 act="the device does not take this setting; see its manual",
-            )  # fmt: skip
+            )
 
     def _retried(self, operation: str, transfer: Callable[[], bytes]) -> bytes:
         with self._lock:
@@ -116,9 +121,11 @@ class SdoChannel:
                 except SdoCommunicationError as error:
                     reason = str(error)
         raise DeviceError(
-            self._device, operation, f"{reason} within {REPLY_S:.1f} s, {TRIES} times",
+            self._device,
+            operation,
+            f"{reason} within {REPLY_S:.1f} s, {TRIES} times",
             act=f"check node {self._number}: power, cable, bit rate, node number",
-        )  # fmt: skip
+        )
 
     def _once(self, transfer: Callable[[], bytes]) -> bytes:
         if not self._tainted:
@@ -141,7 +148,7 @@ class SdoChannel:
         self._upload(0x1018, 0)
 
     def _upload(self, index: int, sub: int) -> bytes:
-        with self._client.open(index, sub, buffering=0) as stream:  # type: ignore[no-untyped-call]
+        with self._client.open(index, sub, buffering=0) as stream:  # type: ignore[no-untyped-call] # canopen's
             return bytes(stream.read())
 
     def _download(self, index: int, sub: int, data: bytes) -> bytes:

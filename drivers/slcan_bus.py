@@ -84,9 +84,11 @@ class SlcanBus(slcanBus):
             self.bad_lines += 1
             return None
         return can.Message(
-            arbitration_id=int(match[1], 16), is_extended_id=False, timestamp=time.time(),
+            arbitration_id=int(match[1], 16),
+            is_extended_id=False,
+            timestamp=time.time(),
             data=bytes.fromhex(match[3][: 2 * size].decode()),
-        )  # fmt: skip
+        )
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame; a gateway that takes no bytes for `SEND_S` is an error, not a wait."""

@@ -31,9 +31,11 @@ class TcpLink:
             self._socket = socket.create_connection((host, port), timeout=CONNECT_S)
         except OSError as error:
             raise DeviceError(
-                device, "connect", f"{self.address}: {error}",
+                device,
+                "connect",
+                f"{self.address}: {error}",
                 act="check that the device is on, its cable and its address",
-            ) from error  # fmt: skip
+            ) from error
         _watch(self._socket)
         self._socket.settimeout(POLL_S)
 
@@ -68,9 +70,11 @@ class TcpLink:
     def broken(self, operation: str, found: str) -> DeviceError:
         """Return the error that this link's failure is."""
         return DeviceError(
-            self.device, operation, f"{self.address}: {found}",
+            self.device,
+            operation,
+            f"{self.address}: {found}",
             act="check the device and its network, then resume",
-        )  # fmt: skip
+        )
 
     def close(self) -> None:
         """Close the socket; a second close does nothing."""

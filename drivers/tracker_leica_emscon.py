@@ -117,17 +117,23 @@ class LeicaEmsconTracker:
         serial, wanted = str(status.serial), self._options.serial
         if wanted not in ("", serial):
             raise DeviceRefused(
-                DEVICE, "connect", f"serial {serial}", wanted=wanted,
+                DEVICE,
+                "connect",
+                f"serial {serial}",
+                wanted=wanted,
                 act="this is another tracker; correct tracker.options",
-            )  # fmt: skip
+            )
         if status.processor != emscon.INITIALIZED:
             self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
             status = self._system_status()
         if status.processor != emscon.INITIALIZED:
             raise DeviceRefused(
-                DEVICE, "initialise", f"processor status {status.processor}",
-                wanted=f"{emscon.INITIALIZED} (initialised)", act="look at the tracker, resume",
-            )  # fmt: skip
+                DEVICE,
+                "initialise",
+                f"processor status {status.processor}",
+                wanted=f"{emscon.INITIALIZED} (initialised)",
+                act="look at the tracker, resume",
+            )
         address = f"{self._options.host}:{self._options.port}"
         return Identity(DEVICE, f"Leica, emScon {status.version}", serial, address)
 
@@ -141,17 +147,26 @@ class LeicaEmsconTracker:
             "units", Command.SET_UNITS, Command.GET_UNITS, emscon.UNITS, emscon.MILLIMETRE_UNITS
         )
         self._set(
-            "coordinate system", Command.SET_COORDINATE_SYSTEM, Command.GET_COORDINATE_SYSTEM,
-            number, (emscon.RIGHT_HANDED,),
-        )  # fmt: skip
+            "coordinate system",
+            Command.SET_COORDINATE_SYSTEM,
+            Command.GET_COORDINATE_SYSTEM,
+            number,
+            (emscon.RIGHT_HANDED,),
+        )
         self._set(
-            "measurement mode", Command.SET_MEASUREMENT_MODE, Command.GET_MEASUREMENT_MODE,
-            number, (emscon.STATIONARY_MODE,),
-        )  # fmt: skip
+            "measurement mode",
+            Command.SET_MEASUREMENT_MODE,
+            Command.GET_MEASUREMENT_MODE,
+            number,
+            (emscon.STATIONARY_MODE,),
+        )
         self._set(
-            "stationary parameters", Command.SET_STATIONARY, Command.GET_STATIONARY,
-            stationary, (self._options.stationary_ms, 1),
-        )  # fmt: skip
+            "stationary parameters",
+            Command.SET_STATIONARY,
+            Command.GET_STATIONARY,
+            stationary,
+            (self._options.stationary_ms, 1),
+        )
         air = self._numbers_of(Command.GET_ENVIRONMENT, emscon.ENVIRONMENT)
         if problem := _air_problem(*air):
             raise DeviceRefused(
@@ -162,17 +177,24 @@ class LeicaEmsconTracker:
             )
 
     def _set(
-        self, what: str, write: Command, read: Command, layout: Struct,
+        self,
+        what: str,
+        write: Command,
+        read: Command,
+        layout: Struct,
         wanted: tuple[int, ...],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Write a setting and believe it only when it reads back."""
         self._ask(write, layout.pack(*wanted))
         found = self._numbers_of(read, layout)
         if found != wanted:
             raise DeviceRefused(
-                DEVICE, f"set {what}", f"reads back as {found}", wanted=f"{wanted}",
+                DEVICE,
+                f"set {what}",
+                f"reads back as {found}",
+                wanted=f"{wanted}",
                 act="another program holds the tracker? close it, then resume",
-            )  # fmt: skip
+            )
 
     def _read_reflectors(self) -> dict[str, int]:
         """Return the tracker's reflectors: name to number. One reply comes for each of them."""
@@ -191,13 +213,19 @@ class LeicaEmsconTracker:
         if reflector not in self._numbers:
             known = ", ".join(repr(name) for name in self._numbers)
             raise DeviceRefused(
-                DEVICE, "choose reflector", f"the tracker knows {known}", wanted=repr(reflector),
+                DEVICE,
+                "choose reflector",
+                f"the tracker knows {known}",
+                wanted=repr(reflector),
                 act="define it in the tracker, or correct tracker.reflector",
-            )  # fmt: skip
+            )
         self._set(
-            "reflector", Command.SET_REFLECTOR, Command.GET_REFLECTOR, emscon.NUMBER,
+            "reflector",
+            Command.SET_REFLECTOR,
+            Command.GET_REFLECTOR,
+            emscon.NUMBER,
             (self._numbers[reflector],),
-        )  # fmt: skip
+        )
         self._reflector = reflector
 
     # -- measuring ----------------------------------------------------------------------------
@@ -246,9 +274,11 @@ class LeicaEmsconTracker:
             if packet == StatusChange(Change.NOT_READY):
                 raise NoReading(DEVICE, "measure", "the beam broke", act="clear the line of sight")
         raise NoReading(
-            DEVICE, "measure", f"acknowledged, but no result came within {limit_s:.1f} s",
+            DEVICE,
+            "measure",
+            f"acknowledged, but no result came within {limit_s:.1f} s",
             act="look at the tracker's state",
-        )  # fmt: skip
+        )
 
     def _check(self, result: Single, near_mm: Array) -> None:
         if not bool(np.all(np.isfinite((*result.xyz, *result.std, result.std_total)))):
@@ -259,10 +289,12 @@ class LeicaEmsconTracker:
             raise self._misplaced(result, near_mm, off_mm)
         if not result.std_total <= self._options.max_std_mm:
             raise NoReading(
-                DEVICE, "measure", f"standard deviation {result.std_total:.4f} mm",
+                DEVICE,
+                "measure",
+                f"standard deviation {result.std_total:.4f} mm",
                 wanted=f"<= {self._options.max_std_mm:.4f} mm",
                 act="something vibrates, or the reflector is dirty",
-            )  # fmt: skip
+            )
         if problem := _air_problem(result.temperature, result.pressure, result.humidity):
             raise NoReading(DEVICE, "measure", problem, act="check the weather station")
 
@@ -270,14 +302,19 @@ class LeicaEmsconTracker:
         in_metres_mm = float(np.linalg.norm(1000.0 * np.array(result.xyz) - near_mm))
         if in_metres_mm <= self._options.find_radius_mm:
             return DeviceError(
-                DEVICE, "measure", f"the result {result.xyz} is in metres", wanted="mm",
+                DEVICE,
+                "measure",
+                f"the result {result.xyz} is in metres",
+                wanted="mm",
                 act="another program changed the units; resume sets them anew",
-            )  # fmt: skip
+            )
         return NoReading(
-            DEVICE, "measure", f"the reflector is {off_mm:.2f} mm from its expected place",
+            DEVICE,
+            "measure",
+            f"the reflector is {off_mm:.2f} mm from its expected place",
             wanted=f"<= {self._options.find_radius_mm:.2f} mm",
             act="another reflector was caught, or a late result came; clear the view",
-        )  # fmt: skip
+        )
 
     def _reading(self, results: list[Single], reflector: str) -> TrackerReading:
         points_mm = np.array([result.xyz for result in results])
@@ -285,14 +322,23 @@ class LeicaEmsconTracker:
         spread_mm = float(np.linalg.norm(std_mm))
         if len(results) > 1 and not spread_mm <= self._options.max_std_mm:
             raise NoReading(
-                DEVICE, "measure", f"{len(results)} repeats spread by {spread_mm:.4f} mm (1 sigma)",
-                wanted=f"<= {self._options.max_std_mm:.4f} mm", act="something moves or vibrates",
-            )  # fmt: skip
+                DEVICE,
+                "measure",
+                f"{len(results)} repeats spread by {spread_mm:.4f} mm (1 sigma)",
+                wanted=f"<= {self._options.max_std_mm:.4f} mm",
+                act="something moves or vibrates",
+            )
         last = results[-1]
         return TrackerReading(
-            points_mm.mean(axis=0), std_mm, len(results), reflector,
-            last.temperature, last.pressure, last.humidity, self._arrived_s,
-        )  # fmt: skip
+            points_mm.mean(axis=0),
+            std_mm,
+            len(results),
+            reflector,
+            last.temperature,
+            last.pressure,
+            last.humidity,
+            self._arrived_s,
+        )
 
     # -- packets ------------------------------------------------------------------------------
 

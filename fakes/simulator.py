@@ -110,9 +110,11 @@ class Control:
             self._socket = socket.create_connection(_host_and_port(address), ANSWER_S)
         except OSError as error:
             raise DeviceError(
-                "Simulated cell", "connect", f"nobody answers at {address}: {error}",
+                "Simulated cell",
+                "connect",
+                f"nobody answers at {address}: {error}",
                 act="start it with `hilcell sim` and give the address that it prints",
-            ) from error  # fmt: skip
+            ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._lines = self._socket.makefile("rb")
 

@@ -62,9 +62,12 @@ def calibration_of(log: Log, run: str) -> Calibration:
 def _entry(log: Log, base: Array, station: str) -> StationEntry:
     frame = log.frames[f"station.{station}"]
     return StationEntry(
-        base.tolist(), frame["matrix"], frame["covariance"],
-        frame["tool_uncertainty_mm"], frame["strip_mm"],
-    )  # fmt: skip
+        base.tolist(),
+        frame["matrix"],
+        frame["covariance"],
+        frame["tool_uncertainty_mm"],
+        frame["strip_mm"],
+    )
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:

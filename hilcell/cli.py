@@ -51,25 +51,43 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run = _command(commands, "run", "commands.run:run", "perform a procedure on a cell")
     run.add_argument("procedure", nargs="?", default="calibrate", help="default: calibrate")
     _cell_options(run)
-    run.add_argument("--seed", type=_seed, default=1, metavar="N", help="of random targets; of the "
-                     "simulated cell's truth (default: 1)")  # fmt: skip
+    run.add_argument(
+        "--seed",
+        type=_seed,
+        default=1,
+        metavar="N",
+        help="of random targets; of the simulated cell's truth (default: 1)",
+    )
     _runs_option(run)
-    run.add_argument("--speed", type=_speed, metavar="X|max", help="of a simulated cell's time: a "
-                     "factor, or as fast as it goes (default: max)")  # fmt: skip
+    run.add_argument(
+        "--speed",
+        type=_speed,
+        metavar="X|max",
+        help="of a simulated cell's time: a factor, or as fast as it goes (default: max)",
+    )
     run.add_argument("--unattended", action="store_true", help="nobody is there to ask")
     run.add_argument(
         "--operator", type=clean, default="", metavar="NAME", help="kept in the journal"
     )
-    run.add_argument("--name", type=_run_name, metavar="RUN", help="the run's name and "
-                     "folder (default: made of time and procedure)")  # fmt: skip
+    run.add_argument(
+        "--name",
+        type=_run_name,
+        metavar="RUN",
+        help="the run's name and folder (default: made of time and procedure)",
+    )
     run.add_argument("--job", type=clean, default="", metavar="ID", help="kept in the journal")
     run.add_argument("--dry-run", action="store_true", help="check and show the plan; open nothing")
     _json_option(run, "one event a line, as journalled")
     resume = _command(commands, "resume", "commands.run:resume", "continue a run, or a paused one")
     _run_argument(resume)
     resume.add_argument("--unattended", action="store_true", help="nobody is there to ask")
-    resume.add_argument("--retake", action="append", default=[], metavar="KEY", help="measure this "
-                        "point anew; may be repeated; opens a finished run again")  # fmt: skip
+    resume.add_argument(
+        "--retake",
+        action="append",
+        default=[],
+        metavar="KEY",
+        help="measure this point anew; may be repeated; opens a finished run again",
+    )
     _json_option(resume, "one event a line, as journalled")
 
 
@@ -87,28 +105,53 @@ def _add_live(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _add_tui(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    tui = _command(commands, "tui", "commands.tui:tui", "the technician's screen: start, attach to "
-                   "or look at runs")  # fmt: skip
-    tui.add_argument("run", nargs="?", default="", metavar="RUN", help="a run's name, its "
-                     "beginning, or `last` (default: the live one, else the form)")  # fmt: skip
+    tui = _command(
+        commands,
+        "tui",
+        "commands.tui:tui",
+        "the technician's screen: start, attach to or look at runs",
+    )
+    tui.add_argument(
+        "run",
+        nargs="?",
+        default="",
+        metavar="RUN",
+        help="a run's name, its beginning, or `last` (default: the live one, else the form)",
+    )
     _runs_option(tui)
     _cell_options(tui)
-    tui.add_argument("--theme", choices=("calm", "daylight", "contrast"), default="calm",
-                     help="calm is safe for colour-blind eyes (default)")  # fmt: skip
-    tui.add_argument("--colors", choices=("auto", "none", "16", "256", "truecolor"), default="auto",
-                     help="what the terminal can show (default: auto)")  # fmt: skip
+    tui.add_argument(
+        "--theme",
+        choices=("calm", "daylight", "contrast"),
+        default="calm",
+        help="calm is safe for colour-blind eyes (default)",
+    )
+    tui.add_argument(
+        "--colors",
+        choices=("auto", "none", "16", "256", "truecolor"),
+        default="auto",
+        help="what the terminal can show (default: auto)",
+    )
     tui.add_argument("--ascii", action="store_true", help="no shapes beyond ASCII")
     tui.add_argument("--slow", action="store_true", help="for thin links: once a second")
-    tui.add_argument("--keys", default="", metavar="FILE.toml", help="other keys (default: "
-                     "keys.toml in the user's configuration, where it exists)")  # fmt: skip
+    tui.add_argument(
+        "--keys",
+        default="",
+        metavar="FILE.toml",
+        help="other keys (default: keys.toml in the user's configuration, where it exists)",
+    )
 
 
 def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     runs = _command(commands, "runs", "commands.past:runs", "list the runs")
     _runs_option(runs)
     _json_option(runs, "one object with all runs")
-    compare = _command(commands, "compare", "commands.compare:compare", "compare two runs of a "
-                       "cell: what has drifted")  # fmt: skip
+    compare = _command(
+        commands,
+        "compare",
+        "commands.compare:compare",
+        "compare two runs of a cell: what has drifted",
+    )
     compare.add_argument("first", metavar="RUN", help="the earlier run")
     compare.add_argument("second", metavar="RUN", help="the later run")
     _runs_option(compare)
@@ -166,19 +209,34 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         commands, "compensate", "commands.files:compensate", "correct targets by a calibration"
     )
     compensate.add_argument("calibration", metavar="CALIBRATION", help="a run or calibration.json")
-    compensate.add_argument("targets", metavar="TARGETS.csv|PROGRAM.src", help="nominal targets in "
-                            "{W}; a KRL program with its .dat beside it")  # fmt: skip
+    compensate.add_argument(
+        "targets",
+        metavar="TARGETS.csv|PROGRAM.src",
+        help="nominal targets in {W}; a KRL program with its .dat beside it",
+    )
     compensate.add_argument("--station", required=True, metavar="S", help="where they are reached")
     compensate.add_argument(
         "-o", "--output", required=True, metavar="OUT", help="corrected targets, or program"
     )
-    compensate.add_argument("--cell", metavar="CELL", help="refuse a calibration of "
-                            "another cell, and turns (T) that change")  # fmt: skip
+    compensate.add_argument(
+        "--cell",
+        metavar="CELL",
+        help="refuse a calibration of another cell, and turns (T) that change",
+    )
     _set_option(compensate)
-    compensate.add_argument("--temperature", type=_finite, metavar="T_C", help="the room's: refuse "
-                            "one further than 2 K from the calibrated")  # fmt: skip
-    compensate.add_argument("--max-age", type=_finite, default=180.0, metavar="DAYS",
-                            help="refuse an older calibration (default: 180)")  # fmt: skip
+    compensate.add_argument(
+        "--temperature",
+        type=_finite,
+        metavar="T_C",
+        help="the room's: refuse one further than 2 K from the calibrated",
+    )
+    compensate.add_argument(
+        "--max-age",
+        type=_finite,
+        default=180.0,
+        metavar="DAYS",
+        help="refuse an older calibration (default: 180)",
+    )
     _runs_option(compensate)
 
 
@@ -191,14 +249,24 @@ def _command(
 
 
 def _cell_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--cell", default="paper", metavar="CELL", help="a built-in name or a TOML "
-                        "path (default: paper, simulated)")  # fmt: skip
+    parser.add_argument(
+        "--cell",
+        default="paper",
+        metavar="CELL",
+        help="a built-in name or a TOML path (default: paper, simulated)",
+    )
     _set_option(parser)
 
 
 def _set_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--set", action="append", default=[], type=_assignment, metavar="KEY=VALUE",
-                        help="override one value of the cell file; may be repeated")  # fmt: skip
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        type=_assignment,
+        metavar="KEY=VALUE",
+        help="override one value of the cell file; may be repeated",
+    )
 
 
 def _run_argument(parser: argparse.ArgumentParser) -> None:
@@ -207,8 +275,13 @@ def _run_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def _runs_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--runs", type=Path, default=Path("runs"), metavar="DIR",
-                        help="folder of runs (default: runs)")  # fmt: skip
+    parser.add_argument(
+        "--runs",
+        type=Path,
+        default=Path("runs"),
+        metavar="DIR",
+        help="folder of runs (default: runs)",
+    )
 
 
 def _json_option(parser: argparse.ArgumentParser, text: str) -> None:

@@ -144,9 +144,15 @@ def _air(first: Log, second: Log) -> Iterator[Change]:
     if all(celsius):
         pair = [float(np.mean(each)) for each in celsius]
         yield Change(
-            "air", "at the tracker", "mean temperature", "°C", pair[0], pair[1],
-            pair[1] - pair[0], TEMPERATURE_MARGIN_K,
-        )  # fmt: skip
+            "air",
+            "at the tracker",
+            "mean temperature",
+            "°C",
+            pair[0],
+            pair[1],
+            pair[1] - pair[0],
+            TEMPERATURE_MARGIN_K,
+        )
 
 
 # -- words ----------------------------------------------------------------------------------------

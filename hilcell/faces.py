@@ -103,9 +103,13 @@ class _ProgressFace(Face):
 
         self._console = Console(stderr=True)
         self._progress = Progress(
-            TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
-            TimeElapsedColumn(), TimeRemainingColumn(), console=self._console,
-        )  # fmt: skip
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self._console,
+        )
         self._task = self._progress.add_task(run, total=points)
 
     def __enter__(self) -> Self:
@@ -198,11 +202,14 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
     """Print the plan: steps, points and duration."""
     if as_json:
         body = {
-            "procedure": procedure.name, "cell": cell.name, "digest": cell.digest,
+            "procedure": procedure.name,
+            "cell": cell.name,
+            "digest": cell.digest,
             "simulated": cell.simulation is not None,
-            "steps": msgspec.to_builtins(plan.steps), "points": plan.points,
+            "steps": msgspec.to_builtins(plan.steps),
+            "points": plan.points,
             "duration_s": plan.duration_s,
-        }  # fmt: skip
+        }
         head = {"run": None, "seq": 1, "kind": "plan"}
         end = {"run": None, "seq": 2, "kind": "end", "state": "idle", "exit": 0, "result": body}
         for event in (head | body, end):

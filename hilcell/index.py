@@ -30,9 +30,14 @@ SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
 
 _PASSING = (
-    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN,
-    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_PERM,
-)  # fmt: skip
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_PERM,
+)
 
 
 class RunRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -306,7 +311,7 @@ def _stamp(journal: str, now_s: float) -> str | None:
 
 def _size(file: str) -> int:
     try:
-        return os.stat(file).st_size  # noqa: PTH116
+        return os.stat(file).st_size  # noqa: PTH116 - as above
     except OSError:
         return 0
 

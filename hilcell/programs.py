@@ -50,9 +50,10 @@ def write_program(
 def _data_beside(path: Path) -> Path | None:
     try:
         found = [
-            each for each in path.parent.iterdir()
+            each
+            for each in path.parent.iterdir()
             if each.stem == path.stem and each.suffix.lower() == DATA and each.is_file()
-        ]  # fmt: skip
+        ]
     except OSError as error:
         raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
     if len(found) > 1:

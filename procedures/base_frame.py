@@ -55,11 +55,12 @@ class BaseFrame:
         ]
         T_W_B, axis_1, axis_6 = frame_of_sweeps(bench.cell, bench.log, *swept)
         bench.frame(
-            "base", T_W_B,
+            "base",
+            T_W_B,
             covariance=base_frame_covariance(axis_1, axis_6, axis_6_height_mm(bench.cell)),
             circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
             radius_mm=[axis_1.radius_mm, axis_6.radius_mm],
-        )  # fmt: skip
+        )
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the base in {W}, its uncertainty, and what shorter arcs would have told."""

@@ -76,9 +76,11 @@ class StationRepeatability:
                     self._visit(bench, how, way, number, side)
         result = self.result(bench.log)["station_repeatability"]
         bench.verdict(
-            "station-repeatability", holds=result["strip"]["range_mm"] <= STRIP_LIMIT_MM,
-            found_mm=result["strip"]["range_mm"], limit_mm=STRIP_LIMIT_MM,
-        )  # fmt: skip
+            "station-repeatability",
+            holds=result["strip"]["range_mm"] <= STRIP_LIMIT_MM,
+            found_mm=result["strip"]["range_mm"],
+            limit_mm=STRIP_LIMIT_MM,
+        )
 
     def _visit(self, bench: Bench, how: str, way: str, number: int, side: int) -> None:
         key = f"repeat/{how}/{way}/{number:03d}{'+' if side > 0 else '-'}"

@@ -81,10 +81,13 @@ class StationFrames:
         bench.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
         fit = station_fit(bench.log, station, reference)
         bench.frame(
-            f"station.{station.name}", fit.T, covariance=fit.covariance, rms_mm=fit.rms_mm,
+            f"station.{station.name}",
+            fit.T,
+            covariance=fit.covariance,
+            rms_mm=fit.rms_mm,
             strip_mm=bench.log.group("frames", station.name)[-1].strip_mm,
             tool_uncertainty_mm=tool_uncertainty_mm(bench.cell, fit),
-        )  # fmt: skip
+        )
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return frame, strip reading and predicted tool-point uncertainty per station."""

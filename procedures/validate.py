@@ -83,10 +83,13 @@ class Validate:
                 and chosen["max"] <= limits.max_tolerance_mm
             )
             bench.verdict(
-                f"validation.{where}", holds=holds,
-                mean_mm=chosen["mean"], mean_tolerance_mm=limits.mean_tolerance_mm,
-                max_mm=chosen["max"], max_tolerance_mm=limits.max_tolerance_mm,
-            )  # fmt: skip
+                f"validation.{where}",
+                holds=holds,
+                mean_mm=chosen["mean"],
+                mean_tolerance_mm=limits.mean_tolerance_mm,
+                max_mm=chosen["max"],
+                max_tolerance_mm=limits.max_tolerance_mm,
+            )
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors at the grid's station and at the others together."""

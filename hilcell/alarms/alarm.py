@@ -79,9 +79,16 @@ def _alarm(moment: _Moment, run: str, *, over: bool) -> Alarm:
     if severity != "notice":
         steps.append(_then(entry, run, over=over))
     return Alarm(
-        entry.code, severity, entry.title, finding.where, finding.told, entry.means,
-        tuple(step for step in steps if step), moment.t, moment.seq,
-    )  # fmt: skip
+        entry.code,
+        severity,
+        entry.title,
+        finding.where,
+        finding.told,
+        entry.means,
+        tuple(step for step in steps if step),
+        moment.t,
+        moment.seq,
+    )
 
 
 def _then(entry: Entry, run: str, *, over: bool) -> str:

@@ -95,6 +95,9 @@ def _unwrapped(finding: Finding) -> Finding:
         return finding
     cause = _of_text(inner)
     return Finding(
-        cause.device, f"{cause.operation} {key}", cause.found,
-        cause.wanted or finding.wanted, cause.act or finding.act,
-    )  # fmt: skip
+        cause.device,
+        f"{cause.operation} {key}",
+        cause.found,
+        cause.wanted or finding.wanted,
+        cause.act or finding.act,
+    )

@@ -7,9 +7,14 @@ import sys
 from hilcell.alarms.catalogue import Entry, catalogue
 
 CHAPTERS = {
-    "R": "Rail", "S": "Strip", "B": "Robot", "T": "Tracker", "V": "Verdicts", "J": "Journal",
+    "R": "Rail",
+    "S": "Strip",
+    "B": "Robot",
+    "T": "Tracker",
+    "V": "Verdicts",
+    "J": "Journal",
     "C": "Cell",
-}  # fmt: skip
+}
 THEN = {
     "resume": "Continue: space, or `hilcell resume RUN`.",
     "anew": "Start a new run: `hilcell run`.",

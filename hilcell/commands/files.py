@@ -49,10 +49,12 @@ def compensate(args: argparse.Namespace) -> int:
     calibration = read_calibration(path)
     cell = load_cell(args.cell, dict(args.set)) if args.cell else None
     check_fitness(
-        calibration, datetime.now(UTC),
-        max_age_days=args.max_age, temperature_c=args.temperature,
+        calibration,
+        datetime.now(UTC),
+        max_age_days=args.max_age,
+        temperature_c=args.temperature,
         digest=cell.digest if cell else None,
-    )  # fmt: skip
+    )
     source, out = Path(args.targets), Path(args.output)
     inputs = [source, path, Path(args.cell or source)]
     if is_program(source):

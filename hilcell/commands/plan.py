@@ -67,10 +67,14 @@ def _travel(travel_mm: float, bound_mm: float) -> dict[str, object]:
 def _print(cell: Cell, found: HolePlan) -> None:
     headers = ["station", "rail mm", "holes", "travel mm", "lower bound mm", "ratio"]
     rows = [
-        [each.station.name, f"{each.station.rail_mm:.2f}", str(len(each.holes)),
-         *_figures(each.travel_mm, each.bound_mm)]
+        [
+            each.station.name,
+            f"{each.station.rail_mm:.2f}",
+            str(len(each.holes)),
+            *_figures(each.travel_mm, each.bound_mm),
+        ]
         for each in found.stations
-    ]  # fmt: skip
+    ]
     count = sum(len(each.holes) for each in found.stations)
     rows.append(["all", "", str(count), *_figures(found.travel_mm, found.bound_mm)])
     print_table((headers, rows))

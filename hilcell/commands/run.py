@@ -164,9 +164,15 @@ def _run(
             clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
             devices = build_devices(cell, addresses, clock)
             runner = Runner(
-                cell, procedure, journal, log,
-                devices=devices, clock=clock, stop=stop, unattended=unattended,
-            )  # fmt: skip
+                cell,
+                procedure,
+                journal,
+                log,
+                devices=devices,
+                clock=clock,
+                stop=stop,
+                unattended=unattended,
+            )
             stack.callback(Control(folder, runner).close)
             return runner.run(), runner.fault
     except (HilcellError, Stopped) as error:

@@ -33,11 +33,15 @@ def tui(args: argparse.Namespace) -> int:
     from hilcell.tui.desk import Options
 
     options = Options(
-        runs=args.runs, keymap=keymap, glyphs=ASCII if args.ascii or not _utf8() else UNICODE,
-        run=args.run, cell=args.cell,
+        runs=args.runs,
+        keymap=keymap,
+        glyphs=ASCII if args.ascii or not _utf8() else UNICODE,
+        run=args.run,
+        cell=args.cell,
         settings=tuple(f"{key}={value}" for key, value in args.set),
-        theme=args.theme, slow=args.slow,
-    )  # fmt: skip
+        theme=args.theme,
+        slow=args.slow,
+    )
     sys.setswitchinterval(SWITCH_S)
     return HilcellApp(options).run() or 0
 

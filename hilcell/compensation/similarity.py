@@ -91,5 +91,6 @@ def binned(distance: Array, difference_mm: Array, edges: ArrayLike) -> Binned:
 
 
 def _inverted(difference_mm: Array) -> Array:
-    return np.divide(1.0, difference_mm, out=np.full_like(difference_mm, np.inf),
-                     where=difference_mm != 0)  # fmt: skip
+    return np.divide(
+        1.0, difference_mm, out=np.full_like(difference_mm, np.inf), where=difference_mm != 0
+    )

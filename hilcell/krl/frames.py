@@ -16,8 +16,14 @@ from hilcell.krl.tokens import KrlError, Statement, Token, closing, split, text_
 
 SET_ONCE = {"$BASE": "base", "$TOOL": "tool"}
 NEVER_SET = (
-    "BASE_DATA", "TOOL_DATA", "$ACT_BASE", "$ACT_TOOL", "$ROBROOT", "$WORLD", "$NULLFRAME",
-)  # fmt: skip
+    "BASE_DATA",
+    "TOOL_DATA",
+    "$ACT_BASE",
+    "$ACT_TOOL",
+    "$ROBROOT",
+    "$WORLD",
+    "$NULLFRAME",
+)
 BAS_SETS = {"#BASE": "base", "#TOOL": "tool"}
 BAS_RESETS = ("#INITMOV",)
 BAS_REFUSED = ("#EX_BASE",)

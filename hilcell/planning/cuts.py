@@ -75,7 +75,7 @@ class _Program:
         ends = (edges.T.ravel(), np.tile(np.arange(count), 2))
         degree = csr_array((np.ones(2 * count), ends), shape=(self._size, count))
         rows = self._rows()
-        found = linprog(  # type: ignore[call-overload] # the stubs know no sparse matrices
+        found = linprog(  # type: ignore[call-overload] # stubs know no sparse matrices
             self._cost[edges[:, 0], edges[:, 1]],
             A_eq=degree,
             b_eq=np.full(self._size, 2.0),

@@ -33,8 +33,14 @@ POINT_HEADERS = [
     *(f"commanded_{joint}" for joint in _JOINTS), *(f"read_{joint}" for joint in _JOINTS),
     *(f"pose_{axis}" for axis in _XYZ), "pose_a_deg", "pose_b_deg", "pose_c_deg",
 ]  # fmt: skip
-FRAME_HEADERS = ["frame", *_XYZ, "a_deg", "b_deg", "c_deg",
-                 *(f"m{row}{column}" for row in range(4) for column in range(4))]  # fmt: skip
+FRAME_HEADERS = [
+    "frame",
+    *_XYZ,
+    "a_deg",
+    "b_deg",
+    "c_deg",
+    *(f"m{row}{column}" for row in range(4) for column in range(4)),
+]
 
 
 def points_table(facts: Facts) -> list[Row]:
@@ -101,12 +107,19 @@ def run_table(facts: Facts) -> list[Row]:
     """Return what identifies the run."""
     inputs = facts.inputs
     rows: list[Row] = [
-        ["run", facts.run], ["procedure", inputs.procedure], ["cell", inputs.cell["name"]],
-        ["digest", inputs.digest], ["journal", facts.fingerprint], ["seed", inputs.seed],
-        ["simulated", "yes" if inputs.simulated else "no"], ["operator", inputs.operator],
-        ["job", inputs.job], ["state", facts.log.states["run"]],
-        ["began_utc", facts.records[0].t], ["ended_utc", facts.records[-1].t],
-    ]  # fmt: skip
+        ["run", facts.run],
+        ["procedure", inputs.procedure],
+        ["cell", inputs.cell["name"]],
+        ["digest", inputs.digest],
+        ["journal", facts.fingerprint],
+        ["seed", inputs.seed],
+        ["simulated", "yes" if inputs.simulated else "no"],
+        ["operator", inputs.operator],
+        ["job", inputs.job],
+        ["state", facts.log.states["run"]],
+        ["began_utc", facts.records[0].t],
+        ["ended_utc", facts.records[-1].t],
+    ]
     rows += [[f"version.{name}", version] for name, version in inputs.versions.items()]
     for each in facts.devices:
         rows.append([f"device.{each['device']}", f"{each['model']}, serial {each['serial']}"])
@@ -166,11 +179,16 @@ def json_bytes(facts: Facts) -> bytes:
     """Return everything: inputs, states, points, frames, verdicts, events and the result."""
     log = facts.log
     whole = {
-        "run": facts.run, "journal": facts.fingerprint, "plan": log.inputs, "states": log.states,
-        "sessions": log.session, "fault": log.fault,
+        "run": facts.run,
+        "journal": facts.fingerprint,
+        "plan": log.inputs,
+        "states": log.states,
+        "sessions": log.session,
+        "fault": log.fault,
         "points": [dict(zip(POINT_HEADERS, row, strict=True)) for row in points_table(facts)],
-        "frames": log.frames, "verdicts": log.verdicts,
+        "frames": log.frames,
+        "verdicts": log.verdicts,
         "events": [record.event(facts.run) for record in log.events],
         "result": facts.result,
-    }  # fmt: skip
+    }
     return msgspec.json.encode(whole) + b"\n"

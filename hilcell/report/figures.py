@@ -83,9 +83,13 @@ def _sheet(height_in: float, rows: int = 1, columns: int = 1, **more: Any) -> tu
     figure = Figure(figsize=(WIDTH_IN, height_in))
     axes = figure.subplots(rows, columns, squeeze=False, **more)
     figure.subplots_adjust(
-        left=0.64 / WIDTH_IN, right=1 - 0.42 / WIDTH_IN, bottom=0.42 / height_in,
-        top=1 - 0.28 / height_in, wspace=0.34 if columns > 2 else 0.1, hspace=0.36,
-    )  # fmt: skip
+        left=0.64 / WIDTH_IN,
+        right=1 - 0.42 / WIDTH_IN,
+        bottom=0.42 / height_in,
+        top=1 - 0.28 / height_in,
+        wspace=0.34 if columns > 2 else 0.1,
+        hspace=0.36,
+    )
     return figure, axes
 
 
@@ -125,8 +129,15 @@ def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn 
         _scatter(ax, how, errors.norms_mm, series_name(how, facts))
         ax.axhline(errors.mean_mm, color=COLOURS[how], linewidth=0.8, linestyle=(0, (4, 2)))
         if how != "idw":  # it would lie on the other mean
-            ax.text(1.008, errors.mean_mm, f"{errors.mean_mm:.3f}", color=COLOURS[how], va="center",
-                    fontsize=7.5, transform=ax.get_yaxis_transform())  # fmt: skip
+            ax.text(
+                1.008,
+                errors.mean_mm,
+                f"{errors.mean_mm:.3f}",
+                color=COLOURS[how],
+                va="center",
+                fontsize=7.5,
+                transform=ax.get_yaxis_transform(),
+            )
     ax.set_xlim(0, max(len(errors) for errors in series.values()) + 1)
     ax.set_ylim(bottom=0.0)
     ax.set_xlabel("target")
@@ -143,8 +154,15 @@ def _scatter(ax: Axes, how: str, y: Array, label: str) -> None:
 
 
 def _legend_above(ax: Axes) -> None:
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2,
-              handlelength=1.4, handletextpad=0.5, columnspacing=1.2)  # fmt: skip
+    ax.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=4,
+        borderaxespad=0.2,
+        handlelength=1.4,
+        handletextpad=0.5,
+        columnspacing=1.2,
+    )
 
 
 def fig_sorted(facts: Facts) -> Drawn | None:
@@ -164,8 +182,14 @@ def fig_sorted(facts: Facts) -> Drawn | None:
         for how, errors in series.items():
             share = 100 * np.arange(1, len(errors) + 1) / len(errors)
             style = "--" if how == "idw" else "-"
-            ax.plot(share, np.sort(errors.norms_mm), style, color=COLOURS[how],
-                    label=series_name(how, facts), drawstyle="steps-pre")  # fmt: skip
+            ax.plot(
+                share,
+                np.sort(errors.norms_mm),
+                style,
+                color=COLOURS[how],
+                label=series_name(how, facts),
+                drawstyle="steps-pre",
+            )
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_minor_formatter(LogFormatter())  # plain words, where decades are few
@@ -270,8 +294,15 @@ def fig_1(facts: Facts) -> Drawn | None:
     ax: Axes = axes[0, 0]
     for way, how in (("forth", "chosen"), ("back", "before")):
         nominal_mm, error_mm = np.array(survey["curve"][way], dtype=float).reshape(-1, 2).T
-        ax.plot(nominal_mm, error_mm, marker=MARKERS[how], markersize=2.8, color=COLOURS[how],
-                markerfacecolor="none" if how == "before" else COLOURS[how], label=way)  # fmt: skip
+        ax.plot(
+            nominal_mm,
+            error_mm,
+            marker=MARKERS[how],
+            markersize=2.8,
+            color=COLOURS[how],
+            markerfacecolor="none" if how == "before" else COLOURS[how],
+            label=way,
+        )
     ax.set_xlabel("nominal position on the rail, mm")
     ax.set_ylabel("position error, mm")
     _legend_above(ax)
@@ -339,8 +370,13 @@ def fig_8(facts: Facts) -> Drawn | None:
     for ax, station in zip(axes[0], stations, strict=True):
         for kind, how, shift in (("base", "before", -0.2), ("station", "chosen", 0.2)):
             off_mm = found[kind][station]
-            ax.bar(np.arange(1, len(off_mm) + 1) + shift, off_mm, 0.38, color=COLOURS[how],
-                   label=f"{kind} frame")  # fmt: skip
+            ax.bar(
+                np.arange(1, len(off_mm) + 1) + shift,
+                off_mm,
+                0.38,
+                color=COLOURS[how],
+                label=f"{kind} frame",
+            )
         ax.set_title(f"station {station}")
         ax.set_xlabel("slide point")
         ax.set_xticks(np.arange(1, len(found["base"][station]) + 1))

@@ -59,11 +59,14 @@ def report_html(facts: Facts) -> str:
             budget=budget,
             budget_sheets=tables.budget_sheets(budget) if budget else [],
             record_sheets=_present(
-                tables.devices(facts), tables.conditions(facts), tables.groups(facts),
-                tables.software(facts), tables.course(facts),
+                tables.devices(facts),
+                tables.conditions(facts),
+                tables.groups(facts),
+                tables.software(facts),
+                tables.course(facts),
             ),
         )
-    )  # fmt: skip
+    )
 
 
 def validation_of(facts: Facts) -> bool:

@@ -69,14 +69,25 @@ def _accuracy_row(facts: Facts, place: str, series: Mapping[str, Errors], how: s
 def stations(facts: Facts) -> Sheet | None:
     """Return what each station's frame is good for."""
     rows = [
-        [station.name, f"{station.rail_mm:.2f}", f"{station.strip_mm:.2f}",
-         f"{frame['strip_mm']:.2f}", *_mm(frame["rms_mm"], frame["tool_uncertainty_mm"])]
+        [
+            station.name,
+            f"{station.rail_mm:.2f}",
+            f"{station.strip_mm:.2f}",
+            f"{frame['strip_mm']:.2f}",
+            *_mm(frame["rms_mm"], frame["tool_uncertainty_mm"]),
+        ]
         for station in facts.cell.station
         for frame in (facts.log.frames.get(f"station.{station.name}"),)
         if frame is not None
-    ]  # fmt: skip
-    headers = ["station", "rail mm", "strip, wanted mm", "strip, found mm", "fit rms mm",
-               "tool point u mm"]  # fmt: skip
+    ]
+    headers = [
+        "station",
+        "rail mm",
+        "strip, wanted mm",
+        "strip, found mm",
+        "fit rms mm",
+        "tool point u mm",
+    ]
     note = "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ."
     return Sheet("Stations", headers, rows, 1, note) if rows else None
 
@@ -117,8 +128,9 @@ def conditions(facts: Facts) -> Sheet | None:
 
 def devices(facts: Facts) -> Sheet | None:
     """Return who answered."""
-    rows = [[each["device"], each["model"], each["serial"], each["address"]]
-            for each in facts.devices]  # fmt: skip
+    rows = [
+        [each["device"], each["model"], each["serial"], each["address"]] for each in facts.devices
+    ]
     headers = ["device", "model", "serial", "address"]
     return Sheet("Devices", headers, rows, 4) if rows else None
 
@@ -166,10 +178,16 @@ def paper_rows(facts: Facts) -> Sheet | None:
     if not isinstance(found, list):
         return None
     rows = [
-        [row["row"], _figure(row["paper"]), _figure(row["here"]), row["unit"], row["criterion"],
-         "holds" if row["holds"] else "does not hold"]
+        [
+            row["row"],
+            _figure(row["paper"]),
+            _figure(row["here"]),
+            row["unit"],
+            row["criterion"],
+            "holds" if row["holds"] else "does not hold",
+        ]
         for row in found
-    ]  # fmt: skip
+    ]
     headers = ["figure of the paper", "paper", "here", "unit", "holds if", "verdict"]
     return Sheet("The paper, row by row", headers, rows)
 
@@ -185,10 +203,15 @@ def own_table(facts: Facts) -> Sheet | None:
 def contributions(title: str, lines: Iterable[Contribution]) -> Sheet:
     """Return budget lines: estimate, distribution, standard uncertainty, source."""
     rows = [
-        [line.name, f"{line.how}; {line.source}", line.distribution, line.clause,
-         *_mm(line.estimate_mm, line.u_mm)]
+        [
+            line.name,
+            f"{line.how}; {line.source}",
+            line.distribution,
+            line.clause,
+            *_mm(line.estimate_mm, line.u_mm),
+        ]
         for line in lines
-    ]  # fmt: skip
+    ]
     headers = ["contribution", "source", "distribution", "GUM", "estimate mm", "u mm"]
     return Sheet(title, headers, rows, 4)
 
@@ -209,10 +232,12 @@ def budget_sheets(budget: Budget) -> list[Sheet]:
 
 
 def _summed(sheet: Sheet, u_mm: float, expanded_mm: float) -> Sheet:
-    sheet.rows.append(["combined u", "root of the sum of all squares so far", "", "5.1.2", "",
-                       f"{u_mm:.4f}"])  # fmt: skip
-    sheet.rows.append(["expanded U", "U = k u, k = 2, about 95 %", "normal", "6.2.1", "",
-                       f"{expanded_mm:.4f}"])  # fmt: skip
+    sheet.rows.append(
+        ["combined u", "root of the sum of all squares so far", "", "5.1.2", "", f"{u_mm:.4f}"]
+    )
+    sheet.rows.append(
+        ["expanded U", "U = k u, k = 2, about 95 %", "normal", "6.2.1", "", f"{expanded_mm:.4f}"]
+    )
     return sheet
 
 

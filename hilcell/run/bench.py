@@ -133,9 +133,12 @@ class Bench:
         check_strip(self.cell, reading, station, "hold")
         self._held = station
         self.event(
-            "station held", station=station.name, tries=approach.tries,
-            strip_mm=reading.strip_mm, rail_mm=reading.position_mm,
-        )  # fmt: skip
+            "station held",
+            station=station.name,
+            tries=approach.tries,
+            strip_mm=reading.strip_mm,
+            rail_mm=reading.position_mm,
+        )
 
     def _stands_at(self, station: Station) -> bool:
         held = [r.body["station"] for r in self.log.events if r.body["what"] == "station held"]
@@ -226,15 +229,25 @@ class Bench:
                 self.event("retake refused", key=point.key, reason=refused)
                 continue
             self._flange_point(
-                point.key, point.group, self.cell.station_named(point.station),
-                np.radians(point.commanded_deg or ()), point.nominal_mm, retake=True,
-            )  # fmt: skip
+                point.key,
+                point.group,
+                self.cell.station_named(point.station),
+                np.radians(point.commanded_deg or ()),
+                point.nominal_mm,
+                retake=True,
+            )
         return bool(waiting)
 
     def _flange_point(
-        self, key: str, group: str, station: Station, joints_rad: Array,
-        nominal_mm: Array | tuple[float, ...] | None, *, retake: bool,
-    ) -> Point:  # fmt: skip
+        self,
+        key: str,
+        group: str,
+        station: Station,
+        joints_rad: Array,
+        nominal_mm: Array | tuple[float, ...] | None,
+        *,
+        retake: bool,
+    ) -> Point:
         self.checkpoint()
         self.hold_station(station)
         self._seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
@@ -244,11 +257,17 @@ class Bench:
         if self.frames.based():
             self._check_expected(key, reading, expected[:3, 3], FLANGE_TOLERANCE_MM)
         return self._keep(
-            key, group, station.name, reading,
-            nominal_mm=nominal_mm, smr_mm=self.cell.robot.smr_mm,
-            commanded_deg=np.degrees(joints_rad), joints_deg=np.degrees(robot.joints_rad),
-            pose=robot.pose, retaken=retake,
-        )  # fmt: skip
+            key,
+            group,
+            station.name,
+            reading,
+            nominal_mm=nominal_mm,
+            smr_mm=self.cell.robot.smr_mm,
+            commanded_deg=np.degrees(joints_rad),
+            joints_deg=np.degrees(robot.joints_rad),
+            pose=robot.pose,
+            retaken=retake,
+        )
 
     def pose_points(
         self, group: str, joints_rad: Array, targets: Sequence[tuple[str, Array]]
@@ -266,10 +285,14 @@ class Bench:
             place = key.rsplit("/", 1)[-1]
             reading = self._measure(key, place, near_mm, self.cell.tracker.samples)
             self._keep(
-                key, group, "", reading,
-                commanded_deg=np.degrees(joints_rad), joints_deg=np.degrees(robot.joints_rad),
+                key,
+                group,
+                "",
+                reading,
+                commanded_deg=np.degrees(joints_rad),
+                joints_deg=np.degrees(robot.joints_rad),
                 pose=robot.pose,
-            )  # fmt: skip
+            )
 
     def floor_point(self, key: str, group: str, nest: Nest) -> Point:
         """Measure a nest on the floor."""
@@ -334,9 +357,7 @@ class Bench:
         seen = self._ask(prompt, lambda: self._look(f"look at {place}", near_mm))
         self.event("seated", place=place, xyz_mm=seen.xyz_mm, strip_mm=rail.strip_mm)
 
-    def _expected(
-        self, place: str, nominal_mm: Array, strip_mm: float
-    ) -> tuple[Array, float]:  # fmt: skip
+    def _expected(self, place: str, nominal_mm: Array, strip_mm: float) -> tuple[Array, float]:
         """Return where a seated reflector (3,) will be, tracker's frame, and within which distance.
 
         Where it sat before tells that best; what rides on the slide has moved along the rail since.
@@ -399,10 +420,12 @@ class Bench:
         off_mm = float(np.linalg.norm(found_mm - expected_mm))
         if not off_mm <= limit_mm:
             raise DeviceError(
-                "Tracker", f"measure {key}", f"reflector {off_mm:.2f} mm from its expected place",
+                "Tracker",
+                f"measure {key}",
+                f"reflector {off_mm:.2f} mm from its expected place",
                 wanted=f"<= {limit_mm:.1f} mm",
                 act="another reflector was caught, or tool, base or tracker moved; check, resume",
-            )  # fmt: skip
+            )
 
     def _keep(
         self, key: str, group: str, station: str, reading: TrackerReading, **facts: Any
@@ -432,7 +455,8 @@ class Bench:
 def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:
     if not reading.taken_s >= began_s:
         raise DeviceError(
-            "Tracker", f"measure {key}",
+            "Tracker",
+            f"measure {key}",
             f"result is {began_s - reading.taken_s:.3f} s older than its request",
             act="an answer of an earlier measurement was still under way; resume",
-        )  # fmt: skip
+        )

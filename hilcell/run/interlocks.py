@@ -19,8 +19,10 @@ OVERVIEW_AGE_S = 5.0  # an older reading tells a face nothing; motions take thei
 
 
 RAIL_BLOCKED, ROBOT_BLOCKED, MEASURE_BLOCKED = (
-    "rail move blocked", "robot move blocked", "measurement blocked"
-)  # fmt: skip
+    "rail move blocked",
+    "robot move blocked",
+    "measurement blocked",
+)
 
 
 class Blocked(DeviceError):
@@ -32,9 +34,12 @@ def check_age(device: str, operation: str, taken_s: float, now_s: float, limit_s
     age_s = now_s - taken_s
     if not -0.001 <= age_s <= limit_s:
         raise Blocked(
-            device, operation, f"reading is {age_s * 1000:.0f} ms old",
-            wanted=f"<= {limit_s * 1000:.0f} ms", act="the link is slow or stalled; check it",
-        )  # fmt: skip
+            device,
+            operation,
+            f"reading is {age_s * 1000:.0f} ms old",
+            wanted=f"<= {limit_s * 1000:.0f} ms",
+            act="the link is slow or stalled; check it",
+        )
 
 
 def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
@@ -52,11 +57,12 @@ def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
     if not bool(np.all(off_deg <= SAFE_POSE_TOLERANCE_DEG)):
         worst = int(np.nanargmax(off_deg)) if not np.all(np.isnan(off_deg)) else 0
         raise Blocked(
-            "Robot", operation,
+            "Robot",
+            operation,
             f"robot not at safe pose, A{worst + 1} {np.degrees(robot.joints_rad[worst]):.3f} deg",
             wanted=f"{cell.robot.safe_deg[worst]:.3f} +-{SAFE_POSE_TOLERANCE_DEG} deg",
             act="move the robot to its safe pose",
-        )  # fmt: skip
+        )
 
 
 def robot_may_move(cell: Cell, rail: RailReading, station: Station | None, now_s: float) -> None:
@@ -83,10 +89,12 @@ def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str)
     limit_mm = 2.0 * cell.rail.strip_tolerance_mm + 1e-9
     if not abs(rail.strip_mm - station.strip_mm) <= limit_mm:
         raise Blocked(
-            "Rail", operation, f"station {station.name} not held: strip {rail.strip_mm:.2f} mm",
+            "Rail",
+            operation,
+            f"station {station.name} not held: strip {rail.strip_mm:.2f} mm",
             wanted=f"{station.strip_mm:.2f} +-{limit_mm:.2f} mm",
             act="the slide has moved; resume to approach the station again",
-        )  # fmt: skip
+        )
 
 
 def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
@@ -96,10 +104,12 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
     if not bool(np.all(inside)):
         axis = int(np.argmin(inside))
         raise Blocked(
-            "Robot", what, f"A{axis + 1} {np.degrees(joints_rad[axis]):.2f} deg",
+            "Robot",
+            what,
+            f"A{axis + 1} {np.degrees(joints_rad[axis]):.2f} deg",
             wanted=f"{np.degrees(low[axis]):.1f} .. {np.degrees(high[axis]):.1f} deg",
             act="move the target or choose another status",
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +151,12 @@ def overview(cell: Cell, sight: Sight) -> list[dict[str, str]]:
 
 
 def _check_known(
-    device: str, operation: str, reading: RailReading | RobotReading | None, moves: bool,
+    device: str,
+    operation: str,
+    reading: RailReading | RobotReading | None,
+    moves: bool,
     now_s: float,
-) -> None:  # fmt: skip
+) -> None:
     if moves:
         raise Blocked(device, operation, f"the {device.lower()} is moving", wanted="at rest")
     if reading is None:

@@ -124,8 +124,12 @@ class Lamps:
     def status(self) -> dict[str, object]:
         """Return all lamps by name."""
         now_s = time.monotonic()
-        lamps = {"rail": self.rail, "strip": self.strip,
-                 "robot": self.robot, "tracker": self.tracker}  # fmt: skip
+        lamps = {
+            "rail": self.rail,
+            "strip": self.strip,
+            "robot": self.robot,
+            "tracker": self.tracker,
+        }
         return {name: lamp.status(now_s) for name, lamp in lamps.items()}
 
 

@@ -177,9 +177,13 @@ class Runner:
     def _sight(self) -> Sight:
         lamps, bench = self._lamps, self._bench
         return Sight(
-            lamps.rail_reading, lamps.robot_reading, lamps.rail.moving, lamps.robot.moving,
-            None if bench is None else bench.held, time.monotonic(),
-        )  # fmt: skip
+            lamps.rail_reading,
+            lamps.robot_reading,
+            lamps.rail.moving,
+            lamps.robot.moving,
+            None if bench is None else bench.held,
+            time.monotonic(),
+        )
 
     # -- the worker's thread ------------------------------------------------------------------
 
@@ -191,9 +195,14 @@ class Runner:
             self._messages.put("started")
             self._checkpoint()
             self._bench = Bench(
-                self._cell, self._devices, self._clock, self._journal, self.log,
-                checkpoint=self._checkpoint, ask=self._ask,
-            )  # fmt: skip
+                self._cell,
+                self._devices,
+                self._clock,
+                self._journal,
+                self.log,
+                checkpoint=self._checkpoint,
+                ask=self._ask,
+            )
             self._procedure.perform(self._bench)
         except Exception as caught:  # noqa: BLE001 - whatever ends the worker is judged in _end
             error = caught
@@ -223,9 +232,11 @@ class Runner:
         """
         if self._unattended:
             raise DeviceError(
-                "Tracker", "measure", prompt.reason, act="clear the beam or seat the reflector, "
-                "resume",
-            )  # fmt: skip
+                "Tracker",
+                "measure",
+                prompt.reason,
+                act="clear the beam or seat the reflector, resume",
+            )
         self._proven.clear()
         self._asking.open(prompt)
         self._messages.put(Asked(prompt))

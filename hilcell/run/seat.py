@@ -20,9 +20,7 @@ def where(cell: Cell, place: str) -> str:
     return "the nest on the robot's flange" if place == FLANGE else f"reflector {place}"
 
 
-def seat_prompt(
-    cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float
-) -> Prompt:  # fmt: skip
+def seat_prompt(cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float) -> Prompt:
     """Return what is asked before ``place`` is measured while the reflector is ``at`` another."""
     x, y, z = (round(float(value), 3) for value in expected_mm)
     take = f"Take the reflector from {where(cell, at)} and" if at else "Take the reflector and"
@@ -31,9 +29,11 @@ def seat_prompt(
         title=f"Seat the reflector {on}",
         text=f"{take} seat it in {where(cell, place)}. The robot rests at its safe pose, the "
         "slide is held.",
-        place=place, expected_mm=(x, y, z), limit_mm=limit_mm,
+        place=place,
+        expected_mm=(x, y, z),
+        limit_mm=limit_mm,
         reason=f"{place} is to be measured, the reflector is {at or 'nowhere'}",
-    )  # fmt: skip
+    )
 
 
 def beam_prompt(
@@ -45,5 +45,8 @@ def beam_prompt(
         title=f"Clear the beam to {place}",
         text=f"The tracker gives no good reading of {where(cell, place)}. Clear the line of "
         f"sight, clean the reflector, see that it sits well. Last: {reason}",
-        place=place, expected_mm=(x, y, z), limit_mm=limit_mm, reason=f"{key}: {reason}",
-    )  # fmt: skip
+        place=place,
+        expected_mm=(x, y, z),
+        limit_mm=limit_mm,
+        reason=f"{key}: {reason}",
+    )

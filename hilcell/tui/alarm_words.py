@@ -59,9 +59,15 @@ def _one(alarm: Alarm, glyphs: Glyphs, *, open_: bool) -> Content:
     steps = "\n".join(f"  {number}. {step}" for number, step in enumerate(alarm.do, start=1))
     return Content.assemble(
         _block(alarm, alarm.severity, glyphs),
-        (f" {alarm.title}", "bold"), (f"   {alarm.t[:19]}  {state}", "$dim"), "\n",
-        ("where   ", "$dim"), f"{alarm.where or '-'}\n",
-        ("found   ", "$dim"), f"{alarm.found}\n",
-        ("means   ", "$dim"), f"{alarm.means}\n",
-        ("do\n", "$dim"), steps,
-    )  # fmt: skip
+        (f" {alarm.title}", "bold"),
+        (f"   {alarm.t[:19]}  {state}", "$dim"),
+        "\n",
+        ("where   ", "$dim"),
+        f"{alarm.where or '-'}\n",
+        ("found   ", "$dim"),
+        f"{alarm.found}\n",
+        ("means   ", "$dim"),
+        f"{alarm.means}\n",
+        ("do\n", "$dim"),
+        steps,
+    )

@@ -11,11 +11,10 @@ import asyncio
 import time
 from collections.abc import Coroutine
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from textual.app import App
 from textual.binding import Binding, BindingType
-from textual.command import Hit, Hits, Provider
 from textual.driver import Driver
 from textual.events import Event, Paste
 from textual.message import Message
@@ -31,6 +30,7 @@ from hilcell.tui.desk import Options
 from hilcell.tui.driver import StopDriver
 from hilcell.tui.garbage import Collector
 from hilcell.tui.keys import ACTIONS, BY_NAME
+from hilcell.tui.palette import Actions
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.opening import Opening
@@ -55,21 +55,6 @@ class Delivered(Message):
         self.session, self.fresh = session, fresh
 
 
-class Actions(Provider):
-    """The palette: every action by its words."""
-
-    async def search(self, query: str) -> Hits:
-        """Yield the allowed actions that match."""
-        app, matcher = cast("HilcellApp", self.app), self.matcher(query)
-        for action in ACTIONS:
-            score = matcher.match(f"{action.label}: {action.help}")
-            if score > 0 and app.allowed(action.name):
-                yield Hit(
-                    score, f"{action.label}: {action.help}",
-                    lambda name=action.name: app.do(name),
-                )  # fmt: skip
-
-
 class HilcellApp(App[int]):
     """Shows one run at a time; `session` is the attachment to it."""
 
@@ -79,11 +64,15 @@ class HilcellApp(App[int]):
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - as Textual has it
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(
-            ",".join(action.keys), f"do('{action.name}')", action.label, show=False,
-            id=action.name, priority=True,  # in the order typed, also when typed ahead
+            ",".join(action.keys),
+            f"do('{action.name}')",
+            action.label,
+            show=False,
+            id=action.name,
+            priority=True,  # in the order typed, also when typed ahead
         )
         for action in ACTIONS
-    ]  # fmt: skip
+    ]
 
     def __init__(self, options: Options) -> None:
         super().__init__()
@@ -177,9 +166,11 @@ class HilcellApp(App[int]):
             self.screen.dismiss()
         elif self.live:
             self.ask(
-                "A run is live.", "It goes on while you look at another one, and Esc does not "
-                "stop it from there.", "look at the other", lambda: self.attach(folder),
-            )  # fmt: skip
+                "A run is live.",
+                "It goes on while you look at another one, and Esc does not stop it from there.",
+                "look at the other",
+                lambda: self.attach(folder),
+            )
         else:
             self.attach(folder)
 
@@ -329,21 +320,28 @@ class HilcellApp(App[int]):
             self.command("pause")
         elif command == "resume":
             self.ask(
-                "Resume this run?", "The devices are connected again; the tracker's control "
-                "points are proved before anything counts.", "resume", self.start_resume,
-            )  # fmt: skip
+                "Resume this run?",
+                "The devices are connected again; the tracker's control "
+                "points are proved before anything counts.",
+                "resume",
+                self.start_resume,
+            )
         else:
             self.ask(
-                "Go on?", "The robot and the rail may move at once.", "go on",
+                "Go on?",
+                "The robot and the rail may move at once.",
+                "go on",
                 lambda: self.command("proceed"),
-            )  # fmt: skip
+            )
 
     def do_abort(self) -> None:
         """End the run after the point in flight."""
         self.ask(
-            "Abort this run?", "The point in flight is finished, then the run ends. "
-            "It can be resumed later.", "abort", lambda: self.command("abort"),
-        )  # fmt: skip
+            "Abort this run?",
+            "The point in flight is finished, then the run ends. It can be resumed later.",
+            "abort",
+            lambda: self.command("abort"),
+        )
 
     def enter(self, key: str) -> None:
         """Answer the prompt that is asked, or open a point."""
@@ -377,15 +375,18 @@ class HilcellApp(App[int]):
             self.say(refusal)
         elif scene.live:
             self.ask(
-                "Measure this point anew?", f"{key}: at the next point of the robot.",
-                "re-measure", lambda: self.command("retake", key=key),
-            )  # fmt: skip
+                "Measure this point anew?",
+                f"{key}: at the next point of the robot.",
+                "re-measure",
+                lambda: self.command("retake", key=key),
+            )
         else:
             self.ask(
                 "Open this run again and measure the point anew?",
                 f"{key}: the devices are connected, the control points proved, the robot moves.",
-                "re-measure", lambda: self.start_resume("--retake", key),
-            )  # fmt: skip
+                "re-measure",
+                lambda: self.start_resume("--retake", key),
+            )
 
     def start_resume(self, *words: str) -> None:
         """Start an engine that goes on with this run."""
@@ -474,9 +475,12 @@ class HilcellApp(App[int]):
         else:
             self._close_questions()
             self.ask(
-                "A run is live.", "Detach: the run goes on without this screen. To stop it, "
-                "press q here and then Esc.", "detach", self.do_detach,
-            )  # fmt: skip
+                "A run is live.",
+                "Detach: the run goes on without this screen. To stop it, "
+                "press q here and then Esc.",
+                "detach",
+                self.do_detach,
+            )
 
     def do_new(self) -> None:
         """Open the form for a new run."""

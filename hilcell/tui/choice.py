@@ -18,7 +18,7 @@ class Choice(Panel, can_focus=True):
         Binding("right,space", "turn(1)", show=False),
     ]
 
-    def __init__(self, words: Sequence[str], id: str) -> None:  # noqa: A002 - Textual's own name
+    def __init__(self, words: Sequence[str], id: str) -> None:
         super().__init__(id=id, classes="choice")
         self.words, self.index = tuple(words), 0
 

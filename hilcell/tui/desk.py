@@ -48,6 +48,9 @@ class Desk(Protocol):
     def allowed(self, name: str) -> bool:
         """Whether an action does something now."""
 
+    def do(self, name: str) -> None:
+        """Do an action, where it is allowed."""
+
     def background(self, work: Coroutine[Any, Any, None]) -> None:
         """Do something that may take a while; what goes wrong is said."""
 

@@ -34,8 +34,11 @@ class Order:
     def words(self) -> list[str]:
         """Return the command line of `hilcell run`."""
         words = ["run", self.procedure, "--cell", self.cell, "--seed", self.seed]
-        for option, value in (("--operator", self.operator), ("--job", self.job),
-                              ("--speed", self.speed)):  # fmt: skip
+        for option, value in (
+            ("--operator", self.operator),
+            ("--job", self.job),
+            ("--speed", self.speed),
+        ):
             words += [f"{option}={value}"] if value else []
         for setting in self.settings:
             words += ["--set", setting]
@@ -48,9 +51,12 @@ def start(runs: Path, run: str, words: Sequence[str]) -> subprocess.Popen[bytes]
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / WORDS).open("ab") as said:
         return subprocess.Popen(  # noqa: S603 - our own interpreter, words never reach a shell
-            [*HILCELL, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=said, start_new_session=True,
-        )  # fmt: skip
+            [*HILCELL, *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=said,
+            start_new_session=True,
+        )
 
 
 def last_words(runs: Path, run: str) -> str:
@@ -64,9 +70,12 @@ def last_words(runs: Path, run: str) -> str:
 async def ask_hilcell(*words: str) -> str:
     """Run a command that moves nothing and return what it said; raises `HilcellError`."""
     process = await asyncio.create_subprocess_exec(
-        *HILCELL, *words, stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+        *HILCELL,
+        *words,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
     out, err = await process.communicate()
     if process.returncode:
         said = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()

@@ -38,8 +38,9 @@ def help_lines(keymap: Keymap, glyphs: Glyphs) -> Content:
     parts += [
         Content.assemble((f"{'^p':<12}", "bold"), "the palette: every action by its name"),
         Content.assemble((f"{'q':<12}", "bold"), "back to the run"),
-        Content(""), Content.styled("What the screen says", "bold"),
-    ]  # fmt: skip
+        Content(""),
+        Content.styled("What the screen says", "bold"),
+    ]
     parts += [Content.assemble((f"{name:<18}", "bold"), text) for name, text in LINES]
     parts += [Content(""), Content.styled("States", "bold")]
     states = "  ".join(f"{glyphs.states[key]} {word}" for key, (word, _) in STATES.items())

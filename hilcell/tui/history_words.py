@@ -8,12 +8,24 @@ from hilcell.index import RunRow
 from hilcell.tui.rows import Column, Row
 
 NARROW = (
-    Column("", 1), Column("begun UTC", 16), Column("procedure", 13), Column("state", 16),
-    Column("points", 6, right=True), Column("before", 6, right=True),
-    Column("after", 6, right=True), Column("job", 6),
-)  # fmt: skip
-WIDE = (*NARROW[:-1], Column("max mm", 6, right=True), Column("job", 12), Column("operator", 12),
-        Column("cell", 12), Column("kind", 9), Column("run", 36))  # fmt: skip
+    Column("", 1),
+    Column("begun UTC", 16),
+    Column("procedure", 13),
+    Column("state", 16),
+    Column("points", 6, right=True),
+    Column("before", 6, right=True),
+    Column("after", 6, right=True),
+    Column("job", 6),
+)
+WIDE = (
+    *NARROW[:-1],
+    Column("max mm", 6, right=True),
+    Column("job", 12),
+    Column("operator", 12),
+    Column("cell", 12),
+    Column("kind", 9),
+    Column("run", 36),
+)
 WIDE_FROM = 130
 _TONES = {"finished": "", "aborted": "dim", "faulted": "bad"}
 
@@ -31,8 +43,15 @@ def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
     mark = "*" if run.name in marked else ""
     begun = run.begun[:16].replace("T", " ")
     tone = "info" if run.live else "bad" if run.exit in (1, 3) else _TONES.get(run.state, "warn")
-    head = (mark, begun, run.procedure or "?", state, str(run.points or ""),
-            _mm(run.before_mean_mm), _mm(run.chosen_mean_mm))  # fmt: skip
+    head = (
+        mark,
+        begun,
+        run.procedure or "?",
+        state,
+        str(run.points or ""),
+        _mm(run.before_mean_mm),
+        _mm(run.chosen_mean_mm),
+    )
     if width < WIDE_FROM:
         return Row(run.name, (*head, run.job), tone)
     kind = "simulated" if run.simulated else "real"

@@ -9,10 +9,15 @@ from hilcell.run.control import live_engine
 from hilcell.runs import find_run, run_folders
 
 LATER = (
-    "hilcell.tui.session", "hilcell.tui.draw", "hilcell.tui.series", "hilcell.index",
-    *(f"hilcell.tui.screens.{name}"
-      for name in ("run", "pages", "log", "plots", "history", "start", "report", "compare")),
-)  # fmt: skip
+    "hilcell.tui.session",
+    "hilcell.tui.draw",
+    "hilcell.tui.series",
+    "hilcell.index",
+    *(
+        f"hilcell.tui.screens.{name}"
+        for name in ("run", "pages", "log", "plots", "history", "start", "report", "compare")
+    ),
+)
 
 
 def run_to_open(runs: Path, name: str) -> Path | None:

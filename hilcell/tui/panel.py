@@ -30,7 +30,7 @@ def to_ascii_lines(text: str) -> str:
 class Panel(Static):
     """Shows content; never reads markup."""
 
-    def __init__(self, id: str | None = None, *, classes: str | None = None) -> None:  # noqa: A002
+    def __init__(self, id: str | None = None, *, classes: str | None = None) -> None:
         super().__init__("", markup=False, id=id, classes=classes)
         self.content_shown: Content | None = None
 

@@ -44,7 +44,7 @@ def _measured(point: Point) -> list[tuple[str, str]]:
         ("reflector", point.reflector),
         ("air", _air(point)),
         ("session", str(point.session)),
-    ]  # fmt: skip
+    ]
     if point.commanded_deg is not None:
         facts.append(("joints commanded, deg", _numbers(point.commanded_deg, 3)))
     if point.joints_deg is not None:

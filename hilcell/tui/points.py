@@ -12,14 +12,20 @@ from hilcell.tui.rows import Column, Row
 
 WIDE = 112
 _NARROW_COLUMNS = (
-    Column("point", 26), Column("dx mm", 7, right=True), Column("dy mm", 7, right=True),
-    Column("dz mm", 7, right=True), Column("|e| mm", 7, right=True),
-    Column("rms mm", 6, right=True), Column("state", 8),
-)  # fmt: skip
+    Column("point", 26),
+    Column("dx mm", 7, right=True),
+    Column("dy mm", 7, right=True),
+    Column("dz mm", 7, right=True),
+    Column("|e| mm", 7, right=True),
+    Column("rms mm", 6, right=True),
+    Column("state", 8),
+)
 _WIDE_COLUMNS = (
-    Column("point", 26), Column("nominal x y z mm", 28, right=True),
-    Column("measured x y z mm", 31, right=True), *_NARROW_COLUMNS[1:],
-)  # fmt: skip
+    Column("point", 26),
+    Column("nominal x y z mm", 28, right=True),
+    Column("measured x y z mm", 31, right=True),
+    *_NARROW_COLUMNS[1:],
+)
 _TONES = {"out": "bad", "noisy": "warn", "waits": "info", "again": "info"}
 
 

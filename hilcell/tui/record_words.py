@@ -8,8 +8,11 @@ from hilcell.run.journal import Record
 from hilcell.tui.rows import Column, Row
 
 COLUMNS = (
-    Column("record", 6, right=True), Column("UTC", 12), Column("kind", 8), Column("what", 200),
-)  # fmt: skip
+    Column("record", 6, right=True),
+    Column("UTC", 12),
+    Column("kind", 8),
+    Column("what", 200),
+)
 _TONES = {"faulted": "bad", "suspended": "warn", "aborted": "warn"}
 _LONG = ("matrix", "pose", "xyz_mm", "covariance", "trace", "result", "cell", "joints_deg")
 

@@ -68,8 +68,9 @@ class Rows(ScrollView, can_focus=True):
             super().__init__()
             self.key = key
 
-    def __init__(self, columns: Sequence[Column], *, empty: str, plain: bool = False,
-                 id: str | None = None) -> None:  # noqa: A002 - Textual's own name  # fmt: skip
+    def __init__(
+        self, columns: Sequence[Column], *, empty: str, plain: bool = False, id: str | None = None
+    ) -> None:
         super().__init__(id=id)
         self.columns = tuple(columns)
         self.empty, self.plain = empty, plain

@@ -36,9 +36,11 @@ class Palette:
         variables = {tone: getattr(self, tone) for tone in TONES}
         variables |= {f"on-{tone}": self.on for tone in TONES}
         variables |= {
-            "dim": self.dim, "cursor-row": self.cursor, "footer-background": self.background,
+            "dim": self.dim,
+            "cursor-row": self.cursor,
+            "footer-background": self.background,
             "input-selection-background": self.cursor,
-        }  # fmt: skip
+        }
         return Theme(
             name=self.name, dark=self.dark, primary=self.info, secondary=self.quiet,
             warning=self.warn, error=self.bad, success=self.good, accent=self.info,

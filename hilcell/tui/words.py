@@ -7,6 +7,7 @@ import math
 import msgspec
 from textual.content import Content
 
+from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.tui.deviation import Deviation
 from hilcell.tui.digits import large
 from hilcell.tui.glyphs import Glyphs
@@ -27,7 +28,6 @@ STATES = {
     "gone": ("ENGINE GONE", "bad"),
 }
 NOT_E_STOP = "software stop; not the E-stop"
-DRIFT_LIMIT_K = 2.0
 SHORT = 4
 LAMPS = ("rail", "strip", "robot", "tracker")
 
@@ -232,8 +232,12 @@ def deviation(found: Deviation | None, glyphs: Glyphs, width: int) -> Content:
     if found is None:
         blank = "deviation: no point with a nominal target yet"
         return Content.styled("\n".join([blank, "", "", "", ""]), "$dim")
-    values = [("dx", f"{found.error_mm[0]:+.3f}"), ("dy", f"{found.error_mm[1]:+.3f}"),
-              ("dz", f"{found.error_mm[2]:+.3f}"), ("|e|", f"{found.norm_mm:.3f}")]  # fmt: skip
+    values = [
+        ("dx", f"{found.error_mm[0]:+.3f}"),
+        ("dy", f"{found.error_mm[1]:+.3f}"),
+        ("dz", f"{found.error_mm[2]:+.3f}"),
+        ("|e|", f"{found.norm_mm:.3f}"),
+    ]
     columns = [large(text) for _, text in values]
     gap = "   "
     head = gap.join(

@@ -41,10 +41,15 @@ def pdo_objects(communication: int, mapping: int) -> dict[tuple[int, int], bytes
 
 def common(device_type: int, product: int) -> dict[tuple[int, int], bytes]:
     return {
-        (0x1000, 0): u32(device_type), (0x1001, 0): u8(0), (0x1017, 0): u16(0),
-        (0x1018, 0): u8(4), (0x1018, 1): u32(0x484), (0x1018, 2): u32(product),
-        (0x1018, 3): u32(1), (0x1018, 4): u32(4711),
-    }  # fmt: skip
+        (0x1000, 0): u32(device_type),
+        (0x1001, 0): u8(0),
+        (0x1017, 0): u16(0),
+        (0x1018, 0): u8(4),
+        (0x1018, 1): u32(0x484),
+        (0x1018, 2): u32(product),
+        (0x1018, 3): u32(1),
+        (0x1018, 4): u32(4711),
+    }
 
 
 def drive_objects() -> dict[tuple[int, int], bytes]:

@@ -22,9 +22,12 @@ def failure(command: int, status: int) -> bytes:
 
 
 def result(
-    xyz: Sequence[float], *, std: float = 0.005, status: int = 0,
+    xyz: Sequence[float],
+    *,
+    std: float = 0.005,
+    status: int = 0,
     air: Sequence[float] = (22.5, 1013.25, 45.0),
-) -> bytes:  # fmt: skip
+) -> bytes:
     values = (*xyz, std / 2, std / 2, std / 2, std, *[0.0] * 7, *air)
     return struct.pack("<IIIii17d", 156, 2, status, 0, 0, *values)
 
@@ -53,7 +56,7 @@ class EmsconPeer:
             52: self._stop,
             55: self._go,
             63: lambda _: [reply(63), READY],
-        }  # fmt: skip
+        }
         self.server = Server(self._serve)
 
     def __enter__(self) -> EmsconPeer:

@@ -45,11 +45,12 @@ RESULT = bytes.fromhex("9c0000000200000000000000") + struct.pack(
         (Command.START_MEASUREMENT, b"", "0c0000000000000031000000"),
         (Command.GET_SYSTEM_STATUS, b"", "0c0000000000000001000000"),
         (
-            Command.FIND_REFLECTOR, emscon.DISTANCE.pack(3000.0),
+            Command.FIND_REFLECTOR,
+            emscon.DISTANCE.pack(3000.0),
             "14000000000000003f000000000000000070a740",
         ),
     ],
-)  # fmt: skip
+)
 def test_commands_are_the_published_bytes(command: Command, body: bytes, expected: str) -> None:
     assert emscon.encode(command, body).hex() == expected
 

@@ -22,19 +22,29 @@ from tests.drivers.peers import wall_clock
 @pytest.fixture(autouse=True)
 def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, name, value in (
-        (drive, "STALL_S", 0.3), (drive, "POLL_S", 0.002), (rail_canopen, "POLL_S", 0.002),
-        (rail_canopen, "SETTLE_S", 0.3), (rail_canopen, "OPERATIONAL_S", 0.5),
-        (rail_canopen, "RELEASE_S", 0.5), (rail_setup, "FIND_S", 0.5), (pdo, "REPLY_S", 0.1),
-        (node_watch, "HEARTBEAT_AGE_S", 0.6), (sdo, "REPLY_S", 0.1), (sdo, "LATE_S", 0.15),
-    ):  # fmt: skip
+        (drive, "STALL_S", 0.3),
+        (drive, "POLL_S", 0.002),
+        (rail_canopen, "POLL_S", 0.002),
+        (rail_canopen, "SETTLE_S", 0.3),
+        (rail_canopen, "OPERATIONAL_S", 0.5),
+        (rail_canopen, "RELEASE_S", 0.5),
+        (rail_setup, "FIND_S", 0.5),
+        (pdo, "REPLY_S", 0.1),
+        (node_watch, "HEARTBEAT_AGE_S", 0.6),
+        (sdo, "REPLY_S", 0.1),
+        (sdo, "LATE_S", 0.15),
+    ):
         monkeypatch.setattr(module, name, value)
 
 
 def rail_for(peer: CanPeer, clock: WallClock | None = None, **options: Any) -> CanopenRail:
     values = {
-        "channel": peer.channel, "travel_min_mm": 0.0, "travel_max_mm": 3000.0,
-        "speed_mm_s": 250.0, "acceleration_mm_s2": 200.0,
-    }  # fmt: skip
+        "channel": peer.channel,
+        "travel_min_mm": 0.0,
+        "travel_max_mm": 3000.0,
+        "speed_mm_s": 250.0,
+        "acceleration_mm_s2": 200.0,
+    }
     return CanopenRail(CanopenRail.Options(**(values | options)), clock or wall_clock())
 
 
@@ -483,8 +493,11 @@ def test_stop_and_close_before_connect_do_nothing(peer: CanPeer) -> None:
 )
 def test_options_are_strict(changed: dict[str, object], message: str) -> None:
     values: dict[str, object] = {
-        "channel": "can0", "travel_min_mm": 0.0, "travel_max_mm": 3000.0, "speed_mm_s": 250.0,
+        "channel": "can0",
+        "travel_min_mm": 0.0,
+        "travel_max_mm": 3000.0,
+        "speed_mm_s": 250.0,
         "acceleration_mm_s2": 200.0,
-    }  # fmt: skip
+    }
     with pytest.raises(SettingsError, match=message):
         convert(values | changed, CanopenRail.Options, "rail")

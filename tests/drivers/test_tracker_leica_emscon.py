@@ -44,9 +44,13 @@ def short_pause(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def tracker_at(port: int, clock: WallClock | None = None, **options: Any) -> Quick:
     values = {
-        "host": "127.0.0.1", "port": port, "reflector": SMR, "max_std_mm": 0.05,
-        "find_radius_mm": 5.0, "stationary_ms": 100,
-    }  # fmt: skip
+        "host": "127.0.0.1",
+        "port": port,
+        "reflector": SMR,
+        "max_std_mm": 0.05,
+        "find_radius_mm": 5.0,
+        "stationary_ms": 100,
+    }
     return Quick(Quick.Options(**(values | options)), clock or wall_clock())
 
 

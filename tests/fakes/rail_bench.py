@@ -162,9 +162,11 @@ class Master:
         self.network.add_node(self.drive)
         self.network.add_node(self.strip)
         self.network.connect(
-            interface="slcan", channel=f"socket://127.0.0.1:{port}", bitrate=500_000,
+            interface="slcan",
+            channel=f"socket://127.0.0.1:{port}",
+            bitrate=500_000,
             sleep_after_open=0,
-        )  # fmt: skip
+        )
         self._closed = False
 
     def __enter__(self) -> Master:

@@ -77,8 +77,9 @@ def test_reflectors_stand_near_their_nominal_places(cell: Cell) -> None:
     at_mm = plant.reflectors_in_world()
     base = cell.layout.nominal_base(plant.rail.slide_mm())
     assert set(at_mm) == {
-        *(nest.name for nest in cell.layout.floor + cell.layout.slide), FLANGE,
-    }  # fmt: skip
+        *(nest.name for nest in cell.layout.floor + cell.layout.slide),
+        FLANGE,
+    }
     for nest in cell.layout.floor:
         assert 0 < np.linalg.norm(at_mm[nest.name] - nest.xyz_mm) < cell.layout.nest_tolerance_mm
     for nest in cell.layout.slide:

@@ -28,21 +28,31 @@ def field_mm(size_mm: float) -> Any:
 def calibration(size_mm: float = 1.2, **provenance: Any) -> Calibration:
     """Return a calibration written now, its sign checked, of a real cell."""
     made = Provenance(
-        "20261101-120000-calibrate-abcd", "paper", "d" * 64, False, "", "", "hilcell 0",
-        f"{datetime.now(UTC):{STAMP}}", True,
-    )  # fmt: skip
+        "20261101-120000-calibrate-abcd",
+        "paper",
+        "d" * 64,
+        False,
+        "",
+        "",
+        "hilcell 0",
+        f"{datetime.now(UTC):{STAMP}}",
+        True,
+    )
     high_mm = LOW_MM + PITCH_MM * (np.array(SHAPE) - 1)
     entry = StationEntry(T_W_B.tolist(), np.eye(4).tolist(), np.eye(6).tolist(), 0.01, 1100.0)
     values = {
         "schema": SCHEMA,
         "provenance": msgspec.structs.replace(made, **provenance),
         "validity": Validity(
-            tuple(LOW_MM.tolist()), tuple(high_mm.tolist()),
-            pose_from_zyx(0, 0, 0, 0, 75, 0)[:3, :3].tolist(), 2.0, (22.0, 23.0),
+            tuple(LOW_MM.tolist()),
+            tuple(high_mm.tolist()),
+            pose_from_zyx(0, 0, 0, 0, 75, 0)[:3, :3].tolist(),
+            2.0,
+            (22.0, 23.0),
         ),
         "stations": {"S1100": entry},
         "method": "trilinear",
         "pitch_mm": PITCH_MM,
         "grid_errors_mm": field_mm(size_mm).tolist(),
-    }  # fmt: skip
+    }
     return msgspec.convert(msgspec.to_builtins(values), Calibration)

@@ -49,9 +49,15 @@ def test_layout_and_order_of_keys_do_not_matter(file: Path) -> None:
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("450.0", "450.1"), ('"trilinear"', '"idw"'), ('"simulated": false', '"simulated": true'),
-     ('"seal": "', '"seal": "0'), ('"seal"', '"sael"'), ('"method"', '"more": 1, "method"')],
-)  # fmt: skip
+    [
+        ("450.0", "450.1"),
+        ('"trilinear"', '"idw"'),
+        ('"simulated": false', '"simulated": true'),
+        ('"seal": "', '"seal": "0'),
+        ('"seal"', '"sael"'),
+        ('"method"', '"more": 1, "method"'),
+    ],
+)
 def test_any_change_is_told(file: Path, old: str, new: str) -> None:
     text = file.read_text()
     assert old in text

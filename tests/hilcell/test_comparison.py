@@ -91,8 +91,11 @@ def test_two_simulated_cells(seeds: Comparison) -> None:
     assert any("two simulated cells" in note for note in seeds.notes)
     frames = of(seeds, "frames")
     assert {each.place for each in frames} == {
-        "base", "station S300", "station S1100", "station S1900",
-    }  # fmt: skip
+        "base",
+        "station S300",
+        "station S1100",
+        "station S1900",
+    }
     assert all(each.verdict == "beyond" for each in frames)
     assert [each.verdict for each in of(seeds, "grid", "move")] == ["beyond"] * 3
     assert seeds.verdict.startswith("drift: ")
@@ -132,8 +135,9 @@ def test_the_same_cell_measured_otherwise_has_not_drifted(
     end = end_of(hilcell("run", "--json", "--runs", tmp_path, "--seed", "1", *sets(words)))
     found = compare_runs(first, Log(read_journal(tmp_path / end["run"] / JOURNAL)))
     assert {each.key: (each.first, each.second) for each in found.settings} == {
-        "layout.nest_samples": ("2", "3"), "base_frame.points": ("6", "7"),
-    }  # fmt: skip
+        "layout.nest_samples": ("2", "3"),
+        "base_frame.points": ("6", "7"),
+    }
     assert found.drifted == []
     assert any(each.change != 0.0 for each in of(found, "frames"))
 
@@ -234,16 +238,19 @@ def test_settings_are_told_key_by_key(first: Log, records: list[Record]) -> None
         cell = plan["cell"]
         cell["rail"]["strip_tolerance_mm"] = 0.02
         cell["rail"]["options"]["port"] = 7
-        cell["station"] = [s | {"strip_mm": 300.01} if s["name"] == "S300" else s
-                           for s in reversed(cell["station"])]  # fmt: skip
+        cell["station"] = [
+            s | {"strip_mm": 300.01} if s["name"] == "S300" else s
+            for s in reversed(cell["station"])
+        ]
         cell["robot"]["joint"][2]["d_mm"] = -1.0
         cell["layout"]["slide"][0]["name"] = "P9"
         cell["simulation"]["address"] = "127.0.0.1:9"
         plan["versions"]["hilcell"] = "9.9.9"
 
-    found = {each.key: (each.first, each.second) for each in compare_runs(
-        first, plan_with(records, change)
-    ).settings}  # fmt: skip
+    found = {
+        each.key: (each.first, each.second)
+        for each in compare_runs(first, plan_with(records, change)).settings
+    }
     assert found.pop("rail.strip_tolerance_mm") == ("0.01", "0.02")
     assert found.pop("rail.options.port") == ("", "7")
     assert found.pop("station[S300].strip_mm")[1] == "300.01"
@@ -270,8 +277,10 @@ def test_an_unfinished_run_is_compared_as_far_as_it_is(first: Log, records: list
     assert any("the second run is running" in note for note in found.notes)
     assert of(found, "validation") == []
     assert {each.place for each in of(found, "frames")} == {
-        "base", "station S1100", "station S300",
-    }  # fmt: skip
+        "base",
+        "station S1100",
+        "station S300",
+    }
     half = compare_runs(first, Log(r for r in records if r.key not in ("grid/0-0-0", "grid/2-2-2")))
     assert len(half.moved_mm) == 25
     assert half.drifted == []
@@ -384,8 +393,14 @@ def test_the_command(
     assert told(pair, as_json=True) == 0
     found = json.loads(capsys.readouterr().out)
     assert list(found) == [
-        "first", "second", "verdict", "settings", "changes", "moved_mm", "notes",
-    ]  # fmt: skip
+        "first",
+        "second",
+        "verdict",
+        "settings",
+        "changes",
+        "moved_mm",
+        "notes",
+    ]
     assert (found["first"], found["second"]) == (pair[0].name, pair[1].name)
     assert len(found["changes"]) == len(seeds.changes)
     assert found["changes"][0]["verdict"] == seeds.changes[0].verdict

@@ -102,15 +102,22 @@ def test_simulated_is_warned_of(desk: Desk, capsys: pytest.CaptureFixture[str]) 
     [
         (SRC.replace("lin xp2", "LIN_REL {Z 1}"), DAT, (), "drill.src line 32: LIN_REL"),
         (SRC, DAT.replace("Z +1000.5", "Z 9000"), (), "XP1 (drill.dat line 8) by "),
-        (SRC, DAT.replace("HOLE[2]={X 0.0,Y 50.0,Z 1200.0,A 0.0,B 75.0", "HOLE[2]={X 0.0,Y 50.0,"
-         "Z 1200.0,A 0.0,B 85.0"), (), "HOLE[2] (drill.dat line 16) by 9.90 deg"),
+        (
+            SRC,
+            DAT.replace(
+                "HOLE[2]={X 0.0,Y 50.0,Z 1200.0,A 0.0,B 75.0",
+                "HOLE[2]={X 0.0,Y 50.0,Z 1200.0,A 0.0,B 85.0",
+            ),
+            (),
+            "HOLE[2] (drill.dat line 16) by 9.90 deg",
+        ),
         (SRC, DAT.replace("Z +1000.5", "Z 1E308"), (), "1 targets are not in the cell"),
         (SRC, DAT, ("--temperature", "40"), "40.0 C is not within 2 K"),
         (SRC, DAT, ("--cell", "paper"), "another cell"),
         (SRC, DAT, ("--max-age", "-1"), "days ago, wanted <= -1 days"),
         (SRC, DAT, ("--station", "S7"), "station 'S7' is not calibrated"),
     ],
-)  # fmt: skip
+)
 def test_refused_and_nothing_written(
     desk: Desk,
     capsys: pytest.CaptureFixture[str],

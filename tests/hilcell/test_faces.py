@@ -15,12 +15,14 @@ PROMPT = {"title": "Seat the reflector in P1", "text": "Take it and seat it."}
     ("to", "facts", "words"),
     [
         ("paused", {}, "paused: " + HINT),
-        ("paused", {"reason": "the screen was lost"},
-         "paused: the screen was lost; " + HINT),
-        ("suspended", {"reason": "P1 is to be measured", "prompt": PROMPT},
-         "suspended: Seat the reflector in P1. Take it and seat it. When it is done, " + HINT),
+        ("paused", {"reason": "the screen was lost"}, "paused: the screen was lost; " + HINT),
+        (
+            "suspended",
+            {"reason": "P1 is to be measured", "prompt": PROMPT},
+            "suspended: Seat the reflector in P1. Take it and seat it. When it is done, " + HINT,
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_run_that_waits_says_for_what(
     to: str, facts: dict[str, Any], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -175,13 +175,18 @@ def test_a_run_at_its_last_breath_is_not_kept(runs: Path, opened: Opened) -> Non
 def test_figures_are_of_the_grids_station(tmp_path: Path) -> None:
     bodies: dict[str, dict[str, Any]] = {
         "paper": {"validation": PLACES},
-        "campaign": {"campaign": {"chosen": "hybrid", "methods": {
-            "nominal": {"mean_mm": 1.25, "p95_mm": 2.0, "max_mm": 2.5},
-            "hybrid": {"mean_mm": 0.125, "p95_mm": 0.3, "max_mm": 0.5},
-        }}},
+        "campaign": {
+            "campaign": {
+                "chosen": "hybrid",
+                "methods": {
+                    "nominal": {"mean_mm": 1.25, "p95_mm": 2.0, "max_mm": 2.5},
+                    "hybrid": {"mean_mm": 0.125, "p95_mm": 0.3, "max_mm": 0.5},
+                },
+            }
+        },
         "none": {"points": {"grid": 3}},
         "another's": {"validation": "passed"},
-    }  # fmt: skip
+    }
     for name, result in bodies.items():
         writer = Writer(tmp_path / name).began()
         writer.journal.append("end", "", {"state": "finished", "exit": 0, "result": result})
@@ -202,8 +207,10 @@ def test_damaged_journals_are_told_and_read_again(runs: Path, opened: Opened) ->
     writer.left()
     rows = {row.name: row for row in read_index(runs)}
     assert [name for name, row in rows.items() if not row.readable] == [
-        "6-alien", "5-empty", "2-faulted",
-    ]  # fmt: skip
+        "6-alien",
+        "5-empty",
+        "2-faulted",
+    ]
     assert "not a journal" in rows["2-faulted"].reason
     assert "no plan" in rows["5-empty"].reason
     assert "seed" in rows["6-alien"].reason

@@ -106,8 +106,9 @@ def test_the_right_sign_holds(bench: Any) -> None:
     )
     assert verdict["corrected_mm"] < 0.01
     assert [bench.log.points[key].group for key in KEYS.values()] == [
-        "sign_before", "sign_corrected",
-    ]  # fmt: skip
+        "sign_before",
+        "sign_corrected",
+    ]
 
 
 def test_the_wrong_sign_doubles_the_error_and_fails(bench: Any) -> None:

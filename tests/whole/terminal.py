@@ -29,8 +29,9 @@ def _own_terminal() -> None:
 class Terminal:
     """Runs `hilcell` with some words in a terminal of its own."""
 
-    def __init__(self, words: Sequence[str], *, columns: int = 80, rows: int = 24,
-                 **environment: str) -> None:  # fmt: skip
+    def __init__(
+        self, words: Sequence[str], *, columns: int = 80, rows: int = 24, **environment: str
+    ) -> None:
         self.screen = pyte.Screen(columns, rows)
         self.raw = bytearray()
         self._stream = pyte.ByteStream(self.screen)
@@ -41,10 +42,14 @@ class Terminal:
         # Parallel tests state a size of their own, which would be believed over the terminal's.
         around = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "hilcell", *words], stdin=inner, stdout=inner, stderr=inner,
-            env=around | seen | environment, start_new_session=True,
+            [sys.executable, "-m", "hilcell", *words],
+            stdin=inner,
+            stdout=inner,
+            stderr=inner,
+            env=around | seen | environment,
+            start_new_session=True,
             preexec_fn=_own_terminal,  # noqa: PLW1509 - one system call, no lock
-        )  # fmt: skip
+        )
         os.close(inner)
         self.pid = self.process.pid
 

@@ -101,9 +101,15 @@ SURVIVED: dict[str, tuple[int, object]] = {
 }
 # What these leave behind stays, or comes late, so the next fault gets another cell.
 LASTING = (
-    ".vanish", ".backlash", ".slip", ".lost_zero", ".drift_step", ".limit_switch", ".late_tpdo",
+    ".vanish",
+    ".backlash",
+    ".slip",
+    ".lost_zero",
+    ".drift_step",
+    ".limit_switch",
+    ".late_tpdo",
     ".late_reply",
-)  # fmt: skip
+)
 SPECIFIC = {entry.code for entry in catalogue() if entry.specific}
 
 
@@ -149,8 +155,9 @@ def injected(
         "base_frame.points": "6",
         "layout.nest_samples": "2",
     }
-    main(["run", "base-frame", "--unattended", "--runs", str(tmp_path), "--name", "x",
-          *sets(words)])  # fmt: skip
+    main(
+        ["run", "base-frame", "--unattended", "--runs", str(tmp_path), "--name", "x", *sets(words)]
+    )
     cell.ask(do="clear")
     if name.endswith(LASTING):
         cells.close()

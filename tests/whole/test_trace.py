@@ -12,9 +12,16 @@ def good() -> list[dict[str, Any]]:
         return {"kind": "state", "machine": "run", "from": before, "to": after}
 
     point = {
-        "kind": "point", "key": "grid/0", "group": "grid", "station": "S1", "strip_mm": 10.0,
-        "commanded_deg": [0.0], "reflector": "SMR", "temperature_c": 22.0, "frame": "tracker",
-    }  # fmt: skip
+        "kind": "point",
+        "key": "grid/0",
+        "group": "grid",
+        "station": "S1",
+        "strip_mm": 10.0,
+        "commanded_deg": [0.0],
+        "reflector": "SMR",
+        "temperature_c": 22.0,
+        "frame": "tracker",
+    }
     return [
         {"kind": "plan", "cell": {"station": [{"name": "S1", "strip_mm": 10.0}]}},
         state("idle", "checking"),

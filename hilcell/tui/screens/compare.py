@@ -14,10 +14,14 @@ from hilcell.tui.rows import Column, Row, Rows
 from hilcell.tui.screens.base import Page
 
 COLUMNS = (
-    Column("where", 9), Column("what", 20), Column("first", 9, right=True),
-    Column("second", 9, right=True), Column("change", 9, right=True),
-    Column("limit", 7, right=True), Column("verdict", 9),
-)  # fmt: skip
+    Column("where", 9),
+    Column("what", 20),
+    Column("first", 9, right=True),
+    Column("second", 9, right=True),
+    Column("change", 9, right=True),
+    Column("limit", 7, right=True),
+    Column("verdict", 9),
+)
 DIGITS = {"mm": 4, "deg": 5}
 
 

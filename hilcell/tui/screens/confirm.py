@@ -34,11 +34,16 @@ class Confirm(ModalScreen[str]):
         """Show the question."""
         self.query_one("#question", Panel).show(
             Content.assemble(
-                (self._title, "bold $warn"), "\n", self._text, "\n\n",
-                (" Enter ", "bold $on-quiet on $quiet"), f" {self._yes}   ",
-                (" q ", "bold $on-quiet on $quiet"), f" {self._no}",
+                (self._title, "bold $warn"),
+                "\n",
+                self._text,
+                "\n\n",
+                (" Enter ", "bold $on-quiet on $quiet"),
+                f" {self._yes}   ",
+                (" q ", "bold $on-quiet on $quiet"),
+                f" {self._no}",
             )
-        )  # fmt: skip
+        )
 
     def action_reply(self, word: str) -> None:
         """Close with the answer."""

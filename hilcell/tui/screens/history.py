@@ -32,8 +32,9 @@ class HistoryPage(Finding, Page):
         ("c", "compare two"),
     )
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("x", "mark", show=False), Binding("c", "compare", show=False),
-    ]  # fmt: skip
+        Binding("x", "mark", show=False),
+        Binding("c", "compare", show=False),
+    ]
 
     def __init__(self) -> None:
         super().__init__()

@@ -109,7 +109,8 @@ def interlock_page(scene: Scene, glyphs: Glyphs) -> Content:
         Content(""),
         Content.styled(
             "These interlocks protect the measurement. They are no safety function: guards, "
-            "enabling switch and E-stop work without hilcell.", "$dim",
+            "enabling switch and E-stop work without hilcell.",
+            "$dim",
         ),
-    ]  # fmt: skip
+    ]
     return Content("\n").join(lines)

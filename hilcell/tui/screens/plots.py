@@ -22,9 +22,10 @@ class PlotPage(Page):
     footer = ("stop", "pause", "quit")
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("</>", "other plot"))
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("left", "turn(-1)", show=False), Binding("right", "turn(1)", show=False),
+        Binding("left", "turn(-1)", show=False),
+        Binding("right", "turn(1)", show=False),
         *[Binding(str(n), f"choose({n - 1})", show=False) for n in range(1, 5)],
-    ]  # fmt: skip
+    ]
 
     def __init__(self) -> None:
         super().__init__()

@@ -60,9 +60,11 @@ class RunScreen(Finding):
         with Horizontal(id="middle"):
             with Vertical():
                 yield Rows(
-                    columns_for(80), empty="no points yet", id="points",
+                    columns_for(80),
+                    empty="no points yet",
+                    id="points",
                     plain=self.cell.glyphs.plain,
-                )  # fmt: skip
+                )
                 yield self.find_box("filter: words of name, station or state")
             yield Panel("side")
         yield Panel("notice")

@@ -38,9 +38,9 @@ class StartScreen(SceneScreen):
     footer = ("history", "help", "theme", "quit")
     fixed = (("Enter", "check the plan"), ("Tab", "next field"))
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("down", "app.focus_next", show=False), Binding("up", "app.focus_previous",
-                                                               show=False),
-    ]  # fmt: skip
+        Binding("down", "app.focus_next", show=False),
+        Binding("up", "app.focus_previous", show=False),
+    ]
 
     def compose(self) -> ComposeResult:
         """Build the form."""
@@ -57,9 +57,11 @@ class StartScreen(SceneScreen):
             yield Label("speed")
             yield Choice(SPEEDS, id="speed")
         yield Rows(
-            [Column("procedure", 24), Column("what it does", 52)], id="procedures",
-            empty="no procedures are installed", plain=self.cell.glyphs.plain,
-        )  # fmt: skip
+            [Column("procedure", 24), Column("what it does", 52)],
+            id="procedures",
+            empty="no procedures are installed",
+            plain=self.cell.glyphs.plain,
+        )
         yield Panel("notice")
         yield Panel("keys")
 
@@ -91,11 +93,15 @@ class StartScreen(SceneScreen):
         text = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
         speed = self.query_one("#speed", Choice).value
         return engine.Order(
-            cell=text["cell"], procedure=self.query_one(Rows).key, operator=text["operator"],
-            job=text["job"], seed=text["seed"] or "1", speed="" if speed == SPEEDS[0] else speed,
+            cell=text["cell"],
+            procedure=self.query_one(Rows).key,
+            operator=text["operator"],
+            job=text["job"],
+            seed=text["seed"] or "1",
+            speed="" if speed == SPEEDS[0] else speed,
             attended=self.query_one("#attended", Choice).value == WATCHED[0],
             settings=self.cell.options.settings,
-        )  # fmt: skip
+        )
 
     def on_rows_chosen(self) -> None:
         """Check the plan."""
@@ -167,12 +173,16 @@ def plan_lines(order: engine.Order, plan: dict[str, Any]) -> Content:
         (f"{plan['procedure']} on cell {plan['cell']}", "bold $warn"),
         f"   job {order.job or '-'}, operator {order.operator or '-'}\n",
         (f"{'step':<26}{'points':>7}  {'cell time':>9}\n", "$dim"),
-        "\n".join(rows), f"\n\n{who}.\nThe robot and the rail will move",
+        "\n".join(rows),
+        f"\n\n{who}.\nThe robot and the rail will move",
         (", in simulation only: ", "bold") if simulated else "",
-        (" SIMULATION ", "bold $on-sim on $sim") if simulated else "", ".\n",
-        (" Enter ", "bold $on-quiet on $quiet"), " start   ",
-        (" q ", "bold $on-quiet on $quiet"), " back",
-    )  # fmt: skip
+        (" SIMULATION ", "bold $on-sim on $sim") if simulated else "",
+        ".\n",
+        (" Enter ", "bold $on-quiet on $quiet"),
+        " start   ",
+        (" q ", "bold $on-quiet on $quiet"),
+        " back",
+    )
 
 
 def summaries(names: list[str]) -> dict[str, str]:

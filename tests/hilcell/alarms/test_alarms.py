@@ -23,12 +23,15 @@ from tests.hilcell.alarms.journals import (
     faulted,
     point,
     state,
-)  # fmt: skip
+)
 
 STALLED = DeviceError(
-    "Rail", "move to 500.000 mm", "no progress for 3 s at 480.000 mm",
-    wanted="target reached at 500.000 mm", act="check the slide for an obstacle",
-)  # fmt: skip
+    "Rail",
+    "move to 500.000 mm",
+    "no progress for 3 s at 480.000 mm",
+    wanted="target reached at 500.000 mm",
+    act="check the slide for an obstacle",
+)
 HELD = {"station": "S1100", "tries": 2, "rail_mm": 1100.0, "strip_mm": 1100.0}
 DONE = (CLOSED, state("finished"), ended("", 0, "finished"))
 OVER = (*BEGUN, *DONE)
@@ -45,15 +48,19 @@ BY_EVENTS: dict[str, tuple[Row, ...]] = {
     "HC-C14": (*BEGUN, event("retake refused", key="grid/0", reason="it is fitted"), *DONE),
     "HC-J05": BEGUN,
     "HC-S08": (*BEGUN, event("station held", **HELD | {"tries": 5}), *DONE),
-    "HC-S09": (*BEGUN, event("station held", **HELD),
-               event("station held", **HELD | {"rail_mm": 1101.5}), *DONE),
+    "HC-S09": (
+        *BEGUN,
+        event("station held", **HELD),
+        event("station held", **HELD | {"rail_mm": 1101.5}),
+        *DONE,
+    ),
     "HC-V01": (*OVER, ("verdict", "validation.others", {"holds": False, "max_mm": 0.5})),
     "HC-V02": (*OVER, ("verdict", "sign", {"holds": False, "ratio": 2.0})),
     "HC-V03": (*OVER, ("verdict", "station-repeatability", {"holds": False, "found_mm": 0.1})),
     "HC-V04": (point("a"), point("b", 22.5), *OVER),
     "HC-V05": (*BEGUN, event("outlier measured again", key="grid/1-2-3"), *DONE),
     "HC-V99": (*OVER, ("verdict", "beauty", {"holds": False})),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("code", BY_EVENTS)
@@ -82,7 +89,9 @@ def test_a_good_run_has_none() -> None:
 def test_a_fault_says_code_place_words_and_steps() -> None:
     (alarm,) = alarms(*BEGUN, CLOSED, faulted(STALLED), ended(str(STALLED)))
     assert alarm == Alarm(
-        code="HC-R31", severity="fault", title="Slide does not get on",
+        code="HC-R31",
+        severity="fault",
+        title="Slide does not get on",
         where="Rail: move to 500.000 mm",
         found="no progress for 3 s at 480.000 mm, wanted target reached at 500.000 mm",
         means=alarm.means,
@@ -92,8 +101,9 @@ def test_a_fault_says_code_place_words_and_steps() -> None:
             "Check coupling and belt.",
             f"Continue: space, or `hilcell resume {RUN}`.",
         ),
-        t="2026-11-21T12:00:06Z", seq=6,
-    )  # fmt: skip
+        t="2026-11-21T12:00:06Z",
+        seq=6,
+    )
 
 
 def test_an_older_journal_without_the_parts_says_the_same() -> None:
@@ -118,14 +128,19 @@ def test_an_act_that_says_nothing_is_left_out() -> None:
 
 
 def test_devices_that_failed_together_are_told_one_by_one() -> None:
-    error = ConnectFailed({
-        "Rail": DeviceError("Rail", "connect", "slcan x:1: refused", act="check the CAN gateway"),
-        "Tracker": DeviceRefused("Tracker", "connect", "serial 7", wanted="8"),
-    })  # fmt: skip
+    error = ConnectFailed(
+        {
+            "Rail": DeviceError(
+                "Rail", "connect", "slcan x:1: refused", act="check the CAN gateway"
+            ),
+            "Tracker": DeviceRefused("Tracker", "connect", "serial 7", wanted="8"),
+        }
+    )
     rows = (state("checking"), CLOSED, faulted(error))
     assert [(a.code, a.where) for a in alarms(*rows)] == [
-        ("HC-R04", "Rail: connect"), ("HC-T03", "Tracker: connect"),
-    ]  # fmt: skip
+        ("HC-R04", "Rail: connect"),
+        ("HC-T03", "Tracker: connect"),
+    ]
     assert {a.seq for a in alarms(*rows)} == {4}
 
 
@@ -144,8 +159,10 @@ def test_a_run_that_asks_for_it_is_a_warning_while_it_asks() -> None:
     asks = (*BEGUN, NO_READING, state("suspended", reason=f"grid/1: {BEAM}"))
     *_, alarm = alarms(*asks, live=True)
     assert (alarm.code, alarm.severity, alarm.where) == (
-        "HC-T10", "warning", "Tracker: measure grid/1",
-    )  # fmt: skip
+        "HC-T10",
+        "warning",
+        "Tracker: measure grid/1",
+    )
     assert alarm.do[-1] == "Continue: space."
     assert [a.severity for a in alarms(*asks, state("running"), live=True)] == ["notice"]
 
@@ -202,10 +219,14 @@ def test_figures_of_a_verdict_carry_their_unit() -> None:
 
 def test_newest_is_last() -> None:
     found = alarms(
-        *BEGUN, NO_READING, event("command refused", command="abort", **{"in": "x"}),
-        event("safe stop", problems={"Rail": "gone"}), CLOSED, faulted(STALLED),
+        *BEGUN,
+        NO_READING,
+        event("command refused", command="abort", **{"in": "x"}),
+        event("safe stop", problems={"Rail": "gone"}),
+        CLOSED,
+        faulted(STALLED),
         ("verdict", "sign", {"holds": False}),
-    )  # fmt: skip
+    )
     assert [alarm.code for alarm in found] == ["HC-V02", "HC-T10", "HC-C06", "HC-C02", "HC-R31"]
     assert [alarm.seq for alarm in found] == sorted(alarm.seq for alarm in found)
 

@@ -36,9 +36,12 @@ P2 = "DECL E6POS XP2={X 4.0,Y 5.0,Z 6.0,A 0.0,B 75.0,C 0.0,S 6,T 19,E1 0.0}\n"
 def test_targets_are_the_points_that_motions_use() -> None:
     read = program()
     assert read.names == [
-        "XP1 (drill.dat line 8)", "XP2 (drill.dat line 10)", "LIN target (drill.src line 33)",
-        "HOLE[1] (drill.dat line 15)", "HOLE[2] (drill.dat line 16)",
-    ]  # fmt: skip
+        "XP1 (drill.dat line 8)",
+        "XP2 (drill.dat line 10)",
+        "LIN target (drill.src line 33)",
+        "HOLE[1] (drill.dat line 15)",
+        "HOLE[2] (drill.dat line 16)",
+    ]
     np.testing.assert_array_equal(
         read.values(),
         [
@@ -188,8 +191,10 @@ def test_numbers_keep_their_decimals(value: float, like: str, text: str) -> None
         ("SLIN XP1 WITH $BASE=SBASE(FP1.BASE_NO), $TOOL=STOOL2(FP2)", "one frame data"),
         ("SLIN XP1 WITH $ROBROOT=W", "one frame data"),
         ("SLIN XP1 WITH $BASE=SBASE(FNONE.BASE_NO)", "works in FNONE, whose base and tool"),
-        ("SLIN XP1 WITH $BASE=SBASE(FP1.BASE_NO)\nSLIN XP2 WITH $BASE=SBASE(FP2.BASE_NO)",
-         "FP2 changes base or tool"),
+        (
+            "SLIN XP1 WITH $BASE=SBASE(FP1.BASE_NO)\nSLIN XP2 WITH $BASE=SBASE(FP2.BASE_NO)",
+            "FP2 changes base or tool",
+        ),
         ("FDAT_ACT=FP1\nPTP XP1\nFDAT_ACT=FP2\nPTP XP2", "FP2 changes base or tool"),
         ("FDAT_ACT=FHOME\nPTP XP1", "works in FHOME, whose base and tool are not in"),
         ("FDAT_ACT=FTCP\nPTP XP1", "IPO_FRAME not #BASE"),
@@ -201,7 +206,7 @@ def test_numbers_keep_their_decimals(value: float, like: str, text: str) -> None
         ("IF A THEN PTP XP1", "PTP within another statement"),
         ('MSG("open)', "a string does not end on its line"),
     ],
-)  # fmt: skip
+)
 def test_refused_with_its_line(body: str, part: str) -> None:
     dat = (
         P1 + P2 + "DECL E6AXIS XJ={A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\n"
@@ -287,11 +292,14 @@ def test_what_is_allowed() -> None:
 @pytest.mark.parametrize(
     ("body", "posture"),
     [
-        ("PTP XP1", 6), ("LIN XP1", None), ("LIN XP1\nPTP XP1", 6), ("PTP XP1\nLIN XP1", 6),
+        ("PTP XP1", 6),
+        ("LIN XP1", None),
+        ("LIN XP1\nPTP XP1", 6),
+        ("PTP XP1\nLIN XP1", 6),
         ("SPTP {X 1,Y 2,Z 3,A 0,B 75,C 0,S 'B010',T 1}", 2),
         ("PTP {X 1,Y 2,Z 3,A 0,B 75,C 0,S 2}", None),
     ],
-)  # fmt: skip
+)
 def test_which_targets_fix_their_joints(body: str, posture: int | None) -> None:
     assert [target.posture for target in one(body, P1).targets] == [posture]
 

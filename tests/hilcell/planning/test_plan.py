@@ -32,11 +32,13 @@ def holes_at(points: np.ndarray, normals: np.ndarray | None = None) -> Holes:
 def wall(seed: int, count: int, half_width_mm: float = 2000.0) -> Holes:
     """Return holes of a wall along the rail, facing the robot within 15 degrees."""
     rng = np.random.default_rng(seed)
-    points = np.column_stack([
-        rng.uniform(-100, 100, count),
-        rng.uniform(-half_width_mm, half_width_mm, count),
-        rng.uniform(700, 1500, count),
-    ])  # fmt: skip
+    points = np.column_stack(
+        [
+            rng.uniform(-100, 100, count),
+            rng.uniform(-half_width_mm, half_width_mm, count),
+            rng.uniform(700, 1500, count),
+        ]
+    )
     normals = np.column_stack([-np.ones(count), rng.uniform(-0.25, 0.25, (count, 2))])
     return holes_at(points, normals)
 
@@ -150,8 +152,10 @@ def test_what_nobody_reaches_is_refused_with_the_reason(point, normal, reason):
 
 
 def test_joint_limits_are_named_with_values():
-    joints = [msgspec.structs.replace(j, max_deg=60.0) if n == 2 else j
-              for n, j in enumerate(CELL.robot.joint)]  # fmt: skip
+    joints = [
+        msgspec.structs.replace(j, max_deg=60.0) if n == 2 else j
+        for n, j in enumerate(CELL.robot.joint)
+    ]
     rest_deg = (0.0, -90.0, 50.0, 0.0, -30.0, 0.0)
     robot = msgspec.structs.replace(CELL.robot, joint=joints, home_deg=rest_deg, safe_deg=rest_deg)
     with pytest.raises(

@@ -57,10 +57,14 @@ class Writer:
         for number, error_mm in enumerate(errors_mm):
             nominal_mm = np.array([100.0 * number, 50.0 * number, 900.0 + 70.0 * number])
             self.point(
-                f"validate/{station}/{how}/{number:03d}", f"validate_{how}", nominal_mm + error_mm,
-                station, nominal_mm=tuple(nominal_mm), smr_mm=(0.0, 0.0, 0.0),
+                f"validate/{station}/{how}/{number:03d}",
+                f"validate_{how}",
+                nominal_mm + error_mm,
+                station,
+                nominal_mm=tuple(nominal_mm),
+                smr_mm=(0.0, 0.0, 0.0),
                 commanded_deg=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
-            )  # fmt: skip
+            )
         return self
 
     def visited(self, clouds_mm: list[Array]) -> Writer:

@@ -35,9 +35,15 @@ def test_a_validated_run(tmp_path: Path) -> None:
     assert figures_of(page) == {"targets", "transferred", "sorted", "volume"}
     assert len(set(page.ids)) == len(page.ids)
     for words in (
-        "hilcell is not a safety function", "A. Technician", "J-17", "860112", "r1",
-        "22.00 to 22.00 °C", "7.8.2.1 d", "combined u",
-    ):  # fmt: skip
+        "hilcell is not a safety function",
+        "A. Technician",
+        "J-17",
+        "860112",
+        "r1",
+        "22.00 to 22.00 °C",
+        "7.8.2.1 d",
+        "combined u",
+    ):
         assert words in page.text
 
 
@@ -207,8 +213,14 @@ def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
 
 
 def test_rows_of_the_paper(tmp_path: Path) -> None:
-    row = {"row": "fig12.after.mean", "paper": 0.1168, "here": 0.1234, "unit": "mm", "holds": True,
-           "criterion": "0.09 .. 0.15"}  # fmt: skip
+    row = {
+        "row": "fig12.after.mean",
+        "paper": 0.1168,
+        "here": 0.1234,
+        "unit": "mm",
+        "holds": True,
+        "criterion": "0.09 .. 0.15",
+    }
     facts = Writer(tmp_path / "r1").began().facts()
     page = page_of(replace(facts, result={"rows": [row], "points": {}}))
     cells = page.of("td")

@@ -79,8 +79,11 @@ def test_another_machine_writes_the_same_bytes(
     again = tmp_path / "again.html"
     subprocess.run(
         [*HILCELL, "report", str(elsewhere), "-o", str(again)],
-        env=os.environ | other, check=True, capture_output=True, timeout=100,
-    )  # fmt: skip
+        env=os.environ | other,
+        check=True,
+        capture_output=True,
+        timeout=100,
+    )
     assert again.read_bytes() == page.read_bytes()
 
 

@@ -59,9 +59,15 @@ class Bed:
             self.journal.append("plan", "", PLAN)
         stop = threading.Event()
         return Runner(
-            self.cell, what, self.journal, log, devices=self.devices, clock=WallClock(stop),
-            stop=stop, unattended=self.unattended,
-        )  # fmt: skip
+            self.cell,
+            what,
+            self.journal,
+            log,
+            devices=self.devices,
+            clock=WallClock(stop),
+            stop=stop,
+            unattended=self.unattended,
+        )
 
     def run(self, what: Procedure) -> int:
         code = self.runner(what).run()

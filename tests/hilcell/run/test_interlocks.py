@@ -93,9 +93,13 @@ def test_joint_limits_hold_with_their_margin(deg: float) -> None:
 
 def sight(**changes: object) -> Sight:
     values = {
-        "rail": rail(), "robot": robot(), "rail_moves": False, "robot_moves": False,
-        "station": S1100, "now_s": 10.1,
-    }  # fmt: skip
+        "rail": rail(),
+        "robot": robot(),
+        "rail_moves": False,
+        "robot_moves": False,
+        "station": S1100,
+        "now_s": 10.1,
+    }
     return Sight(**(values | changes))  # type: ignore[arg-type]
 
 
@@ -123,16 +127,22 @@ OLD = "reading is 6000 ms old, wanted <= 5000 ms"
         ({"robot": None}, "the robot was not read yet", "", "the robot was not read yet"),
         ({"rail_moves": True}, "", *["the rail is moving, wanted at rest"] * 2),
         ({"rail": rail(velocity_mm_s=3.2)}, "", *["slide moves at 3.200 mm/s, wanted 0"] * 2),
-        ({"rail": rail(velocity_mm_s=float("nan"))}, "",
-         *["slide moves at nan mm/s, wanted 0"] * 2),
-        ({"rail": rail(powered=True)}, "",
-         *["the drive has power to move, wanted held by the brake"] * 2),
+        (
+            {"rail": rail(velocity_mm_s=float("nan"))},
+            "",
+            *["slide moves at nan mm/s, wanted 0"] * 2,
+        ),
+        (
+            {"rail": rail(powered=True)},
+            "",
+            *["the drive has power to move, wanted held by the brake"] * 2,
+        ),
         ({"rail": rail(strip_mm=1100.05)}, "", NOT_HELD, NOT_HELD),
         ({"rail": rail(strip_mm=1100.05), "station": None}, "", "", ""),
         ({"rail": rail(taken_s=4.1)}, "", OLD, OLD),
         ({"rail": None}, "", *["the rail was not read yet"] * 2),
     ],
-)  # fmt: skip
+)
 def test_the_overview_says_what_blocks(
     changes: dict[str, object], by_rail: str, by_robot: str, measure: str
 ) -> None:

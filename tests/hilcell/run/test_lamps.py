@@ -70,9 +70,11 @@ def test_ages_grow(board: Board) -> None:
     ],
 )
 def test_a_device_under_way_moves(
-    board: Board, names: tuple[str, ...], move: Callable[[Any], object],
+    board: Board,
+    names: tuple[str, ...],
+    move: Callable[[Any], object],
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     entered, release = threading.Event(), threading.Event()
     wait = hang(entered, release)
     for device, name in ((board.rail, "move_to"), (board.rail, "home"), (board.robot, "move_to")):

@@ -17,19 +17,28 @@ from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.desk import procedure
 
 POINT = {
-    "reflector": "SMR", "xyz_mm": (0.0, 0.0, 0.0), "std_mm": (0.0, 0.0, 0.0), "samples": 1,
-    "temperature_c": 20.0, "pressure_mbar": 1000.0, "humidity_percent": 50.0, "session": 1,
+    "reflector": "SMR",
+    "xyz_mm": (0.0, 0.0, 0.0),
+    "std_mm": (0.0, 0.0, 0.0),
+    "samples": 1,
+    "temperature_c": 20.0,
+    "pressure_mbar": 1000.0,
+    "humidity_percent": 50.0,
+    "session": 1,
     "frame": "tracker",
-}  # fmt: skip
+}
 SIX = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
 
 
 def log_with(group: str, calibration: str, **facts: object) -> Log:
     point = POINT | {"group": group, "station": "S1100", "commanded_deg": SIX} | facts
     state = {"machine": "calibration", "from": "unknown", "to": calibration}
-    return Log([
-        Record(1, "", "state", "", state), Record(2, "", "point", "key", point),
-    ])  # fmt: skip
+    return Log(
+        [
+            Record(1, "", "state", "", state),
+            Record(2, "", "point", "key", point),
+        ]
+    )
 
 
 FITTED = CALIBRATION.states[CALIBRATION.states.index("fitted") :]
@@ -94,9 +103,12 @@ class Flange:
                 self.act(bench, number)
             station = bench.cell.station[number % len(bench.cell.station)]
             bench.flange_point(
-                f"f/{number}", self.group, station, home + 0.001 * number,
+                f"f/{number}",
+                self.group,
+                station,
+                home + 0.001 * number,
                 nominal_mm=np.array([1.0, 2.0, number]),
-            )  # fmt: skip
+            )
         bench.verdict("judged", holds=True, points=len(bench.log.points))
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -72,9 +72,7 @@ def test_resume_measures_only_what_is_missing(bed: Bed) -> None:
     assert bed.tracker.measured - before == 2
     keys = [record.key for record in read_journal(bed.path) if record.kind == "point"]
     assert keys == ["p/0", "p/1", "p/2", "p/3"]
-    assert bed.states() == [
-        "checking", "running", "faulted", "checking", "running", "finished"
-    ]  # fmt: skip
+    assert bed.states() == ["checking", "running", "faulted", "checking", "running", "finished"]
 
 
 def test_a_broken_beam_is_tried_again(bed: Bed) -> None:

@@ -41,9 +41,7 @@ def test_the_prompt_says_from_where_to_where() -> None:
     assert "The robot rests at its safe pose, the slide is held." in prompt.text
     assert prompt.expected_mm == (1.0, 2.0, 3.0)
     assert prompt.reason == "flange is to be measured, the reflector is F3"
-    assert "Take the reflector and seat it" in seat_prompt(
-        BY_HAND, "F1", "", np.zeros(3), 5.0
-    ).text  # fmt: skip
+    assert "Take the reflector and seat it" in seat_prompt(BY_HAND, "F1", "", np.zeros(3), 5.0).text
 
 
 def test_it_is_asked_for_once_a_place_and_where_it_rode_to(bed: Bed) -> None:

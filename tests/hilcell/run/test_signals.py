@@ -48,6 +48,8 @@ def test_signals_become_commands_and_are_given_back() -> None:
 
 
 def test_before_a_run_lives_a_signal_ends_it() -> None:
-    with pytest.raises(Stopped, match="stopped by SIGHUP before anything moved"), \
-         stopped_by_signals():  # fmt: skip
+    with (
+        pytest.raises(Stopped, match="stopped by SIGHUP before anything moved"),
+        stopped_by_signals(),
+    ):
         signal.raise_signal(signal.SIGHUP)

@@ -21,15 +21,26 @@ from tests.hilcell.tui.stage import Stage, options, settle, text_of
 RUNS = Path("/runs")
 ROOMY = (240, 30)  # a footer that holds every key
 PAGES: dict[str, type[SceneScreen]] = {
-    "e": AlarmPage, "i": InterlockPage, "l": LogPage, "p": PlotPage, "question_mark": HelpPage,
-    "h": HistoryPage, "o": ReportPage,
-}  # fmt: skip
+    "e": AlarmPage,
+    "i": InterlockPage,
+    "l": LogPage,
+    "p": PlotPage,
+    "question_mark": HelpPage,
+    "h": HistoryPage,
+    "o": ReportPage,
+}
 
 Act = Callable[[Stage, Pilot[int]], Awaitable[None]]
 
 
-def play(act: Act, state: str = "", *, brought: Fresh | None = None, keymap: Keymap | None = None,
-         size: tuple[int, int] = ROOMY) -> Stage:  # fmt: skip
+def play(
+    act: Act,
+    state: str = "",
+    *,
+    brought: Fresh | None = None,
+    keymap: Keymap | None = None,
+    size: tuple[int, int] = ROOMY,
+) -> Stage:
     """Put a state on the stage, do something there, and return what is left of it."""
     app = Stage(options(RUNS, keymap=keymap), state, brought)
 

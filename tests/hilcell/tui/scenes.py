@@ -16,14 +16,22 @@ from hilcell.tui.scene import DeviceStatus, Interlock, Prompt, Status
 BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
 RUN = "20260304-080000-calibrate-ab12"
 STEPS = (
-    ("home", 0, 16.0), ("world-frame", 3, 17.0), ("hold-station", 0, 9.0),
-    ("base-frame", 4, 20.0), ("robot-grid", 8, 40.0), ("fit", 0, 0.0), ("validate", 6, 60.0),
-)  # fmt: skip
+    ("home", 0, 16.0),
+    ("world-frame", 3, 17.0),
+    ("hold-station", 0, 9.0),
+    ("base-frame", 4, 20.0),
+    ("robot-grid", 8, 40.0),
+    ("fit", 0, 0.0),
+    ("validate", 6, 60.0),
+)
 UNIT = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 FAULT = {
-    "device": "Tracker", "operation": "measure grid/1-0-0",
-    "found": "beam broken", "wanted": "a reflector", "act": "clear the beam, resume",
-}  # fmt: skip
+    "device": "Tracker",
+    "operation": "measure grid/1-0-0",
+    "found": "beam broken",
+    "wanted": "a reflector",
+    "act": "clear the beam, resume",
+}
 FAULT_TEXT = "Tracker: measure grid/1-0-0: beam broken, wanted a reflector; clear the beam, resume"
 
 
@@ -54,8 +62,9 @@ class Story:
             "event", what="step", name=STEPS[number - 1][0], number=number, of=len(STEPS)
         )
 
-    def point(self, key: str, group: str, nominal: Any = None, off: Any = (0, 0, 0),
-              **more: Any) -> Story:  # fmt: skip
+    def point(
+        self, key: str, group: str, nominal: Any = None, off: Any = (0, 0, 0), **more: Any
+    ) -> Story:
         """Measure a point ``off`` its nominal."""
         at = nominal or (1000.0, 200.0, 300.0)
         body = {
@@ -93,8 +102,9 @@ def measuring(points: int = 5) -> Story:
     for name in ("F1", "F2", "F3"):
         story.point(f"world/{name}", "world", station="", commanded_deg=None)
     story.add("frame", "world", matrix=UNIT)
-    story.step(3).add("event", what="station held", station="S1100", tries=2,
-              strip_mm=1100.0, rail_mm=1100.2)  # fmt: skip
+    story.step(3).add(
+        "event", what="station held", station="S1100", tries=2, strip_mm=1100.0, rail_mm=1100.2
+    )
     story.step(5)
     for number in range(points):
         off = (0.4 + 0.1 * number, -0.3, 0.2 * number)
@@ -118,10 +128,14 @@ FIGURES = {"mean": 0.11, "p95": 0.2, "max": 0.31}
 RESULT = {
     "method": "trilinear",
     "validation": {
-        "S1100": {"points": 2, "before": FIGURES | {"mean": 1.2}, "idw": FIGURES,
-                  "chosen": FIGURES},
+        "S1100": {
+            "points": 2,
+            "before": FIGURES | {"mean": 1.2},
+            "idw": FIGURES,
+            "chosen": FIGURES,
+        },
     },
-}  # fmt: skip
+}
 
 
 def stories() -> dict[str, Story]:
@@ -149,10 +163,15 @@ def stories() -> dict[str, Story]:
 
 LIVE = ("checking", "running", "pausing", "paused", "suspended", "stopping")
 PROMPT = Prompt(
-    title="Seat the reflector in P1", text="slide, x 350.0  y -350.0  z 60.0 mm on the slide",
-    place="P1", expected_mm=(4007.5, -238.7, -480.3), limit_mm=5.0, seen_mm=1.24, age_s=0.3,
+    title="Seat the reflector in P1",
+    text="slide, x 350.0  y -350.0  z 60.0 mm on the slide",
+    place="P1",
+    expected_mm=(4007.5, -238.7, -480.3),
+    limit_mm=5.0,
+    seen_mm=1.24,
+    age_s=0.3,
     ready=True,
-)  # fmt: skip
+)
 
 
 def fresh(name: str) -> Fresh:
@@ -165,7 +184,9 @@ def status(name: str) -> Status:
     """Return what the engine of such a run says."""
     at_rest = name in ("paused", "suspended")
     return Status(
-        state=name, pausing=name == "pausing", screens=1,
+        state=name,
+        pausing=name == "pausing",
+        screens=1,
         devices={
             "rail": DeviceStatus("fresh", 0.2, "1100.20 mm, held"),
             "strip": DeviceStatus("fresh", 0.2, "1100.00 mm"),
@@ -174,7 +195,8 @@ def status(name: str) -> Status:
         },
         interlocks=[
             Interlock("rail may move", "robot not at safe pose, A2 -53.017 deg"),
-            Interlock("robot may move"), Interlock("measure"),
+            Interlock("robot may move"),
+            Interlock("measure"),
         ],
         prompt=PROMPT if name == "suspended" else None,
-    )  # fmt: skip
+    )

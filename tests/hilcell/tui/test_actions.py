@@ -28,12 +28,19 @@ STATES = tuple(stories())
 OVER = tuple(state for state in STATES if state not in LIVE)
 # What the space bar does: the command posted, whether it asks before, and the word in the footer.
 SPACE = {
-    "idle": None, "checking": None, "running": ("pause", False, "pause"),
-    "pausing": ("proceed", True, "go on"), "paused": ("proceed", True, "go on"),
-    "suspended": ("proceed", True, "go on"), "stopping": None, "done": None, "intolerant": None,
-    "aborted": ("resume", True, "resume"), "fault": ("resume", True, "resume"),
+    "idle": None,
+    "checking": None,
+    "running": ("pause", False, "pause"),
+    "pausing": ("proceed", True, "go on"),
+    "paused": ("proceed", True, "go on"),
+    "suspended": ("proceed", True, "go on"),
+    "stopping": None,
+    "done": None,
+    "intolerant": None,
+    "aborted": ("resume", True, "resume"),
+    "fault": ("resume", True, "resume"),
     "gone": ("resume", True, "resume"),
-}  # fmt: skip
+}
 pytestmark = pytest.mark.usefixtures("outside")
 
 

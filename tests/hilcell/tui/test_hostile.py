@@ -44,8 +44,9 @@ by_some = pytest.mark.parametrize("text", [NASTY[name] for name in SOME], ids=SO
 
 
 @pytest.fixture(autouse=True)
-def poisoned_outside(outside: None, request: pytest.FixtureRequest,
-                     monkeypatch: pytest.MonkeyPatch) -> None:  # fmt: skip
+def poisoned_outside(
+    outside: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Let whatever is asked outside the screen answer with the hostile text."""
     text = request.node.callspec.params.get("text", "") if hasattr(request.node, "callspec") else ""
 

@@ -184,12 +184,23 @@ def test_fixed_keys_cannot_be_taken(key: str) -> None:
 
 def test_named_keys_are_named_as_the_terminal_library_names_them() -> None:
     known = {key.value for key in Keys} | {
-        "slash", "question_mark", "comma", "full_stop", "minus", "plus", "semicolon", "colon",
-    }  # fmt: skip
+        "slash",
+        "question_mark",
+        "comma",
+        "full_stop",
+        "minus",
+        "plus",
+        "semicolon",
+        "colon",
+    }
     assert set(NAMED) <= known | {"space"}
 
 
 def test_keys_are_printed_shortly() -> None:
     assert [shown(key) for key in ("slash", "question_mark", ESCAPE, "ctrl+q", "a")] == [
-        "/", "?", "Esc", "^q", "a",
-    ]  # fmt: skip
+        "/",
+        "?",
+        "Esc",
+        "^q",
+        "a",
+    ]

@@ -163,10 +163,17 @@ def test_a_stop_waits_for_no_answer(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", [None, b"", b"garbage", b"{}", b'{"pid": 1, "socket": "/nowhere/control"}',
-             b'{"pid": 1, "socket": "' + b"x" * 500 + b'"}'],
+    "text",
+    [
+        None,
+        b"",
+        b"garbage",
+        b"{}",
+        b'{"pid": 1, "socket": "/nowhere/control"}',
+        b'{"pid": 1, "socket": "' + b"x" * 500 + b'"}',
+    ],
     ids=["none", "empty", "garbage", "fields", "nobody", "long"],
-)  # fmt: skip
+)
 def test_no_engine_no_link(tmp_path: Path, text: bytes | None) -> None:
     if text is not None:
         (tmp_path / "engine.json").write_bytes(text)
@@ -293,9 +300,15 @@ def test_an_engine_gone_mad_is_asked_anew_until_it_is_well(
 
 
 @pytest.mark.parametrize(
-    "told", [{"ok": False, "error": "no"}, {"ok": True}, STATUS | {"devices": 5},
-             STATUS | {"prompt": {"title": 3}}, STATUS | {"retakes": [None]}],
-)  # fmt: skip
+    "told",
+    [
+        {"ok": False, "error": "no"},
+        {"ok": True},
+        STATUS | {"devices": 5},
+        STATUS | {"prompt": {"title": 3}},
+        STATUS | {"retakes": [None]},
+    ],
+)
 def test_a_status_that_makes_no_sense_leaves_the_last_to_grow_stale(
     tmp_path: Path, told: dict[str, object]
 ) -> None:

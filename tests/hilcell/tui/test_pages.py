@@ -153,6 +153,20 @@ def test_the_palette_does_what_it_names() -> None:
     play(act, "running")
 
 
+def test_the_palette_names_all_that_can_be_done_before_one_types() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, "ctrl+p")
+        for _ in range(50):
+            await pilot.pause()
+            if "stop everything now" in text_of(app):
+                break
+        assert "stop everything now" in text_of(app)
+        assert "abort" in text_of(app)
+        assert "new run" not in text_of(app)  # not while one is live
+
+    play(act, "running")
+
+
 def test_the_next_theme_comes_with_a_key() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, "t")

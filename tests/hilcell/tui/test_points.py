@@ -56,8 +56,9 @@ def journal(tmp_path: Path) -> Log:
         actual_mm = nominal_mm + chance.normal(0.0, 0.8, 3)
         xyz_mm = apply(to_tracker, actual_mm.reshape(1, 3))[0]
         for group in ("grid", "validate_chosen"):
-            writer.point(f"{group}/{number:03d}", group, xyz_mm, "S1100",
-                         nominal_mm=tuple(nominal_mm))  # fmt: skip
+            writer.point(
+                f"{group}/{number:03d}", group, xyz_mm, "S1100", nominal_mm=tuple(nominal_mm)
+            )
     writer.point("world/F1", "world", (1.0, 2.0, 3.0))
     return read_log(writer.ended())
 
@@ -88,8 +89,10 @@ def test_plots_show_the_reports_errors(journal: Log) -> None:
 
 
 def test_only_corrected_points_have_a_limit(journal: Log) -> None:
-    limits = {row.point.group: row.deviation and row.deviation.limit_mm
-              for row in PointTable().rows(journal)}  # fmt: skip
+    limits = {
+        row.point.group: row.deviation and row.deviation.limit_mm
+        for row in PointTable().rows(journal)
+    }
     limit_mm = journal.cell.validation.max_tolerance_mm
     assert limits == {"grid": None, "validate_chosen": limit_mm, "world": None}
 
@@ -141,8 +144,11 @@ def keys_of(log: Log, wanted: str = "", *, bad: bool = False, worst: bool = Fals
 
 def test_points_stand_in_the_order_in_which_they_were_measured() -> None:
     assert keys_of(log_of(measuring())) == [
-        "world/F1", "world/F2", "world/F3", *[f"grid/0-0-{n}" for n in range(5)],
-    ]  # fmt: skip
+        "world/F1",
+        "world/F2",
+        "world/F3",
+        *[f"grid/0-0-{n}" for n in range(5)],
+    ]
 
 
 def test_worst_first_puts_points_with_a_tolerance_before_raw_ones() -> None:
@@ -224,8 +230,10 @@ def test_the_page_of_a_point_tells_everything() -> None:
 
 def test_before_and_after_are_lines_of_their_own() -> None:
     assert [line.name for line in errors_plot(log_of(validated())).lines] == [
-        "before", "idw", "chosen",
-    ]  # fmt: skip
+        "before",
+        "idw",
+        "chosen",
+    ]
     assert [line.name for line in errors_plot(log_of(measuring())).lines] == ["grid"]
 
 
@@ -233,8 +241,11 @@ def test_repeated_visits_scatter_about_their_mean() -> None:
     story = measuring(0)
     for place in range(2):
         for visit, x in enumerate((0.0, 0.3)):
-            story.point(f"repeatability/{place}/{visit:03d}", f"repeatability_{place}",
-                        off=(x + place, 0.0, 0.0))  # fmt: skip
+            story.point(
+                f"repeatability/{place}/{visit:03d}",
+                f"repeatability_{place}",
+                off=(x + place, 0.0, 0.0),
+            )
     lines = repeat_plot(log_of(story)).lines
     assert len(lines) == 2
     for line in lines:

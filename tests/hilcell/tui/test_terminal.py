@@ -78,9 +78,13 @@ def gone(terminal: Terminal, title: str) -> None:
 
 
 WALK = (
-    ("e", "Alarms"), ("i", "Interlocks"), ("l", "Event log"), ("p", "Plot 1"), ("?", "Help"),
+    ("e", "Alarms"),
+    ("i", "Interlocks"),
+    ("l", "Event log"),
+    ("p", "Plot 1"),
+    ("?", "Help"),
     ("h", "History: 2 of 2"),
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize("state", ["suspended", "fault"])
@@ -122,10 +126,15 @@ def test_a_run_whose_name_is_hostile_is_shown_by_it(tmp_path: Path) -> None:
 
 def test_every_esc_reaches_the_engine_wherever_it_is_pressed(tmp_path: Path) -> None:
     places = (
-        ("", "LIVE", ""), ("/xyz", "no such point", "\x7f\x7f\x7f\r"), ("l", "Event log", "q"),
-        ("p", "Plot 1", "q"), ("a", "Abort this run?", ""), (CTRL_P, "Search", ""),
-        (CTRL_Q, "detach", ""), ("?", "Help", "q"),
-    )  # fmt: skip
+        ("", "LIVE", ""),
+        ("/xyz", "no such point", "\x7f\x7f\x7f\r"),
+        ("l", "Event log", "q"),
+        ("p", "Plot 1", "q"),
+        ("a", "Abort this run?", ""),
+        (CTRL_P, "Search", ""),
+        (CTRL_Q, "detach", ""),
+        ("?", "Help", "q"),
+    )
     with live(tmp_path / NAME, "running") as (terminal, peer):
         for keys, seen, back in places:
             stops = peer.commands.count("stop") + 2  # by the byte itself, and by its action

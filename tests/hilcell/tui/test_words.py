@@ -114,9 +114,11 @@ def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
     lines = [words.progress(scene, UNICODE, width), words.interlocks(scene, width)]
     if width >= 80:
         lines += [
-            words.banner(scene, UNICODE, width), words.identity(scene, width),
-            words.step(scene, width), words.lamps(scene, UNICODE, width),
-        ]  # fmt: skip
+            words.banner(scene, UNICODE, width),
+            words.identity(scene, width),
+            words.step(scene, width),
+            words.lamps(scene, UNICODE, width),
+        ]
     for line in lines:
         assert line.cell_length <= max(width, 40), line.plain
 
@@ -178,11 +180,17 @@ def test_a_finished_run_says_its_figures_there() -> None:
     assert line == "in tolerance: mean |e| mm  S1100 1.200 -> 0.110"
 
 
-@pytest.mark.parametrize("result", [
-    {}, {"validation": {}}, {"validation": {"S1100": {"points": 2}}},
-    {"validation": {"S1100": {"before": {"mean": 1.0}}}}, {"validation": [1.0]},
-    {"validation": {"S1100": {"before": {"mean": None}, "chosen": {"mean": None}}}},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "result",
+    [
+        {},
+        {"validation": {}},
+        {"validation": {"S1100": {"points": 2}}},
+        {"validation": {"S1100": {"before": {"mean": 1.0}}}},
+        {"validation": [1.0]},
+        {"validation": {"S1100": {"before": {"mean": None}, "chosen": {"mean": None}}}},
+    ],
+)
 def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) -> None:
     scene = scene_of("done")
     scene.log.end = {"state": "finished", "exit": 0, "result": result}
@@ -192,8 +200,9 @@ def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) 
 # -- air -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("drift_k", "warns"), [(0.0, False), (2.0, False), (-2.1, True),
-                                                (math.nan, True)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("drift_k", "warns"), [(0.0, False), (2.0, False), (-2.1, True), (math.nan, True)]
+)
 def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
     scene = scene_of("running")
     assert scene.last is not None
@@ -206,10 +215,16 @@ def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
 
 @pytest.mark.parametrize(
     ("norm_mm", "limit_mm", "said"),
-    [(0.5, None, "no limit"), (0.5, 1.0, "] in 1.000 mm"), (1.5, 1.0, "] OUT OF 1.000 mm"),
-     (math.nan, 1.0, "] OUT OF 1.000 mm"), (math.inf, 1.0, "] OUT OF 1.000 mm"),
-     (1e9, 1.0, "] OUT OF 1.000 mm"), (0.0, 1.0, "] in 1.000 mm")],
-)  # fmt: skip
+    [
+        (0.5, None, "no limit"),
+        (0.5, 1.0, "] in 1.000 mm"),
+        (1.5, 1.0, "] OUT OF 1.000 mm"),
+        (math.nan, 1.0, "] OUT OF 1.000 mm"),
+        (math.inf, 1.0, "] OUT OF 1.000 mm"),
+        (1e9, 1.0, "] OUT OF 1.000 mm"),
+        (0.0, 1.0, "] in 1.000 mm"),
+    ],
+)
 def test_the_tolerance_bar(norm_mm: float, limit_mm: float | None, said: str) -> None:
     found = Deviation("p", (norm_mm, 0.0, 0.0), (0.0, 0.0, 0.0), limit_mm)
     for glyphs in (UNICODE, ASCII):

@@ -20,8 +20,12 @@ from tests.hilcell.tui.scenes import RUN, STEPS
 from tests.hilcell.tui.stage import Stage, press, settle, text_of
 
 PAGES = {
-    "alarms": "e", "interlocks": "i", "log": "l", "help": "question_mark", "report": "o",
-}  # fmt: skip
+    "alarms": "e",
+    "interlocks": "i",
+    "log": "l",
+    "help": "question_mark",
+    "report": "o",
+}
 QUESTIONS = {"pause": "space", "abort": "a", "quit": "ctrl+q", "retake": "r"}
 RUNS = [
     RunRow(
@@ -42,13 +46,17 @@ RUNS = [
            reason="journal: damaged"),
 ]  # fmt: skip
 PLAN: dict[str, Any] = {
-    "procedure": "calibrate", "cell": "paper", "points": sum(p for _, p, _ in STEPS),
+    "procedure": "calibrate",
+    "cell": "paper",
+    "points": sum(p for _, p, _ in STEPS),
     "steps": [{"name": n, "points": p, "duration_s": d} for n, p, d in STEPS],
     "duration_s": sum(d for _, _, d in STEPS),
-}  # fmt: skip
+}
 PROCEDURES = {
-    "calibrate": "the whole calibration", "home": "home the rail", "rail-survey": "survey the rail",
-}  # fmt: skip
+    "calibrate": "the whole calibration",
+    "home": "home the rail",
+    "rail-survey": "survey the rail",
+}
 COMPARISON = {
     "first": "20260303-070000-calibrate-cd34", "second": RUN, "verdict": "1 drift",
     "settings": [{"key": "tracker.max_std_mm", "first": "0.05", "second": ""}],

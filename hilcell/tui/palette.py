@@ -1,0 +1,38 @@
+"""The palette: every action by its words, the allowed ones first seen without typing."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from textual.command import DiscoveryHit, Hit, Hits, Provider
+
+from hilcell.tui.desk import Desk
+from hilcell.tui.keys import ACTIONS, Action
+
+
+class Actions(Provider):
+    """What can be done now."""
+
+    async def discover(self) -> Hits:
+        """Yield every allowed action."""
+        for action in self._allowed():
+            yield DiscoveryHit(_words(action), lambda name=action.name: self._desk.do(name))
+
+    async def search(self, query: str) -> Hits:
+        """Yield the allowed actions that match."""
+        matcher = self.matcher(query)
+        for action in self._allowed():
+            score = matcher.match(_words(action))
+            if score > 0:
+                yield Hit(score, _words(action), lambda name=action.name: self._desk.do(name))
+
+    def _allowed(self) -> list[Action]:
+        return [action for action in ACTIONS if self._desk.allowed(action.name)]
+
+    @property
+    def _desk(self) -> Desk:
+        return cast("Desk", self.app)
+
+
+def _words(action: Action) -> str:
+    return f"{action.label}: {action.help}"
