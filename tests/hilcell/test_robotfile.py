@@ -1,5 +1,6 @@
 """Robot file and measurements: strict, all problems at once, with lines and nearest keys."""
 
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
@@ -13,26 +14,27 @@ from hilcell.targets import read_targets
 
 ROW = "[[robot.joint]]\na_mm = 10\nalpha_deg = -90.0\nd_mm = 20.5\noffset_deg = 0\n"
 ROBOT = '[robot]\nname = "arm"\nconvention = "standard-dh"\n'
+Write = Callable[[str], Path]
 LINE = "518,SMR1,-10,33.9,-0.3,-49.5,-15.8,3.5,2439.1,83.2,-289.9"
 
 
 @pytest.fixture
-def written(tmp_path: Path):
-    def write(text: str, encoding: str = "utf-8") -> Path:
+def written(tmp_path: Path) -> Write:
+    def write(text: str) -> Path:
         path = tmp_path / "given"
-        path.write_bytes(text.encode(encoding))
+        path.write_bytes(text.encode("utf-8"))
         return path
 
     return write
 
 
-def problems_of(read, path: Path) -> str:
+def problems_of(read: Callable[[Path], object], path: Path) -> str:
     with pytest.raises(SettingsError) as caught:
         read(path)
     return str(caught.value)
 
 
-def test_robot_is_read(written):
+def test_robot_is_read(written: Write) -> None:
     arm = read_robot(written(ROBOT + 5 * ROW + ROW + "sign = -1\n")).arm()
     np.testing.assert_array_equal(arm.a_mm, 6 * [10.0])
     np.testing.assert_array_equal(arm.d_mm, 6 * [20.5])
@@ -41,7 +43,7 @@ def test_robot_is_read(written):
     np.testing.assert_array_equal(arm.tool, np.eye(4))
 
 
-def test_a_byte_order_mark_is_taken_in_every_file(written, tmp_path):
+def test_a_byte_order_mark_is_taken_in_every_file(written: Write, tmp_path: Path) -> None:
     assert read_robot(written("\ufeff" + ROBOT + 6 * ROW)).name == "arm"
     targets = "\ufeffname,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,1,2,3,0,0,0\n"
     assert read_targets(written(targets))[0] == ["H1"]
@@ -50,7 +52,7 @@ def test_a_byte_order_mark_is_taken_in_every_file(written, tmp_path):
     assert load_cell(str(tmp_path / "cell.toml")).digest == load_cell("paper").digest
 
 
-def test_all_problems_of_a_robot_come_at_once(written):
+def test_all_problems_of_a_robot_come_at_once(written: Write) -> None:
     text = (
         (ROBOT + 6 * ROW).replace("standard-dh", "modified-dh").replace("a_mm = 10", "a_m = 10", 1)
     )
@@ -74,16 +76,17 @@ def test_all_problems_of_a_robot_come_at_once(written):
         ("", "robot: missing"),
     ],
 )
-def test_robot_is_refused(written, text, says):
+def test_robot_is_refused(written: Write, text: str, says: str) -> None:
     assert says in problems_of(read_robot, written(text))
 
 
-def test_missing_and_undecodable_files_are_refused(written, tmp_path):
+def test_missing_and_undecodable_files_are_refused(tmp_path: Path) -> None:
     assert "cannot be read" in problems_of(read_robot, tmp_path / "none.toml")
-    assert "cannot be read" in problems_of(read_measurements, written("ü", "latin-1"))
+    (tmp_path / "given").write_bytes("ü".encode("latin-1"))
+    assert "cannot be read" in problems_of(read_measurements, tmp_path / "given")
 
 
-def test_measurements_are_read(written):
+def test_measurements_are_read(written: Write) -> None:
     header = ",".join(HEADER)
     rows = read_measurements(
         written(f"\ufeff{header}\r\n{LINE}\r\n{LINE.replace('SMR1', 'SMR2')}\r\n")
@@ -94,7 +97,7 @@ def test_measurements_are_read(written):
     assert rows.at([1]).target == ["SMR2"]
 
 
-def test_every_bad_line_is_named(written):
+def test_every_bad_line_is_named(written: Write) -> None:
     lines = [
         ",".join(HEADER),
         LINE,
@@ -125,7 +128,7 @@ def test_every_bad_line_is_named(written):
     assert "line 13: j2_deg is '10001', wanted within +-10000" in said
 
 
-def test_a_long_list_of_bad_lines_is_cut(written):
+def test_a_long_list_of_bad_lines_is_cut(written: Write) -> None:
     said = problems_of(read_measurements, written(",".join(HEADER) + 50 * "\nx"))
     assert "and 30 more" in said
     assert said.count("\n") == 21
@@ -140,5 +143,5 @@ def test_a_long_list_of_bad_lines_is_cut(written):
         (",".join(HEADER) + "\n", "no measured target"),
     ],
 )
-def test_measurements_are_refused(written, text, says):
+def test_measurements_are_refused(written: Write, text: str, says: str) -> None:
     assert says in problems_of(read_measurements, written(text))

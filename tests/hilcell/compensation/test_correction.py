@@ -1,5 +1,7 @@
 """Corrected commands: sign, fixed point, borders, refusal of wild maps."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,12 +10,14 @@ from hypothesis import strategies as st
 from hilcell.compensation.correction import CorrectionError, corrected
 from hilcell.compensation.grid import Grid, OutsideGrid
 from hilcell.compensation.interpolation import METHODS
+from hilcell.geometry.kinematics import Array
 
+ErrorAt = Callable[[Array], Array]
 GRID = Grid(np.array([1400.0, -450.0, 500.0]), 300.0, (4, 4, 4))
 seeds = st.integers(0, 2**32 - 1)
 
 
-def smooth(seed: int):
+def smooth(seed: int) -> ErrorAt:
     """A robot's error as a function: an offset of 1 mm and slopes of some 0.5 mm in a metre."""
     rng = np.random.default_rng(seed)
     offset, slope = rng.normal(0, 1, 3), rng.normal(0, 5e-4, (3, 3))
@@ -24,13 +28,13 @@ def inner(seed: int, count: int = 40) -> np.ndarray:
     return np.random.default_rng(seed).uniform(GRID.origin_mm + 20, GRID.far_mm - 20, (count, 3))
 
 
-def left(error_at, command, targets) -> float:
+def left(error_at: ErrorAt, command: np.ndarray, targets: np.ndarray) -> float:
     """Return the largest distance from the target of a robot sent to the commands."""
     return float(np.linalg.norm(command + error_at(command) - targets, axis=1).max())
 
 
 @given(seeds)
-def test_two_steps_arrive_and_one_nearly_does(seed):
+def test_two_steps_arrive_and_one_nearly_does(seed: int) -> None:
     error_at, targets = smooth(seed), inner(seed)
     one = left(error_at, corrected(GRID, targets, error_at, steps=1), targets)
     two = left(error_at, corrected(GRID, targets, error_at), targets)
@@ -39,7 +43,7 @@ def test_two_steps_arrive_and_one_nearly_does(seed):
 
 
 @given(seeds)
-def test_the_wrong_sign_doubles_the_error(seed):
+def test_the_wrong_sign_doubles_the_error(seed: int) -> None:
     error_at, targets = smooth(seed), inner(seed)
     before = np.linalg.norm(error_at(targets), axis=1)
     wrong = targets + error_at(targets)
@@ -48,18 +52,21 @@ def test_the_wrong_sign_doubles_the_error(seed):
 
 
 @given(seeds, st.sampled_from(sorted(METHODS)))
-def test_measured_vertices_are_met(seed, method):
+def test_measured_vertices_are_met(seed: int, method: str) -> None:
     rng = np.random.default_rng(seed)
     errors = rng.uniform(-1, 1, 3) + rng.normal(0, 0.1, (*GRID.shape, 3))
-    error_at = lambda at_mm: METHODS[method](GRID, errors, at_mm)  # noqa: E731
+
+    def error_at(at_mm: Array) -> Array:
+        return METHODS[method](GRID, errors, at_mm)
+
     targets = GRID.vertices_mm()[1:3, 1:3, 1:3].reshape(-1, 3)
     assert left(error_at, corrected(GRID, targets, error_at, steps=4), targets) < 1e-3
 
 
-def test_commands_may_leave_the_grid_but_the_map_is_never_asked_outside():
-    asked = []
+def test_commands_may_leave_the_grid_but_the_map_is_never_asked_outside() -> None:
+    asked: list[Array] = []
 
-    def error_at(at_mm):
+    def error_at(at_mm: Array) -> Array:
         asked.append(at_mm)
         GRID.check_inside(at_mm)
         return np.tile([-1.5, 0.0, 0.0], (len(at_mm), 1))
@@ -69,24 +76,24 @@ def test_commands_may_leave_the_grid_but_the_map_is_never_asked_outside():
     assert len(asked) == 2
 
 
-def test_targets_outside_are_refused_by_name():
+def test_targets_outside_are_refused_by_name() -> None:
     with pytest.raises(OutsideGrid, match=r"hole 7 by 2\.000 mm"):
         corrected(GRID, GRID.far_mm + np.array([[0, 0, 2]]), smooth(0), names=["hole 7"])
 
 
-def test_a_map_that_jumps_is_refused():
-    def error_at(at_mm):
+def test_a_map_that_jumps_is_refused() -> None:
+    def error_at(at_mm: Array) -> Array:
         return np.where(at_mm > 1500.0, 20.0, -20.0) * [1.0, 0, 0]
 
     with pytest.raises(CorrectionError, match=r"hole 7 moves by 40\.000 mm after 20\.000 mm"):
         corrected(GRID, [[1501.0, 0, 1000]], error_at, names=["hole 7"])
 
 
-def test_a_map_without_a_value_is_refused():
+def test_a_map_without_a_value_is_refused() -> None:
     with pytest.raises(CorrectionError, match="target 1"):
         corrected(GRID, [[1501.0, 0, 1000]], lambda at_mm: at_mm * np.nan)
 
 
-def test_no_steps_is_refused():
+def test_no_steps_is_refused() -> None:
     with pytest.raises(CorrectionError, match="1 or more"):
         corrected(GRID, [[1501.0, 0, 1000]], smooth(0), steps=0)

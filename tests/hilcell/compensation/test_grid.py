@@ -12,7 +12,7 @@ shapes = st.tuples(*[st.integers(2, 5)] * 3)
 
 
 @given(shapes)
-def test_serpentine_visits_every_vertex_once_by_single_pitches(shape):
+def test_serpentine_visits_every_vertex_once_by_single_pitches(shape: tuple[int, int, int]) -> None:
     order = Grid(np.zeros(3), 300.0, shape).serpentine()
     assert len({tuple(index) for index in order}) == len(order) == np.prod(shape)
     assert (order.min(axis=0) == 0).all()
@@ -20,14 +20,14 @@ def test_serpentine_visits_every_vertex_once_by_single_pitches(shape):
     np.testing.assert_array_equal(np.abs(np.diff(order, axis=0)).sum(axis=1), 1)
 
 
-def test_serpentine_positions_are_the_vertices():
+def test_serpentine_positions_are_the_vertices() -> None:
     indices = GRID.serpentine()
     np.testing.assert_array_equal(GRID.vertices_mm()[tuple(indices.T)], GRID.serpentine_mm())
     np.testing.assert_array_equal(GRID.far_mm, [2300, 450, 1400])
 
 
 @given(st.lists(st.floats(0, 1), min_size=3, max_size=3))
-def test_cell_and_place_give_the_target_back(share):
+def test_cell_and_place_give_the_target_back(share: list[float]) -> None:
     target = GRID.origin_mm + np.array(share) * 900
     cell, place = GRID.cells(target[None])
     assert (cell >= 0).all()
@@ -35,13 +35,13 @@ def test_cell_and_place_give_the_target_back(share):
     np.testing.assert_allclose(GRID.origin_mm + 300 * (cell + place)[0], target, atol=1e-9)
 
 
-def test_upper_faces_belong_to_the_last_cell():
+def test_upper_faces_belong_to_the_last_cell() -> None:
     cell, place = GRID.cells([GRID.far_mm, GRID.origin_mm, GRID.origin_mm + 300])
     np.testing.assert_array_equal(cell, [[2, 2, 2], [0, 0, 0], [1, 1, 1]])
     np.testing.assert_array_equal(place, [[1, 1, 1], [0, 0, 0], [0, 0, 0]])
 
 
-def test_outside_names_the_targets_and_by_how_much():
+def test_outside_names_the_targets_and_by_how_much() -> None:
     targets = np.array(
         [GRID.origin_mm, GRID.far_mm + np.array([3, 4, 0]), GRID.origin_mm - np.array([0, 0, 0.25])]
     )
@@ -54,19 +54,19 @@ def test_outside_names_the_targets_and_by_how_much():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_not_finite_is_outside(bad):
+def test_not_finite_is_outside(bad: float) -> None:
     with pytest.raises(OutsideGrid):
         GRID.cells([[1500.0, bad, 600.0]])
 
 
-def test_rounding_on_a_face_is_inside():
+def test_rounding_on_a_face_is_inside() -> None:
     cell, place = GRID.cells([GRID.far_mm + 1e-9, GRID.origin_mm - 1e-9])
     np.testing.assert_array_equal(cell, [[2, 2, 2], [0, 0, 0]])
     assert ((place >= 0) & (place <= 1)).all()
 
 
 @given(st.lists(st.floats(-5000, 5000), min_size=3, max_size=3))
-def test_clamped_is_inside_and_leaves_the_inside_alone(point):
+def test_clamped_is_inside_and_leaves_the_inside_alone(point: list[float]) -> None:
     inside = GRID.clamped([point])
     GRID.check_inside(inside)
     np.testing.assert_array_equal(GRID.clamped(inside), inside)
@@ -83,11 +83,11 @@ def test_clamped_is_inside_and_leaves_the_inside_alone(point):
         ([0, 0, 0], 300.0, (4, 1, 4)),
     ],
 )
-def test_grid_refuses(origin, pitch, shape):
+def test_grid_refuses(origin: list[float], pitch: float, shape: tuple[int, int, int]) -> None:
     with pytest.raises(GridError):
         Grid(np.array(origin, dtype=float), pitch, shape)
 
 
-def test_targets_of_another_shape_are_refused():
+def test_targets_of_another_shape_are_refused() -> None:
     with pytest.raises(GridError, match=r"wanted \(N, 3\)"):
         GRID.cells(np.zeros(3))

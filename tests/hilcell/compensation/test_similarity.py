@@ -8,6 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from hilcell.cell import load_cell
 from hilcell.compensation.similarity import (
+    Pairs,
     SimilarityError,
     binned,
     similarity,
@@ -26,7 +27,7 @@ errors = arrays(float, (3,), elements=st.floats(-5, 5))
 
 
 @given(errors, errors)
-def test_eq_8(one, other):
+def test_eq_8(one: np.ndarray, other: np.ndarray) -> None:
     found = similarity(one, other)
     assert found == similarity(other, one)
     if (one == other).all():
@@ -35,8 +36,8 @@ def test_eq_8(one, other):
         assert found == pytest.approx(1 / np.linalg.norm(one - other))
 
 
-def test_equal_errors_are_infinitely_similar_by_definition():
-    found = similarity([[1.0, 2, 3], [1, 2, 3]], [[1.0, 2, 3], [1, 2, 5]])
+def test_equal_errors_are_infinitely_similar_by_definition() -> None:
+    found = similarity([[1.0, 2.0, 3.0]] * 2, [[1.0, 2.0, 3.0], [1.0, 2.0, 5.0]])
     np.testing.assert_array_equal(found, [np.inf, 0.5])
 
 
@@ -48,7 +49,7 @@ def errors_of(joints: np.ndarray, seed: int) -> np.ndarray:
     return error
 
 
-def pairs_of(joints: np.ndarray, seed: int):
+def pairs_of(joints: np.ndarray, seed: int) -> Pairs:
     return similarity_pairs(joints, forward(ARM, joints)[:, :3, 3], errors_of(joints, seed))
 
 
@@ -70,7 +71,7 @@ def clouds(rng: np.random.Generator) -> np.ndarray:
 
 
 @given(seeds)
-def test_similarity_falls_with_joint_distance(seed):
+def test_similarity_falls_with_joint_distance(seed: int) -> None:
     pairs = pairs_of(clouds(np.random.default_rng(seed)), seed)
     bins = binned(pairs.joint_rad, pairs.difference_mm, [0.0, 0.1, 0.2, 0.4, 20.0])
     known = bins.similarity[bins.count > 20]
@@ -80,7 +81,7 @@ def test_similarity_falls_with_joint_distance(seed):
 
 
 @given(seeds)
-def test_at_one_orientation_and_configuration_points_stand_for_joints(seed):
+def test_at_one_orientation_and_configuration_points_stand_for_joints(seed: int) -> None:
     pairs = pairs_of(fixed_joints(np.random.default_rng(seed)), seed)
     joint = binned(pairs.joint_rad, pairs.difference_mm, np.quantile(pairs.joint_rad, QUARTERS))
     point = binned(
@@ -94,7 +95,7 @@ def test_at_one_orientation_and_configuration_points_stand_for_joints(seed):
 QUARTERS = np.linspace(0, 1, 5)
 
 
-def test_at_free_orientation_and_configuration_they_do_not():
+def test_at_free_orientation_and_configuration_they_do_not() -> None:
     """Poses of one point differ in their errors as poses of far points do."""
     rng = np.random.default_rng(5)
     joints = np.vstack([same_point(rng) for _ in range(40)])
@@ -120,7 +121,7 @@ def same_point(rng: np.random.Generator) -> np.ndarray:
     return posture(ARM, turned, CELL.robot.status, LIMITS, HOME)
 
 
-def test_every_pair_once():
+def test_every_pair_once() -> None:
     joints = np.arange(24.0).reshape(4, 6)
     pairs = similarity_pairs(joints, joints[:, :3], joints[:, 3:])
     assert len(pairs.joint_rad) == 6
@@ -128,7 +129,7 @@ def test_every_pair_once():
     np.testing.assert_allclose(pairs.similarity * pairs.difference_mm, 1.0)
 
 
-def test_bins_hold_their_lower_edge_and_empty_ones_say_so():
+def test_bins_hold_their_lower_edge_and_empty_ones_say_so() -> None:
     bins = binned(np.array([0.0, 1, 2]), np.array([1.0, 3, 5]), [0, 1, 2, 9, 10])
     np.testing.assert_array_equal(bins.count, [1, 1, 1, 0])
     np.testing.assert_array_equal(bins.difference_mm, [1, 3, 5, np.nan])
@@ -136,12 +137,12 @@ def test_bins_hold_their_lower_edge_and_empty_ones_say_so():
 
 
 @pytest.mark.parametrize("edges", [[1.0], [1.0, 1.0], [2.0, 1.0], [0.0, np.nan]])
-def test_edges_that_do_not_rise_are_refused(edges):
+def test_edges_that_do_not_rise_are_refused(edges: list[float]) -> None:
     with pytest.raises(SimilarityError, match="edges"):
         binned(np.ones(3), np.ones(3), edges)
 
 
-def test_what_makes_no_pairs_is_refused():
+def test_what_makes_no_pairs_is_refused() -> None:
     with pytest.raises(SimilarityError, match="N >= 2"):
         similarity_pairs(np.zeros((1, 6)), np.zeros((1, 3)), np.zeros((1, 3)))
     with pytest.raises(SimilarityError, match="shapes"):

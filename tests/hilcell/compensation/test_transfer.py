@@ -15,7 +15,9 @@ SLIDE = np.array([[350, -350, 60], [350, 350, 60], [-350, 350, 90], [-350, -350,
 
 
 @given(poses, poses, poses, seeds)
-def test_station_frames_carry_measured_data(T_W_B1, move, T_B_S, seed):
+def test_station_frames_carry_measured_data(
+    T_W_B1: np.ndarray, move: np.ndarray, T_B_S: np.ndarray, seed: int
+) -> None:
     """The rail moves the slide by any rigid motion; all that station 1 measured rides along."""
     in_base = np.random.default_rng(seed).uniform(-2000, 2000, (10, 3))
     T_W_Bi = move @ T_W_B1
@@ -27,7 +29,9 @@ def test_station_frames_carry_measured_data(T_W_B1, move, T_B_S, seed):
 
 
 @given(poses, poses, poses, seeds)
-def test_equation_13_and_equation_17_agree(T_W_B1, move, T_B_S, seed):
+def test_equation_13_and_equation_17_agree(
+    T_W_B1: np.ndarray, move: np.ndarray, T_B_S: np.ndarray, seed: int
+) -> None:
     points = np.random.default_rng(seed).uniform(-2000, 2000, (10, 3))
     T_W_Bi = move @ T_W_B1
     by_base = apply(T_W_Bi @ inverse(T_W_B1), points)
@@ -37,14 +41,16 @@ def test_equation_13_and_equation_17_agree(T_W_B1, move, T_B_S, seed):
 
 
 @given(poses, poses)
-def test_three_points_and_best_fit_frames_carry_alike(T_W_B1, move):
+def test_three_points_and_best_fit_frames_carry_alike(T_W_B1: np.ndarray, move: np.ndarray) -> None:
     first, there = apply(T_W_B1, SLIDE), apply(move @ T_W_B1, SLIDE)
     by_three = ride(three_point_frame(*first[:3]), three_point_frame(*there[:3]))
     np.testing.assert_allclose(by_three, rigid_fit(first, there).T, atol=1e-7)
 
 
 @given(poses, poses, seeds)
-def test_errors_keep_their_size_and_turn_with_the_slide(T_W_S1, T_W_Si, seed):
+def test_errors_keep_their_size_and_turn_with_the_slide(
+    T_W_S1: np.ndarray, T_W_Si: np.ndarray, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     nominal, error = rng.uniform(-2000, 2000, (10, 3)), rng.normal(0, 1, (10, 3))
     moved_nominal, moved_actual = transferred(T_W_S1, T_W_Si, nominal, nominal + error)

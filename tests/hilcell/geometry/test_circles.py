@@ -41,7 +41,7 @@ def sweeps() -> tuple[np.ndarray, np.ndarray]:
 
 
 @given(poses, st.floats(50, 3000), st.floats(60, 340))
-def test_exact_circle_is_found(T, radius, degrees):
+def test_exact_circle_is_found(T: np.ndarray, radius: float, degrees: float) -> None:
     circle = fit_circle(arc(T, radius, degrees))
     scale = 1 + radius + np.abs(T[:3, 3]).max()
     np.testing.assert_allclose(circle.centre_mm, T[:3, 3], atol=1e-9 * scale)
@@ -50,7 +50,7 @@ def test_exact_circle_is_found(T, radius, degrees):
 
 
 @given(poses, seeds)
-def test_order_decides_the_axis(T, seed):
+def test_order_decides_the_axis(T: np.ndarray, seed: int) -> None:
     points = arc(T, 500, 200) + np.random.default_rng(seed).normal(0, 0.02, (12, 3))
     there, back = fit_circle(points), fit_circle(points[::-1])
     assert there.axis @ T[:3, 2] > 0.99
@@ -59,12 +59,12 @@ def test_order_decides_the_axis(T, seed):
 
 
 @given(seeds, st.floats(80, 330))
-def test_circle_agrees_with_a_peer_by_scipy(seed, degrees):
+def test_circle_agrees_with_a_peer_by_scipy(seed: int, degrees: float) -> None:
     rng = np.random.default_rng(seed)
     T = pose_from_zyx(*rng.uniform(-2000, 2000, 3), *rng.uniform(-180, 180, 3))
     points = arc(T, 800, degrees) + rng.normal(0, 0.05, (12, 3))
 
-    def distances(x):
+    def distances(x: np.ndarray) -> np.ndarray:
         axis = T[:3, :3] @ np.array([x[3], x[4], 1.0])
         axis /= np.linalg.norm(axis)
         lever = points - (T[:3, 3] + x[:3])
@@ -81,7 +81,7 @@ def test_circle_agrees_with_a_peer_by_scipy(seed, degrees):
     assert circle.radius_mm == pytest.approx(800 + peer.x[5], abs=1e-3)
 
 
-def test_covariance_predicts_the_scatter():
+def test_covariance_predicts_the_scatter() -> None:
     rng = np.random.default_rng(4)
     T = pose_from_zyx(100, 200, 300, 10, 20, 30)
     clean = arc(T, 900, 90)
@@ -91,7 +91,7 @@ def test_covariance_predicts_the_scatter():
     np.testing.assert_allclose(said, seen, rtol=0.3)
 
 
-def test_three_points_leave_no_covariance():
+def test_three_points_leave_no_covariance() -> None:
     circle = fit_circle(arc(np.eye(4), 100, 200, count=3))
     assert np.isnan(circle.covariance).all()
     assert circle.rms_mm < 1e-9
@@ -105,13 +105,13 @@ def test_three_points_leave_no_covariance():
         (np.full((5, 3), np.nan), "not finite"),
     ],
 )
-def test_circle_refuses(points, says):
+def test_circle_refuses(points: np.ndarray, says: str) -> None:
     with pytest.raises(FrameError, match=says):
         fit_circle(points)
 
 
 @pytest.mark.parametrize("turn", [0.0, np.nan])
-def test_circle_wants_a_sense_of_rotation(turn):
+def test_circle_wants_a_sense_of_rotation(turn: float) -> None:
     with pytest.raises(FrameError, match="sense of rotation"):
         fit_circle(arc(np.eye(4), 100, 200), turn)
 
@@ -122,13 +122,13 @@ def height_of_axis_6() -> float:
     return float(flange[2, 3])
 
 
-def test_base_frame_of_the_paper_cell_is_found():
+def test_base_frame_of_the_paper_cell_is_found() -> None:
     one, six = sweeps()
     T = base_frame(fit_circle(one, turn=ARM.sign[0]), fit_circle(six), height_of_axis_6())
     np.testing.assert_allclose(T, T_W_B, atol=1e-8)
 
 
-def test_base_frame_does_not_care_about_the_sense_of_axis_6():
+def test_base_frame_does_not_care_about_the_sense_of_axis_6() -> None:
     one, six = sweeps()
     T = base_frame(
         fit_circle(one, turn=ARM.sign[0]), fit_circle(six, turn=-1.0), height_of_axis_6()
@@ -136,7 +136,7 @@ def test_base_frame_does_not_care_about_the_sense_of_axis_6():
     np.testing.assert_allclose(T, T_W_B, atol=1e-8)
 
 
-def test_base_frame_covariance_predicts_the_scatter():
+def test_base_frame_covariance_predicts_the_scatter() -> None:
     rng = np.random.default_rng(9)
     one, six = sweeps()
     said, seen = [], []
@@ -153,7 +153,7 @@ def test_base_frame_covariance_predicts_the_scatter():
 
 
 @pytest.mark.parametrize("between_deg", [0.0, 4.0])
-def test_base_frame_refuses_nearly_parallel_axes(between_deg):
+def test_base_frame_refuses_nearly_parallel_axes(between_deg: float) -> None:
     one = fit_circle(arc(np.eye(4), 500, 200))
     six = fit_circle(arc(pose_from_zyx(1500, 0, 1800, 0, between_deg, 0), 98, 300))
     with pytest.raises(FrameError, match=rf"{between_deg:.1f} deg apart"):

@@ -34,7 +34,7 @@ NESTS = np.array(
 
 
 @given(poses, seeds, st.integers(3, 6))
-def test_fit_recovers_the_motion(T, seed, count):
+def test_fit_recovers_the_motion(T: np.ndarray, seed: int, count: int) -> None:
     a = NESTS[:count] + np.random.default_rng(seed).uniform(-50, 50, (count, 3))
     fit = rigid_fit(a, apply(T, a))
     np.testing.assert_allclose(fit.T, T, atol=1e-9 * (1 + np.abs(T).max()))
@@ -42,7 +42,7 @@ def test_fit_recovers_the_motion(T, seed, count):
 
 
 @given(poses, poses, seeds)
-def test_fit_moves_with_either_frame(P, Q, seed):
+def test_fit_moves_with_either_frame(P: np.ndarray, Q: np.ndarray, seed: int) -> None:
     rng = np.random.default_rng(seed)
     b = NESTS + rng.normal(0, 0.5, NESTS.shape)
     plain = rigid_fit(NESTS, b)
@@ -56,7 +56,7 @@ def test_fit_moves_with_either_frame(P, Q, seed):
 
 
 @given(seeds)
-def test_order_and_scale_of_weights_do_not_matter(seed):
+def test_order_and_scale_of_weights_do_not_matter(seed: int) -> None:
     rng = np.random.default_rng(seed)
     b, weights = NESTS + rng.normal(0, 0.5, NESTS.shape), rng.uniform(0.5, 2, len(NESTS))
     order = rng.permutation(len(NESTS))
@@ -67,7 +67,7 @@ def test_order_and_scale_of_weights_do_not_matter(seed):
 
 
 @given(seeds)
-def test_plain_fit_agrees_with_scipy(seed):
+def test_plain_fit_agrees_with_scipy(seed: int) -> None:
     rng = np.random.default_rng(seed)
     b = NESTS + rng.normal(0, 0.5, NESTS.shape)
     peer, _ = Rotation.align_vectors(b - b.mean(axis=0), NESTS - NESTS.mean(axis=0))
@@ -75,13 +75,13 @@ def test_plain_fit_agrees_with_scipy(seed):
 
 
 @given(seeds)
-def test_equal_isotropic_covariances_change_nothing(seed):
+def test_equal_isotropic_covariances_change_nothing(seed: int) -> None:
     b = NESTS + np.random.default_rng(seed).normal(0, 0.5, NESTS.shape)
     covariances = np.tile(0.25 * np.eye(3), (len(NESTS), 1, 1))
     np.testing.assert_allclose(rigid_fit(NESTS, b, covariances).T, rigid_fit(NESTS, b).T, atol=1e-9)
 
 
-def test_full_covariances_reach_the_least_cost():
+def test_full_covariances_reach_the_least_cost() -> None:
     rng = np.random.default_rng(5)
     roots = rng.normal(0, 0.3, (6, 3, 3))
     covariances = roots @ np.swapaxes(roots, 1, 2) + 1e-3 * np.eye(3)
@@ -89,9 +89,9 @@ def test_full_covariances_reach_the_least_cost():
     best = rigid_fit(NESTS, b, covariances)
     W = np.linalg.inv(covariances)
 
-    def cost(T):
+    def cost(T: np.ndarray) -> float:
         r = b - apply(T, NESTS)
-        return np.einsum("ni,nij,nj->", r, W, r)
+        return float(np.einsum("ni,nij,nj->", r, W, r))
 
     for _ in range(50):
         nudge = pose_from_zyx(*rng.normal(0, 0.01, 3), *rng.normal(0, 0.001, 3))
@@ -99,7 +99,7 @@ def test_full_covariances_reach_the_least_cost():
 
 
 @pytest.mark.parametrize("absolute", [False, True])
-def test_covariance_predicts_the_scatter_at_the_tool(absolute):
+def test_covariance_predicts_the_scatter_at_the_tool(absolute: bool) -> None:
     rng = np.random.default_rng(1)
     T, sigma, tool = (
         pose_from_zyx(1000, -2000, 300, 30, -20, 100),
@@ -117,7 +117,7 @@ def test_covariance_predicts_the_scatter_at_the_tool(absolute):
     assert said == pytest.approx(seen, rel=0.12 if absolute else 0.08)
 
 
-def test_believed_covariances_widen_when_residuals_exceed_them():
+def test_believed_covariances_widen_when_residuals_exceed_them() -> None:
     b = NESTS + np.random.default_rng(2).normal(0, 0.5, NESTS.shape)
     tight = rigid_fit(NESTS, b, np.tile(1e-6 * np.eye(3), (6, 1, 1)))
     plain = rigid_fit(NESTS, b)
@@ -137,7 +137,7 @@ def test_believed_covariances_widen_when_residuals_exceed_them():
         (NESTS, NESTS[:, [1, 0, 2]], "mirror image"),
     ],
 )
-def test_fit_refuses(a, b, says):
+def test_fit_refuses(a: np.ndarray, b: np.ndarray, says: str) -> None:
     with pytest.raises(FrameError, match=says):
         rigid_fit(a, b)
 
@@ -146,12 +146,12 @@ def test_fit_refuses(a, b, says):
     "weights",
     [np.ones(5), np.zeros(6), np.full(6, np.nan), -np.ones(6), np.zeros((6, 3, 3))],
 )
-def test_fit_refuses_weights(weights):
+def test_fit_refuses_weights(weights: np.ndarray) -> None:
     with pytest.raises(FrameError):
         rigid_fit(NESTS, NESTS, weights)
 
 
-def test_plane_nests_fit_although_noise_may_mirror_them():
+def test_plane_nests_fit_although_noise_may_mirror_them() -> None:
     rng = np.random.default_rng(3)
     flat = NESTS[:4] * [1, 1, 0]
     for _ in range(50):
@@ -160,13 +160,13 @@ def test_plane_nests_fit_although_noise_may_mirror_them():
 
 
 @given(poses, seeds)
-def test_three_point_frame_rides_on_the_slide(T, seed):
+def test_three_point_frame_rides_on_the_slide(T: np.ndarray, seed: int) -> None:
     points = NESTS[:3] + np.random.default_rng(seed).uniform(-50, 50, (3, 3))
     here, there = three_point_frame(*points), three_point_frame(*apply(T, points))
     np.testing.assert_allclose(there, T @ here, atol=1e-8)
 
 
-def test_three_point_frame_is_that_of_equations_14_to_16():
+def test_three_point_frame_is_that_of_equations_14_to_16() -> None:
     T = three_point_frame([10, 20, 30], [10, 25, 30], [8, 21, 30])
     np.testing.assert_allclose(
         T, [[0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 30], [0, 0, 0, 1]], atol=1e-12
@@ -174,23 +174,23 @@ def test_three_point_frame_is_that_of_equations_14_to_16():
 
 
 @pytest.mark.parametrize("p3", [[2, 0, 0.01], [np.nan, 1, 0], [0, 0, 0]])
-def test_three_point_frame_refuses(p3):
+def test_three_point_frame_refuses(p3: list[float]) -> None:
     with pytest.raises(FrameError):
         three_point_frame([0, 0, 0], [1, 0, 0], p3)
 
 
 @given(poses)
-def test_kuka_angles_return(T):
+def test_kuka_angles_return(T: np.ndarray) -> None:
     np.testing.assert_allclose(pose_from_zyx(*zyx_from_pose(T)), T, atol=1e-9)
 
 
 @pytest.mark.parametrize("b_deg", [90.0, -90.0])
-def test_kuka_angles_return_where_they_are_singular(b_deg):
+def test_kuka_angles_return_where_they_are_singular(b_deg: float) -> None:
     T = pose_from_zyx(1, 2, 3, 40, b_deg, -70)
     np.testing.assert_allclose(pose_from_zyx(*zyx_from_pose(T)), T, atol=1e-12)
 
 
-def test_kuka_angles_of_many_frames_at_once():
+def test_kuka_angles_of_many_frames_at_once() -> None:
     frames = np.array([pose_from_zyx(1, 2, 3, 10, 20, 30), pose_from_zyx(4, 5, 6, -10, 80, 170)])
     np.testing.assert_allclose(
         zyx_from_pose(frames), [[1, 2, 3, 10, 20, 30], [4, 5, 6, -10, 80, 170]]
@@ -198,7 +198,7 @@ def test_kuka_angles_of_many_frames_at_once():
 
 
 @given(poses)
-def test_inverse_agrees_with_scipy(T):
+def test_inverse_agrees_with_scipy(T: np.ndarray) -> None:
     np.testing.assert_allclose(
         inverse(T), RigidTransform.from_matrix(T).inv().as_matrix(), atol=1e-8
     )

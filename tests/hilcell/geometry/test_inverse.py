@@ -45,7 +45,7 @@ def cube() -> np.ndarray:
 
 
 @given(seeds, signs)
-def test_joints_return_by_their_status(seed, sign):
+def test_joints_return_by_their_status(seed: int, sign: list[float]) -> None:
     arm = replace(ARM, sign=np.array(sign))
     joints = joints_of(seed)
     joints = joints[np.abs(np.sin(joints[:, 4])) > 1e-2]
@@ -58,7 +58,7 @@ def test_joints_return_by_their_status(seed, sign):
 
 
 @given(seeds)
-def test_every_reachable_status_is_a_posture_of_the_pose(seed):
+def test_every_reachable_status_is_a_posture_of_the_pose(seed: int) -> None:
     poses = forward(ARM, joints_of(seed, 5))
     for status in range(8):
         ok = reach_excess_mm(ARM, poses, status) == 0
@@ -67,7 +67,7 @@ def test_every_reachable_status_is_a_posture_of_the_pose(seed):
         assert (status_of(ARM, joints) == status).all()
 
 
-def test_one_pose_or_many_alike():
+def test_one_pose_or_many_alike() -> None:
     joints = joints_of(1, 6).reshape(2, 3, 6) * 0.1 + HOME
     poses = forward(ARM, joints)
     many = inverse_kinematics(ARM, poses, 6)
@@ -75,31 +75,31 @@ def test_one_pose_or_many_alike():
     np.testing.assert_array_equal(many[1, 2], inverse_kinematics(ARM, poses[1, 2], 6))
 
 
-def test_wrist_singularity_has_a_posture():
+def test_wrist_singularity_has_a_posture() -> None:
     joints = np.radians([10.0, -80, 100, 0, 0, 25])
     found = inverse_kinematics(ARM, forward(ARM, joints), 2)
     np.testing.assert_allclose(found, joints, atol=1e-8)  # A4 rests at 0, A6 takes the turn
 
 
-def test_home_of_the_paper_cell_has_status_6():
+def test_home_of_the_paper_cell_has_status_6() -> None:
     assert status_of(ARM, HOME) == 6
     np.testing.assert_allclose(posture(ARM, forward(ARM, HOME), 6, LIMITS, HOME), HOME, atol=1e-9)
 
 
-def test_whole_cube_keeps_within_limits_in_status_6():
+def test_whole_cube_keeps_within_limits_in_status_6() -> None:
     joints = posture(ARM, cube(), 6, LIMITS, HOME)
     room = np.radians(15.0)
     assert ((joints > LIMITS[0] + room) & (joints < LIMITS[1] - room)).all()
     assert np.ptp(joints[:, 3]) < np.radians(75)  # no half turns of A4 from target to target
 
 
-def test_cube_is_not_reachable_in_every_status():
+def test_cube_is_not_reachable_in_every_status() -> None:
     assert reachable(ARM, cube(), 6, LIMITS, HOME).all()
     assert not reachable(ARM, cube(), 1, LIMITS, HOME).all()
     assert not reachable(ARM, cube(), 0, LIMITS, HOME).any()
 
 
-def test_message_names_the_first_unreachable_poses_and_by_how_much():
+def test_message_names_the_first_unreachable_poses_and_by_how_much() -> None:
     poses = np.stack([pose_from_zyx(x, 0, 1000, 0, 90, 0) for x in (1500, 9000, 1600)])
     with pytest.raises(ReachError, match=r"1 of 3 .* pose 2 by \d+\.\d{3} mm"):
         inverse_kinematics(ARM, poses, 6)
@@ -109,14 +109,14 @@ def test_message_names_the_first_unreachable_poses_and_by_how_much():
     assert excess[1] == pytest.approx(wrist_mm - 1150 - np.hypot(115, 1220), abs=1e-6)
 
 
-def test_excess_is_exact_straight_ahead():
+def test_excess_is_exact_straight_ahead() -> None:
     straight = ARM.a_mm[0] + ARM.a_mm[1] + np.hypot(ARM.a_mm[2], ARM.d_mm[3])
     flange = np.eye(4)
     flange[:3, 3] = (straight + 12.5, 0.0, ARM.d_mm[0] + ARM.d_mm[5])
     assert reach_excess_mm(ARM, flange @ ARM.tool, 2) == pytest.approx(12.5, abs=1e-9)
 
 
-def test_nan_is_never_reachable():
+def test_nan_is_never_reachable() -> None:
     pose = cube()[0]
     pose[0, 3] = np.nan
     assert not reachable(ARM, pose, 6, LIMITS, HOME)
@@ -126,7 +126,7 @@ def test_nan_is_never_reachable():
         posture(ARM, pose, 6, LIMITS, HOME)
 
 
-def test_limits_are_named():
+def test_limits_are_named() -> None:
     joints = np.radians([0.0, -90, 90, 0, -30, 0])
     tight = LIMITS.copy()
     tight[1, 2] = np.radians(80)
@@ -134,13 +134,13 @@ def test_limits_are_named():
         posture(ARM, forward(ARM, joints), 6, tight, HOME)
 
 
-def test_status_out_of_range_is_refused():
+def test_status_out_of_range_is_refused() -> None:
     with pytest.raises(ReachError, match=r"0 \.\. 7"):
         inverse_kinematics(ARM, cube()[0], 8)
 
 
 @given(seeds)
-def test_turns_are_the_nearest_within_limits(seed):
+def test_turns_are_the_nearest_within_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     joints, reference = rng.uniform(-np.pi, np.pi, 6), rng.uniform(LIMITS[0], LIMITS[1])
     turned = nearest_turns(joints, LIMITS, reference)
@@ -153,13 +153,13 @@ def test_turns_are_the_nearest_within_limits(seed):
             assert abs(turned[joint] - reference[joint]) == pytest.approx(nearest, abs=1e-12)
 
 
-def test_turn_bits():
+def test_turn_bits() -> None:
     assert turn_of(np.radians([1, -90, 90, 0, -30, -1])) == 0b110010
     np.testing.assert_array_equal(turn_of(np.zeros((2, 6))), [0, 0])
 
 
 @given(seeds)
-def test_jacobian_against_differences(seed):
+def test_jacobian_against_differences(seed: int) -> None:
     joints, step = joints_of(seed, 1)[0], 1e-6
     J = joint_jacobian(ARM, joints)
     for joint in range(6):
@@ -171,7 +171,7 @@ def test_jacobian_against_differences(seed):
 
 
 @given(seeds)
-def test_refined_inverse_of_a_crooked_arm(seed):
+def test_refined_inverse_of_a_crooked_arm(seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = replace(
         ARM,
@@ -185,7 +185,7 @@ def test_refined_inverse_of_a_crooked_arm(seed):
     assert np.abs(joints - start).max() < np.radians(2)
 
 
-def test_arm_outside_the_family_is_refused_and_can_be_refined():
+def test_arm_outside_the_family_is_refused_and_can_be_refined() -> None:
     offset_wrist = replace(ARM, a_mm=ARM.a_mm + 30.0 * np.eye(6)[4])
     with pytest.raises(ReachError, match=r"a4 \.\. a6 are not"):
         inverse_kinematics(offset_wrist, cube(), 6)
@@ -194,13 +194,13 @@ def test_arm_outside_the_family_is_refused_and_can_be_refined():
     np.testing.assert_allclose(found, joints, atol=1e-8)
 
 
-def test_refining_turns_the_tool_where_its_point_stands_already():
+def test_refining_turns_the_tool_where_its_point_stands_already() -> None:
     turned = forward(ARM, HOME)
     turned[:3, :3] = turned[:3, :3] @ pose_from_zyx(0, 0, 0, 5, -3, 2)[:3, :3]
     found = refine_inverse(ARM, turned, HOME)
     np.testing.assert_allclose(found, posture(ARM, turned, 6, LIMITS, HOME), atol=1e-8)
 
 
-def test_refining_says_when_it_does_not_arrive():
+def test_refining_says_when_it_does_not_arrive() -> None:
     with pytest.raises(ReachError, match="pose 1 by"):
         refine_inverse(ARM, pose_from_zyx(9000, 0, 1000, 0, 90, 0), HOME)

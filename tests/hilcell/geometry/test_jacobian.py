@@ -58,25 +58,25 @@ def check(arm: Arm, joints: np.ndarray) -> None:
 
 
 @given(seeds)
-def test_paper_arm_against_differences(seed):
+def test_paper_arm_against_differences(seed: int) -> None:
     joints = np.random.default_rng(seed).uniform(-np.pi, np.pi, (3, 6))
     check(PAPER, joints)
 
 
 @given(seeds)
-def test_paper_arm_with_hayati_against_differences(seed):
+def test_paper_arm_with_hayati_against_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     check(replace(PAPER, beta_rad=rng.uniform(-0.5, 0.5, 6)), rng.uniform(-np.pi, np.pi, (3, 6)))
 
 
 @given(seeds)
-def test_any_arm_against_differences(seed):
+def test_any_arm_against_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     check(arm_of(rng), rng.uniform(-np.pi, np.pi, (3, 6)))
 
 
 @given(seeds)
-def test_link_errors_are_those_of_eqs_3_and_4(seed):
+def test_link_errors_are_those_of_eqs_3_and_4(seed: int) -> None:
     """A_i^-1 dA_i is the error matrix, whatever the joint angle."""
     rng = np.random.default_rng(seed)
     arm, joints = arm_of(rng), rng.uniform(-np.pi, np.pi, 6)
@@ -93,7 +93,7 @@ def test_link_errors_are_those_of_eqs_3_and_4(seed):
 
 
 @given(seeds)
-def test_first_order_is_all_but_the_square(seed):
+def test_first_order_is_all_but_the_square(seed: int) -> None:
     """Eq 5's product less eq 6's sum shrinks with the square of the errors."""
     rng = np.random.default_rng(seed)
     joints, errors = rng.uniform(-np.pi, np.pi, (4, 6)), rng.normal(0, 1e-3, 33)
@@ -109,7 +109,7 @@ def test_first_order_is_all_but_the_square(seed):
 
 
 @given(seeds)
-def test_offsets_move_the_tool_as_joints_do(seed):
+def test_offsets_move_the_tool_as_joints_do(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm, joints = arm_of(rng), rng.uniform(-np.pi, np.pi, (2, 3, 6))
     offsets = parameter_jacobian(arm, joints)[..., 18:24]
@@ -117,7 +117,7 @@ def test_offsets_move_the_tool_as_joints_do(seed):
 
 
 @given(seeds)
-def test_axes_of_the_tool_and_of_the_base(seed):
+def test_axes_of_the_tool_and_of_the_base(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm, joints = arm_of(rng), rng.uniform(-np.pi, np.pi, 6)
     R = forward(arm, joints)[:3, :3]
@@ -126,7 +126,7 @@ def test_axes_of_the_tool_and_of_the_base(seed):
     np.testing.assert_allclose(R @ here[3:], there[3:], atol=1e-12)
 
 
-def test_parallel_axes_need_hayati():
+def test_parallel_axes_need_hayati() -> None:
     """Slips 3: d2 and d3 cannot be told apart, and only beta 2 tilts axis 3 out of its plane."""
     joints = np.random.default_rng(1).uniform(-np.pi, np.pi, (40, 6))
     J = parameter_jacobian(PAPER, joints)

@@ -34,7 +34,7 @@ def peer_link(arm: Arm, row: int, joint: float) -> RigidTransform:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_forward_agrees_with_scipy(seed):
+def test_forward_agrees_with_scipy(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm, joints = arm_of(rng), rng.uniform(-np.pi, np.pi, (3, 6))
     for q, pose, links in zip(

@@ -11,7 +11,7 @@ from hilcell.planning.cover import CoverError, fewest
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 8), st.floats(0.1, 0.9))
-def test_against_all_subsets(seed, holes, stations, share):
+def test_against_all_subsets(seed: int, holes: int, stations: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     ok = rng.random((holes, stations)) < share
     ok[np.arange(holes), rng.integers(0, stations, holes)] = True
@@ -30,11 +30,11 @@ def test_against_all_subsets(seed, holes, stations, share):
     assert burden[chosen].sum() == pytest.approx(lightest, abs=1e-4)
 
 
-def test_burden_never_buys_a_station():
+def test_burden_never_buys_a_station() -> None:
     ok = np.array([[True, False, True], [False, True, True]])
     np.testing.assert_array_equal(fewest(ok, np.array([0.0, 0.0, 1.0])), [2])
 
 
-def test_a_hole_reached_from_nowhere_is_refused():
+def test_a_hole_reached_from_nowhere_is_refused() -> None:
     with pytest.raises(CoverError, match="from no station"):
         fewest(np.array([[True, True], [False, False]]), np.zeros(2))

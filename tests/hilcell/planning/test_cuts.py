@@ -36,14 +36,14 @@ def crossing(seed: int) -> np.ndarray:
 
 @settings(max_examples=40)
 @given(seeds, st.integers(4, 7))
-def test_bound_is_below_the_shortest(seed, count):
+def test_bound_is_below_the_shortest(seed: int, count: int) -> None:
     points = scattered(seed, count)
     order = np.random.default_rng(seed).permutation(count)
     assert cut_bound(cdist(points, points), order, np.inf) <= least(points) * (1 + 1e-12) + 1e-9
 
 
 @given(seeds, st.integers(4, 7), st.integers(0, 6))
-def test_any_prices_prove_a_bound(seed, count, cuts):
+def test_any_prices_prove_a_bound(seed: int, count: int, cuts: int) -> None:
     points, rng = scattered(seed, count), np.random.default_rng(seed)
     program = program_of(seed, points)
     for _ in range(cuts):
@@ -58,7 +58,7 @@ def test_any_prices_prove_a_bound(seed, count, cuts):
 
 @settings(max_examples=4)
 @given(seeds)
-def test_every_tour_respects_every_cut(seed):
+def test_every_tour_respects_every_cut(seed: int) -> None:
     """In rounds as the bound takes them, on rows that cross; subtours, blossoms and stars."""
     points, rng = crossing(seed), np.random.default_rng(seed)
     program, good = program_of(seed, points), np.append(route(points).order, len(points))
@@ -79,13 +79,13 @@ def test_every_tour_respects_every_cut(seed):
     assert kinds == {"subtour", "blossom", "star"}
 
 
-def test_cuts_sharpen_the_bound_where_rows_cross():
+def test_cuts_sharpen_the_bound_where_rows_cross() -> None:
     points = crossing(1)
     distance, order = cdist(points, points), np.arange(len(points))
     assert cut_bound(distance, order, np.inf) > 1.03 * lower_bound(distance, order)
 
 
-def test_edges_that_the_program_has_not_seen_count_too():
+def test_edges_that_the_program_has_not_seen_count_too() -> None:
     """On a bad tour's edges alone the solver finds far too long an answer; that proves nothing."""
     points = np.random.default_rng(2).uniform(0, 500, (30, 3))
     distance, good = cdist(points, points), route(points)
@@ -101,7 +101,7 @@ def test_edges_that_the_program_has_not_seen_count_too():
 
 
 @pytest.mark.parametrize("count", [4, 5])
-def test_few_holes(count):
+def test_few_holes(count: int) -> None:
     points = np.arange(float(count))[:, None] * [10.0, 0.0, 0.0]
     bound_mm = cut_bound(cdist(points, points), np.arange(count), np.inf)
     assert bound_mm == pytest.approx(10.0 * (count - 1), rel=1e-6)

@@ -46,7 +46,7 @@ def test_targets_keep_their_whole_orientation(tmp_path: Path) -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_tools_are_right_handed_and_turn_evenly(seed):
+def test_tools_are_right_handed_and_turn_evenly(seed: int) -> None:
     normals = np.random.default_rng(seed).normal(0, 1, (4, 3))
     normals[0] = np.eye(3)[seed % 3] * 7.0
     tools = tools_against(normals)

@@ -1,5 +1,6 @@
 """Plans on the paper's cell: everything drilled once, from where it can be, by fewest stations."""
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import msgspec
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilcell.cell import load_cell
+from hilcell.cell import Station, load_cell
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import posture, reachable
 from hilcell.planning.holes import Holes, tools_against
@@ -22,7 +23,9 @@ HOME = np.radians(CELL.robot.home_deg)
 seeds = st.integers(0, 2**32 - 1)
 
 
-def holes_at(points: np.ndarray, normals: np.ndarray | None = None) -> Holes:
+def holes_at(
+    points: np.ndarray | Sequence[Sequence[float]], normals: np.ndarray | None = None
+) -> Holes:
     if normals is None:
         normals = np.tile([-1.0, 0.0, 0.0], (len(points), 1))
     names = [f"H{n + 1}" for n in range(len(points))]
@@ -43,7 +46,7 @@ def wall(seed: int, count: int, half_width_mm: float = 2000.0) -> Holes:
     return holes_at(points, normals)
 
 
-def reaches(station, holes: Holes, number: int) -> bool:
+def reaches(station: Station, holes: Holes, number: int) -> bool:
     """Whether any turn of the tool brings it to the hole, judged pose by pose."""
     back = inverse(CELL.layout.nominal_base(station.rail_mm))
     ok = reachable(ARM, back @ holes.poses()[number], CELL.robot.status, LIMITS, HOME)
@@ -52,7 +55,9 @@ def reaches(station, holes: Holes, number: int) -> bool:
 
 @settings(max_examples=25)
 @given(seeds, st.integers(1, 40), st.booleans())
-def test_every_hole_once_at_the_closest_chosen_station_that_reaches_it(seed, count, free):
+def test_every_hole_once_at_the_closest_chosen_station_that_reaches_it(
+    seed: int, count: int, free: bool
+) -> None:
     holes = wall(seed, count)
     found = plan(CELL, holes, free=free)
     visited = [name for each in found.stations for name in each.holes]
@@ -70,7 +75,7 @@ def test_every_hole_once_at_the_closest_chosen_station_that_reaches_it(seed, cou
 
 @settings(max_examples=25)
 @given(seeds, st.integers(1, 30))
-def test_no_fewer_stations_do(seed, count):
+def test_no_fewer_stations_do(seed: int, count: int) -> None:
     holes = wall(seed, count)
     used = len(plan(CELL, holes).stations)
     able = np.array([[reaches(s, holes, n) for s in CELL.station] for n in range(count)])
@@ -80,7 +85,7 @@ def test_no_fewer_stations_do(seed, count):
 
 @settings(max_examples=25)
 @given(seeds, st.integers(1, 30))
-def test_poses_are_within_limits_and_drill_against_the_normal(seed, count):
+def test_poses_are_within_limits_and_drill_against_the_normal(seed: int, count: int) -> None:
     holes = wall(seed, count)
     for each in plan(CELL, holes).stations:
         poses = np.array([pose_from_zyx(*row) for row in each.poses])
@@ -92,7 +97,7 @@ def test_poses_are_within_limits_and_drill_against_the_normal(seed, count):
             np.testing.assert_allclose(pose[:3, 2], holes.tools[number, 0, :, 2], atol=1e-9)
 
 
-def test_the_turn_with_most_room_is_taken():
+def test_the_turn_with_most_room_is_taken() -> None:
     holes = wall(3, 10, 800.0)
     reached = reach(CELL, holes, CELL.station)
     back = inverse(CELL.layout.nominal_base(CELL.station[1].rail_mm))
@@ -108,7 +113,7 @@ def test_the_turn_with_most_room_is_taken():
         assert reached.turn[number, 1] == int(np.argmax(rooms))
 
 
-def test_stations_are_visited_along_the_rail_from_where_homing_leaves_the_slide():
+def test_stations_are_visited_along_the_rail_from_where_homing_leaves_the_slide() -> None:
     rails = [each.station.rail_mm for each in plan(CELL, wall(1, 60, 2400.0)).stations]
     assert len(rails) >= 2
     assert rails == sorted(rails)
@@ -117,12 +122,12 @@ def test_stations_are_visited_along_the_rail_from_where_homing_leaves_the_slide(
     assert along_rail({1: 5.0}) == [1]
 
 
-def test_one_station_in_the_middle_of_its_holes_where_one_does():
+def test_one_station_in_the_middle_of_its_holes_where_one_does() -> None:
     (only,) = plan(CELL, wall(2, 30, 500.0)).stations
     assert only.station.name == "S1100"
 
 
-def test_recorded_stations_come_first_and_free_ones_serve_where_they_do_not():
+def test_recorded_stations_come_first_and_free_ones_serve_where_they_do_not() -> None:
     near = wall(4, 20, 300.0)
     assert [each.station for each in plan(CELL, near, free=True).stations] == [CELL.station[1]]
     far = holes_at([[-100.0, 3300.0, 1100.0]])
@@ -143,7 +148,9 @@ def test_recorded_stations_come_first_and_free_ones_serve_where_they_do_not():
         ((-9000.0, 0.0, 1000.0), (-1.0, 0, 0), r"H2: tracker range 134\d\d mm, wanted 550 .. 9950"),
     ],
 )
-def test_what_nobody_reaches_is_refused_with_the_reason(point, normal, reason):
+def test_what_nobody_reaches_is_refused_with_the_reason(
+    point: tuple[float, float, float], normal: tuple[float, float, float], reason: str
+) -> None:
     holes = holes_at([(0, 0, 1000.0), point], np.array([(-1.0, 0, 0), normal]))
     with pytest.raises(UnreachableHoles, match=reason) as told:
         plan(CELL, holes)
@@ -151,7 +158,7 @@ def test_what_nobody_reaches_is_refused_with_the_reason(point, normal, reason):
     assert "H1" not in str(told.value)
 
 
-def test_joint_limits_are_named_with_values():
+def test_joint_limits_are_named_with_values() -> None:
     joints = [
         msgspec.structs.replace(j, max_deg=60.0) if n == 2 else j
         for n, j in enumerate(CELL.robot.joint)
@@ -164,19 +171,19 @@ def test_joint_limits_are_named_with_values():
         plan(msgspec.structs.replace(CELL, robot=robot), holes_at([(0, 0, 1000.0)]))
 
 
-def test_a_hole_out_of_the_trackers_range_is_refused_though_reached():
+def test_a_hole_out_of_the_trackers_range_is_refused_though_reached() -> None:
     tracker = msgspec.structs.replace(CELL.tracker, max_range_mm=4400.0)
     with pytest.raises(UnreachableHoles, match="tracker range 4"):
         plan(msgspec.structs.replace(CELL, tracker=tracker), holes_at([(0, 0, 1000.0)]))
 
 
-def test_many_are_counted_and_a_few_named():
+def test_many_are_counted_and_a_few_named() -> None:
     with pytest.raises(UnreachableHoles, match="9 of 9 holes") as told:
         plan(CELL, holes_at([(5000.0, 0, 1000.0 + n) for n in range(9)]))
     assert str(told.value).count("out of reach by") == 5
 
 
-def test_sums_and_ratio():
+def test_sums_and_ratio() -> None:
     found = plan(CELL, wall(1, 60, 2400.0))
     assert found.travel_mm == sum(each.travel_mm for each in found.stations)
     assert found.bound_mm <= found.travel_mm <= 1.05 * found.bound_mm

@@ -69,7 +69,7 @@ def travelled(points: np.ndarray, order: np.ndarray) -> float:
 @given(seeds, st.integers(1, 7))
 @example(1, 7)
 @example(3, 2)
-def test_small_cases_against_every_order(seed, count):
+def test_small_cases_against_every_order(seed: int, count: int) -> None:
     points = scattered(seed, count)
     best_mm, found = least(points), route(points)
     assert found.bound_mm <= best_mm * (1 + 1e-12)
@@ -79,7 +79,7 @@ def test_small_cases_against_every_order(seed, count):
 
 
 @given(seeds, st.integers(3, 7), st.floats(0, 300))
-def test_bound_holds_for_any_prices(seed, count, spread):
+def test_bound_holds_for_any_prices(seed: int, count: int, spread: float) -> None:
     points = scattered(seed, count)
     price = np.random.default_rng(seed).normal(0, spread, count)
     bound_mm, tree = _evaluated(cdist(points, points), price)
@@ -88,16 +88,17 @@ def test_bound_holds_for_any_prices(seed, count, spread):
 
 
 @given(seeds, st.integers(3, 40))
-def test_tree_is_the_least(seed, count):
+def test_tree_is_the_least(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
-    distance, price = cdist(*[rng.uniform(0, 100, (count, 3))] * 2), rng.uniform(0, 50, count)
+    points, price = rng.uniform(0, 100, (count, 3)), rng.uniform(0, 50, count)
+    distance = cdist(points, points)
     weight = np.triu(distance + price[:, None] + price, 1)
     wanted = minimum_spanning_tree(weight).sum() + np.sort(price)[:2].sum() - 2 * price.sum()
     assert _evaluated(distance, price)[0] == pytest.approx(wanted)
 
 
 @given(seeds, st.integers(1, 60))
-def test_every_hole_once_and_the_length_is_true(seed, count):
+def test_every_hole_once_and_the_length_is_true(seed: int, count: int) -> None:
     points = scattered(seed, count)
     found = route(points)
     assert sorted(found.order.tolist()) == list(range(count))
@@ -106,7 +107,7 @@ def test_every_hole_once_and_the_length_is_true(seed, count):
 
 
 @given(seeds, st.integers(4, 40))
-def test_search_keeps_its_books(seed, count):
+def test_search_keeps_its_books(seed: int, count: int) -> None:
     """Every gain that a move or kick claims is the change of the tour's length."""
     points = scattered(seed, count)
     search = _Search(cdist(points, points), np.random.default_rng(seed).permutation(count))
@@ -120,19 +121,19 @@ def test_search_keeps_its_books(seed, count):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_500_random_holes_within_5_percent_of_the_bound(seed):
+def test_500_random_holes_within_5_percent_of_the_bound(seed: int) -> None:
     found = route(np.random.default_rng(seed).uniform(-900, 900, (500, 3)) * [0.05, 1, 1])
     assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
 
 
 @pytest.mark.parametrize("kind", PANELS)
-def test_500_holes_of_a_panel_within_5_percent_of_the_bound(kind):
+def test_500_holes_of_a_panel_within_5_percent_of_the_bound(kind: str) -> None:
     found = route(curved(PANELS[kind], 1))
     assert 480 <= len(found.order) <= 500
     assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
 
 
-def test_a_lattice_of_single_rows_needs_the_cuts():
+def test_a_lattice_of_single_rows_needs_the_cuts() -> None:
     """Held and Karp's bound alone would leave more than 5 percent."""
     points = curved(LATTICE, 0)
     found = route(points)
@@ -140,7 +141,7 @@ def test_a_lattice_of_single_rows_needs_the_cuts():
     assert lower_bound(cdist(points, points), found.order) < found.travel_mm / 1.05
 
 
-def test_single_rows_that_meet_need_the_stars():
+def test_single_rows_that_meet_need_the_stars() -> None:
     """Rows that end on others: blossoms would leave more than 6 percent."""
     long = raster(100, 3, 2800 / 99, 300.0) + [-1400, 950]
     short = raster(20, 10, 33.0, 311.0)[:, ::-1] + [-1400, 905]
@@ -149,16 +150,16 @@ def test_single_rows_that_meet_need_the_stars():
     assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
 
 
-def test_the_same_holes_get_the_same_route():
+def test_the_same_holes_get_the_same_route() -> None:
     points = np.random.default_rng(7).uniform(-500, 500, (120, 3))
     np.testing.assert_array_equal(route(points).order, route(points).order)
 
 
-def test_bound_of_a_straight_row_is_its_length():
+def test_bound_of_a_straight_row_is_its_length() -> None:
     points = np.arange(30.0)[:, None] * [20.0, 0.0, 0.0]
     assert lower_bound(cdist(points, points), np.arange(30)) == pytest.approx(580.0, rel=1e-6)
 
 
-def test_holes_at_one_place_need_no_travel():
+def test_holes_at_one_place_need_no_travel() -> None:
     found = route(np.ones((12, 3)))
     assert found.travel_mm == found.bound_mm == 0.0

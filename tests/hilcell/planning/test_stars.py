@@ -21,7 +21,7 @@ def nested(handles: int) -> Cut:
 
 
 @pytest.mark.parametrize("handles", [1, 2])
-def test_a_star_against_every_tour(handles):
+def test_a_star_against_every_tour(handles: int) -> None:
     cut = nested(handles)
     count = cut.sets.shape[1]
     tours = np.array([(0, *rest) for rest in permutations(range(1, count))])
@@ -30,7 +30,7 @@ def test_a_star_against_every_tour(handles):
     assert left.min() == cut.least == 4 * handles + 6
 
 
-def test_how_much_shares_miss():
+def test_how_much_shares_miss() -> None:
     cut = nested(1)
     edges = np.array([[0, 3], [1, 4], [2, 5]])
     np.testing.assert_array_equal(cut.row(edges), [1, 1, 1])
@@ -39,7 +39,7 @@ def test_how_much_shares_miss():
 
 @settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
-def test_grown_stars_have_a_node_of_every_tooth_in_every_shell(seed):
+def test_grown_stars_have_a_node_of_every_tooth_in_every_shell(seed: int) -> None:
     """Where rows end on another row."""
     flat = np.vstack([raster(40, 1, 25.0, 1.0), raster(10, 3, 30.0, 250.0)[:, ::-1] + [240, 20]])
     points = flat + np.random.default_rng(seed).normal(0, 0.5, flat.shape)
