@@ -208,25 +208,38 @@ class Rig:
         stdin.write(f"{line}\n")
         stdin.flush()
 
-    def stop(self, phase: str, rng: random.Random) -> dict[str, float]:
-        """Return the time, s, from the screen's ``sendall`` to each device's stop frame."""
+    def begin(self, phase: str) -> Path:
+        """Let the engine run a phase; return the run's folder."""
         folder = self._folder / str(self._cycles)
         self._cycles += 1
         self._say(phase)
+        return folder
+
+    def arm(self) -> float:
+        """Await new stop frames; return the time, s, from which they are counted."""
+        for relay in self.relays.values():
+            relay.seen_s = math.nan
+        return time.monotonic()
+
+    def frames_s(self, sent_s: float) -> dict[str, float]:
+        """Wait for the engine's end; return when each device's stop frame came, s."""
+        code = int(cast("Any", self._process.stdout).readline())
+        assert code == 4, f"the engine ended with {code}"
+        return {name: relay.seen_s - sent_s for name, relay in self.relays.items()}
+
+    def stop(self, phase: str, rng: random.Random) -> dict[str, float]:
+        """Return the time, s, from the screen's ``sendall`` to each device's stop frame."""
+        folder = self.begin(phase)
         link = connected(folder / "engine.json")
         with link, link.makefile("rb") as answers:
             # A screen attends all the while, and has its stop on a connection of its own.
-            with connected(folder / "engine.json") as screen, screen.makefile("rb") as statuses:
-                await_phase(screen, statuses, phase)
+            with connected(folder / "engine.json") as screen:
+                await_phase(screen, phase)
                 time.sleep(rng.uniform(0.0, 0.6))
-                for relay in self.relays.values():
-                    relay.seen_s = math.nan
-                sent_s = time.monotonic()
+                sent_s = self.arm()
                 link.sendall(b'{"command": "stop"}\n')
                 answers.readline()
-            code = int(cast("Any", self._process.stdout).readline())
-        assert code == 4, f"the engine ended with {code}"
-        return {name: relay.seen_s - sent_s for name, relay in self.relays.items()}
+            return self.frames_s(sent_s)
 
     def bare(self) -> float:
         """Return the time, s, of a byte to another process and back."""
@@ -254,10 +267,10 @@ def connected(where: Path) -> socket.socket:
     raise TimeoutError(f"no engine at {where}")
 
 
-def await_phase(screen: socket.socket, answers: Any, phase: str) -> None:
+def await_phase(screen: socket.socket, phase: str) -> None:
     """Wait until the engine does what is to be stopped."""
     moving = {"rail": "rail", "robot": "robot"}.get(phase)
-    for status in statuses(screen, answers):
+    for status in statuses(screen):
         if phase == "prompt":
             if status["state"] == "suspended":
                 return
@@ -269,10 +282,11 @@ def await_phase(screen: socket.socket, answers: Any, phase: str) -> None:
         time.sleep(0.01)
 
 
-def statuses(screen: socket.socket, answers: Any) -> Iterator[dict[str, Any]]:
-    while True:
-        screen.sendall(b'{"command": "status"}\n')
-        yield msgspec.json.decode(answers.readline())
+def statuses(screen: socket.socket) -> Iterator[dict[str, Any]]:
+    with screen.makefile("rb") as answers:
+        while True:
+            screen.sendall(b'{"command": "status"}\n')
+            yield msgspec.json.decode(answers.readline())
 
 
 def report(name: str, taken_s: list[float]) -> None:

@@ -142,8 +142,10 @@ class Scene:
 
     @property
     def prompt(self) -> Prompt | None:
-        """Return what the operator is asked, while he is asked."""
-        return self.status.prompt if self.live and self.status is not None else None
+        """Return what the operator is asked, while he is asked and the cell is known."""
+        if not self.live or self.status is None or self.log.plan is None:
+            return None
+        return self.status.prompt
 
     def allows(self, trigger: str) -> bool:
         """Whether the table of the run's life allows a trigger now."""

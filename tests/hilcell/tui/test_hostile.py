@@ -19,7 +19,7 @@ from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
 from tests.hilcell.tui import hostile
 from tests.hilcell.tui.hostile import MARK, NASTY, dangerous, poisoned
-from tests.hilcell.tui.scenes import fresh
+from tests.hilcell.tui.scenes import LIVE, fresh, status
 from tests.hilcell.tui.stage import SIZE, Stage, options, press, settle, text_of
 from tests.hilcell.tui.walk import COMPARISON, PLAN, outside, screens_of
 
@@ -221,3 +221,18 @@ def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -
     shown = asyncio.run(play())
     assert "another version of hilcell" in shown
     assert not dangerous(shown)
+
+
+@pytest.mark.parametrize("state", sorted(LIVE))
+def test_an_engine_whose_journal_cannot_be_read_yet_breaks_nothing(state: str) -> None:
+    async def play() -> str:
+        app = Stage(options(RUNS), brought=Fresh([], alive=True, status=status(state)))
+        async with app.run_test(size=SIZE) as pilot:
+            await settle(pilot)
+            for page in ("e", "i", "l", "p", "question_mark"):
+                await press(pilot, page)
+            await press(pilot, "q", "w", "b", "enter", "r", "space")
+            await press(pilot, "escape")
+            return text_of(app)
+
+    assert "STOP sent" in asyncio.run(play())

@@ -188,6 +188,7 @@ class Screen:
 
     def __init__(self, folder: Path) -> None:
         self.brought: list[Fresh] = []
+        self._looked = 0
         self._came = threading.Condition()
         self.feed = Feed(folder, self._take, PERIOD_S)
 
@@ -197,11 +198,13 @@ class Screen:
             self._came.notify_all()
 
     def until(self, true: Callable[[Fresh], bool]) -> Fresh:
-        """Wait for a look that brings something; return it."""
-        start = len(self.brought)
+        """Wait for a look that brings something, after those already returned; return it."""
         with self._came:
-            assert self._came.wait_for(lambda: any(map(true, self.brought[start:])), LIMIT_S)
-        return next(fresh for fresh in self.brought[start:] if true(fresh))
+            assert self._came.wait_for(lambda: any(map(true, self.brought[self._looked :])), LIMIT_S)
+            while not true(self.brought[self._looked]):
+                self._looked += 1
+            self._looked += 1
+            return self.brought[self._looked - 1]
 
     def close(self, *, leave: bool = True) -> None:
         """End, and wait for the thread."""
@@ -272,6 +275,7 @@ def test_a_line_that_ends_is_opened_again(tmp_path: Path) -> None:
         screen.feed.start()
         screen.until(lambda fresh: fresh.status is not None)
         peer.hang_up()
+        screen.until(lambda fresh: fresh.status is None)
         peer.until(lambda: peer.commands.count("attend") == 2)
         assert screen.until(lambda fresh: fresh.status is not None).alive
         screen.close()
