@@ -42,7 +42,7 @@ class CesapiServer(Server):
             connection.sendall(answer.pack())
 
     def _complete(self, number: int, answer: Any) -> None:
-        written = self._written.get(READS.get(number, -1))
+        written: Any = self._written.get(READS.get(number, -1))
         for name in ("unitsSettings", "measMode", "coordSysType", "stationaryModeData"):
             if hasattr(written, name):
                 setattr(answer, name, getattr(written, name))

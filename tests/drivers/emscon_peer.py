@@ -7,6 +7,8 @@ import struct
 import threading
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from tests.drivers.peers import Server, exactly
 
 NOT_READY, READY, CLOSING = (struct.pack("<III", 12, 8, change) for change in (25, 27, 998))
@@ -22,7 +24,7 @@ def failure(command: int, status: int) -> bytes:
 
 
 def result(
-    xyz: Sequence[float],
+    xyz: Sequence[float] | np.ndarray,
     *,
     std: float = 0.005,
     status: int = 0,
@@ -83,8 +85,13 @@ class EmsconPeer:
     def _set(self, command: int) -> Answer:
         """Keep a setting under the number of its reading command."""
         pairs = {5: 6, 24: 25, 26: 27, 28: 29, 40: 41}
+
+        def keep(body: bytes) -> list[bytes]:
+            self.settings[pairs[command]] = body
+            return [reply(command)]
+
         if command in pairs:
-            return lambda body: [self.settings.update({pairs[command]: body}) or reply(command)]  # type: ignore[func-returns-value]
+            return keep
         return lambda _: [reply(command, self.settings.get(command, b""))]
 
     def _status(self, _body: bytes) -> list[bytes]:

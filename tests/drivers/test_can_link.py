@@ -7,7 +7,26 @@ import pytest
 
 from drivers.rail_canopen import CanopenRail
 from hilcell.ports import DeviceError
+from tests.drivers.can_peer import CanPeer
 from tests.drivers.peers import Server, wall_clock
+
+
+def rail_at(channel: str) -> CanopenRail:
+    options = CanopenRail.Options(
+        channel=channel,
+        travel_min_mm=0.0,
+        travel_max_mm=1.0,
+        speed_mm_s=1.0,
+        acceleration_mm_s2=1.0,
+    )
+    return CanopenRail(options, wall_clock())
+
+
+def test_nobody_listening_is_named() -> None:
+    with CanPeer() as peer:
+        channel = peer.channel
+    with pytest.raises(DeviceError, match="Rail: connect: slcan socket://"):
+        rail_at(channel).connect()
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2])
@@ -21,16 +40,7 @@ def test_a_gateway_that_hangs_up_while_connecting_is_told(frames: int) -> None:
         connection.shutdown(socket.SHUT_RDWR)
 
     with Server(hangs_up) as server:
-        options = {"channel": f"socket://127.0.0.1:{server.port}", "travel_min_mm": 0.0}
-        rail = CanopenRail(
-            CanopenRail.Options(
-                **options,
-                travel_max_mm=1.0,
-                speed_mm_s=1.0,
-                acceleration_mm_s2=1.0,  # type: ignore[arg-type]
-            ),
-            wall_clock(),
-        )
+        rail = rail_at(f"socket://127.0.0.1:{server.port}")
         started_s = time.monotonic()
         with pytest.raises(
             DeviceError, match=r"Rail: (CAN: link lost:|connect: slcan) .*; check the "

@@ -13,7 +13,6 @@ from drivers import drive, node_watch, pdo, rail_canopen, rail_setup, sdo
 from drivers.rail_canopen import CanopenRail
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError, DeviceRefused, Rail, Stopped
-from hilcell.settings import SettingsError, convert
 from tests.drivers import can_peer
 from tests.drivers.can_peer import DRIVE, ENABLED, FAULT, STRIP, CanPeer, u16, u32
 from tests.drivers.peers import wall_clock
@@ -38,7 +37,7 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def rail_for(peer: CanPeer, clock: WallClock | None = None, **options: Any) -> CanopenRail:
-    values = {
+    values: dict[str, Any] = {
         "channel": peer.channel,
         "travel_min_mm": 0.0,
         "travel_max_mm": 3000.0,
@@ -157,9 +156,16 @@ def test_a_setting_that_does_not_hold_is_refused(peer: CanPeer) -> None:
         rail_for(peer).connect()
 
 
-def test_a_node_that_stays_pre_operational_is_refused(peer: CanPeer) -> None:
-    frame = peer._frame
-    peer._frame = lambda cob, data: frame(cob, data) if (cob, data[:1]) != (0, b"\1") else None  # type: ignore[method-assign]
+def test_a_node_that_stays_pre_operational_is_refused(
+    peer: CanPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = peer._frame
+
+    def frame(cob_id: int, data: bytes) -> None:
+        if (cob_id, data[:1]) != (0, b"\1"):
+            original(cob_id, data)
+
+    monkeypatch.setattr(peer, "_frame", frame)
     with pytest.raises(DeviceError, match="NMT states 127, 127 of drive and strip"):
         rail_for(peer).connect()
 
@@ -175,8 +181,9 @@ def test_an_old_fault_is_reset_and_nothing_enabled(peer: CanPeer) -> None:
     rail.close()
 
 
-def test_a_fault_that_stays_is_told(peer: CanPeer) -> None:
-    peer.axis.state, peer.axis.control = FAULT, lambda word, target: None  # type: ignore[method-assign]
+def test_a_fault_that_stays_is_told(peer: CanPeer, monkeypatch: pytest.MonkeyPatch) -> None:
+    peer.axis.state = FAULT
+    monkeypatch.setattr(peer.axis, "control", lambda word, target: None)
     peer.objects[DRIVE][0x603F, 0] = u16(0x8611)
     with pytest.raises(DeviceError, match=r"stays in fault, error 0x8611 \(following error\)"):
         rail_for(peer).connect()
@@ -218,11 +225,18 @@ def test_homing_ends_at_zero(rail: CanopenRail, peer: CanPeer) -> None:
     assert peer.axis.mode == 6
 
 
-def test_homing_that_was_done_before_is_not_believed(rail: CanopenRail, peer: CanPeer) -> None:
+def never_starts(peer: CanPeer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the bit that starts a motion (controlword, bit 4) from the drive."""
+    control = peer.axis.control
+    monkeypatch.setattr(peer.axis, "control", lambda word, target: control(word & ~0x10, target))
+
+
+def test_homing_that_was_done_before_is_not_believed(
+    rail: CanopenRail, peer: CanPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rail.home()
     peer.axis.bits |= 0x1400
-    control = peer.axis.control
-    peer.axis.control = lambda word, target: control(word & ~0x10, target)  # type: ignore[method-assign]
+    never_starts(peer, monkeypatch)
     with pytest.raises(DeviceError, match="wanted homing started"):
         rail.home()
 
@@ -293,9 +307,10 @@ def test_a_fault_in_motion_stops_and_is_named(
         rail.move_to(1100.0)
 
 
-def test_a_set_point_never_acknowledged_is_told(rail: CanopenRail, peer: CanPeer) -> None:
-    control = peer.axis.control
-    peer.axis.control = lambda word, target: control(word & ~0x10, target)  # type: ignore[method-assign]
+def test_a_set_point_never_acknowledged_is_told(
+    rail: CanopenRail, peer: CanPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    never_starts(peer, monkeypatch)
     with pytest.raises(DeviceError, match="wanted set-point acknowledged"):
         rail.move_to(1100.0)
 
@@ -462,42 +477,8 @@ def _soon(holds: Callable[[], bool]) -> bool:
     return holds()
 
 
-def test_nobody_listening_is_named(peer: CanPeer) -> None:
-    channel = peer.channel
-    peer.server.close()
-    options = {"channel": channel, "travel_min_mm": 0.0, "travel_max_mm": 1.0}
-    rail = CanopenRail(
-        CanopenRail.Options(**options, speed_mm_s=1.0, acceleration_mm_s2=1.0),  # type: ignore[arg-type]
-        wall_clock(),
-    )
-    with pytest.raises(DeviceError, match="Rail: connect: slcan socket://"):
-        rail.connect()
-
-
 def test_stop_and_close_before_connect_do_nothing(peer: CanPeer) -> None:
     rail = rail_for(peer)
     rail.stop()
     rail.close()
     assert peer.heard == []
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"drive_node": 6}, "must differ"),
-        ({"travel_max_mm": -1.0}, "travel_min_mm must be below"),
-        ({"counts_per_mm": 1e9}, "does not fit 32 bits"),
-        ({"interface": "virtual"}, "interface"),
-        ({"strip_counts": 1}, "did you mean"),
-    ],
-)
-def test_options_are_strict(changed: dict[str, object], message: str) -> None:
-    values: dict[str, object] = {
-        "channel": "can0",
-        "travel_min_mm": 0.0,
-        "travel_max_mm": 3000.0,
-        "speed_mm_s": 250.0,
-        "acceleration_mm_s2": 200.0,
-    }
-    with pytest.raises(SettingsError, match=message):
-        convert(values | changed, CanopenRail.Options, "rail")

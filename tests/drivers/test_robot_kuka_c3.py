@@ -4,6 +4,7 @@ import re
 import threading
 from collections.abc import Iterator
 from importlib import resources
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,9 +28,13 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(robot_kuka_c3, name, value)
 
 
-def robot_for(peer: KukaPeer, **options: object) -> KukaC3Robot:
-    values = {"host": "127.0.0.1", "port": peer.server.port, "smr_mm": (98.0, 0.0, 127.0)} | options
-    return KukaC3Robot(KukaC3Robot.Options(**values), wall_clock())  # type: ignore[arg-type]
+def robot_for(peer: KukaPeer, **options: Any) -> KukaC3Robot:
+    values: dict[str, Any] = {
+        "host": "127.0.0.1",
+        "port": peer.server.port,
+        "smr_mm": (98.0, 0.0, 127.0),
+    }
+    return KukaC3Robot(KukaC3Robot.Options(**(values | options)), wall_clock())
 
 
 @pytest.fixture
@@ -183,14 +188,18 @@ def test_stopping_short_is_noticed(robot: KukaC3Robot, peer: KukaPeer) -> None:
         robot.move_to(TARGET_RAD, 30.0)
 
 
-def test_a_moving_pose_is_not_rest(robot: KukaC3Robot, peer: KukaPeer) -> None:
+def test_a_moving_pose_is_not_rest(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     number = iter(range(1000))
     original = peer._read
-    peer._read = lambda name: (  # type: ignore[method-assign]
-        peer.pose.replace("1620.5", f"16{next(number):02}.5")
-        if name == "$POS_ACT"
-        else original(name)
-    )
+
+    def read(name: str) -> str | None:
+        if name == "$POS_ACT":
+            return peer.pose.replace("1620.5", f"16{next(number):02}.5")
+        return original(name)
+
+    monkeypatch.setattr(peer, "_read", read)
     with pytest.raises(DeviceError, match="stands or creeps"):
         robot.move_to(TARGET_RAD, 30.0)
 

@@ -95,12 +95,15 @@ def test_a_late_reply_never_answers_the_next_read(peer: CanPeer) -> None:
     late: list[bytes] = []
     sent = threading.Event()
 
+    def answer(line: bytes) -> None:
+        peer.raw(line)
+        sent.set()
+
     def delay(line: bytes) -> list[bytes]:
         if line.startswith(b"t58584381600") and not late:
             late.append(line)
             peer.objects[DRIVE][PROFILE_VELOCITY] = u32(211)
-            timer = threading.Timer(0.15, lambda: (peer.raw(line), sent.set()))
-            timer.start()
+            threading.Timer(0.15, answer, [line]).start()
             return []
         return [line]
 

@@ -43,7 +43,7 @@ def short_pause(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def tracker_at(port: int, clock: WallClock | None = None, **options: Any) -> Quick:
-    values = {
+    values: dict[str, Any] = {
         "host": "127.0.0.1",
         "port": port,
         "reflector": SMR,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import py_openshowvar  # type: ignore[import-untyped]
+import py_openshowvar
 import pytest
 
 from fakes import c3_server

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import canopen
 import pytest
 
 from tests.fakes.rail_bench import DRIVE, STRIP, Line, Master, served, until
 
 
-def aborted(call: object, *args: object) -> int:
+def aborted(call: Callable[..., object], *args: object) -> int:
     """Return the abort code with which a call is refused."""
     with pytest.raises(canopen.SdoAbortedError) as refused:
-        call(*args)  # type: ignore[operator]
+        call(*args)
     return int(refused.value.code)
 
 

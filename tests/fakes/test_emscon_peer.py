@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from CESAPI.command import CommandSync  # type: ignore[import-untyped]
-from CESAPI.connection import Connection  # type: ignore[import-untyped]
-from CESAPI.packet import (  # type: ignore[import-untyped]
+from CESAPI.command import CommandSync
+from CESAPI.connection import Connection
+from CESAPI.packet import (
     ES_LU_Millimeter,
     StationaryModeDataT,
     SystemUnitsDataT,

@@ -10,7 +10,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.rail_drive import TRANSITIONS, Command, RailDrive, State, command_of
-from fakes.rail_truth import RailState
+from fakes.rail_truth import RailState, RailTruth
 from hilcell.cell import load_cell
 from tests.fakes.rail_bench import (
     BIT_10,
@@ -34,7 +34,7 @@ WORDS = {
 
 
 @dataclass
-class StillRail:
+class StillRail(RailTruth):
     """A rail that notes what it is told and never moves."""
 
     told: list[str] = field(default_factory=list)
@@ -48,13 +48,13 @@ class StillRail:
     def quick_stop(self, deceleration_mm_s2: float) -> None:
         self.told.append(f"stop {deceleration_mm_s2}")
 
-    def brake(self, *, closed: bool) -> None:
+    def brake(self, closed: bool) -> None:
         self.told.append("brake closed" if closed else "brake open")
 
 
 def alone(state: State = State.SWITCH_ON_DISABLED) -> tuple[RailDrive, StillRail]:
     rail = StillRail()
-    drive = RailDrive(rail, Faults(), load_cell("paper").rail, lambda *_: None)  # type: ignore[arg-type]
+    drive = RailDrive(rail, Faults(), load_cell("paper").rail, lambda *_: None)
     drive.state = state
     rail.told.clear()
     return drive, rail
@@ -175,9 +175,9 @@ def test_no_way_back_from_a_quick_stop_that_ends_disabled() -> None:
     drive, rail = in_motion(x605A=2)
     obey(drive, 0x02)
     obey(drive, 0x0F)
-    assert drive.state is State.QUICK_STOP_ACTIVE
+    kept = drive.state
     drive.observe(rail.poll())
-    assert drive.state is State.SWITCH_ON_DISABLED
+    assert (kept, drive.state) == (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
     assert rail.told[-1] == "brake closed"
 
 

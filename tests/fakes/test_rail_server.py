@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -103,9 +104,9 @@ FRAMES = st.tuples(
 def test_no_frame_upsets_the_nodes(frames: list[tuple[int, bytes]]) -> None:
     time, cell, faults = PlantTime(), load_cell("paper"), Faults()
     server = RailServer(RailTruth(cell, 1, time, faults), faults, cell, time)
-    try:
-        sent: list[tuple[int, bytes]] = []
-        server._gateway.send = lambda *frame: sent.append(frame)  # type: ignore[method-assign]
+    sent: list[tuple[int, bytes]] = []
+    with pytest.MonkeyPatch.context() as patched, closing(server):
+        patched.setattr(server._gateway, "send", lambda *frame: sent.append(frame))
         server._open()
         for cob_id, data in frames:
             server._receive(cob_id, data)
@@ -115,5 +116,3 @@ def test_no_frame_upsets_the_nodes(frames: list[tuple[int, bytes]]) -> None:
         server._receive(0x605, bytes.fromhex("4000100000000000"))
         assert sent[-1] == (0x585, bytes.fromhex("4300100092010200"))
         assert all(len(data) <= 8 for _, data in sent)
-    finally:
-        server.close()

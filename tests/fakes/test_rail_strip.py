@@ -29,6 +29,10 @@ def synchronised() -> Iterator[tuple[Bench, Master]]:
 def sync(master: Master, count: int = 1, node: int = STRIP) -> list[tuple[int, int]]:
     """Return position and alarms of ``count`` SYNCs."""
     seen: list[bytes] = []
+    before = 0
+
+    def answered() -> bool:
+        return len(seen) > before
 
     def note(_cob_id: int, data: bytearray, _taken_s: float) -> None:
         seen.append(bytes(data))
@@ -37,7 +41,7 @@ def sync(master: Master, count: int = 1, node: int = STRIP) -> list[tuple[int, i
     for _ in range(count):
         before = len(seen)
         master.network.sync.transmit()
-        until(lambda before=before: len(seen) > before, "TPDO")  # type: ignore[misc]
+        until(answered, "TPDO")
     master.network.unsubscribe(0x180 + node, note)
     return [struct.unpack("<iH", data) for data in seen]
 

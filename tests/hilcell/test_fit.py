@@ -25,8 +25,11 @@ DATA = Path(os.environ.get("HILCELL_DATA", NEARBY))
 REAL = "HILCELL_DATA" in os.environ or NEARBY.is_dir()
 TOLERANCE = 0.05
 
-# What a numpy/scipy reference reaches on the real data: mean, p95, max in mm, all test rows.
-REFERENCE = {
+Figures = tuple[float, float, float]  # mean, p95, max in mm
+Names = tuple[str, str, str]  # kind, robot and training rows of a pair
+
+# What a numpy/scipy reference reaches on the real data, all test rows.
+REFERENCE: dict[tuple[str, str], dict[str, Figures]] = {
     ("irb120_faro", "train200"): {"nominal": (0.713, 1.642, 3.413), "idw": (0.488, 0.972, 3.609)},
     ("irb120_faro", "train64"): {"nominal": (0.730, 1.666, 3.513), "idw": (0.570, 1.205, 3.535)},
     ("motoman_left", "train150"): {"nominal": (0.222, 0.405, 0.457), "idw": (0.110, 0.216, 0.238)},
@@ -57,7 +60,7 @@ class Pair:
     robot: RobotModel
     train: Measurements
     test: Measurements
-    wanted: dict[str, tuple[float, float, float]]
+    wanted: dict[str, Figures]
 
 
 def measured(seed: int, poses: int, targets: list[str], error: float = 1.0) -> Measurements:
@@ -80,7 +83,7 @@ def measured(seed: int, poses: int, targets: list[str], error: float = 1.0) -> M
     return Measurements(labels, names, joints, apply(T_L_B, at_mm) + noise)
 
 
-def peer(robot: RobotModel, train: Measurements, test: Measurements) -> dict:
+def peer(robot: RobotModel, train: Measurements, test: Measurements) -> dict[str, Figures]:
     """The figures by scipy's optimizer and plain loops."""
     arm, names = robot.arm(), sorted(set(train.target))
 
@@ -91,23 +94,27 @@ def peer(robot: RobotModel, train: Measurements, test: Measurements) -> dict:
             out.append(R.apply(flange[:3, :3] @ smr + flange[:3, 3]) + x[:3])
         return np.array(out)
 
+    def unexplained(x: np.ndarray) -> np.ndarray:
+        left: np.ndarray = train.xyz_mm - predict(x, train)
+        return left.ravel()
+
     start = np.concatenate([T_L_B[:3, 3], Rotation.from_matrix(T_L_B[:3, :3]).as_rotvec()])
     x = least_squares(
-        lambda x: (train.xyz_mm - predict(x, train)).ravel(),
+        unexplained,
         np.concatenate([start, *[SMR_MM[name] for name in names]]),
         x_scale="jac",
     ).x
     known, asked = predict(x, train), predict(x, test)
-    misses = {"nominal": [], "idw": []}
+    misses: dict[str, list[float]] = {"nominal": [], "idw": []}
     for at, target, seen in zip(asked, test.target, test.xyz_mm, strict=True):
         same = [n for n in range(len(train)) if train.target[n] == target]
         near = sorted(same, key=lambda n: np.linalg.norm(known[n] - at))[:8]
         share = [1 / np.linalg.norm(known[n] - at) for n in near]
         error = sum(w * (train.xyz_mm[n] - known[n]) for w, n in zip(share, near, strict=True))
-        misses["nominal"].append(np.linalg.norm(seen - at))
-        misses["idw"].append(np.linalg.norm(seen - at - error / sum(share)))
+        misses["nominal"].append(float(np.linalg.norm(seen - at)))
+        misses["idw"].append(float(np.linalg.norm(seen - at - error / sum(share))))
     return {
-        name: (np.mean(miss), np.quantile(miss, 0.95), np.max(miss))
+        name: (float(np.mean(miss)), float(np.quantile(miss, 0.95)), max(miss))
         for name, miss in misses.items()
     }
 
@@ -126,7 +133,7 @@ def pair_of(kind: str, folder: str, train: str) -> Pair:
 
 
 @pytest.mark.parametrize("names", REAL_PAIRS if REAL else SYNTHETIC_PAIRS, ids="-".join)
-def test_the_reference_s_figures_are_reached(names):
+def test_the_reference_s_figures_are_reached(names: Names) -> None:
     pair = pair_of(*names)
     result = fit(pair.robot, pair.train, pair.test)
     for method, wanted in pair.wanted.items():
@@ -139,7 +146,7 @@ def test_the_reference_s_figures_are_reached(names):
 
 
 @pytest.mark.parametrize("names", SYNTHETIC_PAIRS, ids="-".join)
-def test_the_peer_agrees(names):
+def test_the_peer_agrees(names: Names) -> None:
     pair = pair_of(*names)
     result = fit(pair.robot, pair.train, pair.test)
     for method, wanted in pair.wanted.items():
@@ -147,7 +154,7 @@ def test_the_peer_agrees(names):
 
 
 @pytest.mark.parametrize("names", REAL_PAIRS if REAL else SYNTHETIC_PAIRS, ids="-".join)
-def test_without_test_rows_cross_validation_judges(names):
+def test_without_test_rows_cross_validation_judges(names: Names) -> None:
     pair = pair_of(*names)
     result, again = fit(pair.robot, pair.train), fit(pair.robot, pair.train)
     assert result["methods"] == again["methods"]
@@ -156,7 +163,7 @@ def test_without_test_rows_cross_validation_judges(names):
         assert result["methods"][method]["mean_mm"] == pytest.approx(wanted[0], rel=0.25)
 
 
-def test_base_and_reflectors_of_an_exact_robot_are_found():
+def test_base_and_reflectors_of_an_exact_robot_are_found() -> None:
     rows = measured(3, 30, list(SMR_MM), error=0.0)
     placement = place(IRB120.arm(), rows)
     np.testing.assert_allclose(placement.T_L_B, T_L_B, atol=1e-6)
@@ -165,14 +172,14 @@ def test_base_and_reflectors_of_an_exact_robot_are_found():
     assert max(f["max_mm"] for f in fit(IRB120, rows)["methods"].values()) < 1e-6
 
 
-def test_one_bad_row_does_not_move_the_base():
+def test_one_bad_row_does_not_move_the_base() -> None:
     rows = measured(3, 30, list(SMR_MM), error=0.0)
     rows.xyz_mm[7] += 50.0
     placement = place(IRB120.arm(), rows)
     np.testing.assert_allclose(placement.T_L_B[:3, 3], T_L_B[:3, 3], atol=0.2)
 
 
-def test_a_repeated_row_is_left_out_with_its_pose():
+def test_a_repeated_row_is_left_out_with_its_pose() -> None:
     rows = measured(3, 40, ["SMR1"], error=0.0)
     rows.xyz_mm[10] += [0.0, 0.0, 5.0]
     twice = rows.at(np.repeat(np.arange(len(rows)), 2))
@@ -180,7 +187,7 @@ def test_a_repeated_row_is_left_out_with_its_pose():
     np.testing.assert_allclose(miss[20:22], 5.0, atol=0.5)
 
 
-def test_a_reflector_learns_from_its_own_rows_only():
+def test_a_reflector_learns_from_its_own_rows_only() -> None:
     rows, test = measured(1, 40, ["SMR1", "SMR2"]), measured(2, 40, ["SMR1", "SMR2"])
     placement = place(IRB120.arm(), rows)
     of_smr2 = np.array(rows.target) == "SMR2"
@@ -190,13 +197,13 @@ def test_a_reflector_learns_from_its_own_rows_only():
     np.testing.assert_allclose(change, np.tile(wanted[:, None], 3), atol=1e-9)
 
 
-def test_a_training_row_is_predicted_exactly():
+def test_a_training_row_is_predicted_exactly() -> None:
     rows = measured(1, 40, ["SMR1"])
     result = fit(IRB120, rows, rows)
     assert result["methods"]["idw"]["max_mm"] < 1e-9 < result["methods"]["nominal"]["mean_mm"]
 
 
-def test_rows_in_another_frame_give_the_same_figures():
+def test_rows_in_another_frame_give_the_same_figures() -> None:
     rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
     T = pose_from_zyx(-4000, 300, 20, 60, -45, 110)
     moved = [replace(each, xyz_mm=apply(T, each.xyz_mm)) for each in (rows, test)]
@@ -204,12 +211,12 @@ def test_rows_in_another_frame_give_the_same_figures():
         assert fit(IRB120, *moved)["methods"][method] == pytest.approx(figures, abs=1e-5)
 
 
-def test_an_unknown_target_is_refused():
+def test_an_unknown_target_is_refused() -> None:
     with pytest.raises(FitError, match="no training row measures target SMR3"):
         fit(IRB120, measured(1, 40, ["SMR1", "SMR2"]), measured(2, 5, ["SMR3"]))
 
 
-def test_too_few_rows_to_place_the_robot_are_refused():
+def test_too_few_rows_to_place_the_robot_are_refused() -> None:
     with pytest.raises(FitError, match="2 rows do not place"):
         place(IRB120.arm(), measured(1, 2, ["SMR1"]))
 
@@ -217,7 +224,7 @@ def test_too_few_rows_to_place_the_robot_are_refused():
 @pytest.mark.parametrize(
     ("poses", "says"), [(4, "4 poses, wanted at least 5"), (8, "8 to interpolate from")]
 )
-def test_too_few_poses_are_refused(poses, says):
+def test_too_few_poses_are_refused(poses: int, says: str) -> None:
     with pytest.raises(FitError, match=says):
         fit(IRB120, measured(1, poses, ["SMR1"]))
 
@@ -232,7 +239,9 @@ def test_too_few_poses_are_refused(poses, says):
         ([1, 1, 1, 1, 1, 1], [1, np.nan, 1], "not finite"),
     ],
 )
-def test_rows_of_another_robot_or_unit_are_refused(joint_factor, xyz_factor, says):
+def test_rows_of_another_robot_or_unit_are_refused(
+    joint_factor: list[float], xyz_factor: list[float], says: str
+) -> None:
     rows = measured(1, 40, ["SMR1"])
     spoilt = replace(
         rows, joints_rad=rows.joints_rad * joint_factor, xyz_mm=rows.xyz_mm * xyz_factor
@@ -241,7 +250,7 @@ def test_rows_of_another_robot_or_unit_are_refused(joint_factor, xyz_factor, say
         fit(IRB120, spoilt)
 
 
-def test_a_test_set_of_another_robot_is_refused():
+def test_a_test_set_of_another_robot_is_refused() -> None:
     rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
     other = replace(test, joints_rad=test.joints_rad[::-1])
     with pytest.raises(FitError, match=r"the test set: .* miss half of .* wanted <= 20 mm"):
@@ -249,7 +258,7 @@ def test_a_test_set_of_another_robot_is_refused():
 
 
 @pytest.mark.parametrize("test", [None, measured(2, 20, ["SMR1", "SMR2"])])
-def test_gross_training_rows_are_named(test):
+def test_gross_training_rows_are_named(test: Measurements | None) -> None:
     rows = measured(1, 40, ["SMR1", "SMR2"])
     rows.xyz_mm[7, 0] += 5000.0
     rows.xyz_mm[10, 2] -= 25.0
@@ -264,7 +273,7 @@ def test_gross_training_rows_are_named(test):
     fit(IRB120, rows, test)
 
 
-def test_files_lead_to_the_same_figures(tmp_path):
+def test_files_lead_to_the_same_figures(tmp_path: Path) -> None:
     """Written as the data's files are, with micrometres and micro-degrees."""
     rows = measured(1, 40, ["SMR1", "SMR2"])
     with (tmp_path / "train.csv").open("w", newline="") as file:

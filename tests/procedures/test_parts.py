@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from hilcell.calibration import grid_of
 from hilcell.cell import load_cell
 from hilcell.ports import HilcellError
+from hilcell.run.procedure import Procedure
 from procedures.base_frame import axis_6_height_mm, sweep
 from procedures.calibrate import CALIBRATE
 from procedures.paper import PAPER
@@ -92,7 +93,7 @@ def test_one_cell_is_no_grid() -> None:
 
 
 @pytest.mark.parametrize("procedure", [CALIBRATE, PAPER], ids=lambda each: each.name)
-def test_every_part_says_what_it_needs_and_yields(procedure: object) -> None:
-    for part in procedure.parts:  # type: ignore[attr-defined]
+def test_every_part_says_what_it_needs_and_yields(procedure: Procedure) -> None:
+    for part in procedure.parts:
         for word in (part.name, part.needs, part.moves, part.measures, part.yields):
             assert word, part.name

@@ -3,6 +3,7 @@
 import random
 import sqlite3
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,10 @@ def points_of(printed: list[dict[str, Any]]) -> list[str]:
     return [event["key"] for event in printed if event["kind"] == "point"]
 
 
+def reaching(seq: int) -> Callable[[dict[str, Any]], bool]:
+    return lambda event: bool(event["seq"] >= seq)
+
+
 @pytest.mark.timeout(400)
 def test_twenty_kills_change_nothing(tmp_path: Path) -> None:
     whole = hilcell("run", "--json", "--runs", tmp_path / "whole", *sets(SMALL))
@@ -54,7 +59,7 @@ def test_twenty_kills_change_nothing(tmp_path: Path) -> None:
                 engine = Engine("run", "--runs", tmp_path, *words)
             else:
                 engine = Engine("resume", name, "--runs", tmp_path)
-            engine.until(lambda event, least=moment: event["seq"] >= least)
+            engine.until(reaching(moment))
             acknowledged += points_of(engine.kill())
             name = engine.run
         last = hilcell("resume", name, "--runs", tmp_path, "--json")

@@ -93,8 +93,8 @@ def test_a_campaign_comes_back_as_it_was_recorded(tmp_path: Path) -> None:
     points = {e["key"]: e for e in events(done.stdout) if e["kind"] == "point"}
     assert len(points) == 48
     for line in lines[1:]:
-        pose, target, *values = line.split(",")
-        point = points[f"campaign/{pose}/{target}"]
-        assert point["commanded_deg"] == pytest.approx([float(v) for v in values[:6]], abs=1e-9)
-        assert point["xyz_mm"] == pytest.approx([float(v) for v in values[6:]], abs=1e-9)
+        label, target, *given = line.split(",")
+        point = points[f"campaign/{label}/{target}"]
+        assert point["commanded_deg"] == pytest.approx([float(v) for v in given[:6]], abs=1e-9)
+        assert point["xyz_mm"] == pytest.approx([float(v) for v in given[6:]], abs=1e-9)
     assert judge(events(done.stdout)) == []

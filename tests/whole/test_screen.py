@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -58,10 +58,10 @@ def judged(folder: Path) -> list[str]:
     return judge(record.event(folder.name) for record in read_journal(folder / JOURNAL))
 
 
-def wait_for(true: object, what: str) -> None:
+def wait_for(true: Callable[[], object], what: str) -> None:
     """Wait until something outside the terminal is so."""
     deadline_s = time.monotonic() + LIMIT_S
-    while not true():  # type: ignore[operator]
+    while not true():
         assert time.monotonic() < deadline_s, what
         time.sleep(0.05)
 

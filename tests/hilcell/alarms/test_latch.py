@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hilcell.alarms import Alarm, Latch
+from hilcell.alarms.catalogue import Severity
 from tests.hilcell.alarms.journals import BEAM, BEGUN, CLOSED, alarms, event, faulted, state
 
 ONE = Alarm("HC-T10", "warning", "Beam broken", "Tracker", "broke", "means", ("do",), "t", 5)
@@ -49,9 +50,9 @@ def test_acknowledged_is_gone_until_it_comes_again() -> None:
 
 def test_the_worst_stands_first_and_of_these_the_newest() -> None:
     latch = Latch()
-    codes = {"a": "notice", "b": "fault", "c": "warning", "d": "fault"}
+    codes: dict[str, Severity] = {"a": "notice", "b": "fault", "c": "warning", "d": "fault"}
     latch.take(
-        replace(ONE, code=code, severity=severity, seq=seq)  # type: ignore[arg-type]
+        replace(ONE, code=code, severity=severity, seq=seq)
         for seq, (code, severity) in enumerate(codes.items())
     )
     assert [each.alarm.code for each in latch.standing()] == ["d", "b", "c", "a"]

@@ -1,5 +1,7 @@
 """Interlocks open only on fresh, finite readings of the right kind."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -19,24 +21,24 @@ S1100 = CELL.station_named("S1100")
 
 
 def robot(**changes: object) -> RobotReading:
-    values = {
+    values: dict[str, Any] = {
         "joints_rad": np.radians(CELL.robot.safe_deg),
         "pose": np.eye(4),
         "still": True,
         "taken_s": 10.0,
     }
-    return RobotReading(**(values | changes))  # type: ignore[arg-type]
+    return RobotReading(**(values | changes))
 
 
 def rail(**changes: object) -> RailReading:
-    values = {
+    values: dict[str, Any] = {
         "position_mm": 1100.2,
         "strip_mm": 1100.0,
         "velocity_mm_s": 0.0,
         "powered": False,
         "taken_s": 10.0,
     }
-    return RailReading(**(values | changes))  # type: ignore[arg-type]
+    return RailReading(**(values | changes))
 
 
 def test_they_open_on_good_readings() -> None:
@@ -92,7 +94,7 @@ def test_joint_limits_hold_with_their_margin(deg: float) -> None:
 
 
 def sight(**changes: object) -> Sight:
-    values = {
+    values: dict[str, Any] = {
         "rail": rail(),
         "robot": robot(),
         "rail_moves": False,
@@ -100,7 +102,7 @@ def sight(**changes: object) -> Sight:
         "station": S1100,
         "now_s": 10.1,
     }
-    return Sight(**(values | changes))  # type: ignore[arg-type]
+    return Sight(**(values | changes))
 
 
 def blocked(**changes: object) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.ports import DeviceError, NoReading
+from hilcell.ports import DeviceError, NoReading, RailReading
 from hilcell.run.lamps import Lamps
 from tests.hilcell.run.bed import CELL, until
 from tests.hilcell.run.desk import DeskRail, DeskRobot, DeskTracker, desk, hang
@@ -124,8 +124,17 @@ def test_refresh_reads_what_grows_old_and_no_oftener(
 ) -> None:
     reads: list[float] = []
     real = board.rail.read
-    monkeypatch.setattr(board.rail, "read", lambda: (reads.append(time.monotonic()), real())[1])
-    until(lambda: board.lamps.refresh() is None and len(reads) >= 3)
+
+    def read() -> RailReading:
+        reads.append(time.monotonic())
+        return real()
+
+    def refreshed() -> bool:
+        board.lamps.refresh()
+        return len(reads) >= 3
+
+    monkeypatch.setattr(board.rail, "read", read)
+    until(refreshed)
     assert min(np.diff(reads)) >= 0.5
 
 

@@ -172,6 +172,10 @@ def test_a_pause_asked_for_before_a_prompt_comes_after_it(bed: Bed) -> None:
         live.runner.post("stop")
 
 
+def until_asked(bed: Bed, times: int) -> None:
+    until(lambda: len(bed.asked()) == times)
+
+
 def test_a_beam_that_breaks_again_asks_again(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner_module, "LOOK_S", 1000.0)  # looks for answers alone
     good = [0]
@@ -184,7 +188,7 @@ def test_a_beam_that_breaks_again_asks_again(bed: Bed, monkeypatch: pytest.Monke
     bed.tracker.answer = answer
     with Live(bed, procedure(Points(1))) as live:
         for number, readings in ((1, 1), (2, 1), (3, 2)):
-            until(lambda wanted=number: len(bed.asked()) == wanted)
+            until_asked(bed, number)
             until(lambda: live.status("prompt")["age_s"] is not None)
             good[0] = readings  # one proves the answer, another is the measurement
             assert live.runner.answer() == ""

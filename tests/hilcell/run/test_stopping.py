@@ -2,6 +2,8 @@
 
 import threading
 import time
+from collections.abc import Callable
+from functools import partial
 
 import pytest
 
@@ -14,7 +16,7 @@ from tests.hilcell.run.desk import DeskRail, DeskRobot, desk, hang
 def test_all_are_done_once_by_whoever_comes_first() -> None:
     done: list[str] = []
     go = threading.Event()
-    acts = Acts({name: lambda name=name: done.append(name) for name in "abcdef"}, go)
+    acts = Acts({name: partial(done.append, name) for name in "abcdef"}, go)
     assert done == []
     go.set()
     helpers = [threading.Thread(target=acts.help) for _ in range(4)]
@@ -26,6 +28,16 @@ def test_all_are_done_once_by_whoever_comes_first() -> None:
     assert sorted(done) == list("abcdef")
 
 
+def stopping(name: str, wait: Callable[[], None], stopped: list[str]) -> Callable[[], None]:
+    """Return a stop that waits and then notes its device."""
+
+    def stop() -> None:
+        wait()
+        stopped.append(name)
+
+    return stop
+
+
 @pytest.mark.parametrize("hung", ["Rail", "Robot", "Tracker"])
 def test_a_device_that_hangs_keeps_no_other_waiting(
     hung: str, monkeypatch: pytest.MonkeyPatch
@@ -35,7 +47,7 @@ def test_a_device_that_hangs_keeps_no_other_waiting(
     stopped: list[str] = []
     for name, device in devices.named().items():
         wait = hang(entered, release) if name == hung else lambda: None
-        monkeypatch.setattr(device, "stop", lambda n=name, w=wait: (w(), stopped.append(n)))
+        monkeypatch.setattr(device, "stop", stopping(name, wait, stopped))
     stop = SafeStop(devices)
     asking = threading.Thread(target=stop.trigger)
     asking.start()
