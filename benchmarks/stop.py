@@ -34,7 +34,7 @@ from hilcell.ports import SimulatedCell
 from hilcell.run.bench import Bench
 from hilcell.run.control import Control, EngineFile
 from hilcell.run.journal import Journal
-from hilcell.run.log import Log
+from hilcell.run.log import Log, PlanRecord
 from hilcell.run.procedure import Procedure, Step
 from hilcell.run.runner import Runner
 from hilcell.runs import JOURNAL
@@ -119,6 +119,7 @@ def cycle(cell: Cell, simulated: SimulatedCell, place: Place, folder: Path, phas
     clock = simulated.clock(stop)
     journal, log = Journal(folder / JOURNAL, folder.name, create=True), Log()
     journal.listen(log.take)
+    journal.append("plan", "", msgspec.to_builtins(plan_of(cell, phase)))
     runner = Runner(
         cell,
         Procedure(phase, "", (Phase(phase),), lambda result: ([], [])),
@@ -135,6 +136,26 @@ def cycle(cell: Cell, simulated: SimulatedCell, place: Place, folder: Path, phas
     finally:
         control.close()
         journal.close()
+
+
+def plan_of(cell: Cell, phase: str) -> PlanRecord:
+    """Return what a run begins with."""
+    return PlanRecord(
+        procedure=phase,
+        cell=msgspec.to_builtins(cell),
+        digest=cell.digest,
+        seed=1,
+        speed=None,
+        unattended=False,
+        operator="",
+        job="",
+        simulated=True,
+        versions={},
+        settings={},
+        steps=[{"name": Phase.name, "points": 0, "duration_s": 0.0}],
+        points=0,
+        duration_s=0.0,
+    )
 
 
 # -- the relay between engine and cell ------------------------------------------------------------

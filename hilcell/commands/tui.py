@@ -43,7 +43,18 @@ def tui(args: argparse.Namespace) -> int:
         slow=args.slow,
     )
     sys.setswitchinterval(SWITCH_S)
-    return HilcellApp(options).run() or 0
+    app = HilcellApp(options)
+    app.run()
+    if app.return_code:
+        from hilcell.exits import EXIT_INTERNAL
+
+        print(
+            "hilcell: the screen ended by a defect of its own; please report it. A live run is"
+            " not stopped by that: `hilcell tui last` shows it again",
+            file=sys.stderr,
+        )
+        return EXIT_INTERNAL
+    return 0
 
 
 def _utf8() -> bool:

@@ -70,7 +70,7 @@ class Session:
             for record in records:
                 scene.take(record)
                 self._forecast.take(record)
-            if scene.log.plan is not None:
+            if scene.records:
                 _ = scene.log.cell  # read here, so that every line may rely on it
         except (HilcellError, msgspec.ValidationError) as error:
             self._foreign = f"{scene.run}: written by another version of hilcell: {error}"

@@ -196,7 +196,7 @@ def test_refusals_are_said_without_harm(text: str, monkeypatch: pytest.MonkeyPat
     asyncio.run(play())
 
 
-@pytest.mark.parametrize("part", ["cell", "point", "kind"])
+@pytest.mark.parametrize("part", ["cell", "point", "kind", "no plan"])
 def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -> None:
     found = fresh("done")
     bodies = {record.seq: dict(record.body) for record in found.records}
@@ -205,9 +205,13 @@ def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -
         bodies[plan]["cell"] = {"name": f"[/nope]\x1b[31m{MARK}"}
     elif part == "point":
         del bodies[point]["xyz_mm"]
-    else:
+    elif part == "kind":
         bodies[point]["samples"] = "[/nope]"
-    records = [msgspec.structs.replace(r, body=bodies[r.seq]) for r in found.records]
+    else:
+        del bodies[plan]
+    records = [
+        msgspec.structs.replace(r, body=bodies[r.seq]) for r in found.records if r.seq in bodies
+    ]
 
     async def play() -> str:
         app = Stage(options(RUNS), brought=Fresh(records))

@@ -200,7 +200,9 @@ class Screen:
     def until(self, true: Callable[[Fresh], bool]) -> Fresh:
         """Wait for a look that brings something, after those already returned; return it."""
         with self._came:
-            assert self._came.wait_for(lambda: any(map(true, self.brought[self._looked :])), LIMIT_S)
+            assert self._came.wait_for(
+                lambda: any(map(true, self.brought[self._looked :])), LIMIT_S
+            )
             while not true(self.brought[self._looked]):
                 self._looked += 1
             self._looked += 1

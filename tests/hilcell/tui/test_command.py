@@ -1,0 +1,50 @@
+"""The command itself: what a defect of the screen looks like from a shell."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from hilcell.cli import main
+from hilcell.tui.app import HilcellApp
+
+DEFECT = "three hands on two clocks"
+
+
+def unseen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Be a terminal that nobody sees; leave nothing behind."""
+    run = HilcellApp.run
+    monkeypatch.setattr(HilcellApp, "run", lambda app: run(app, headless=True))
+    for stream in (sys.stdin, sys.stdout):
+        monkeypatch.setattr(stream, "isatty", lambda: True)
+    monkeypatch.setattr(sys, "setswitchinterval", lambda _: None)
+    for name in ("TEXTUAL_COLOR_SYSTEM", "TEXTUAL_ANIMATIONS"):
+        monkeypatch.setenv(name, "none")
+
+
+def test_a_defect_of_the_screen_is_told_and_is_no_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def broken(_: HilcellApp) -> None:
+        raise ZeroDivisionError(DEFECT)
+
+    monkeypatch.setattr(HilcellApp, "_open", broken)
+    unseen(monkeypatch)
+    assert main(["tui", "--runs", str(tmp_path)]) == 5
+    told = capsys.readouterr().err
+    assert DEFECT in told
+    assert "`hilcell tui last` shows it again" in told.replace("\n", " ")
+
+
+def test_a_screen_that_is_left_is_a_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def left(app: HilcellApp) -> None:
+        app.do_quit()
+
+    monkeypatch.setattr(HilcellApp, "_open", left)
+    unseen(monkeypatch)
+    assert main(["tui", "--runs", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == ""
