@@ -1,6 +1,6 @@
 """Alarms: what a run's faults and oddities mean, where they are, and what to do about them."""
 
-from hilcell.alarms.alarm import Alarm, alarms_of, explain
+from hilcell.alarms.alarm import Alarm, alarms_of
 from hilcell.alarms.catalogue import Entry, Severity, catalogue
 from hilcell.alarms.latch import Latch, Latched
 
@@ -12,5 +12,4 @@ __all__ = [
     "Severity",
     "alarms_of",
     "catalogue",
-    "explain",
 ]

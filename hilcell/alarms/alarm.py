@@ -23,6 +23,7 @@ STRAYED = 0.5  # of rail.slip_limit_mm: drive against strip, from one hold to th
 OVER = ("aborted", "faulted", "finished")
 SAYS_NOTHING = ("put the cause right", "look at the tracker")  # acts that the entry says better
 REFUSED_EXITS = (2, 3, 5, 6, 7)
+GO_ON = "space"  # the usual key
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +51,10 @@ class _Moment:
     severity: Severity | None = None
 
 
-def alarms_of(log: Log, run: str, *, live: bool) -> list[Alarm]:
+def alarms_of(log: Log, run: str, *, live: bool, go_on: str = GO_ON) -> list[Alarm]:
     """Return the alarms of a run, newest last; ``live`` tells whether its engine is at work.
+
+    ``go_on`` is the key that lets a run continue, as the screen has it.
 
     What no record dates (verdicts, temperature) stands first.
     """
@@ -63,21 +66,16 @@ def alarms_of(log: Log, run: str, *, live: bool) -> list[Alarm]:
     moments += _end(log, session, live=live)
     moments.sort(key=lambda moment: moment.seq)
     over = not live or log.states["run"] in OVER
-    return [_alarm(moment, run, over=over) for moment in moments]
+    return [_alarm(moment, run, go_on, over=over) for moment in moments]
 
 
-def explain(text: str, run: str = "RUN") -> list[Alarm]:
-    """Return what an error's text means: one alarm, or one for each device that failed."""
-    return [_alarm(_Moment(finding), run, over=True) for finding in findings_of(text)]
-
-
-def _alarm(moment: _Moment, run: str, *, over: bool) -> Alarm:
+def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
     entry, finding = entry_of(moment.finding), moment.finding
     severity = moment.severity or entry.severity
     act = "" if finding.act.startswith(SAYS_NOTHING) else line(finding.act)
     steps = [act, *entry.do]
     if severity != "notice":
-        steps.append(_then(entry, run, over=over))
+        steps.append(_then(entry, run, go_on, over=over))
     return Alarm(
         entry.code,
         severity,
@@ -91,12 +89,11 @@ def _alarm(moment: _Moment, run: str, *, over: bool) -> Alarm:
     )
 
 
-def _then(entry: Entry, run: str, *, over: bool) -> str:
+def _then(entry: Entry, run: str, go_on: str, *, over: bool) -> str:
     match entry.then:
         case "resume":
-            return (
-                f"Continue: space, or `hilcell resume {line(run)}`." if over else "Continue: space."
-            )
+            command = f", or `hilcell resume {line(run)}`" if over else ""
+            return f"Continue: {go_on}{command}."
         case "anew":
             return "Start a new run: `hilcell run`."
         case _:

@@ -29,7 +29,7 @@ from hilcell.tui.choice import Choice
 from hilcell.tui.desk import Options
 from hilcell.tui.driver import StopDriver
 from hilcell.tui.garbage import Collector
-from hilcell.tui.keys import ACTIONS, BY_NAME
+from hilcell.tui.keys import ACTIONS, BY_NAME, shown
 from hilcell.tui.palette import Actions
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
@@ -150,7 +150,11 @@ class HilcellApp(App[int]):
         self.let_go(leave=True)
         period_s = SLOW_PERIOD_S if self.options.slow else PERIOD_S
         session: Session = Session(
-            folder, lambda fresh: self.post_message(Delivered(session, fresh)), period_s, process
+            folder,
+            lambda fresh: self.post_message(Delivered(session, fresh)),
+            period_s,
+            process,
+            shown(self.keymap["pause"][0]),
         )
         self.session = session
         if before is not None:  # what nobody has acknowledged still stands

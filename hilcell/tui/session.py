@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from hilcell.alarms import Latch, alarms_of
+from hilcell.alarms.alarm import GO_ON
 from hilcell.errors import HilcellError
 from hilcell.run.forecast import Forecast
 from hilcell.tui.feed import Feed, Fresh
@@ -32,12 +33,14 @@ class Session:
         deliver: Callable[[Fresh], object],
         period_s: float,
         process: subprocess.Popen[bytes] | None = None,
+        go_on: str = GO_ON,
     ) -> None:
         self.folder = folder
         self.scene = Scene(folder.name, starting=process is not None)
         self.latch = Latch()
         self.process = process  # the engine, where this screen has started it
         self.trouble = ""
+        self._go_on = go_on
         self._was_alive, self._present = False, process is not None
         self._foreign = ""  # why the journal cannot be understood
         self._forecast = Forecast()
@@ -60,7 +63,7 @@ class Session:
         if present != self._present or (fresh.records and not self._foreign):
             self._present = present
             if scene.log.plan is not None:
-                scene.alarms = alarms_of(scene.log, scene.run, live=present)
+                scene.alarms = alarms_of(scene.log, scene.run, live=present, go_on=self._go_on)
                 self.latch.take(scene.alarms)
         self.tick(now)
 

@@ -214,7 +214,7 @@ def interlocks(scene: Scene, width: int) -> Content:
     """Return element 15 in one line: the first thing that is blocked, and why."""
     if not scene.live:
         return result(scene, width)
-    found = scene.status.interlocks if scene.status is not None and scene.live else []
+    found = scene.status.interlocks if scene.status is not None else []
     blocked = [each for each in found if each.blocked]
     if not found:
         return Content.styled("interlocks: no reading", "$dim")

@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from hilcell.alarms import Alarm, alarms_of, explain
+from hilcell.alarms import Alarm, alarms_of
 from hilcell.devices import ConnectFailed
-from hilcell.ports import DeviceError, DeviceRefused, HilcellError
+from hilcell.ports import DeviceError, DeviceRefused
 from hilcell.run.log import Log
 from tests.hilcell.alarms.journals import (
     BEAM,
@@ -21,6 +21,7 @@ from tests.hilcell.alarms.journals import (
     ended,
     event,
     faulted,
+    log_of,
     point,
     state,
 )
@@ -244,7 +245,6 @@ def test_a_device_s_hostile_words_stay_words() -> None:
         alarms(*rows, faulted(error)),
         alarms(*rows, faulted(told)),
         alarms(*rows, state("faulted", reason=hostile)),
-        explain(hostile, hostile),
     ):
         assert found
         for alarm in found:
@@ -254,13 +254,23 @@ def test_a_device_s_hostile_words_stay_words() -> None:
                 assert len(text) <= 420
 
 
-def test_explain_tells_a_refusal_by_itself() -> None:
-    (alarm,) = explain("run x: no engine is running; `hilcell show` tells how it ended", "x")
-    assert (alarm.code, alarm.do[0]) == ("HC-J08", "`hilcell show` tells how it ended")
-    (alarm,) = explain("")
-    assert alarm.code == "HC-C99"
-    (alarm,) = explain(str(HilcellError("calibrate refused before anything moves\ngrid: x")))
-    assert alarm.code == "HC-C10"
+@pytest.mark.parametrize(
+    ("reason", "code"),
+    [
+        ("run x: no engine is running; `hilcell show` tells how it ended", "HC-J08"),
+        ("", "HC-C99"),
+        ("calibrate refused before anything moves\ngrid: x", "HC-C10"),
+    ],
+)
+def test_a_reason_that_names_no_device_has_its_alarm(reason: str, code: str) -> None:
+    (alarm,) = alarms(*BEGUN, state("faulted", reason=reason))
+    assert alarm.code == code
+
+
+def test_the_key_that_goes_on_is_the_screen_s_own() -> None:
+    log = log_of(*BEGUN, CLOSED, faulted(STALLED))
+    (alarm,) = alarms_of(log, RUN, live=False, go_on="f8")
+    assert alarm.do[-1] == f"Continue: f8, or `hilcell resume {RUN}`."
 
 
 def test_import_is_light() -> None:
