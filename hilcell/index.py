@@ -74,10 +74,14 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
         return self.state != "unreadable"
 
     @property
+    def gone(self) -> bool:
+        """Whether the engine was lost: a journal that just ends was left by a crash."""
+        return self.readable and not self.live and self.exit is None
+
+    @property
     def condition(self) -> str:
-        """Return the state in words; a journal that just ends was left by a crash."""
-        told = self.live or self.exit is not None or not self.readable
-        return self.state if told else f"{self.state}, engine gone"
+        """Return the state in words."""
+        return f"{self.state}, engine gone" if self.gone else self.state
 
 
 def read_index(runs: Path) -> list[RunRow]:
