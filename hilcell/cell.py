@@ -203,7 +203,7 @@ class BaseFrameTable(Frozen, frozen=True, kw_only=True):
     axis_1_sweep_deg: Sweep
     axis_6_deg: Six
     axis_6_sweep_deg: Sweep
-    points: Annotated[int, Meta(ge=3, le=200)] = 12
+    points: Annotated[int, Meta(ge=4, le=200)] = 12  # three leave no uncertainty
 
     def __post_init__(self) -> None:
         sweeps = {"axis_1": self.axis_1_sweep_deg, "axis_6": self.axis_6_sweep_deg}

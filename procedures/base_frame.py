@@ -100,21 +100,25 @@ def shorter_arcs(log: Log, axis: int) -> list[dict[str, float]]:
     cell = log.cell
     points = [p for p in log.group("base") if p.key.startswith(f"base/axis{axis}/")]
     begin_deg, end_deg = sweep_of(cell, axis)[1]
-    arcs = []
-    for share in ARC_SHARES:
-        count = max(FEWEST_ON_ARC, round(share * len(points)))
-        first = (len(points) - count) // 2
-        circle = circle_of(cell, log, axis, points[first : first + count])
+    told = []
+    for arc in arcs(len(points)):
+        circle = circle_of(cell, log, axis, [points[n] for n in arc])
         u = np.sqrt(np.diag(circle.covariance))
-        arcs.append(
+        told.append(
             {
-                "arc_deg": abs(end_deg - begin_deg) * (count - 1) / (len(points) - 1),
-                "points": count,
+                "arc_deg": abs(end_deg - begin_deg) * (len(arc) - 1) / (len(points) - 1),
+                "points": len(arc),
                 "centre_u_mm": float(np.linalg.norm(u[:3])),
                 "axis_u_mrad": float(np.linalg.norm(u[3:]) * 1e3),
             }
         )
-    return arcs
+    return told
+
+
+def arcs(points: int) -> list[range]:
+    """Return which points the middle of a sweep has, and wider, up to the whole."""
+    counts = [min(points, max(FEWEST_ON_ARC, round(share * points))) for share in ARC_SHARES]
+    return [range((points - count) // 2, (points + count) // 2) for count in counts]
 
 
 def sweep(cell: Cell, axis: int) -> Array:

@@ -87,7 +87,9 @@ def load_keys(path: Path | None) -> Keymap:
         return defaults
     try:
         table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise SettingsError(str(file), [f"cannot be read: {error.strerror}"]) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise SettingsError(str(file), [f"cannot be read as TOML: {error}"]) from error
     problems: list[str] = []
     found = dict(defaults)

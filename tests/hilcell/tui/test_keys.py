@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import random
+import re
 import string
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from hypothesis import strategies as st
 from textual.keys import Keys
 
 from hilcell.settings import SettingsError
+from hilcell.tui import keys
 from hilcell.tui.keys import (
     ACTIONS,
     BY_NAME,
@@ -204,3 +207,15 @@ def test_keys_are_printed_shortly() -> None:
         "^q",
         "a",
     ]
+
+
+def test_the_examples_in_the_words_are_good(tmp_path: Path) -> None:
+    guide = Path(__file__).parents[3] / "docs" / "first-calibration.md"
+    examples = re.findall(r"```toml\n(\[keys\].*?)```", guide.read_text(), re.DOTALL)
+    in_code = str(keys.__doc__).partition("keys.toml\n")[2].partition("\n\n")[0]
+    examples.append(textwrap.dedent(in_code))
+    assert len(examples) == 2
+    for number, example in enumerate(examples):
+        file = tmp_path / f"{number}.toml"
+        file.write_text(example)
+        assert load_keys(file) != load_keys(Path("/dev/null"))
