@@ -14,9 +14,9 @@ _TONES = {"fault": "bad", "warning": "warn", "notice": "info"}
 
 
 def alarm_lines(
-    standing: Sequence[Latched], keymap: Keymap, glyphs: Glyphs, width: int
+    standing: Sequence[Latched], keymap: Keymap, glyphs: Glyphs, width: int, rows: int = 3
 ) -> Content | None:
-    """Return element 8 in three rows: the worst alarm not acknowledged, or None."""
+    """Return element 8 in at most three rows: the worst alarm not acknowledged, or None."""
     if not standing:
         return None
     worst, more = standing[0], len(standing) - 1
@@ -28,7 +28,7 @@ def alarm_lines(
     )
     found = Content(f"{alarm.where}: {alarm.found}" if alarm.where else alarm.found)
     act = Content(f"do: {alarm.do[0]}" if alarm.do else alarm.means)
-    lines = [line.truncate(width, ellipsis=True) for line in (head, found, act)]
+    lines = [line.truncate(width, ellipsis=True) for line in (head, found, act)[:rows]]
     return Content("\n").join(lines)
 
 

@@ -26,6 +26,7 @@ from hilcell.errors import HilcellError
 from hilcell.tui import engine
 from hilcell.tui.bars import WholeBar
 from hilcell.tui.choice import Choice
+from hilcell.tui.contents import PAGES, page_of
 from hilcell.tui.desk import Options
 from hilcell.tui.driver import StopDriver
 from hilcell.tui.garbage import Collector
@@ -217,11 +218,11 @@ class HilcellApp(App[int]):
         if isinstance(top, SceneScreen):
             top.show_again()
 
-    def say(self, text: str) -> None:
-        """Say something on the line above the keys."""
+    def say(self, text: str, *, for_now: bool = False) -> None:
+        """Say something on the line above the keys, until a key, or only while it is so."""
         for screen in reversed(self.screen_stack):
             if isinstance(screen, SceneScreen):
-                screen.notice(text)
+                screen.notice(text, for_now=for_now)
                 return
 
     def background(self, work: Coroutine[Any, Any, None]) -> None:
@@ -299,8 +300,11 @@ class HilcellApp(App[int]):
             if not self.allowed(name):
                 self.say(f"{BY_NAME[name].label}: nothing to do now")
                 return
-            act = getattr(self.screen, f"do_{name}", None) or getattr(self, f"do_{name}")
-            act()
+            if name in PAGES:
+                self._turn_to(page_of(name, self.session))
+            else:
+                act = getattr(self.screen, f"do_{name}", None) or getattr(self, f"do_{name}")
+                act()
 
     def do_stop(self) -> None:
         """Stop everything; where nothing runs, go back."""
@@ -308,7 +312,7 @@ class HilcellApp(App[int]):
         sent = session is not None and not session.scene.over and session.stop()
         if sent or self.live:
             self._close_questions()
-            self.say("STOP sent" if sent else "STOP: no engine is there to hear it")
+            self.say("STOP sent" if sent else "STOP: no engine is there to hear it", for_now=sent)
         elif len(self.screen_stack) > 2:
             self.pop_screen()
 
@@ -354,7 +358,9 @@ class HilcellApp(App[int]):
             if scene.prompt.ready or not scene.prompt.check:
                 self.background(self._answer())
             else:
-                self.say("Enter works when the tracker sees the reflector in its place")
+                self.say(
+                    "Enter works when the tracker sees the reflector in its place", for_now=True
+                )
         elif key:
             from hilcell.tui.screens.pages import DetailPage
 
@@ -414,48 +420,13 @@ class HilcellApp(App[int]):
         """Ask before an act; only a yes does it."""
         self.push_screen(Confirm(title, text, yes), lambda reply: act() if reply == "yes" else None)
 
-    def do_alarms(self) -> None:
-        """Open the alarms."""
-        from hilcell.tui.screens.pages import AlarmPage
-
-        self.push_screen(AlarmPage())
-
-    def do_interlocks(self) -> None:
-        """Open the interlocks."""
-        from hilcell.tui.screens.pages import InterlockPage
-
-        self.push_screen(InterlockPage())
-
-    def do_help(self) -> None:
-        """Open the help."""
-        from hilcell.tui.screens.pages import HelpPage
-
-        self.push_screen(HelpPage())
-
-    def do_log(self) -> None:
-        """Open the event log."""
-        from hilcell.tui.screens.log import LogPage
-
-        self.push_screen(LogPage())
-
-    def do_plots(self) -> None:
-        """Open the plots."""
-        from hilcell.tui.screens.plots import PlotPage
-
-        self.push_screen(PlotPage())
-
-    def do_report(self) -> None:
-        """Write the report and show its figures."""
-        from hilcell.tui.screens.report import ReportPage
-
-        if self.session is not None:
-            self.push_screen(ReportPage(self.session.folder))
-
-    def do_history(self) -> None:
-        """Open the earlier runs."""
-        from hilcell.tui.screens.history import HistoryPage
-
-        self.push_screen(HistoryPage())
+    def _turn_to(self, page: SceneScreen) -> None:
+        """Show a page; one of its kind that is open is gone back to: keys may be held down."""
+        if any(type(each) is type(page) for each in self.screen_stack):
+            while type(self.screen) is not type(page):
+                self.pop_screen()
+        else:
+            self.push_screen(page)
 
     def do_acknowledge(self) -> None:
         """Acknowledge every alarm."""

@@ -10,7 +10,7 @@ from hilcell.tui.scene import Prompt, Scene
 from hilcell.tui.words import short_age
 
 MAP_WIDTH, MAP_HEIGHT = 34, 5
-MOST_LINES = 2  # of a prompt's text
+MOST_LINES = 3  # of a prompt's text
 
 
 def prompt_lines(prompt: Prompt, scene: Scene, glyphs: Glyphs, width: int) -> Content:

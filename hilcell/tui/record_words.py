@@ -51,7 +51,15 @@ def _facts(body: dict[str, Any]) -> str:
     shown = {
         k: v for k, v in body.items() if k not in (*_LONG, "what", "action") and v not in ({}, [])
     }
-    return ", ".join(
-        f"{name} {value:.3f}" if isinstance(value, float) else f"{name} {value}"
-        for name, value in shown.items()
-    )
+    return ", ".join(f"{name} {_value(value)}" for name, value in shown.items())
+
+
+def _value(value: object) -> str:
+    """Return a value without the punctuation of a data structure."""
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    if isinstance(value, dict):
+        return " ".join(f"{name} {_value(each)}" for name, each in value.items())
+    if isinstance(value, list):
+        return "; ".join(_value(each) for each in value)
+    return str(value)

@@ -85,8 +85,9 @@ class Session:
         scene.now = now
         scene.heard_s = (now - self._heard).total_seconds() if self._heard is not None else 0.0
         last = datetime.fromisoformat(scene.records[-1].t) if scene.records else now
-        scene.elapsed_s = self._forecast.elapsed_s(now if scene.live else last)
-        scene.remaining_s = self._forecast.remaining_s(now) if scene.live else None
+        at = now if scene.live else last
+        scene.elapsed_s = self._forecast.elapsed_s(at)
+        scene.remaining_s = self._forecast.remaining_s(at)
 
     def stop(self) -> bool:
         """Send a stop at once, from whatever thread; return whether an engine was there to hear.

@@ -96,7 +96,8 @@ def step(scene: Scene, width: int) -> Content:
 def progress(scene: Scene, glyphs: Glyphs, width: int) -> Content:
     """Return element 4: bar, elapsed, remaining."""
     share = share_done(scene)
-    left = "" if scene.remaining_s is None else f"  left {duration(scene.remaining_s)}"
+    left_s = scene.remaining_s if scene.live else None
+    left = "" if left_s is None else f"  left {duration(left_s)}"
     tail = f" {math.floor(100 * share):3d} %  elapsed {duration(scene.elapsed_s)}{left}"
     room = max(width - len(tail), 1)
     done = math.floor(room * share)
@@ -221,10 +222,19 @@ def interlocks(scene: Scene, width: int) -> Content:
     if scene.stale:
         return Content.styled(f"interlocks: last heard {short_age(scene.heard_s)} ago", "$dim")
     if not blocked:
-        return Content.styled("interlocks: rail and robot may move", "$dim")
+        return Content.styled(f"interlocks: {_free(scene)}", "$dim")
     return Content(f"{blocked[0].name}: blocked: {blocked[0].blocked}").truncate(
         width, ellipsis=True
     )
+
+
+def _free(scene: Scene) -> str:
+    """Return what may happen where nothing is blocked; a person may stand in the cell."""
+    if scene.prompt is not None:
+        return "nothing is blocked; nothing moves before the answer"
+    if scene.at_rest:
+        return "nothing is blocked; nothing moves before one goes on"
+    return "rail and robot may move"
 
 
 def deviation(found: Deviation | None, glyphs: Glyphs, width: int) -> Content:

@@ -28,6 +28,7 @@ class SceneScreen(Screen[None]):
     def __init__(self) -> None:
         super().__init__()
         self.stands = asyncio.Event()  # set once every part is built
+        self._said_at: object = None  # the moment that a notice is about
 
     @property
     def here(self) -> bool:
@@ -69,15 +70,21 @@ class SceneScreen(Screen[None]):
     def show(self, scene: Scene | None) -> None:
         """Show the scene."""
         self.panel("keys").show(self.key_line())
+        if self._said_at is not None and self._said_at != _moment(scene):
+            self.notice("")
         if scene is not None and self.query("#banner"):
             from hilcell.tui import words  # reads journals: not for the first screen
 
             self.panel("banner").show(words.banner(scene, self.cell.glyphs, self.wide))
 
-    def notice(self, text: str) -> None:
-        """Say something on the line above the keys, until the next key."""
+    def notice(self, text: str, *, for_now: bool = False) -> None:
+        """Say something on the line above the keys, until the next key.
+
+        ``for_now``: only while the run's state and its prompt stay as they are.
+        """
         if not self.here:
             return
+        self._said_at = _moment(self.cell.scene) if for_now else None
         panel = self.panel("notice")
         panel.display = bool(text)
         panel.show(Content.styled(text, "$warn"))
@@ -104,6 +111,13 @@ class SceneScreen(Screen[None]):
     def label(self, name: str) -> str:
         """Return what an action is called now."""
         return BY_NAME[name].label
+
+
+def _moment(scene: Scene | None) -> tuple[str, bool]:
+    """Return what a passing notice is about: the state, and whether a prompt can be answered."""
+    if scene is None:
+        return "", False
+    return scene.key, scene.prompt is not None and scene.prompt.ready
 
 
 class Page(SceneScreen):

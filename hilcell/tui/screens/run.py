@@ -112,13 +112,14 @@ class RunScreen(Finding):
 
     def _show_boxes(self, scene: Scene) -> None:
         alarm, prompt = self.panel("alarm"), self.panel("prompt")
+        asked = scene.prompt
+        rows = 3 if asked is None else 1  # what is asked comes first
         lines = alarm_lines(
-            self.cell.latch.standing(), self.cell.keymap, self.cell.glyphs, self.wide
+            self.cell.latch.standing(), self.cell.keymap, self.cell.glyphs, self.wide, rows
         )
         alarm.display = lines is not None
         if lines is not None:
             alarm.show(lines)
-        asked = scene.prompt
         prompt.display = asked is not None
         self.panel("deviation").display = asked is None
         if asked is not None:

@@ -7,9 +7,11 @@ from functools import cache
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from hilcell.cell import load_cell
 from hilcell.run.journal import Kind, Record
+from hilcell.run.seat import seat_prompt
 from hilcell.tui.feed import Fresh
 from hilcell.tui.scene import DeviceStatus, Interlock, Prompt, Status
 
@@ -164,7 +166,7 @@ def stories() -> dict[str, Story]:
 LIVE = ("checking", "running", "pausing", "paused", "suspended", "stopping")
 PROMPT = Prompt(
     title="Seat the reflector in P1",
-    text="slide, x 350.0  y -350.0  z 60.0 mm on the slide",
+    text=seat_prompt(load_cell("paper"), "P1", "F1", np.array([4007.5, -238.7, -480.3]), 5.0).text,
     place="P1",
     expected_mm=(4007.5, -238.7, -480.3),
     limit_mm=5.0,

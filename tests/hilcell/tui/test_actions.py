@@ -14,11 +14,13 @@ from hilcell.tui.rows import Rows
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.history import HistoryPage
+from hilcell.tui.screens.log import LogPage
 from hilcell.tui.screens.pages import DetailPage, HelpPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
+from hilcell.tui.session import utc_now
 from tests.hilcell.tui.playing import PAGES, footer, play
-from tests.hilcell.tui.scenes import LIVE, PROMPT, fresh, stories
+from tests.hilcell.tui.scenes import LIVE, PROMPT, fresh, status, stories
 from tests.hilcell.tui.stage import Stage, press, settle, text_of
 from tests.hilcell.tui.walk import outside
 
@@ -107,6 +109,46 @@ def test_the_space_bar_pauses_from_every_page_that_says_so() -> None:
             await press(pilot, "space", "q")
 
     assert play(act, "running").heard.asked == [("pause", {})] * 4
+
+
+@pytest.mark.parametrize("key", PAGES)
+def test_a_key_held_down_opens_its_page_once(key: str) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        depth = len(app.screen_stack)
+        await press(pilot, *[key] * 4)
+        assert len(app.screen_stack) == depth + 1
+        assert isinstance(app.screen, PAGES[key])
+
+    play(act, "running")
+
+
+def test_pages_turned_in_a_circle_are_not_piled_up() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        depth = len(app.screen_stack)
+        await press(pilot, *["h", "question_mark", "l"] * 3)
+        assert len(app.screen_stack) <= depth + len(PAGES)
+        assert isinstance(app.screen, LogPage)
+
+    play(act, "running")
+
+
+def test_what_was_said_about_a_moment_goes_with_it() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        waiting = msgspec.structs.replace(PROMPT, ready=False, seen_mm=9.0)
+        asked = msgspec.structs.replace(status("suspended"), prompt=waiting)
+        app.heard.take(Fresh([], alive=True, status=asked), app.heard.scene.now or utc_now())
+        app._show()
+        await press(pilot, "enter")
+        assert "Enter works when" in text_of(app)
+        app.heard.take(Fresh([], alive=True, status=asked), utc_now())
+        app._show()
+        assert "Enter works when" in text_of(app)
+        app.heard.take(Fresh([], alive=True, status=status("suspended")), utc_now())
+        app._show()
+        await settle(pilot)
+        assert "Enter works when" not in text_of(app)
+
+    play(act, "suspended")
 
 
 # -- stop ------------------------------------------------------------------------------------------

@@ -27,6 +27,13 @@ TOLD: list[tuple[Kind, str, dict[str, Any], str]] = [
     ("frame", "world", {"matrix": [[1.0]], "rms_mm": 0.01234}, "world rms_mm 0.012"),
     ("verdict", "v", {"holds": False, "mean_mm": 0.3}, "v holds False, mean_mm 0.300"),
     ("event", "", {"what": "closed", "problems": {}}, "closed"),
+    ("event", "", {"what": "closed", "problems": {"Rail": "gone"}}, "closed problems Rail gone"),
+    (
+        "event",
+        "",
+        {"what": "connected", "devices": [{"device": "Rail", "serial": "1"}, {"device": "Robot"}]},
+        "connected devices device Rail serial 1; device Robot",
+    ),
     ("event", "", {"what": "step", "name": "fit", "number": 6}, "step name fit, number 6"),
     ("end", "", {"state": "finished", "exit": 0, "result": {}}, "finished, exit 0"),
 ]
@@ -78,7 +85,7 @@ def test_what_is_marked_is_seen() -> None:
 
 def test_the_history_tells_how_a_run_ended() -> None:
     told = [history_row(run, (), 200).cells[3] for run in RUNS]
-    assert told == ["finished", "out of tolerance", "running, engine gone", "unreadable"]
+    assert told == ["finished", "out of tolerance", "engine gone", "unreadable"]
     assert [history_row(run, (), 200).tone for run in RUNS[:2]] == ["", "bad"]
 
 
