@@ -7,7 +7,6 @@ imported after the first screen is painted.
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections.abc import Coroutine
 from pathlib import Path
@@ -24,6 +23,7 @@ from textual.widgets import Input
 from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
+from hilcell.tui.aside import aside
 from hilcell.tui.bars import WholeBar
 from hilcell.tui.choice import Choice
 from hilcell.tui.contents import PAGES, page_of
@@ -132,7 +132,7 @@ class HilcellApp(App[int]):
         """Open the run asked for, or the one that is live, or the form for a new one."""
         from hilcell.tui.opening import run_to_open
 
-        found = await asyncio.to_thread(run_to_open, self.options.runs, self.options.run)
+        found = await aside(run_to_open, self.options.runs, self.options.run)
         self._collector = Collector(time.monotonic())
         if found is not None:
             self.attach(found)
@@ -240,7 +240,7 @@ class HilcellApp(App[int]):
         """Send a command to the engine, off the thread that takes keys."""
         session = self.session
         if session is not None:
-            self.background(asyncio.to_thread(session.ask, command, **facts))
+            self.background(aside(session.ask, command, **facts))
 
     # -- keys ---------------------------------------------------------------------------------
 
@@ -370,7 +370,7 @@ class HilcellApp(App[int]):
         session = self.session
         if session is not None:
             self.say("the tracker looks once more ...")
-            await asyncio.to_thread(session.ask, "answer")
+            await aside(session.ask, "answer")
             self.say("")
 
     def retake(self, key: str) -> None:
@@ -412,7 +412,7 @@ class HilcellApp(App[int]):
 
     async def watch_engine(self, process: Any, folder: Path) -> None:
         """Wait for an engine's end; one that leaves no word in the journal says it here."""
-        code = await asyncio.to_thread(process.wait)
+        code = await aside(process.wait)
         if code == 2 or not (folder / "journal.sqlite").is_file():
             raise HilcellError(engine.last_words(folder.parent, folder.name) or f"exit {code}")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.run.control import live_engine
+from hilcell.run.control import live_engine, send_command
 from hilcell.run.journal import read_journal
 from hilcell.runs import JOURNAL, read_log, run_folders
 from tests.whole.bench import LIMIT_S, SMALL, sets, simulation, wait_gone
@@ -22,6 +22,8 @@ from tests.whole.trace import judge
 ESC = "\x1b"
 ENTER = "\r"
 PACED = "100"
+UNHURRIED = "\x1b[Z\x1b[C\x1b[C\x1b[B"  # shift-tab to the speed, to 10, and back down
+SOON_S = 5.0
 
 
 @contextmanager
@@ -133,7 +135,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
 @pytest.mark.parametrize("keys", ["", "p", "l", "?", "/", "a", "h/", "\x10"])
 def test_esc_stops_from_wherever_one_is(tmp_path: Path, keys: str) -> None:
     with screen(tmp_path) as terminal:
-        start(terminal, "\x1b[Z\x1b[C\x1b[C\x1b[B" + ENTER)  # shift-tab: speed, to 10
+        start(terminal, UNHURRIED + ENTER)
         terminal.shows("■ RUNNING", LIMIT_S)
         for key in keys:
             terminal.press(key)
@@ -166,6 +168,17 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
                 assert third.ends() == 0
             wait_for(lambda: read_log(folder).end is not None, "detached, it goes on to its end")
             assert read_log(folder).states["run"] == "finished"
+
+
+def test_the_screen_that_started_a_run_is_left_at_once_and_the_run_goes_on(tmp_path: Path) -> None:
+    with screen(tmp_path) as terminal:
+        start(terminal, UNHURRIED + ENTER)
+        terminal.shows("■ RUNNING", LIMIT_S)
+        terminal.press("d")
+        assert terminal.ends(SOON_S) == 0
+        folder = folder_of(tmp_path)
+        assert live_engine(folder) is not None
+        assert send_command(folder, "status")["state"] == "running"
 
 
 def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import TYPE_CHECKING, ClassVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.content import Content
 
+from hilcell.tui.aside import aside
 from hilcell.tui.history_words import columns_for, history_row
 from hilcell.tui.rows import Rows
 from hilcell.tui.screens.base import Page
@@ -60,7 +60,7 @@ class HistoryPage(Finding, Page):
     async def _read(self) -> None:
         from hilcell.index import read_index
 
-        self._runs = await asyncio.to_thread(read_index, self.cell.options.runs)
+        self._runs = await aside(read_index, self.cell.options.runs)
         if self.here:
             self.query_one(Rows).empty = "no such run"
             self.filter_rows()

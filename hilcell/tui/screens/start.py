@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from importlib.metadata import entry_points
 from typing import Any, ClassVar
 
@@ -15,6 +14,7 @@ from textual.widgets import Input, Label
 
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
+from hilcell.tui.aside import aside
 from hilcell.tui.choice import Choice
 from hilcell.tui.panel import Panel
 from hilcell.tui.rows import Column, Row, Rows
@@ -40,7 +40,9 @@ class StartScreen(SceneScreen):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("down", "app.focus_next", show=False),
         Binding("up", "app.focus_previous", show=False),
+        Binding("enter", "check", show=False),
     ]
+    _checking = False
 
     def compose(self) -> ComposeResult:
         """Build the form."""
@@ -84,7 +86,7 @@ class StartScreen(SceneScreen):
         self.panel("keys").show(self.key_line())
 
     async def _summaries(self, names: list[str]) -> None:
-        found = await asyncio.to_thread(summaries, names)
+        found = await aside(summaries, names)
         if self.here:
             self.query_one(Rows).put([Row(name, (name, found[name])) for name in names])
 
@@ -105,18 +107,27 @@ class StartScreen(SceneScreen):
 
     def on_rows_chosen(self) -> None:
         """Check the plan."""
-        self.cell.background(self._check())
+        self.action_check()
 
     def on_input_submitted(self) -> None:
         """Check the plan."""
-        self.cell.background(self._check())
+        self.action_check()
+
+    def action_check(self) -> None:
+        """Check the plan, once at a time: keys may be held down."""
+        if not self._checking:
+            self._checking = True
+            self.cell.background(self._check())
 
     async def _check(self) -> None:
         order = self.order()
         self.notice("checking the plan; nothing is opened ...")
-        plan = await engine.dry_run(order)
+        try:
+            plan = await engine.dry_run(order)
+        finally:
+            self._checking = False
         if self.app.screen is not self:
-            return  # left meanwhile, or asked twice
+            return  # left meanwhile
         self.notice("")
         self.app.push_screen(
             PlanSummary(order, plan),
