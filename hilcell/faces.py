@@ -179,7 +179,9 @@ def print_end(
         if not verdict["holds"]:
             print(f"out of tolerance: {key}: {_facts(verdict)}", file=sys.stderr)
     kind = "SIMULATED run" if log.inputs.simulated else "run"
-    print(f"{kind} {folder.name}: {log.states['run']}; journal in {folder}", file=sys.stderr)
+    state = log.states["run"]
+    ended = state if log.end is not None else f"cut off while {state}"
+    print(f"{kind} {folder.name}: {ended}; journal in {folder}", file=sys.stderr)
 
 
 def _asked(body: dict[str, Any]) -> str:

@@ -412,13 +412,20 @@ class HilcellApp(App[int]):
 
     async def watch_engine(self, process: Any, folder: Path) -> None:
         """Wait for an engine's end; one that leaves no word in the journal says it here."""
-        code = await aside(process.wait)
-        if code == 2 or not (folder / "journal.sqlite").is_file():
-            raise HilcellError(engine.last_words(folder.parent, folder.name) or f"exit {code}")
+        if told := engine.untold(folder, await aside(process.wait)):
+            raise HilcellError(told)
 
     def ask(self, title: str, text: str, yes: str, act: Any) -> None:
-        """Ask before an act; only a yes does it."""
-        self.push_screen(Confirm(title, text, yes), lambda reply: act() if reply == "yes" else None)
+        """Ask before an act; only a yes does it, and what hinders it is said."""
+
+        def replied(reply: str | None) -> None:
+            try:
+                if reply == "yes":
+                    act()
+            except HilcellError as error:
+                self.say(str(error))
+
+        self.push_screen(Confirm(title, text, yes), replied)
 
     def _turn_to(self, page: SceneScreen) -> None:
         """Show a page; one of its kind that is open is gone back to: keys may be held down."""

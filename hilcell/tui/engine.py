@@ -15,6 +15,13 @@ import msgspec
 from hilcell.errors import HilcellError
 
 WORDS = "engine.log"
+MOST_LINES = 7  # of them are shown
+UNTOLD = {  # exits that the journal may not tell of
+    2: "refused",
+    5: "a defect of hilcell; please report it",
+    6: "another run holds the cell",
+    7: "the journal cannot be written; make room on the disk, or mend the folder's rights",
+}
 HILCELL = (sys.executable, "-m", "hilcell")
 
 
@@ -46,25 +53,41 @@ class Order:
 
 
 def start(runs: Path, run: str, words: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Start an engine in a session of its own; what it says goes to a file in the run's folder."""
+    """Start an engine in a session of its own; what it says goes to a file in the run's folder.
+
+    Raises `HilcellError` where nothing can be written there.
+    """
     folder = runs / run
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / WORDS).open("ab") as said:
-        return subprocess.Popen(  # noqa: S603 - our own interpreter, words never reach a shell
-            [*HILCELL, *words],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=said,
-            start_new_session=True,
-        )
-
-
-def last_words(runs: Path, run: str) -> str:
-    """Return what an engine said before it ended without a journal."""
     try:
-        return (runs / run / WORDS).read_text(encoding="utf-8", errors="replace").strip()
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / WORDS).open("ab") as said:
+            return subprocess.Popen(  # noqa: S603 - our own interpreter, words never reach a shell
+                [*HILCELL, *words],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                start_new_session=True,
+            )
+    except OSError as error:
+        raise HilcellError(f"no engine was started: {folder}: {error.strerror}") from error
+
+
+def untold(folder: Path, code: int) -> str:
+    """Return what the journal may not tell of an engine's end; nothing where it does."""
+    from hilcell.runs import JOURNAL  # not for the first screen
+
+    if code not in UNTOLD and (folder / JOURNAL).is_file():
+        return ""
+    said = _last_words(folder) or UNTOLD.get(code, "without a word")
+    return f"the engine ended, exit {code}: {said}"
+
+
+def _last_words(folder: Path) -> str:
+    try:
+        said = (folder / WORDS).read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         return str(error)
+    return "\n".join(said.strip().splitlines()[-MOST_LINES:])
 
 
 async def ask_hilcell(*words: str) -> str:

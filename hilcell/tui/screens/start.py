@@ -131,10 +131,10 @@ class StartScreen(SceneScreen):
         self.notice("")
         self.app.push_screen(
             PlanSummary(order, plan),
-            lambda yes: self._start(order) if yes else None,
+            lambda yes: self.cell.background(self._start(order)) if yes else None,
         )
 
-    def _start(self, order: engine.Order) -> None:
+    async def _start(self, order: engine.Order) -> None:
         from hilcell.runs import new_run
 
         runs = self.cell.options.runs

@@ -13,7 +13,7 @@ from hilcell.clean import clean
 from hilcell.cli import _parser
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
-from hilcell.tui.engine import Order, ask_hilcell, dry_run, last_words
+from hilcell.tui.engine import UNTOLD, Order, ask_hilcell, dry_run, untold
 
 # No terminal types NUL or half a letter; argparse drops a lone --.
 TYPED = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])).filter(
@@ -63,5 +63,29 @@ def test_what_a_command_says_in_its_last_breath_is_kept(tmp_path: Path) -> None:
 def test_an_engine_says_its_last_words_to_a_file(tmp_path: Path) -> None:
     process = engine.start(tmp_path, "r", ["run", "nothing", "--runs", str(tmp_path)])
     assert process.wait(60) == 2
-    assert "nothing" in last_words(tmp_path, "r")
-    assert "No such file" in last_words(tmp_path, "other")
+    assert "nothing" in untold(tmp_path / "r", 2)
+    assert "No such file" in untold(tmp_path / "other", 0)
+
+
+@pytest.mark.parametrize("code", [2, 5, 6, 7])
+def test_an_end_that_no_journal_tells_is_told(tmp_path: Path, code: int) -> None:
+    (tmp_path / "journal.sqlite").touch()
+    said = tmp_path / "engine.log"
+    said.touch()
+    assert untold(tmp_path, code) == f"the engine ended, exit {code}: {UNTOLD[code]}"
+    said.write_text("".join(f"line {number}\n" for number in range(100)))
+    assert untold(tmp_path, code).endswith("line 98\nline 99")
+    assert len(untold(tmp_path, code).splitlines()) == 7
+
+
+@pytest.mark.parametrize("code", [0, 1, 3, 4])
+def test_an_end_that_the_journal_tells_is_not_told_twice(tmp_path: Path, code: int) -> None:
+    assert "No such file" in untold(tmp_path, code)
+    (tmp_path / "journal.sqlite").touch()
+    assert untold(tmp_path, code) == ""
+
+
+def test_no_room_for_an_engine_is_told(tmp_path: Path) -> None:
+    (tmp_path / "runs").touch()
+    with pytest.raises(HilcellError, match=r"no engine was started: .*Not a directory"):
+        engine.start(tmp_path / "runs", "r", [])
