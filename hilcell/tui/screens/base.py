@@ -10,6 +10,7 @@ from textual.binding import Binding, BindingType
 from textual.content import Content
 from textual.screen import Screen
 from textual.widget import Widget
+from textual.widgets import Input
 
 from hilcell.tui.desk import Desk
 from hilcell.tui.keys import BY_NAME, shown
@@ -125,7 +126,7 @@ class Page(SceneScreen):
 
     title_text: ClassVar[str] = ""
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("q,backspace", "back", "back", show=False),
+        Binding("q,backspace", "back", "back", show=False, priority=True),  # in the order typed
     ]
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (("q", "back"),)
 
@@ -149,6 +150,10 @@ class Page(SceneScreen):
         first = next(iter(self.query("Rows, Input, #body").results(Widget)), None)
         if first is not None and first.focusable:
             first.focus()
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Leave letters to a text box."""
+        return action != "back" or not isinstance(self.focused, Input)
 
     def action_back(self) -> None:
         """Go back to the screen below."""

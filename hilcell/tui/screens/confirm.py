@@ -17,8 +17,8 @@ class Confirm(ModalScreen[str]):
     """Returns the key that was pressed: ``yes``, ``no``, or one of the others offered."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("y,enter", "reply('yes')", show=False),
-        Binding("n,q,backspace", "reply('no')", show=False),
+        Binding("y,enter", "reply('yes')", show=False, priority=True),
+        Binding("n,q,backspace", "reply('no')", show=False, priority=True),
     ]
 
     def __init__(self, title: str, text: str, yes: str, no: str = "no") -> None:

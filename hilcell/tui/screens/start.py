@@ -149,8 +149,8 @@ class PlanSummary(ModalScreen[bool]):
     """What will be done and how long it takes; Enter starts, q goes back."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("enter,y", "reply(True)", show=False),
-        Binding("q,n,backspace", "reply(False)", show=False),
+        Binding("enter,y", "reply(True)", show=False, priority=True),
+        Binding("q,n,backspace", "reply(False)", show=False, priority=True),
     ]
 
     def __init__(self, order: engine.Order, plan: dict[str, Any]) -> None:

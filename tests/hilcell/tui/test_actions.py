@@ -21,7 +21,7 @@ from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.tui.session import utc_now
 from tests.hilcell.tui.playing import PAGES, footer, play
 from tests.hilcell.tui.scenes import LIVE, PROMPT, fresh, status, stories
-from tests.hilcell.tui.stage import Stage, press, settle, text_of
+from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import outside
 
 __all__ = ["outside"]
@@ -120,6 +120,20 @@ def test_a_key_held_down_opens_its_page_once(key: str) -> None:
         assert isinstance(app.screen, PAGES[key])
 
     play(act, "running")
+
+
+@pytest.mark.parametrize("key", PAGES)
+def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order(key: str) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, key)
+        type_ahead(app, "q", "space")
+        await settle(pilot)
+        assert [type(each) for each in app.screen_stack[-2:]] == [RunScreen, Confirm]
+        type_ahead(app, "q", "h", "q", "space", "enter")
+        await settle(pilot)
+        assert app.engines
+
+    play(act, "fault")
 
 
 def test_pages_turned_in_a_circle_are_not_piled_up() -> None:
