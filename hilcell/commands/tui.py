@@ -18,7 +18,7 @@ SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one
 
 
 def tui(args: argparse.Namespace) -> int:
-    """Show the technician's screen until it is left."""
+    """Show the technician's screen until it is left; raises what keeps it from opening."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise HilcellError(
             "tui: stdin and stdout must be a terminal; `hilcell watch` follows a run in a pipe"
@@ -45,6 +45,8 @@ def tui(args: argparse.Namespace) -> int:
     sys.setswitchinterval(SWITCH_S)
     app = HilcellApp(options)
     app.run()
+    if app.refused is not None:
+        raise app.refused
     if app.return_code:
         from hilcell.exits import EXIT_INTERNAL
 

@@ -84,6 +84,7 @@ class Journal:
                 self._base.executemany("INSERT INTO meta VALUES (?, ?)", meta)
         except sqlite3.Error as error:
             raise StorageError(f"journal {path}: cannot be opened: {error}") from error
+        self._place = _place(path)
         self._seq, self._hash = 0, b""
         for record, stored in _stored(self._base, path):
             self._seq, self._hash = record.seq, stored
@@ -101,6 +102,7 @@ class Journal:
             digest = chain(self._hash, record)
             text = msgspec.json.encode(plain).decode()
             row = (record.seq, record.t, kind, key, text, digest)
+            self._check_place()
             try:
                 self._base.execute("INSERT INTO record VALUES (?, ?, ?, ?, ?, ?)", row)
             except sqlite3.Error as error:
@@ -113,10 +115,27 @@ class Journal:
                 listener(record)
         return record
 
+    def _check_place(self) -> None:
+        """Refuse to write into a file that nobody will find again."""
+        if _place(self.path) != self._place:
+            raise StorageError(
+                f"journal {self.path}: the file was taken away or replaced while run {self.run} "
+                f"wrote it; put it back, then `hilcell resume {self.run}`"
+            )
+
     def close(self) -> None:
         """Close the file."""
         with self._lock:
             self._base.close()
+
+
+def _place(path: Path) -> tuple[int, int] | None:
+    """Return which file is at a path, or None where none is."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _plain(value: Any) -> Any:

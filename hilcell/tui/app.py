@@ -79,6 +79,7 @@ class HilcellApp(App[int]):
         super().__init__()
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
         self.session: Session | None = None
+        self.refused: HilcellError | None = None  # why nothing could be opened
         self._collector: Collector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
         for palette in PALETTES:
@@ -132,7 +133,12 @@ class HilcellApp(App[int]):
         """Open the run asked for, or the one that is live, or the form for a new one."""
         from hilcell.tui.opening import run_to_open
 
-        found = await aside(run_to_open, self.options.runs, self.options.run)
+        try:
+            found = await aside(run_to_open, self.options.runs, self.options.run)
+        except HilcellError as error:
+            self.refused = error
+            self.exit()
+            return
         self._collector = Collector(time.monotonic())
         if found is not None:
             self.attach(found)

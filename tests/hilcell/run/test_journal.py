@@ -130,6 +130,24 @@ while True:
 """
 
 
+@pytest.mark.parametrize("how", ["removed", "replaced", "moved"])
+def test_a_journal_taken_away_acknowledges_nothing_more(path: Path, how: str) -> None:
+    journal = Journal(path, "r", create=True)
+    journal.append("point", "p/0", {})
+    if how == "moved":
+        path.rename(path.with_name("elsewhere"))
+    else:
+        path.unlink()
+    if how == "replaced":
+        path.write_bytes(b"another")
+    heard: list[object] = []
+    journal.listen(heard.append)
+    with pytest.raises(StorageError, match="taken away or replaced"):
+        journal.append("point", "p/1", {})
+    assert heard == []
+    journal.close()
+
+
 def test_kill_9_loses_nothing_acknowledged(path: Path) -> None:
     writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE)
     assert writer.stdout is not None

@@ -38,6 +38,26 @@ def test_a_defect_of_the_screen_is_told_and_is_no_success(
     assert "`hilcell tui last` shows it again" in told.replace("\n", " ")
 
 
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (["nope"], 2, "run 'nope' is not in"),
+        (["--runs", __file__], 7, "cannot be used: Not a directory"),
+    ],
+)
+def test_what_cannot_be_opened_is_told_in_the_shell(
+    words: list[str],
+    code: int,
+    told: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    unseen(monkeypatch)
+    assert main(["tui", "--runs", str(tmp_path), *words]) == code
+    assert told in capsys.readouterr().err
+
+
 def test_a_screen_that_is_left_is_a_success(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
