@@ -116,7 +116,9 @@ def _events(session: list[Record]) -> Iterator[_Moment]:
             case "command refused":
                 found = f"{body['command']} is not possible while {body['in']}"
                 yield _Moment(Finding("Cell", "command", found), t, seq)
-            case "screen lost" | "answer refused" | "retake refused" as what:
+            case "screen lost":
+                yield _Moment(Finding("Cell", "screen lost", "nobody watches any more"), t, seq)
+            case "answer refused" | "retake refused" as what:
                 found = ": ".join(str(body[name]) for name in ("key", "reason") if name in body)
                 yield _Moment(Finding("Cell", what, found), t, seq)
             case "outlier measured again":
@@ -188,6 +190,8 @@ def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
         yield _Moment(Finding("Cell", "stopped", told or "the run was stopped"), t, seq)
     elif end is None and not live:
         found = f"the journal ends while the run was {state}, with {len(log.points)} points"
+        final = log.newest
+        t, seq = (final.t, final.seq) if final is not None else (t, seq)
         yield _Moment(Finding("Cell", "crash", found), t, seq)
     yield from _refused(end, told, t, seq)
 

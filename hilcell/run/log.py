@@ -93,12 +93,13 @@ class Log:
         self.retakes: dict[str, None] = {}  # keys of points that wait to be measured anew
         self.seated = ""  # the place of a reflector that is carried by hand
         self.sights: dict[str, Seated] = {}
+        self.newest: Record | None = None
         for record in records:
             self.take(record)
 
     def take(self, record: Record) -> None:
         """Add one record."""
-        body = record.body
+        body, self.newest = record.body, record
         match record.kind:
             case "plan":
                 self.plan = msgspec.convert(body, PlanRecord)

@@ -79,6 +79,7 @@ class HilcellApp(App[int]):
         super().__init__()
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
         self.session: Session | None = None
+        self.behind: Session | None = None  # of a live run that was left to look at another one
         self.refused: HilcellError | None = None  # why nothing could be opened
         self._collector: Collector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
@@ -116,10 +117,12 @@ class HilcellApp(App[int]):
             event.text = UNSAFE.sub("", event.text.partition("\n")[0])
         await super().on_event(event)
 
-    def _stop_now(self) -> None:
-        session = self.session
-        if session is not None:
-            session.stop()
+    def _stop_now(self) -> bool:
+        """Stop the run that is shown, or a live one behind it; from whatever thread."""
+        session, behind = self.session, self.behind
+        if session is not None and session.stop():
+            return True
+        return behind is not None and behind.stop()
 
     def on_mount(self) -> None:
         """Paint first, then import what reads journals."""
@@ -164,6 +167,8 @@ class HilcellApp(App[int]):
             shown(self.keymap["pause"][0]),
         )
         self.session = session
+        if self.behind is not None and self.behind.folder == folder:
+            self.behind = None
         if before is not None:  # what nobody has acknowledged still stands
             session.latch = before.latch
         while len(self.screen_stack) > 1:
@@ -178,12 +183,18 @@ class HilcellApp(App[int]):
         elif self.live:
             self.ask(
                 "A run is live.",
-                "It goes on while you look at another one, and Esc does not stop it from there.",
+                "It goes on while you look at another one; Esc still stops it.",
                 "look at the other",
-                lambda: self.attach(folder),
+                lambda: self._look_at(folder),
             )
         else:
             self.attach(folder)
+
+    def _look_at(self, folder: Path) -> None:
+        """Show another run while the one shown goes on behind it."""
+        session = self.session
+        self.attach(folder)
+        self.behind = session if session is not None and session.scene.live else None
 
     def let_go(self, *, leave: bool) -> None:
         """Detach from the run; ``leave`` says that it was meant."""
@@ -199,7 +210,10 @@ class HilcellApp(App[int]):
 
         if message.session is not self.session:
             return
+        was_live = self.live
         self.session.take(message.fresh, utc_now())
+        if was_live and not self.live:
+            self._close_questions()  # they were about a run that goes on
         self._show()
         if self.session.trouble:
             self.say(self.session.trouble)
@@ -207,6 +221,9 @@ class HilcellApp(App[int]):
     def _tick(self) -> None:
         from hilcell.tui.session import utc_now
 
+        if self.behind is not None and not self.behind.has_engine:
+            self.behind = None
+            self._show()
         if self.session is not None and self.live:
             self.session.tick(utc_now())
             self._show()
@@ -314,9 +331,9 @@ class HilcellApp(App[int]):
 
     def do_stop(self) -> None:
         """Stop everything; where nothing runs, go back."""
-        session = self.session
-        sent = session is not None and not session.scene.over and session.stop()
-        if sent or self.live:
+        over = self.session is not None and self.session.scene.over and self.behind is None
+        sent = self._stop_now()
+        if self.live or (sent and not over):
             self._close_questions()
             self.say("STOP sent" if sent else "STOP: no engine is there to hear it", for_now=sent)
         elif len(self.screen_stack) > 2:

@@ -14,6 +14,7 @@ from hilcell.tui.themes import NAMES
 if TYPE_CHECKING:
     from hilcell.alarms import Latch
     from hilcell.tui.scene import Scene
+    from hilcell.tui.session import Session
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,7 @@ class Desk(Protocol):
     options: Options
     glyphs: Glyphs
     keymap: Keymap
+    behind: Session | None
 
     @property
     def scene(self) -> Scene | None:

@@ -30,7 +30,7 @@ def has_escape(read: bytes) -> bool:
 class StopDriver(LinuxDriver):
     """Calls ``on_escape`` from the input thread; everything else is Textual's own."""
 
-    on_escape: Callable[[], None] | None = None
+    on_escape: Callable[[], object] | None = None
 
     def run_input_thread(self) -> None:
         """Read the terminal until the screen ends."""

@@ -17,6 +17,7 @@ import msgspec
 from hilcell.errors import HilcellError
 from hilcell.run.control import EngineFile
 
+ENGINE = "engine.json"  # in the run's folder, while its engine lives
 ANSWER_S = 2.0
 LONGEST = 1 << 16
 _STOP = msgspec.json.encode({"command": "stop"}) + b"\n"
@@ -45,7 +46,7 @@ class Link:
         ``patience_s`` is for what takes longer than an answer usually may.
         """
         try:
-            engine = msgspec.json.decode((folder / "engine.json").read_bytes(), type=EngineFile)
+            engine = msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
             return cls(engine.socket, patience_s)
         except (OSError, msgspec.DecodeError):
             return None
@@ -87,6 +88,16 @@ class Link:
                 each.shutdown(socket.SHUT_RDWR)
             each.close()
         self._answers.close()
+
+
+def stop_engine(folder: Path) -> bool:
+    """Ask the engine of a run for a stop by a line of its own; return whether it was there."""
+    link = Link.to(folder)
+    if link is None:
+        return False
+    sent = link.stop()
+    link.close()
+    return sent
 
 
 class LinkLostError(HilcellError):

@@ -14,8 +14,8 @@ class Actions(Provider):
     """What can be done now."""
 
     async def discover(self) -> Hits:
-        """Yield every allowed action."""
-        for action in self._allowed():
+        """Yield every allowed action; the stop last, for it has a key that needs no palette."""
+        for action in sorted(self._allowed(), key=lambda action: action.name == "stop"):
             yield DiscoveryHit(_words(action), lambda name=action.name: self._desk.do(name))
 
     async def search(self, query: str) -> Hits:

@@ -111,7 +111,8 @@ class Scene:
         if self.starting and not self.alive:
             return "checking"
         if not self.alive and not self.over:
-            return "gone" if self.log.plan is not None else "idle"
+            begun = self.log.plan is not None and self.log.end is None  # else it was refused
+            return "gone" if begun else "idle"
         if state == "finished":
             return "intolerant" if self.log.end and self.log.end["exit"] else "done"
         if state == "faulted":

@@ -15,7 +15,7 @@ from hilcell.alarms.alarm import GO_ON
 from hilcell.errors import HilcellError
 from hilcell.run.forecast import Forecast
 from hilcell.tui.feed import Feed, Fresh
-from hilcell.tui.link import Link
+from hilcell.tui.link import ENGINE, Link, stop_engine
 from hilcell.tui.scene import Scene
 
 if TYPE_CHECKING:
@@ -97,12 +97,12 @@ class Session:
         link = self.feed.link
         if link is not None and link.stop():
             return True
-        fresh = Link.to(self.folder)
-        if fresh is None:
-            return False
-        sent = fresh.stop()
-        fresh.close()
-        return sent
+        return stop_engine(self.folder)
+
+    @property
+    def has_engine(self) -> bool:
+        """Whether the run's folder says that an engine is at work, also when nobody looks."""
+        return (self.folder / ENGINE).is_file()
 
     def ask(self, command: str, **facts: str) -> None:
         """Send a command; raises `HilcellError` where it is refused or no engine lives."""

@@ -43,14 +43,19 @@ def state_block(scene: Scene, glyphs: Glyphs) -> Content:
     return inverse(f"{glyphs.states[scene.key]} {word}", tone)
 
 
-def banner(scene: Scene, glyphs: Glyphs, width: int) -> Content:
-    """Return the first line: state, LIVE or HISTORIC, SIMULATION, and what the stop is not."""
+def banner(scene: Scene, glyphs: Glyphs, width: int, *, behind: bool = False) -> Content:
+    """Return the first line: state, LIVE or HISTORIC, SIMULATION, and what the stop is not.
+
+    ``behind``: a live run was left to look at this one.
+    """
     parts = [state_block(scene, glyphs), Content(" ")]
     live = scene.live
     parts.append(inverse("LIVE" if live else "HISTORIC", "info" if live else "quiet"))
     if scene.log.plan is not None and scene.log.plan.simulated:
         parts += [Content(" "), inverse("SIMULATION", "sim")]
-    return spread(Content("").join(parts), Content.styled(NOT_E_STOP, "$dim"), width)
+    other = Content.styled("another run is LIVE; Esc stops it", "bold $warn")
+    end = other if behind else Content.styled(NOT_E_STOP, "$dim")
+    return spread(Content("").join(parts), end, width)
 
 
 def spread(left: Content, right: Content, width: int) -> Content:
@@ -196,15 +201,21 @@ class _Place(msgspec.Struct):
 
 
 def result(scene: Scene, width: int) -> Content:
-    """Return a finished run's main figures in one line, mean |e| before and after."""
+    """Return a finished run's main figures in one line, mean |e| before and after.
+
+    Where it is out of tolerance, the worst place stands first.
+    """
     found = (scene.log.end or {}).get("result", {}).get("validation", {})
     try:
         places = msgspec.convert(found, dict[str, _Place])
     except msgspec.ValidationError:  # another procedure's result
         return Content("")
-    verdict = "out of tolerance" if scene.key == "intolerant" else "in tolerance"
+    bad = scene.key == "intolerant"
+    verdict = "out of tolerance" if bad else "in tolerance"
     line = f"{verdict}: mean |e| mm" if places else ""
-    for name, place in places.items():
+    order = sorted(places, key=lambda name: -places[name].chosen.mean if bad else 0.0)
+    for name in order:
+        place = places[name]
         part = f"  {name} {place.before.mean:.3f} -> {place.chosen.mean:.3f}"
         if len(line) + len(part) <= width:  # the first places say most
             line += part

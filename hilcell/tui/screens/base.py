@@ -76,7 +76,9 @@ class SceneScreen(Screen[None]):
         if scene is not None and self.query("#banner"):
             from hilcell.tui import words  # reads journals: not for the first screen
 
-            self.panel("banner").show(words.banner(scene, self.cell.glyphs, self.wide))
+            behind = self.cell.behind is not None and not scene.live
+            lines = words.banner(scene, self.cell.glyphs, self.wide, behind=behind)
+            self.panel("banner").show(lines)
 
     def notice(self, text: str, *, for_now: bool = False) -> None:
         """Say something on the line above the keys, until the next key.

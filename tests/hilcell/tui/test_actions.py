@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from textual.pilot import Pilot
 
+from hilcell.tui.app import Delivered
 from hilcell.tui.feed import Fresh
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.rows import Rows
@@ -142,6 +143,21 @@ def test_pages_turned_in_a_circle_are_not_piled_up() -> None:
         await press(pilot, *["h", "question_mark", "l"] * 3)
         assert len(app.screen_stack) <= depth + len(PAGES)
         assert isinstance(app.screen, LogPage)
+
+    play(act, "running")
+
+
+@pytest.mark.parametrize("key", ["a", "ctrl+q", "r"])
+def test_a_question_about_a_run_ends_with_it(key: str) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, key)
+        assert isinstance(app.screen, Confirm)
+        app.post_message(Delivered(app.heard, Fresh([], alive=True)))
+        await settle(pilot)
+        assert isinstance(app.screen, Confirm)
+        app.post_message(Delivered(app.heard, Fresh([], alive=False)))
+        await settle(pilot)
+        assert isinstance(app.screen, RunScreen)
 
     play(act, "running")
 

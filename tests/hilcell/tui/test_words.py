@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from textual.content import Content
 
 from hilcell.cell import load_cell
+from hilcell.run.journal import Record
 from hilcell.tui import words
 from hilcell.tui.deviation import Deviation
 from hilcell.tui.digits import large
@@ -328,3 +329,16 @@ def test_deviations_are_values() -> None:
     assert found.within
     assert not replace(found, limit_mm=4.9).within
     assert not replace(found, error_mm=(math.nan, 0.0, 0.0)).within
+
+
+def test_a_start_that_was_refused_has_lost_no_engine() -> None:
+    scene = Scene("r")
+    for record in stories()["idle"].records:
+        scene.take(record)
+    assert (scene.log.plan, scene.key) == (None, "idle")
+    plan, *_ = stories()["running"].records
+    scene.take(plan)
+    assert scene.key == "gone"
+    end = {"state": "idle", "exit": 6, "reason": "the cell is in use", "result": {}}
+    scene.take(Record(2, plan.t, "end", "", end))
+    assert scene.key == "idle"
