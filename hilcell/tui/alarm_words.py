@@ -10,13 +10,14 @@ from hilcell.alarms import Alarm, Latch, Latched, Severity
 from hilcell.tui.glyphs import Glyphs
 from hilcell.tui.keys import Keymap, shown
 
+MOST_ROWS, SPARE = 2, 12  # of a part; what breaking lines at words may cost
 _TONES = {"fault": "bad", "warning": "warn", "notice": "info"}
 
 
 def alarm_lines(
     standing: Sequence[Latched], keymap: Keymap, glyphs: Glyphs, width: int, rows: int = 3
 ) -> Content | None:
-    """Return element 8 in at most three rows: the worst alarm not acknowledged, or None."""
+    """Return element 8: the worst alarm not acknowledged, in ``rows`` parts of at most two rows."""
     if not standing:
         return None
     worst, more = standing[0], len(standing) - 1
@@ -28,17 +29,23 @@ def alarm_lines(
     )
     found = Content(f"{alarm.where}: {alarm.found}" if alarm.where else alarm.found)
     act = Content(f"do: {alarm.do[0]}" if alarm.do else alarm.means)
-    lines = [line.truncate(width, ellipsis=True) for line in (head, found, act)[:rows]]
-    return Content("\n").join(lines)
+    told = [head.truncate(width, ellipsis=True)]
+    told += [each.truncate(MOST_ROWS * width - SPARE, ellipsis=True) for each in (found, act)]
+    return Content("\n").join(told[:rows])
 
 
 def alarm_page(alarms: Sequence[Alarm], latch: Latch, glyphs: Glyphs) -> Content:
-    """Return every alarm of the run, newest first, with what it means and what to do."""
-    if not alarms:
+    """Return every alarm of the session, newest first, with what it means and what to do.
+
+    What still stands from before the run was resumed follows.
+    """
+    raised = {alarm.code for alarm in alarms}
+    standing = {each.alarm.code: each.alarm for each in latch.standing()}
+    earlier = [alarm for code, alarm in standing.items() if code not in raised]
+    if not alarms and not earlier:
         return Content("No alarm was raised in this run.")
-    standing = {each.alarm.code for each in latch.standing()}
     return Content("\n\n").join(
-        _one(alarm, glyphs, open_=alarm.code in standing) for alarm in reversed(alarms)
+        _one(alarm, glyphs, open_=alarm.code in standing) for alarm in (*reversed(alarms), *earlier)
     )
 
 

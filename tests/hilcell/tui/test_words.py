@@ -13,16 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from textual.content import Content
 
+from hilcell.alarms import Latch
 from hilcell.cell import load_cell
 from hilcell.run.journal import Record
 from hilcell.tui import words
+from hilcell.tui.alarm_words import alarm_lines, alarm_page
 from hilcell.tui.deviation import Deviation
 from hilcell.tui.digits import large
 from hilcell.tui.glyphs import ASCII, UNICODE, to_ascii
 from hilcell.tui.prompt_words import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, sight
 from hilcell.tui.scene import DeviceStatus, Scene
-from tests.hilcell.tui.scenes import PROMPT, fresh, stories
-from tests.hilcell.tui.stage import Listener
+from tests.hilcell.tui.scenes import BEGAN, PROMPT, fresh, stories
+from tests.hilcell.tui.stage import DEFAULT_KEYS, Listener
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 
@@ -329,6 +331,34 @@ def test_deviations_are_values() -> None:
     assert found.within
     assert not replace(found, limit_mm=4.9).within
     assert not replace(found, error_mm=(math.nan, 0.0, 0.0)).within
+
+
+def test_what_stands_from_before_a_resume_is_on_the_page_of_alarms() -> None:
+    latch = Latch()
+    faulted = Listener(Path("/runs/r"))
+    faulted.take(fresh("fault"), BEGAN)
+    (alarm,) = faulted.scene.alarms
+    latch.take([alarm])
+    page = alarm_page([], latch, UNICODE).plain
+    assert alarm.code in page
+    assert "not acknowledged" in page
+    latch.acknowledge()
+    assert alarm_page([], latch, UNICODE).plain == "No alarm was raised in this run."
+
+
+def test_a_long_advice_is_told_in_two_rows() -> None:
+    latch = Latch()
+    faulted = Listener(Path("/runs/r"))
+    faulted.take(fresh("fault"), BEGAN)
+    (alarm,) = faulted.scene.alarms
+    advice = "Look at every nest, measure the floor again, and start a new run where one has moved."
+    latch.take([replace(alarm, do=(advice,))])
+    lines = alarm_lines(latch.standing(), DEFAULT_KEYS, UNICODE, 80)
+    assert lines is not None
+    assert advice in lines.plain
+    head = alarm_lines(latch.standing(), DEFAULT_KEYS, UNICODE, 80, 1)
+    assert head is not None
+    assert len(head.plain.splitlines()) == 1
 
 
 def test_a_start_that_was_refused_has_lost_no_engine() -> None:
