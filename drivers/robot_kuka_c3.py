@@ -45,7 +45,7 @@ HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
     "$USER_SAF": ((True,), "the guard is open; close it and acknowledge the message"),
     "$MODE_OP": (
         ("#EX", "#AUT"),
-        "an unattended run needs automatic mode; turn the key to AUT or EXT",
+        "the program moves the robot by itself; turn the key to AUT or EXT",
     ),
     "$PERI_RDY": ((True,), "the drives have no power; switch them on"),
     "$STOPMESS": ((False,), "a stop message is pending; acknowledge it at the panel"),

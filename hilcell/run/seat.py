@@ -43,8 +43,8 @@ def beam_prompt(
     x, y, z = (round(float(value), 3) for value in near_mm)
     return Prompt(
         title=f"Clear the beam to {place}",
-        text=f"The tracker gives no good reading of {where(cell, place)}. Clear the line of "
-        f"sight, clean the reflector, see that it sits well. Last: {reason}",
+        text=f"No good reading of {where(cell, place)}: {reason}. Clear the line of sight, clean "
+        "the reflector, see that it sits well.",
         place=place,
         expected_mm=(x, y, z),
         limit_mm=limit_mm,
