@@ -273,8 +273,10 @@ class HilcellApp(App[int]):
         live = self.live
         has_run = scene is not None and scene.log.plan is not None
         match name:
-            case "stop" | "abort" | "detach":
+            case "stop" | "detach":
                 return live
+            case "abort":
+                return live and scene is not None and scene.alive
             case "pause":
                 return has_run and self._pause_command() != ""
             case "acknowledge":

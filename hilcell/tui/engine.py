@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from signal import SIGTERM
 from typing import Any
 
 import msgspec
@@ -17,6 +18,7 @@ from hilcell.errors import HilcellError
 WORDS = "engine.log"
 MOST_LINES = 7  # of them are shown
 UNTOLD = {  # exits that the journal may not tell of
+    -SIGTERM: "stopped before anything moved",
     2: "refused",
     5: "a defect of hilcell; please report it",
     6: "another run holds the cell",

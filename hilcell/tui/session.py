@@ -92,12 +92,16 @@ class Session:
     def stop(self) -> bool:
         """Send a stop at once, from whatever thread; return whether an engine was there to hear.
 
-        Where the line has just been lost, a new one is opened for it.
+        Where the line has just been lost, a new one is opened for it. An engine that is being
+        started hears nobody yet: its process is told, which ends it before anything moves.
         """
         link = self.feed.link
-        if link is not None and link.stop():
+        if (link is not None and link.stop()) or stop_engine(self.folder):
             return True
-        return stop_engine(self.folder)
+        if self.process is None or self.process.poll() is not None:
+            return False
+        self.process.terminate()
+        return True
 
     @property
     def has_engine(self) -> bool:

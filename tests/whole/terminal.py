@@ -83,6 +83,12 @@ class Terminal:
         self._stream.feed(read)
         return bool(read)
 
+    def pump_for(self, while_s: float) -> None:
+        """Take what comes for so long."""
+        end_s = time.monotonic() + while_s
+        while (left_s := end_s - time.monotonic()) > 0 and not self.ended:
+            self.pump(left_s)
+
     def until(self, seen: Callable[[str], bool], limit_s: float = 30.0) -> float:
         """Wait until the screen shows something; return how long that took, s."""
         began_s = time.monotonic()

@@ -14,6 +14,7 @@ import pytest
 
 from hilcell.run.control import live_engine, send_command
 from hilcell.run.journal import read_journal
+from hilcell.run.log import Log
 from hilcell.runs import JOURNAL, read_log, run_folders
 from tests.whole.bench import LIMIT_S, SMALL, sets, simulation, wait_gone
 from tests.whole.terminal import Terminal
@@ -53,6 +54,12 @@ def folder_of(runs: Path) -> Path:
     """Return the only run."""
     (folder,) = run_folders(runs)
     return folder
+
+
+def logs(runs: Path) -> list[Log]:
+    """Return the logs of the runs that have come as far as their first record."""
+    journals = [folder / JOURNAL for folder in run_folders(runs)]
+    return [Log(read_journal(journal)) for journal in journals if journal.is_file()]
 
 
 def judged(folder: Path) -> list[str]:
@@ -145,6 +152,35 @@ def test_esc_stops_from_wherever_one_is(tmp_path: Path, keys: str) -> None:
         wait_for(lambda: read_log(folder).end is not None, "the run ends")
         assert read_log(folder).states["run"] == "aborted"
         terminal.shows("ABORTED")
+
+
+@pytest.mark.parametrize("wait_s", [0.0, 0.2, 0.5, 0.8, 1.1])
+def test_esc_right_after_the_start_is_heard(tmp_path: Path, wait_s: float) -> None:
+    with screen(tmp_path) as terminal:
+        start(terminal, UNHURRIED + ENTER)
+        terminal.shows("CHECKING")
+        terminal.pump_for(wait_s)
+        terminal.press(ESC)
+        terminal.until(lambda text: "LIVE" not in text)
+        for log in logs(tmp_path):
+            assert log.states["run"] == "aborted" or not log.moved
+
+
+def test_esc_right_after_a_resume_is_heard(tmp_path: Path) -> None:
+    with screen(tmp_path) as terminal:
+        start(terminal, UNHURRIED + ENTER)
+        terminal.shows("■ RUNNING", LIMIT_S)
+        terminal.press(ESC)
+        terminal.shows("space resume", LIMIT_S)
+        (before,) = logs(tmp_path)
+        terminal.press(" ")
+        terminal.shows("Resume this run?")
+        terminal.press(ENTER)
+        terminal.shows("CHECKING")
+        terminal.press(ESC)
+        terminal.until(lambda text: "LIVE" not in text)
+        (after,) = logs(tmp_path)
+        assert list(after.points) == list(before.points)
 
 
 def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: Path) -> None:
