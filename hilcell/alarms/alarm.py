@@ -39,6 +39,7 @@ class Alarm:
     do: tuple[str, ...]
     t: str
     seq: int
+    anew: bool = False  # the run cannot go on: a new one is needed
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,7 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         tuple(step for step in steps if step),
         moment.t,
         moment.seq,
+        entry.then == "anew",
     )
 
 

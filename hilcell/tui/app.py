@@ -352,13 +352,9 @@ class HilcellApp(App[int]):
         if command == "pause":
             self.command("pause")
         elif command == "resume":
-            self.ask(
-                "Resume this run?",
-                "The devices are connected again; the tracker's control "
-                "points are proved before anything counts.",
-                "resume",
-                self.start_resume,
-            )
+            from hilcell.tui.words import prospect
+
+            self.ask("Resume this run?", prospect(self.scene), "resume", self.start_resume)
         else:
             self.ask(
                 "Go on?",

@@ -285,3 +285,13 @@ def tolerance_line(found: Deviation, glyphs: Glyphs, width: int) -> Content:
     tone = "$good" if found.within else "bold $bad"
     text = f"[{''.join(cells)}] {verdict} {found.limit_mm:.3f} mm  {found.key}"
     return Content.styled(text, tone).truncate(width, ellipsis=True)
+
+
+def prospect(scene: Scene | None) -> str:
+    """Return what a resumed run will meet."""
+    if scene is not None and any(alarm.anew for alarm in scene.alarms):
+        return "Its fault wants a new run: resumed, it will most likely fault again."
+    return (
+        "The devices are connected again; the tracker's control points are proved "
+        "before anything counts."
+    )

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.whole.bench import SMALL, Engine, children, events, hilcell, sets, wait_gone
+from tests.whole.bench import SMALL, Engine, children, events, hilcell, sets, simulation, wait_gone
 from tests.whole.trace import judge
 
 
@@ -128,3 +128,15 @@ def test_a_lost_terminal_pauses_an_attended_run(tmp_path: Path) -> None:
     engine.until(lambda event: state(event, "paused"))
     engine.process.send_signal(signal.SIGTERM)
     assert engine.rest()[-1]["exit"] == 4
+
+
+def test_an_axis_that_loses_its_zero_in_the_grid_ends_the_run(tmp_path: Path) -> None:
+    with simulation("--speed", "100", *sets(SMALL)) as cell:
+        words = sets({"simulation.address": cell.control})
+        engine = Engine("run", "--unattended", "--runs", tmp_path, *words, *sets(SMALL))
+        engine.until(lambda event: event["kind"] == "point" and event["group"] == "grid")
+        assert cell.ask(do="fault", name="robot.lost_zero", value=0.5, count=1)["ok"]
+        last = engine.rest()[-1]
+    assert last["exit"] == 3
+    assert "an axis lost its zero" in last["reason"]
+    assert judge(engine.events) == []
