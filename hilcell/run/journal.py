@@ -79,9 +79,10 @@ class Journal:
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute("PRAGMA synchronous=FULL")
             if create:
-                self._base.executescript(_TABLES)
+                self._base.executescript(f"BEGIN;{_TABLES}")  # all of it, or a file without tables
                 meta = (("schema", str(SCHEMA)), ("run", run))
                 self._base.executemany("INSERT INTO meta VALUES (?, ?)", meta)
+                self._base.execute("COMMIT")
         except sqlite3.Error as error:
             raise StorageError(f"journal {path}: cannot be opened: {error}") from error
         self._place = _place(path)
@@ -181,6 +182,8 @@ def _reader(path: Path) -> sqlite3.Connection:
 def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tuple[Record, bytes]]:
     """Yield records with their hashes, verified against the chain from ``after`` on."""
     try:
+        if not base.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+            return  # killed while it was made: nothing was recorded
         found = dict(base.execute("SELECT name, value FROM meta")).get("schema")
         if found != str(SCHEMA):
             raise StorageError(

@@ -130,6 +130,14 @@ while True:
 """
 
 
+def test_one_that_was_killed_while_it_was_made_is_empty(path: Path) -> None:
+    base = sqlite3.connect(path)
+    base.execute("PRAGMA journal_mode=WAL")
+    base.close()
+    assert path.stat().st_size
+    assert read_journal(path) == []
+
+
 @pytest.mark.parametrize("how", ["removed", "replaced", "moved"])
 def test_a_journal_taken_away_acknowledges_nothing_more(path: Path, how: str) -> None:
     journal = Journal(path, "r", create=True)
