@@ -50,15 +50,16 @@ def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
 
 def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
     """Refuse a robot that moves or is not at its safe pose."""
-    operation = RAIL_BLOCKED
     if not robot.still:
-        raise Blocked("Robot", operation, "the robot is moving", wanted="at rest at its safe pose")
+        raise Blocked(
+            "Robot", RAIL_BLOCKED, "the robot is moving", wanted="at rest at its safe pose"
+        )
     off_deg = np.abs(np.degrees(robot.joints_rad) - cell.robot.safe_deg)
     if not bool(np.all(off_deg <= SAFE_POSE_TOLERANCE_DEG)):
-        worst = int(np.nanargmax(off_deg)) if not np.all(np.isnan(off_deg)) else 0
+        worst = int(np.argmax(np.nan_to_num(off_deg, nan=np.inf)))
         raise Blocked(
             "Robot",
-            operation,
+            RAIL_BLOCKED,
             f"robot not at safe pose, A{worst + 1} {np.degrees(robot.joints_rad[worst]):.3f} deg",
             wanted=f"{cell.robot.safe_deg[worst]:.3f} +-{SAFE_POSE_TOLERANCE_DEG} deg",
             act="move the robot to its safe pose",
