@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
@@ -12,8 +12,42 @@ from textual.screen import ModalScreen
 
 from hilcell.tui.panel import Panel
 
+T = TypeVar("T")
+FRAME = 2  # rows of a dialog's border
 
-class Confirm(ModalScreen[str]):
+
+class Dialog(ModalScreen[T]):
+    """A question and, under it, what may be answered: that stays in sight where room is short."""
+
+    def compose(self) -> ComposeResult:
+        """Build the box."""
+        with Vertical(id="dialog"):
+            yield Panel("question")
+            yield Panel("answers")
+
+    def put(self, question: Content, answers: Content) -> None:
+        """Show both."""
+        self.query_one("#question", Panel).show(question)
+        self.query_one("#answers", Panel).show(answers)
+
+    def on_resize(self) -> None:
+        """Let the question yield to the answers."""
+        question, answers = self.query_one("#question"), self.query_one("#answers")
+        room = self.app.size.height - FRAME - answers.size.height
+        question.styles.max_height = max(room, 1)
+
+
+def answer_keys(yes: str, no: str) -> Content:
+    """Return the two keys of a dialog with what they do."""
+    return Content.assemble(
+        (" Enter ", "bold $on-quiet on $quiet"),
+        f" {yes}   ",
+        (" q ", "bold $on-quiet on $quiet"),
+        f" {no}",
+    )
+
+
+class Confirm(Dialog[str]):
     """Returns the key that was pressed: ``yes``, ``no``, or one of the others offered."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -25,25 +59,10 @@ class Confirm(ModalScreen[str]):
         super().__init__()
         self._title, self._text, self._yes, self._no = title, text, yes, no
 
-    def compose(self) -> ComposeResult:
-        """Build the dialog."""
-        with Vertical(id="dialog"):
-            yield Panel("question")
-
     def on_mount(self) -> None:
         """Show the question."""
-        self.query_one("#question", Panel).show(
-            Content.assemble(
-                (self._title, "bold $warn"),
-                "\n",
-                self._text,
-                "\n\n",
-                (" Enter ", "bold $on-quiet on $quiet"),
-                f" {self._yes}   ",
-                (" q ", "bold $on-quiet on $quiet"),
-                f" {self._no}",
-            )
-        )
+        question = Content.assemble((self._title, "bold $warn"), "\n", self._text, "\n")
+        self.put(question, answer_keys(self._yes, self._no))
 
     def action_reply(self, word: str) -> None:
         """Close with the answer."""

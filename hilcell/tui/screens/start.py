@@ -7,9 +7,8 @@ from typing import Any, ClassVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal, Vertical
+from textual.containers import Horizontal
 from textual.content import Content
-from textual.screen import ModalScreen
 from textual.widgets import Input, Label
 
 from hilcell.errors import HilcellError
@@ -20,6 +19,7 @@ from hilcell.tui.panel import Panel
 from hilcell.tui.rows import Column, Row, Rows
 from hilcell.tui.scene import Scene
 from hilcell.tui.screens.base import SceneScreen
+from hilcell.tui.screens.confirm import Dialog, answer_keys
 from hilcell.tui.words import NOT_E_STOP, duration
 
 FIELDS = (
@@ -145,7 +145,7 @@ class StartScreen(SceneScreen):
         self.cell.background(self.cell.watch_engine(process, runs / run))
 
 
-class PlanSummary(ModalScreen[bool]):
+class PlanSummary(Dialog[bool]):
     """What will be done and how long it takes; Enter starts, q goes back."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -157,14 +157,9 @@ class PlanSummary(ModalScreen[bool]):
         super().__init__()
         self._order, self._plan = order, plan
 
-    def compose(self) -> ComposeResult:
-        """Build the dialog."""
-        with Vertical(id="dialog"):
-            yield Panel("question")
-
     def on_mount(self) -> None:
         """Show the plan."""
-        self.query_one("#question", Panel).show(plan_lines(self._order, self._plan))
+        self.put(plan_lines(self._order, self._plan), warning(self._plan))
 
     def action_reply(self, yes: bool) -> None:
         """Close with the answer."""
@@ -178,21 +173,25 @@ def plan_lines(order: engine.Order, plan: dict[str, Any]) -> Content:
         for step in plan["steps"]
     ]
     rows.append(f"{'all':<26}{plan['points']:>7}  {duration(plan['duration_s']):>9}")
-    simulated = bool(plan.get("simulated"))
     who = "somebody is here to be asked" if order.attended else "unattended: a question is a fault"
     return Content.assemble(
         (f"{plan['procedure']} on cell {plan['cell']}", "bold $warn"),
         f"   job {order.job or '-'}, operator {order.operator or '-'}\n",
         (f"{'step':<26}{'points':>7}  {'cell time':>9}\n", "$dim"),
         "\n".join(rows),
-        f"\n\n{who}.\nThe robot and the rail will move",
+        f"\n\n{who}.",
+    )
+
+
+def warning(plan: dict[str, Any]) -> Content:
+    """Return what will happen, and the keys."""
+    simulated = bool(plan.get("simulated"))
+    return Content.assemble(
+        "The robot and the rail will move",
         (", in simulation only: ", "bold") if simulated else "",
         (" SIMULATION ", "bold $on-sim on $sim") if simulated else "",
         ".\n",
-        (" Enter ", "bold $on-quiet on $quiet"),
-        " start   ",
-        (" q ", "bold $on-quiet on $quiet"),
-        " back",
+        answer_keys("start", "back"),
     )
 
 

@@ -9,14 +9,15 @@ from textual.command import CommandPalette
 from textual.pilot import Pilot
 from textual.widgets import Input
 
+from hilcell.tui.engine import Order
 from hilcell.tui.keys import load_keys
 from hilcell.tui.rows import Rows
 from hilcell.tui.screens.pages import InterlockPage
 from hilcell.tui.screens.run import RunScreen
-from hilcell.tui.screens.start import StartScreen
+from hilcell.tui.screens.start import PlanSummary, StartScreen
 from tests.hilcell.tui.playing import PAGES, footer, play
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
-from tests.hilcell.tui.walk import outside
+from tests.hilcell.tui.walk import PLAN, outside
 
 __all__ = ["outside"]
 
@@ -175,6 +176,23 @@ def test_the_next_theme_comes_with_a_key() -> None:
         assert app.theme == "calm"
 
     play(act, "running")
+
+
+@pytest.mark.parametrize("size", [(80, 24), (40, 12), (24, 6)])
+@pytest.mark.parametrize("which", ["abort", "plan"])
+def test_a_question_yields_to_its_answers(size: tuple[int, int], which: str) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        if which == "abort":
+            await press(pilot, "a")
+        else:
+            app.push_screen(PlanSummary(Order("paper", "calibrate"), PLAN))
+        await settle(pilot)
+        assert "Enter" in text_of(app)
+        await pilot.resize_terminal(24, 6)
+        await settle(pilot)
+        assert "Enter" in text_of(app)
+
+    play(act, "running", size=size)
 
 
 # -- other keys ------------------------------------------------------------------------------------
