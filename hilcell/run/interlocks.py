@@ -162,7 +162,9 @@ def _check_known(
         raise Blocked(device, operation, f"the {device.lower()} is moving", wanted="at rest")
     if reading is None:
         raise Blocked(device, operation, f"the {device.lower()} was not read yet")
-    check_age(device, operation, reading.taken_s, now_s, OVERVIEW_AGE_S)
+    age_s = now_s - reading.taken_s
+    if not -0.001 <= age_s <= OVERVIEW_AGE_S:  # it is read anew before anything moves
+        raise Blocked(device, operation, f"the {device.lower()} was last read {age_s:.0f} s ago")
 
 
 def _reason(check: Callable[[], None]) -> str:
