@@ -93,12 +93,13 @@ class Session:
         """Send a stop at once, from whatever thread; return whether an engine was there to hear.
 
         Where the line has just been lost, a new one is opened for it. An engine that is being
-        started hears nobody yet: its process is told, which ends it before anything moves.
+        started hears nobody yet: its process is told, which ends it before anything moves; never
+        later, for an engine that has finished still writes its results.
         """
         link = self.feed.link
         if (link is not None and link.stop()) or stop_engine(self.folder):
             return True
-        if self.process is None or self.process.poll() is not None:
+        if self.process is None or not self.scene.starting or self.process.poll() is not None:
             return False
         self.process.terminate()
         return True

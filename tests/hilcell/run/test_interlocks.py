@@ -116,6 +116,7 @@ def test_the_overview_opens_on_good_readings() -> None:
 
 REST = "the robot is moving, wanted at rest"
 AWAY = "robot not at safe pose, A2 -99.800 deg, wanted -100.000 +-0.1 deg"
+OLD = "the {} was last read 6 s ago"
 NOT_HELD = "station S1100 not held: strip 1100.05 mm, wanted 1100.00 +-0.02 mm"
 
 
@@ -147,7 +148,7 @@ NOT_HELD = "station S1100 not held: strip 1100.05 mm, wanted 1100.00 +-0.02 mm"
         ({"rail": rail(strip_mm=1100.05)}, "", NOT_HELD, NOT_HELD),
         ({"rail": rail(strip_mm=1100.05), "station": None}, "", "", ""),
         ({"rail": rail(taken_s=math.nan)}, "", *["the rail was last read nan s ago"] * 2),
-        ({"rail": rail(taken_s=4.1)}, "", *["the rail was last read 6 s ago"] * 2),
+        ({"rail": rail(taken_s=4.1)}, "", *[OLD.format("rail")] * 2),
         ({"rail": None}, "", *["the rail was not read yet"] * 2),
     ],
 )

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -18,7 +18,7 @@ from hilcell.errors import HilcellError
 from hilcell.tui import link as links
 from hilcell.tui.feed import Feed, Fresh
 from hilcell.tui.link import Link, LinkLostError
-from hilcell.tui.session import Session
+from hilcell.tui.session import Session, utc_now
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
 
@@ -409,3 +409,34 @@ def test_a_detach_over_a_silent_engine_is_not_long(tmp_path: Path) -> None:
         began_s = time.monotonic()
         screen.close(leave=True)
         assert time.monotonic() - began_s < 2.0
+
+
+# -- an engine that is being started ---------------------------------------------------------------
+
+
+@contextmanager
+def child() -> Iterator[subprocess.Popen[bytes]]:
+    """Give a process that does nothing, until the block is left."""
+    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_stop_ends_an_engine_that_hears_nobody_yet(tmp_path: Path) -> None:
+    with child() as process:
+        session = Session(tmp_path, lambda _: None, PERIOD_S, process)
+        assert session.stop()
+        assert process.wait(LIMIT_S) == -signal.SIGTERM
+        assert not session.stop()
+
+
+def test_an_engine_that_was_heard_once_is_never_killed(tmp_path: Path) -> None:
+    with child() as process:
+        session = Session(tmp_path, lambda _: None, PERIOD_S, process)
+        session.take(Fresh([], alive=True), utc_now())
+        session.take(Fresh([], alive=False), utc_now())
+        assert not session.stop()
+        assert process.poll() is None
