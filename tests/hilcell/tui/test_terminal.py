@@ -150,14 +150,19 @@ def test_every_esc_reaches_the_engine_wherever_it_is_pressed(tmp_path: Path) -> 
         assert set(peer.commands) == {"attend", "stop"}
 
 
+def look_at_another(terminal: Terminal) -> None:
+    """Open the run before the live one."""
+    terminal.press("h")
+    terminal.shows("2 of 2 runs")
+    terminal.press(f"\x1b[B{ENTER}")
+    terminal.shows("Esc still stops it")
+    terminal.press(ENTER)
+
+
 def test_esc_stops_the_live_run_from_which_one_looked_at_another(tmp_path: Path) -> None:
     write(tmp_path / "20260303-080000-calibrate-cd34", stories()["done"].records)
     with live(tmp_path / NAME, "running") as (terminal, peer):
-        terminal.press("h")
-        terminal.shows("2 of 2 runs")
-        terminal.press(f"\x1b[B{ENTER}")
-        terminal.shows("Esc still stops it")
-        terminal.press(ENTER)
+        look_at_another(terminal)
         terminal.shows("HISTORIC")
         terminal.shows("another run is LIVE; Esc stops it")
         stops = peer.commands.count("stop") + 2
@@ -170,11 +175,7 @@ def test_esc_stops_the_live_run_from_which_one_looked_at_another(tmp_path: Path)
 def test_nothing_is_said_of_a_run_behind_whose_engine_has_ended(tmp_path: Path) -> None:
     write(tmp_path / "20260303-080000-calibrate-cd34", stories()["done"].records)
     with live(tmp_path / NAME, "running") as (terminal, _):
-        terminal.press("h")
-        terminal.shows("2 of 2 runs")
-        terminal.press(f"\x1b[B{ENTER}")
-        terminal.shows("Esc still stops it")
-        terminal.press(ENTER)
+        look_at_another(terminal)
         terminal.shows("another run is LIVE")
         (tmp_path / NAME / "engine.json").unlink()
         terminal.shows("software stop; not the E-stop")
