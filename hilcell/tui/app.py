@@ -192,9 +192,8 @@ class HilcellApp(App[int]):
 
     def _look_at(self, folder: Path) -> None:
         """Show another run while the one shown goes on behind it."""
-        session = self.session
+        self.behind = self.session if self.live else None
         self.attach(folder)
-        self.behind = session if session is not None and session.scene.live else None
 
     def let_go(self, *, leave: bool) -> None:
         """Detach from the run; ``leave`` says that it was meant."""
@@ -228,7 +227,7 @@ class HilcellApp(App[int]):
             self.session.tick(utc_now())
             self._show()
         if self._collector is not None:
-            at_rest = self.scene is None or self.scene.at_rest
+            at_rest = self.behind is None and (self.scene is None or self.scene.at_rest)
             self._collector.tick(at_rest=at_rest, now_s=time.monotonic())
 
     def on_unmount(self) -> None:
