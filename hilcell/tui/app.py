@@ -272,7 +272,9 @@ class HilcellApp(App[int]):
         live = self.live
         has_run = scene is not None and scene.log.plan is not None
         match name:
-            case "stop" | "detach":
+            case "stop":
+                return live or self.behind is not None
+            case "detach":
                 return live
             case "abort":
                 return live and scene is not None and scene.alive
