@@ -11,8 +11,8 @@ import os
 import re
 import subprocess
 import time
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
 import pytest
@@ -22,11 +22,20 @@ from hilcell.tui.app import HilcellApp
 from hilcell.tui.desk import Options
 from hilcell.tui.glyphs import UNICODE
 from hilcell.tui.keys import load_keys
-from tests.whole.bench import HILCELL, LIMIT_S, SMALL, hilcell, sets
+from tests.whole.bench import HILCELL, LIMIT_S, SMALL, hilcell, sets, simulation
 
 ROOT = Path(__file__).parents[2]
 WANTED = os.environ.get("HILCELL_PICTURES", "")
-PICTURES = ("screen-running", "screen-plan", "screen-done", "screen-plots", "screen-wide")
+PICTURES = (
+    "screen-running",
+    "screen-plan",
+    "screen-fault",
+    "screen-prompt",
+    "screen-done",
+    "screen-plots",
+    "screen-wide",
+)
+BY_HAND = ("--set", "layout.reflectors=by_hand")
 WORDS = ["--operator", "Ann", "--job", "J-7", *([] if WANTED else sets(SMALL))]
 
 
@@ -72,24 +81,72 @@ def app_of(pilot: Pilot[int]) -> HilcellApp:
     return pilot.app
 
 
+@contextmanager
+def engine(runs: Path, *words: str) -> Iterator[None]:
+    """Have a run under way."""
+    order = [*HILCELL, "run", *words, "--runs", str(runs)]
+    process = subprocess.Popen(order, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        while not list(runs.glob("*/engine.json")):
+            assert process.poll() is None
+        yield
+    finally:
+        process.terminate()
+        process.wait(LIMIT_S)
+
+
 @pytest.mark.timeout(180)
 def test_a_live_run(tmp_path: Path) -> None:
     asyncio.run(a_live_run(tmp_path))
 
 
 async def a_live_run(tmp_path: Path) -> None:
-    words = [*HILCELL, "run", "--speed", "60", "--runs", str(tmp_path), *WORDS]
-    engine = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        while not list(tmp_path.glob("*/engine.json")):
-            assert engine.poll() is None
+    with engine(tmp_path, "--speed", "60", *WORDS):
         async with screen(tmp_path, "last", (80, 24)) as pilot:
             await until(pilot, r"/10 robot-grid: ([5-9]|\d\d)/")
             assert "■ RUNNING" in shown(app_of(pilot))
             keep(app_of(pilot), "screen-running")
-    finally:
-        engine.terminate()
-        engine.wait(LIMIT_S)
+
+
+@pytest.mark.timeout(180)
+def test_a_fault(tmp_path: Path) -> None:
+    asyncio.run(a_fault(tmp_path))
+
+
+async def a_fault(tmp_path: Path) -> None:
+    with (
+        simulation("--speed", "60", *WORDS[4:]) as cell,
+        engine(tmp_path, "--set", f"simulation.address={cell.control}", *WORDS),
+    ):
+        async with screen(tmp_path, "last", (80, 24)) as pilot:
+            await until(pilot, r"/10 robot-grid: ([2-9]|\d\d)/")
+            assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
+            await until(pilot, "space resume")
+            assert "HC-B10" in shown(app_of(pilot))
+            keep(app_of(pilot), "screen-fault")
+
+
+@pytest.mark.timeout(180)
+def test_a_prompt(tmp_path: Path) -> None:
+    asyncio.run(a_prompt(tmp_path))
+
+
+async def a_prompt(tmp_path: Path) -> None:
+    with (
+        simulation("--speed", "60", *BY_HAND) as cell,
+        engine(
+            tmp_path,
+            "world-frame",
+            *("--set", f"simulation.address={cell.control}"),
+            *BY_HAND,
+            *WORDS,
+        ),
+    ):
+        async with screen(tmp_path, "last", (80, 24)) as pilot:
+            await until(pilot, "Enter waits")
+            assert cell.ask(do="seat", place="F1")["ok"]
+            await until(pilot, "press Enter")
+            keep(app_of(pilot), "screen-prompt")
 
 
 @pytest.mark.timeout(180)
