@@ -80,6 +80,7 @@ class HilcellApp(App[int]):
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
         self.session: Session | None = None
         self.behind: Session | None = None  # of a live run that was left to look at another one
+        self.detached = ""  # the run that goes on without this screen
         self.refused: HilcellError | None = None  # why nothing could be opened
         self._collector: Collector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
@@ -468,6 +469,7 @@ class HilcellApp(App[int]):
 
     def do_detach(self) -> None:
         """Leave the screen; the run goes on."""
+        self.detached = self.session.folder.name if self.session is not None else ""
         self.let_go(leave=True)
         self.exit(0)
 

@@ -41,6 +41,7 @@ class Session:
         self.process = process  # the engine, where this screen has started it
         self.trouble = ""
         self._go_on = go_on
+        self._ended = False  # the engine was ended by its process
         self._was_alive, self._present = False, process is not None
         self._foreign = ""  # why the journal cannot be understood
         self._forecast = Forecast()
@@ -97,11 +98,12 @@ class Session:
         later, for an engine that has finished still writes its results.
         """
         link = self.feed.link
-        if (link is not None and link.stop()) or stop_engine(self.folder):
+        if self._ended or (link is not None and link.stop()) or stop_engine(self.folder):
             return True
         if self.process is None or not self.scene.starting or self.process.poll() is not None:
             return False
         self.process.terminate()
+        self._ended = True
         return True
 
     @property

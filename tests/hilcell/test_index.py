@@ -309,7 +309,7 @@ def test_an_index_that_another_holds(
 
 
 READ = """
-import json, os, sys
+import json, os, sys, urllib.parse  # what the library loads late, nobody may read later
 from pathlib import Path
 from hilcell.index import read_index
 from hilcell.run import control

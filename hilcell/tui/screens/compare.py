@@ -8,6 +8,7 @@ import msgspec
 from textual.app import ComposeResult
 from textual.content import Content
 
+from hilcell.errors import HilcellError
 from hilcell.tui import engine
 from hilcell.tui.panel import Panel
 from hilcell.tui.rows import Column, Row, Rows
@@ -48,7 +49,13 @@ class ComparePage(Page):
     async def _compare(self) -> None:
         runs = str(self.cell.options.runs)
         words = ("compare", self._first, self._second, "--runs", runs, "--json")
-        found = msgspec.json.decode(await engine.ask_hilcell(*words), type=dict[str, Any])
+        try:
+            found = msgspec.json.decode(await engine.ask_hilcell(*words), type=dict[str, Any])
+        except HilcellError:
+            if self.here:
+                self.query_one(Rows).empty = "nothing to compare"
+                self.query_one(Rows).refresh()
+            raise
         if self.here:
             self.panel("told").show(told(found))
             self.query_one(Rows).put([change_row(each) for each in found["changes"]])

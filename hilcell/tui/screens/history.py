@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hilcell.index import RunRow
 
 TO_COMPARE = 2
+AGAIN_S = 3.0
 
 
 class HistoryPage(Finding, Page):
@@ -50,6 +51,7 @@ class HistoryPage(Finding, Page):
         """Read the index off the thread that takes keys."""
         super().on_mount()
         self.cell.background(self._read())
+        self.set_interval(AGAIN_S, lambda: self.cell.background(self._read()))  # runs begin and end
 
     def on_resize(self) -> None:
         """Show as many columns as fit."""

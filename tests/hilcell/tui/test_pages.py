@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ from hilcell.tui.keys import load_keys
 from hilcell.tui.rows import Rows
 from hilcell.tui.screens.pages import InterlockPage
 from hilcell.tui.screens.run import RunScreen
-from hilcell.tui.screens.start import PlanSummary, StartScreen
+from hilcell.tui.screens.start import HELD_S, PlanSummary, StartScreen
 from tests.hilcell.tui.playing import PAGES, footer, play
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import PLAN, outside
@@ -178,6 +180,20 @@ def test_the_next_theme_comes_with_a_key() -> None:
     play(act, "running")
 
 
+def test_an_enter_held_down_on_the_form_starts_nothing() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        app.push_screen(PlanSummary(Order("paper", "calibrate"), PLAN, time.monotonic()))
+        await settle(pilot)
+        type_ahead(app, *["enter"] * 20)
+        await settle(pilot)
+        assert isinstance(app.screen, PlanSummary)
+        await asyncio.sleep(1.5 * HELD_S)
+        await press(pilot, "enter")
+        assert not isinstance(app.screen, PlanSummary)
+
+    play(act, "done")
+
+
 @pytest.mark.parametrize("size", [(80, 24), (40, 12), (24, 6)])
 @pytest.mark.parametrize("which", ["abort", "plan"])
 def test_a_question_yields_to_its_answers(size: tuple[int, int], which: str) -> None:
@@ -185,7 +201,7 @@ def test_a_question_yields_to_its_answers(size: tuple[int, int], which: str) -> 
         if which == "abort":
             await press(pilot, "a")
         else:
-            app.push_screen(PlanSummary(Order("paper", "calibrate"), PLAN))
+            app.push_screen(PlanSummary(Order("paper", "calibrate"), PLAN, 0.0))
         await settle(pilot)
         assert "Enter" in text_of(app)
         await pilot.resize_terminal(24, 6)
