@@ -216,7 +216,7 @@ class HilcellApp(App[int]):
             self._close_questions()  # they were about a run that goes on
         self._show()
         if self.session.trouble:
-            self.say(self.session.trouble)
+            self.say(self.session.trouble, over=False)
 
     def _tick(self) -> None:
         from hilcell.tui.session import utc_now
@@ -241,11 +241,11 @@ class HilcellApp(App[int]):
         if isinstance(top, SceneScreen):
             top.show_again()
 
-    def say(self, text: str, *, for_now: bool = False) -> None:
-        """Say something on the line above the keys, until a key, or only while it is so."""
+    def say(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
+        """Say something on the line above the keys, as `SceneScreen.notice` does."""
         for screen in reversed(self.screen_stack):
             if isinstance(screen, SceneScreen):
-                screen.notice(text, for_now=for_now)
+                screen.notice(text, for_now=for_now, over=over)
                 return
 
     def background(self, work: Coroutine[Any, Any, None]) -> None:

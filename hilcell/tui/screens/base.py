@@ -29,6 +29,7 @@ class SceneScreen(Screen[None]):
     def __init__(self) -> None:
         super().__init__()
         self.stands = asyncio.Event()  # set once every part is built
+        self._said = ""
         self._said_at: object = None  # the moment that a notice is about
 
     @property
@@ -80,13 +81,15 @@ class SceneScreen(Screen[None]):
             lines = words.banner(scene, self.cell.glyphs, self.wide, behind=behind)
             self.panel("banner").show(lines)
 
-    def notice(self, text: str, *, for_now: bool = False) -> None:
+    def notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
         """Say something on the line above the keys, until the next key.
 
-        ``for_now``: only while the run's state and its prompt stay as they are.
+        ``for_now``: only while the run's state and its prompt stay as they are. ``over``: also
+        where something else is being said.
         """
-        if not self.here:
+        if not self.here or (self._said and not over):
             return
+        self._said = text
         self._said_at = _moment(self.cell.scene) if for_now else None
         panel = self.panel("notice")
         panel.display = bool(text)

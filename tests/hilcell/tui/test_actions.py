@@ -147,6 +147,21 @@ def test_pages_turned_in_a_circle_are_not_piled_up() -> None:
     play(act, "running")
 
 
+def test_a_trouble_that_lasts_leaves_other_words_their_time() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        trouble = Fresh([], trouble="the journal is gone")
+        app.say("the engine ended, exit 7")
+        app.post_message(Delivered(app.heard, trouble))
+        await settle(pilot)
+        assert "exit 7" in text_of(app)
+        await press(pilot, "w")
+        app.post_message(Delivered(app.heard, trouble))
+        await settle(pilot)
+        assert "the journal is gone" in text_of(app)
+
+    play(act, "gone")
+
+
 @pytest.mark.parametrize("key", ["a", "ctrl+q", "r"])
 def test_a_question_about_a_run_ends_with_it(key: str) -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
