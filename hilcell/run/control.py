@@ -22,6 +22,7 @@ import msgspec
 
 from hilcell.ports import HilcellError
 
+ENGINE = "engine.json"  # in the run's folder, while its engine lives
 ANSWER_S = 5.0
 LONGEST = 4096
 LONGEST_ANSWER = 1 << 16
@@ -62,7 +63,7 @@ class Control:
     """Listens for commands and hands them to the engine."""
 
     def __init__(self, folder: Path, engine: Engine) -> None:
-        self._file = folder / "engine.json"
+        self._file = folder / ENGINE
         self._private = Path(tempfile.mkdtemp(prefix="hilcell-"))
         path = self._private / "control"
         self._server = _Server(str(path), engine)
@@ -191,7 +192,7 @@ def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
 def live_engine(folder: Path) -> EngineFile | None:
     """Return where the engine of a run listens, or None where none lives."""
     try:
-        engine = msgspec.json.decode((folder / "engine.json").read_bytes(), type=EngineFile)
+        engine = msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
     except (OSError, msgspec.DecodeError):
         return None
     with socket.socket(socket.AF_UNIX) as link:

@@ -15,9 +15,8 @@ from typing import Any, Self
 import msgspec
 
 from hilcell.errors import HilcellError
-from hilcell.run.control import EngineFile
+from hilcell.run.control import ENGINE, EngineFile
 
-ENGINE = "engine.json"  # in the run's folder, while its engine lives
 ANSWER_S = 2.0
 LONGEST = 1 << 16
 _STOP = msgspec.json.encode({"command": "stop"}) + b"\n"

@@ -13,9 +13,10 @@ import msgspec
 from hilcell.alarms import Latch, alarms_of
 from hilcell.alarms.alarm import GO_ON
 from hilcell.errors import HilcellError
+from hilcell.run.control import ENGINE
 from hilcell.run.forecast import Forecast
 from hilcell.tui.feed import Feed, Fresh
-from hilcell.tui.link import ENGINE, Link, stop_engine
+from hilcell.tui.link import Link, stop_engine
 from hilcell.tui.scene import Scene
 
 if TYPE_CHECKING:
@@ -41,7 +42,6 @@ class Session:
         self.process = process  # the engine, where this screen has started it
         self.trouble = ""
         self._go_on = go_on
-        self._ended = False  # the engine was ended by its process
         self._was_alive, self._present = False, process is not None
         self._foreign = ""  # why the journal cannot be understood
         self._forecast = Forecast()
@@ -98,12 +98,11 @@ class Session:
         later, for an engine that has finished still writes its results.
         """
         link = self.feed.link
-        if self._ended or (link is not None and link.stop()) or stop_engine(self.folder):
+        if (link is not None and link.stop()) or stop_engine(self.folder):
             return True
-        if self.process is None or not self.scene.starting or self.process.poll() is not None:
+        if self.process is None or not self.scene.starting:
             return False
-        self.process.terminate()
-        self._ended = True
+        self.process.terminate()  # does nothing where it has ended
         return True
 
     @property

@@ -41,6 +41,7 @@ class HistoryPage(Finding, Page):
         super().__init__()
         self._runs: list[RunRow] = []
         self._marked: list[str] = []
+        self._reading = False
 
     def body(self) -> ComposeResult:
         """Build filter and rows."""
@@ -50,8 +51,8 @@ class HistoryPage(Finding, Page):
     def on_mount(self) -> None:
         """Read the index off the thread that takes keys."""
         super().on_mount()
-        self.cell.background(self._read())
-        self.set_interval(AGAIN_S, lambda: self.cell.background(self._read()))  # runs begin and end
+        self._begin()
+        self.set_interval(AGAIN_S, self._begin)  # runs begin and end
 
     def on_resize(self) -> None:
         """Show as many columns as fit."""
@@ -59,10 +60,19 @@ class HistoryPage(Finding, Page):
         if self.here:
             self.filter_rows()
 
+    def _begin(self) -> None:
+        """Read, once at a time: the first index of many runs takes a while."""
+        if not self._reading:
+            self._reading = True
+            self.cell.background(self._read())
+
     async def _read(self) -> None:
         from hilcell.index import read_index
 
-        self._runs = await aside(read_index, self.cell.options.runs)
+        try:
+            self._runs = await aside(read_index, self.cell.options.runs)
+        finally:
+            self._reading = False
         if self.here:
             self.query_one(Rows).empty = "no such run"
             self.filter_rows()

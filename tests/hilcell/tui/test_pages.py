@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from pathlib import Path
 
@@ -11,9 +12,11 @@ from textual.command import CommandPalette
 from textual.pilot import Pilot
 from textual.widgets import Input
 
+from hilcell import index
 from hilcell.tui.engine import Order
 from hilcell.tui.keys import load_keys
 from hilcell.tui.rows import Rows
+from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import InterlockPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import HELD_S, PlanSummary, StartScreen
@@ -234,3 +237,24 @@ def test_keys_from_a_file_act_in_place_of_the_usual_ones(tmp_path: Path) -> None
         assert "f8 g" in text_of(app)
 
     play(act, "running", keymap=load_keys(file))
+
+
+def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    reads, go_on = [], threading.Event()
+
+    def slow(runs: Path) -> list[index.RunRow]:
+        reads.append(runs)
+        go_on.wait(10.0)
+        return []
+
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        monkeypatch.setattr(index, "read_index", slow)
+        page = HistoryPage()
+        await app.push_screen(page)
+        for _ in range(3):
+            page._begin()
+            await pilot.pause()
+        assert len(reads) == 1
+        go_on.set()
+
+    play(act, "done")
