@@ -240,10 +240,12 @@ def test_keys_from_a_file_act_in_place_of_the_usual_ones(tmp_path: Path) -> None
 
 
 def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    reads, go_on = [], threading.Event()
+    reads: list[Path] = []
+    reading, go_on = threading.Event(), threading.Event()
 
     def slow(runs: Path) -> list[index.RunRow]:
         reads.append(runs)
+        reading.set()
         go_on.wait(10.0)
         return []
 
@@ -251,10 +253,11 @@ def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.Mon
         monkeypatch.setattr(index, "read_index", slow)
         page = HistoryPage()
         await app.push_screen(page)
+        assert await asyncio.to_thread(reading.wait, 10.0)
         for _ in range(3):
             page._begin()
-            await pilot.pause()
-        assert len(reads) == 1
         go_on.set()
+        await settle(pilot)
+        assert len(reads) == 1
 
     play(act, "done")
