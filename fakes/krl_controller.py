@@ -158,13 +158,12 @@ class KrlController:
             return self._stale[which]
         if joints_rad is not self._texts_of:  # at rest it is the same array each time
             self._texts_of, self._texts = joints_rad, self._position_texts(joints_rad)
-        text = self._texts[which]
+        text = self._stale[which] = self._texts[which]
         bad = self._faults.take("robot.bad_number")
         if bad is not None:
             kind, members = text.split(": ", 1)
             first, rest = members.split(",", 1)
-            text = f"{kind}: {first.split()[0]} {bad},{rest}"
-        self._stale[which] = text
+            return f"{kind}: {first.split()[0]} {bad},{rest}"
         return text
 
     def _position_texts(self, joints_rad: Array) -> dict[str, str]:

@@ -207,6 +207,8 @@ def test_position_faults(robot: Robot) -> None:
     robot.faults.clear()
     robot.faults.set("robot.bad_number", "NaN")
     assert robot.client.read("$AXIS_ACT").startswith("{E6AXIS: A1 NaN, A2")
+    robot.faults.set("robot.stale_position")
+    assert numbers(robot.client.read("$AXIS_ACT"))[0] == pytest.approx(NEAR[0])
     robot.faults.set("robot.wrong_tool", 7)
     assert [robot.client.read("$ACT_TOOL") for _ in range(2)] == ["7", "1"]
     robot.faults.set("robot.wrong_identity", "#KR6")
