@@ -23,6 +23,7 @@ from textual.widgets import Input
 from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
+from hilcell.tui.allowed import OF_THE_POINTS, allowed, pause_command
 from hilcell.tui.aside import aside
 from hilcell.tui.bars import WholeBar
 from hilcell.tui.choice import Choice
@@ -268,39 +269,11 @@ class HilcellApp(App[int]):
     # -- keys ---------------------------------------------------------------------------------
 
     def allowed(self, name: str) -> bool:
-        """Whether an action does something now, by the state machine and the screen."""
-        scene = self.scene
-        live = self.live
-        has_run = scene is not None and scene.log.plan is not None
-        match name:
-            case "stop":
-                return live or self.behind is not None
-            case "detach":
-                return live
-            case "abort":
-                return live and scene is not None and scene.alive
-            case "pause":
-                return has_run and self._pause_command() != ""
-            case "acknowledge":
-                return has_run and bool(self.latch.standing())
-            case "new":
-                return not live
-            case "bad" | "sort" | "find" | "retake":
-                return has_run and hasattr(self.screen, f"do_{name}")
-            case "alarms" | "plots" | "interlocks" | "log" | "report":
-                return has_run
-        return True
-
-    def _pause_command(self) -> str:
-        """Return what the space bar does: pause, proceed, answer, resume, or nothing."""
-        scene = self.scene
-        if scene is None:
-            return ""
-        if not scene.live:
-            return "" if scene.key in ("done", "intolerant", "idle") else "resume"
-        if scene.allows("pause") and scene.key != "pausing":
-            return "pause"
-        return "proceed" if scene.allows("proceed") or scene.key == "pausing" else ""
+        """Whether an action does something now, on the screen that is on top."""
+        if name in OF_THE_POINTS and not hasattr(self.screen, f"do_{name}"):
+            return False
+        standing = self.session is not None and bool(self.latch.standing())
+        return allowed(name, self.scene, behind=self.behind is not None, standing=standing)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Leave letters to a text box or a question, and the space bar to a choice."""
@@ -350,7 +323,7 @@ class HilcellApp(App[int]):
 
     def do_pause(self) -> None:
         """Pause, go on, or resume: whichever the state allows."""
-        command = self._pause_command()
+        command = pause_command(self.scene)
         if command == "pause":
             self.command("pause")
         elif command == "resume":

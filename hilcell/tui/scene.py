@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import datetime
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -67,14 +68,21 @@ class Status(msgspec.Struct, frozen=True):
     retakes: list[str] = []
 
 
+class Engine(Enum):
+    """What is known of the process at work on a run: an engine once heard never starts again."""
+
+    NONE = "none"
+    STARTING = "starting"  # this screen has started it; it has not said anything yet
+    HEARD = "heard"
+
+
 @dataclass(slots=True)
 class Scene:
     """All that is shown. Fed by `take` and `hear`; read by the pure functions of this package."""
 
     run: str
     log: Log = field(default_factory=Log)
-    alive: bool = False
-    starting: bool = False  # an engine was started and has not said anything yet
+    engine: Engine = Engine.NONE
     status: Status | None = None
     heard_s: float = 0.0  # how old the status is
     now: datetime | None = None
@@ -108,9 +116,9 @@ class Scene:
     def key(self) -> str:
         """Return the state in one word, as the state block names it."""
         state = self.log.states["run"]
-        if self.starting and not self.alive:
+        if self.engine is Engine.STARTING:
             return "checking"
-        if not self.alive and not self.over:
+        if self.engine is Engine.NONE and not self.over:
             begun = self.log.plan is not None and self.log.end is None  # else it was refused
             return "gone" if begun else "idle"
         if state == "finished":
@@ -124,12 +132,13 @@ class Scene:
     @property
     def live(self) -> bool:
         """Whether an engine is at work on this run."""
-        return (self.alive or self.starting) and self.key not in (
-            "done",
-            "intolerant",
-            "aborted",
-            "fault",
-        )
+        ended = self.key in ("done", "intolerant", "aborted", "fault")
+        return self.engine is not Engine.NONE and not ended
+
+    @property
+    def heard(self) -> bool:
+        """Whether an engine takes commands."""
+        return self.engine is Engine.HEARD
 
     @property
     def at_rest(self) -> bool:

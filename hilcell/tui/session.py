@@ -17,7 +17,7 @@ from hilcell.run.control import ENGINE
 from hilcell.run.forecast import Forecast
 from hilcell.tui.feed import Feed, Fresh
 from hilcell.tui.link import Link, stop_engine
-from hilcell.tui.scene import Scene
+from hilcell.tui.scene import Engine, Scene
 
 if TYPE_CHECKING:
     from hilcell.run.journal import Record
@@ -37,12 +37,11 @@ class Session:
         go_on: str = GO_ON,
     ) -> None:
         self.folder = folder
-        self.scene = Scene(folder.name, starting=process is not None)
+        self.scene = Scene(folder.name, engine=Engine.STARTING if process else Engine.NONE)
         self.latch = Latch()
         self.process = process  # the engine, where this screen has started it
         self.trouble = ""
         self._go_on = go_on
-        self._was_alive, self._present = False, process is not None
         self._foreign = ""  # why the journal cannot be understood
         self._forecast = Forecast()
         self._heard: datetime | None = None
@@ -54,19 +53,22 @@ class Session:
             self._take_records(fresh.records)
         scene = self.scene
         self.trouble = self._foreign or fresh.trouble
-        self._was_alive = self._was_alive or fresh.alive
-        running = self.process is not None and self.process.poll() is None
-        scene.starting = running and not self._was_alive
         if fresh.status is not None:
             scene.status, self._heard = fresh.status, now
-        scene.alive = fresh.alive
-        present = fresh.alive or scene.starting
-        if present != self._present or (fresh.records and not self._foreign):
-            self._present = present
-            if scene.log.plan is not None:
-                scene.alarms = alarms_of(scene.log, scene.run, live=present, go_on=self._go_on)
-                self.latch.take(scene.alarms)
+        before, scene.engine = scene.engine, self._engine(alive=fresh.alive)
+        news = scene.engine is not before or (fresh.records and not self._foreign)
+        if news and scene.log.plan is not None:
+            present = scene.engine is not Engine.NONE
+            scene.alarms = alarms_of(scene.log, scene.run, live=present, go_on=self._go_on)
+            self.latch.take(scene.alarms)
         self.tick(now)
+
+    def _engine(self, *, alive: bool) -> Engine:
+        if alive:
+            return Engine.HEARD
+        begins = self.scene.engine is Engine.STARTING
+        running = self.process is not None and self.process.poll() is None
+        return Engine.STARTING if begins and running else Engine.NONE
 
     def _take_records(self, records: Sequence[Record]) -> None:
         scene = self.scene
@@ -100,7 +102,7 @@ class Session:
         link = self.feed.link
         if (link is not None and link.stop()) or stop_engine(self.folder):
             return True
-        if self.process is None or not self.scene.starting:
+        if self.process is None or self.scene.engine is not Engine.STARTING:
             return False
         self.process.terminate()  # does nothing where it has ended
         return True

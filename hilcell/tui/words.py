@@ -11,7 +11,7 @@ from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.tui.deviation import Deviation
 from hilcell.tui.digits import large
 from hilcell.tui.glyphs import Glyphs
-from hilcell.tui.scene import DeviceStatus, Scene
+from hilcell.tui.scene import DeviceStatus, Engine, Scene
 
 STATES = {
     "idle": ("NOT STARTED", "quiet"),
@@ -68,7 +68,7 @@ def identity(scene: Scene, width: int) -> Content:
     """Return element 2: procedure, job, operator, run."""
     plan = scene.log.plan
     if plan is None:
-        begun = "the engine starts ..." if scene.starting else "nothing to see yet"
+        begun = "the engine starts ..." if scene.engine is Engine.STARTING else "nothing to see yet"
         return Content(f"run {scene.run}: {begun}")
     cell = str(plan.cell.get("name", "?"))
     words = [plan.procedure, f"cell {cell}"]

@@ -44,8 +44,8 @@ class Listener(Session):
 
     def stop(self) -> bool:
         """Count a stop, where an engine would hear it."""
-        self.stops += self.scene.alive
-        return self.scene.alive
+        self.stops += self.scene.heard
+        return self.scene.heard
 
     def close(self, *, leave: bool) -> None:
         """Write the end down."""
