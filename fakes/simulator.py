@@ -36,8 +36,8 @@ class PaperCell:
         self._process: subprocess.Popen[bytes] | None = None
         attach = cell.simulation.address if cell.simulation is not None else ""
         if attach:
-            with Control(attach) as control:
-                answer = control.ask("addresses")
+            self._control = Control(attach)
+            answer = self._control.ask("addresses")
         else:
             order = {
                 "cell": {k: v for k, v in msgspec.to_builtins(cell).items() if v is not None},
@@ -46,16 +46,18 @@ class PaperCell:
                 "faults": faults,
             }
             self._process, answer = _start(msgspec.json.encode(order) + b"\n")
+            self._control = Control(answer["control"])
         self.options: dict[str, dict[str, object]] = {name: answer[name] for name in DEVICES}
         self.address: str = attach or answer["control"]
         self._speed = math.inf if answer["speed"] is None else float(answer["speed"])
 
     def clock(self, stop: threading.Event) -> SimulatedClock:
         """Return the cell's clock; its waits end when ``stop`` is set."""
-        return SimulatedClock(Control(self.address), self._speed, stop)
+        return SimulatedClock(self._control, self._speed, stop)
 
     def close(self) -> None:
-        """End the process, if it was started here."""
+        """Let go of the cell; end its process, if it was started here."""
+        self._control.close()
         if self._process is None:
             return
         process, self._process = self._process, None
@@ -123,10 +125,6 @@ class Control:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-    def __del__(self) -> None:
-        if hasattr(self, "_lines"):
-            self.close()
 
     def ask(self, do: str, **facts: object) -> dict[str, Any]:
         """Return the answer to a command; raises `DeviceError` when there is none."""

@@ -171,4 +171,4 @@ class SimulatedCell(Protocol):
         """Return the cell's clock; its waits end when ``stop`` is set."""
 
     def close(self) -> None:
-        """End the process, if it was started here."""
+        """Let go of the cell; end its process, if it was started here."""

@@ -17,6 +17,7 @@ from fakes.krl_controller import KrlController
 from fakes.plant import Plant
 from fakes.time import PlantTime
 from hilcell.cell import Cell
+from tests.fakes.rail_bench import until
 from tests.fakes.wires import C3Client, connected, exactly
 
 NEAR = [5.0, -85.0, 95.0, 0.0, -30.0, 10.0]
@@ -246,6 +247,26 @@ def test_half_open_connection_is_silent_but_new_ones_work(robot: Robot) -> None:
             robot.client.read("$MODE_OP")
     with connected(robot.server.port) as wire:
         assert C3Client(wire).read("$MODE_OP") == "#EX"
+
+
+def test_a_half_open_connection_ends_with_its_client(robot: Robot) -> None:
+    others = c3_server.MAX_CLIENTS - 1  # than the robot's own
+    robot.faults.set("robot.half_open", count=others)
+    for _ in range(others):
+        with connected(robot.server.port) as wire:
+            wire.settimeout(0.01)
+            with pytest.raises(TimeoutError):
+                C3Client(wire).read("$MODE_OP")
+    until(lambda: answers(robot.server.port), "a free place")
+
+
+def answers(port: int) -> bool:
+    """Whether a new client is answered; a full server closes it."""
+    with connected(port) as wire:
+        try:
+            return C3Client(wire).read("$MODE_OP") == "#EX"
+        except (EOFError, OSError):
+            return False
 
 
 def test_idle_clients_are_closed(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -127,6 +127,11 @@ def test_stepped_clock_waits_at_once(simulated: PaperCell) -> None:
     assert clock.now_s() - before == pytest.approx(3600.0)
 
 
+def test_many_clocks_share_one_connection(simulated: PaperCell) -> None:
+    clocks = [simulated.clock(threading.Event()) for _ in range(150)]
+    assert all(clock.now_s() >= 0.0 for clock in clocks)
+
+
 def test_clock_stops(simulated: PaperCell) -> None:
     stop = threading.Event()
     clock = simulated.clock(stop)
