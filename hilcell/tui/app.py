@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from textual.app import App
 from textual.binding import Binding, BindingType
 from textual.driver import Driver
-from textual.events import Event, Paste
+from textual.events import Event, Key, Paste
 from textual.message import Message
 from textual.scrollbar import ScrollBar
 from textual.widgets import Input
@@ -36,6 +36,7 @@ from hilcell.tui.palette import Actions
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.opening import Opening
+from hilcell.tui.settled import settled
 from hilcell.tui.themes import NAMES, PALETTES
 
 if TYPE_CHECKING:
@@ -64,16 +65,20 @@ class HilcellApp(App[int]):
     CSS_PATH = Path(__file__).with_name("style.tcss")
     COMMANDS: ClassVar = {Actions}
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - as Textual has it
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding(
-            ",".join(action.keys),
-            f"do('{action.name}')",
-            action.label,
-            show=False,
-            id=action.name,
-            priority=True,  # in the order typed, also when typed ahead
-        )
-        for action in ACTIONS
+    BINDINGS: ClassVar[list[BindingType]] = [  # priority: in the order typed, also typed ahead
+        Binding("tab", "focus_next", show=False, priority=True),
+        Binding("shift+tab", "focus_previous", show=False, priority=True),
+        *(
+            Binding(
+                ",".join(action.keys),
+                f"do('{action.name}')",
+                action.label,
+                show=False,
+                id=action.name,
+                priority=True,
+            )
+            for action in ACTIONS
+        ),
     ]
 
     def __init__(self, options: Options) -> None:
@@ -114,10 +119,22 @@ class HilcellApp(App[int]):
         return type("Stopping", (StopDriver,), {"on_escape": staticmethod(self._stop_now)})
 
     async def on_event(self, event: Event) -> None:
-        """Let nothing be pasted that a terminal would take for a command."""
+        """Take what is typed in its order; everything else as Textual does."""
+        if isinstance(event, Key | Paste) and not event.is_forwarded:
+            await self._take_typed(event)
+        else:
+            await super().on_event(event)
+
+    async def _take_typed(self, event: Key | Paste) -> None:
+        """Let nothing be pasted that a terminal would take for a command; wait for what it does."""
         if isinstance(event, Paste):
             event.text = UNSAFE.sub("", event.text.partition("\n")[0])
+        told = (self.focused or self.screen).ancestors_with_self
+        self.say("")  # what was said has been read
         await super().on_event(event)
+        await settled(node for node in told if node is not self)
+        if isinstance(self.screen, SceneScreen):
+            await self.screen.stands.wait()
 
     def _stop_now(self) -> bool:
         """Stop the run that is shown, or a live one behind it; from whatever thread."""
@@ -285,18 +302,15 @@ class HilcellApp(App[int]):
         typing = isinstance(self.focused, Input) or not isinstance(self.screen, SceneScreen)
         return BY_NAME[name].everywhere or not typing
 
-    async def action_do(self, name: str) -> None:
-        """Do what a key means; what it opens stands before the next key is taken."""
+    def action_do(self, name: str) -> None:
+        """Do what a key means."""
         self.do(name)
-        if isinstance(self.screen, SceneScreen):
-            await self.screen.stands.wait()
 
     def do(self, name: str) -> None:
         """Do an action, where it is allowed; the screen on top may have its own way."""
         if name == "stop":
             self.do_stop()
         elif isinstance(self.screen, SceneScreen) or name == "quit":
-            self.say("")
             if not self.allowed(name):
                 self.say(f"{BY_NAME[name].label}: nothing to do now")
                 return

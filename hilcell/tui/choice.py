@@ -14,8 +14,8 @@ class Choice(Panel, can_focus=True):
     """Shows the chosen word between arrows."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("left", "turn(-1)", show=False),
-        Binding("right,space", "turn(1)", show=False),
+        Binding("left", "turn(-1)", show=False, priority=True),  # in the order typed
+        Binding("right,space", "turn(1)", show=False, priority=True),
     ]
 
     def __init__(self, words: Sequence[str], id: str) -> None:

@@ -45,13 +45,16 @@ class Rows(ScrollView, can_focus=True):
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {"rows--head", "rows--cursor"}
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("up", "by(-1)", "up", show=False),
-        Binding("down", "by(1)", "down", show=False),
-        Binding("pageup", "page(-1)", "page up", show=False),
-        Binding("pagedown", "page(1)", "page down", show=False),
-        Binding("home", "to(0)", "first", show=False),
-        Binding("end", "to(-1)", "last", show=False),
-        Binding("enter", "choose", "choose", show=False),
+        Binding(key, action, show=False, priority=True)  # in the order typed
+        for key, action in (
+            ("up", "by(-1)"),
+            ("down", "by(1)"),
+            ("pageup", "page(-1)"),
+            ("pagedown", "page(1)"),
+            ("home", "to(0)"),
+            ("end", "to(-1)"),
+            ("enter", "choose"),
+        )
     ]
 
     class Chosen(Message):

@@ -95,10 +95,6 @@ class SceneScreen(Screen[None]):
         panel.display = bool(text)
         panel.show(Content.styled(text, "$warn"))
 
-    def on_key(self) -> None:
-        """A key was pressed: what was said has been read."""
-        self.notice("")
-
     def key_line(self) -> Content:
         """Return element 10: the keys that do something now."""
         parts: list[tuple[str, str]] = list(self.fixed)

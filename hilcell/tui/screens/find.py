@@ -6,6 +6,7 @@ from abc import abstractmethod
 
 from textual.widgets import Input
 
+from hilcell.tui.field import Field
 from hilcell.tui.rows import Rows
 from hilcell.tui.screens.base import SceneScreen
 
@@ -17,7 +18,7 @@ class Finding(SceneScreen):
 
     def find_box(self, hint: str) -> Input:
         """Return the filter's box, to stand under the rows."""
-        box = Input(placeholder=hint, id="find")
+        box = Field(placeholder=hint, id="find")
         box.display = False
         return box
 
@@ -41,4 +42,4 @@ class Finding(SceneScreen):
         """Keep the filter and go back to the rows; an empty one closes."""
         box = self.query_one("#find", Input)
         box.display = bool(box.value)
-        self.query_one(Rows).focus()
+        self.set_focus(self.query_one(Rows))  # at once, as above

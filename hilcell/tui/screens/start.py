@@ -16,6 +16,7 @@ from hilcell.errors import HilcellError
 from hilcell.tui import engine
 from hilcell.tui.aside import aside
 from hilcell.tui.choice import Choice
+from hilcell.tui.field import Field
 from hilcell.tui.panel import Panel
 from hilcell.tui.rows import Column, Row, Rows
 from hilcell.tui.scene import Scene
@@ -40,8 +41,8 @@ class StartScreen(SceneScreen):
     footer = ("history", "help", "theme", "quit")
     fixed = (("Enter", "check the plan"), ("Tab", "next field"))
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("down", "app.focus_next", show=False),
-        Binding("up", "app.focus_previous", show=False),
+        Binding("down", "turn(1)", show=False, priority=True),  # in the order typed
+        Binding("up", "turn(-1)", show=False, priority=True),
         Binding("enter", "check", show=False),
     ]
     _checking = False
@@ -54,7 +55,7 @@ class StartScreen(SceneScreen):
             with Horizontal(classes="field"):
                 yield Label(name)
                 start = self.cell.options.cell if name == "cell" else value
-                yield Input(start, placeholder=hint, id=name)
+                yield Field(start, placeholder=hint, id=name)
         with Horizontal(classes="field"):
             yield Label("attended")
             yield Choice(WATCHED, id="attended")
@@ -107,6 +108,14 @@ class StartScreen(SceneScreen):
             attended=self.query_one("#attended", Choice).value == WATCHED[0],
             settings=self.cell.options.settings,
         )
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Leave up and down to the list of procedures."""
+        return action != "turn" or not isinstance(self.focused, Rows)
+
+    def action_turn(self, step: int) -> None:
+        """Go to the next field, or to the one before."""
+        self.focus_next() if step > 0 else self.focus_previous()
 
     def on_rows_chosen(self) -> None:
         """Check the plan."""

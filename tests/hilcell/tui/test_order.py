@@ -1,0 +1,101 @@
+"""Keys that come in one burst, from a scanner of barcodes or over a thin link, act as if typed."""
+
+from __future__ import annotations
+
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import Input
+
+from hilcell.tui.choice import Choice
+from hilcell.tui.rows import Rows
+from hilcell.tui.screens.confirm import Confirm
+from hilcell.tui.screens.pages import DetailPage
+from hilcell.tui.screens.run import RunScreen
+from hilcell.tui.screens.start import StartScreen
+from tests.hilcell.tui.playing import play
+from tests.hilcell.tui.stage import Stage, settle, text_of, type_ahead
+from tests.hilcell.tui.walk import PLAN, outside
+
+__all__ = ["PLAN", "outside"]
+
+pytestmark = pytest.mark.usefixtures("outside")
+
+
+def keys(text: str) -> list[str]:
+    return ["space" if letter == " " else letter for letter in text]
+
+
+def values(app: Stage) -> dict[str, str]:
+    return {str(box.id): box.value for box in app.screen.query(Input)}
+
+
+def test_text_goes_into_the_field_that_a_tab_before_it_chose() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        type_ahead(app, "tab", "tab", *keys("Harold Smith"), "tab", *keys("Job 7"), "down", "2")
+        await settle(pilot)
+        assert isinstance(app.screen, StartScreen)
+        assert values(app) == {"cell": "paper", "operator": "Harold Smith", "job": "Job 7"} | {
+            "seed": "2"
+        }
+
+    play(act)
+
+
+def test_a_field_is_edited_in_the_order_typed() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        type_ahead(app, "tab", "ctrl+u", *"replax", "backspace", "y", "home", "x", "delete")
+        type_ahead(app, "tab", "shift+tab", "end", "2")
+        await settle(pilot)
+        assert values(app)["cell"] == "xeplay2"
+
+    play(act)
+
+
+def test_an_enter_checks_what_was_typed_before_it() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        type_ahead(app, "tab", "tab", *keys("Ann"), "tab", *keys("Job 7"), "enter")
+        await settle(pilot)
+        assert "job Job 7, operator Ann" in text_of(app)
+
+    play(act)
+
+
+def test_choices_and_rows_follow_the_keys_before_them() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        before = app.screen.query_one(Rows).key
+        type_ahead(app, "down", *["tab"] * 5, "space", "down", "right", "right", "tab", "up")
+        await settle(pilot)
+        assert [each.index for each in app.screen.query(Choice)] == [1, 2]
+        assert app.screen.query_one(Rows).key == before  # down, and up again
+
+    play(act)
+
+
+def test_the_point_under_the_cursor_is_the_one_acted_upon() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        rows = app.screen.query_one(Rows)
+        type_ahead(app, "end", "up", "r")
+        await settle(pilot)
+        assert isinstance(app.screen, Confirm)
+        assert rows.rows[-2].key in text_of(app)
+        type_ahead(app, "n", "home", "enter")
+        await settle(pilot)
+        assert isinstance(app.screen, DetailPage)
+        assert rows.rows[0].key in text_of(app)
+        type_ahead(app, "q", "end", "enter", "q", "r")
+        await settle(pilot)
+        assert isinstance(app.screen, Confirm)
+        assert rows.rows[-1].key in text_of(app)
+
+    play(act, "running")
+
+
+def test_a_filter_ends_with_its_enter() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        type_ahead(app, "slash", *"grad", "backspace", "backspace", *"id", "enter", "end", "r")
+        await settle(pilot)
+        assert app.screen_stack[-2].query_one(Input).value == "grid"
+        assert isinstance(app.screen_stack[-2], RunScreen)
+        assert app.screen_stack[-2].query_one(Rows).key in text_of(app)
+
+    play(act, "running")
