@@ -56,9 +56,9 @@ def tui(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return EXIT_INTERNAL
-    if app.detached:
-        runs = "" if args.runs == Path("runs") else f" --runs {args.runs}"
-        again = f"hilcell tui {app.detached}{runs}"
+    runs = "" if args.runs == Path("runs") else f" --runs {args.runs}"
+    for detached in app.detached:
+        again = f"hilcell tui {detached}{runs}"
         print(f"hilcell: detached; the run goes on: `{again}` shows it again", file=sys.stderr)
     return 0
 

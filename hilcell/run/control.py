@@ -89,6 +89,7 @@ class Control:
 
 class _Server(socketserver.ThreadingUnixStreamServer):
     daemon_threads = True
+    request_queue_size = 128  # while the process stands still
 
     def __init__(self, path: str, engine: Engine) -> None:
         self.engine = engine
@@ -169,7 +170,7 @@ COMMANDS = (
 def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
     """Send ``command`` to the engine of the run in ``folder`` and return its answer.
 
-    Raises `HilcellError` when no engine lives there.
+    Raises `HilcellError` when no engine lives there, or when it does not answer.
     """
     engine = live_engine(folder)
     if engine is None:
@@ -183,14 +184,21 @@ def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
             link.sendall(msgspec.json.encode({"command": command} | facts) + b"\n")
             answer = link.makefile("rb").readline(LONGEST_ANSWER)
         except OSError as error:
-            raise HilcellError(f"run {folder.name}: the engine does not answer: {error}") from error
+            raise HilcellError(
+                f"run {folder.name}: {command}: its engine, process {engine.pid}, has not answered"
+                f" within {ANSWER_S:.0f} s ({error}): it stands still, or the machine has too much"
+                " to do; where anything moves use the E-stop"
+            ) from error
     if not answer:
         raise HilcellError(f"run {folder.name}: the engine has just ended; `hilcell show` tells")
     return msgspec.json.decode(answer, type=dict[str, object])
 
 
 def live_engine(folder: Path) -> EngineFile | None:
-    """Return where the engine of a run listens, or None where none lives."""
+    """Return where the engine of a run listens, or None where none lives.
+
+    One whose process stands still lives: it moves again as soon as it goes on.
+    """
     try:
         engine = msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
     except (OSError, msgspec.DecodeError):
@@ -199,6 +207,8 @@ def live_engine(folder: Path) -> EngineFile | None:
         link.settimeout(ANSWER_S)
         try:
             link.connect(engine.socket)
+        except (BlockingIOError, TimeoutError):
+            return engine  # it lives, and takes nobody any more
         except OSError:
             return None
     return engine

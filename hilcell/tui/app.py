@@ -23,8 +23,8 @@ from textual.widgets import Input
 from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
-from hilcell.tui.allowed import OF_THE_POINTS, allowed, pause_command
 from hilcell.tui.aside import aside
+from hilcell.tui.attached import Attached
 from hilcell.tui.bars import WholeBar
 from hilcell.tui.choice import Choice
 from hilcell.tui.contents import PAGES, page_of
@@ -33,6 +33,7 @@ from hilcell.tui.driver import StopDriver
 from hilcell.tui.garbage import Collector
 from hilcell.tui.keys import ACTIONS, BY_NAME, shown
 from hilcell.tui.palette import Actions
+from hilcell.tui.refusals import OF_THE_POINTS, pause_command, refusal, unheard
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.opening import Opening
@@ -59,7 +60,7 @@ class Delivered(Message):
 
 
 class HilcellApp(App[int]):
-    """Shows one run at a time; `session` is the attachment to it."""
+    """Shows one run at a time; `attached` holds it, and live ones behind it."""
 
     TITLE = "hilcell"
     CSS_PATH = Path(__file__).with_name("style.tcss")
@@ -84,9 +85,8 @@ class HilcellApp(App[int]):
     def __init__(self, options: Options) -> None:
         super().__init__()
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
-        self.session: Session | None = None
-        self.behind: Session | None = None  # of a live run that was left to look at another one
-        self.detached = ""  # the run that goes on without this screen
+        self.attached = Attached()
+        self.detached: list[str] = []  # the runs that go on without this screen
         self.refused: HilcellError | None = None  # why nothing could be opened
         self._collector: Collector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
@@ -94,6 +94,11 @@ class HilcellApp(App[int]):
             self.register_theme(palette.theme())
         self.theme = options.theme
         self.animation_level = "none"
+
+    @property
+    def session(self) -> Session | None:
+        """Return the attachment to the run that is shown."""
+        return self.attached.shown
 
     @property
     def scene(self) -> Scene | None:
@@ -116,7 +121,9 @@ class HilcellApp(App[int]):
 
     def get_driver_class(self) -> type[Driver]:
         """Give the terminal's driver the one call that must not wait."""
-        return type("Stopping", (StopDriver,), {"on_escape": staticmethod(self._stop_now)})
+        return type(
+            "Stopping", (StopDriver,), {"on_escape": staticmethod(lambda: self.attached.stop())}
+        )
 
     async def on_event(self, event: Event) -> None:
         """Take what is typed in its order; everything else as Textual does."""
@@ -135,13 +142,6 @@ class HilcellApp(App[int]):
         await settled(node for node in told if node is not self)
         if isinstance(self.screen, SceneScreen):
             await self.screen.stands.wait()
-
-    def _stop_now(self) -> bool:
-        """Stop the run that is shown, or a live one behind it; from whatever thread."""
-        session, behind = self.session, self.behind
-        if session is not None and session.stop():
-            return True
-        return behind is not None and behind.stop()
 
     def on_mount(self) -> None:
         """Paint first, then import what reads journals."""
@@ -168,32 +168,35 @@ class HilcellApp(App[int]):
             self.do_new()
 
     def attach(self, folder: Path, process: Any = None) -> None:
-        """Show a run, live or past, in place of the one shown."""
+        """Show a run, live or past, in place of the one shown; a live one goes on behind it."""
         from hilcell.tui.screens.run import RunScreen, View
-        from hilcell.tui.session import Session
 
         before = self.session if self.session and self.session.folder == folder else None
         view = next(
             (each.view for each in self.screen_stack if isinstance(each, RunScreen)), View()
         )
-        self.let_go(leave=True)
-        period_s = SLOW_PERIOD_S if self.options.slow else PERIOD_S
-        session: Session = Session(
-            folder,
-            lambda fresh: self.post_message(Delivered(session, fresh)),
-            period_s,
-            process,
-            shown(self.keymap["pause"][0]),
-        )
-        self.session = session
-        if self.behind is not None and self.behind.folder == folder:
-            self.behind = None
-        if before is not None:  # what nobody has acknowledged still stands
-            session.latch = before.latch
+        session = self.attached.of(folder)
+        if session is None:
+            session = self._session(folder, process)
+            if before is not None:  # what nobody has acknowledged still stands
+                session.latch = before.latch
+            session.feed.start()
+        self.attached.show(session)
         while len(self.screen_stack) > 1:
             self.pop_screen()
         self.push_screen(RunScreen(view if before is not None else View()))
-        session.feed.start()
+
+    def _session(self, folder: Path, process: Any) -> Session:
+        from hilcell.tui.session import Session
+
+        session: Session = Session(
+            folder,
+            lambda fresh: self.post_message(Delivered(session, fresh)),
+            SLOW_PERIOD_S if self.options.slow else PERIOD_S,
+            process,
+            shown(self.keymap["pause"][0]),
+        )
+        return session
 
     def open_run(self, folder: Path) -> None:
         """Show another run; leaving a live one asks."""
@@ -202,23 +205,17 @@ class HilcellApp(App[int]):
         elif self.live:
             self.ask(
                 "A run is live.",
-                "It goes on while you look at another one; Esc still stops it.",
+                "It goes on while you look at another one; Esc still stops it, q goes back to it.",
                 "look at the other",
-                lambda: self._look_at(folder),
+                lambda: self.attach(folder),
             )
         else:
             self.attach(folder)
 
-    def _look_at(self, folder: Path) -> None:
-        """Show another run while the one shown goes on behind it."""
-        self.behind = self.session if self.live else None
-        self.attach(folder)
-
-    def let_go(self, *, leave: bool) -> None:
-        """Detach from the run; ``leave`` says that it was meant."""
-        if self.session is not None:
-            self.session.close(leave=leave)
-            self.session = None
+    def go_back(self) -> None:
+        """Show the live run again that goes on behind this one."""
+        if self.attached.behind:
+            self.attach(self.attached.behind[-1].folder)
 
     # -- what comes in ------------------------------------------------------------------------
 
@@ -226,27 +223,28 @@ class HilcellApp(App[int]):
         """Take what the feed has read, and show it."""
         from hilcell.tui.session import utc_now
 
-        if message.session is not self.session:
+        session = message.session
+        if session not in self.attached:
             return
-        was_live = self.live
-        self.session.take(message.fresh, utc_now())
-        if was_live and not self.live:
+        was_live = session.scene.live
+        session.take(message.fresh, utc_now())
+        if session is self.session and was_live and not self.live:
             self._close_questions()  # they were about a run that goes on
         self._show()
-        if self.session.trouble:
-            self.say(self.session.trouble, over=False)
+        for ended in self.attached.drop_ended():
+            self.say(f"{ended.folder.name}, which went on behind this run, has ended")
+        if session is self.session and session.trouble:
+            self.say(session.trouble, over=False)
 
     def _tick(self) -> None:
         from hilcell.tui.session import utc_now
 
-        if self.behind is not None and not self.behind.has_engine:
-            self.behind = None
-            self._show()
-        if self.session is not None and self.live:
-            self.session.tick(utc_now())
+        for session in self.attached.live:
+            session.tick(utc_now())
+        if self.attached.live:
             self._show()
         if self._collector is not None:
-            at_rest = self.behind is None and (self.scene is None or self.scene.at_rest)
+            at_rest = all(session.scene.at_rest for session in self.attached.live)
             self._collector.tick(at_rest=at_rest, now_s=time.monotonic())
 
     def on_unmount(self) -> None:
@@ -286,11 +284,15 @@ class HilcellApp(App[int]):
     # -- keys ---------------------------------------------------------------------------------
 
     def allowed(self, name: str) -> bool:
-        """Whether an action does something now, on the screen that is on top."""
+        """Whether an action does something now."""
+        return not self.refusal(name)
+
+    def refusal(self, name: str) -> str:
+        """Return why an action does nothing now, on the screen that is on top."""
         if name in OF_THE_POINTS and not hasattr(self.screen, f"do_{name}"):
-            return False
+            return "only where the points are listed"
         standing = self.session is not None and bool(self.latch.standing())
-        return allowed(name, self.scene, behind=self.behind is not None, standing=standing)
+        return refusal(name, self.scene, behind=bool(self.attached.behind), standing=standing)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Leave letters to a text box or a question, and the space bar to a choice."""
@@ -311,8 +313,8 @@ class HilcellApp(App[int]):
         if name == "stop":
             self.do_stop()
         elif isinstance(self.screen, SceneScreen) or name == "quit":
-            if not self.allowed(name):
-                self.say(f"{BY_NAME[name].label}: nothing to do now")
+            if refused := self.refusal(name):
+                self.say(f"{BY_NAME[name].label}: {refused}")
                 return
             if name in PAGES:
                 self._turn_to(page_of(name, self.session))
@@ -322,11 +324,16 @@ class HilcellApp(App[int]):
 
     def do_stop(self) -> None:
         """Stop everything; where nothing runs, go back."""
-        over = self.session is not None and self.session.scene.over and self.behind is None
-        sent = self._stop_now()
-        if self.live or (sent and not over):
+        live = self.attached.live
+        over = self.scene is not None and self.scene.over
+        sent = self.attached.stop()
+        if live or (sent and not over):
             self._close_questions()
-            self.say("STOP sent" if sent else "STOP: no engine is there to hear it", for_now=sent)
+            if any(session.scene.key == "silent" for session in live):
+                self.say("STOP sent, but the engine does not answer: use the E-stop", for_now=True)
+            else:
+                said = "STOP sent" if sent else "STOP: no engine is there to hear it"
+                self.say(said, for_now=sent)
         elif len(self.screen_stack) > 2:
             self.pop_screen()
 
@@ -365,7 +372,9 @@ class HilcellApp(App[int]):
         """Answer the prompt that is asked, or open a point."""
         scene = self.scene
         if scene is not None and scene.prompt is not None:
-            if scene.prompt.ready or not scene.prompt.check:
+            if refused := unheard(scene):
+                self.say(refused)
+            elif scene.prompt.ready or not scene.prompt.check:
                 self.background(self._answer())
             else:
                 self.say(
@@ -455,15 +464,15 @@ class HilcellApp(App[int]):
         self.theme = NAMES[(NAMES.index(self.theme) + 1) % len(NAMES)]
 
     def do_detach(self) -> None:
-        """Leave the screen; the run goes on."""
-        self.detached = self.session.folder.name if self.session is not None else ""
-        self.let_go(leave=True)
+        """Leave the screen; live runs go on."""
+        self.detached = [session.folder.name for session in self.attached.live]
+        self.attached.leave()
         self.exit(0)
 
     def do_quit(self) -> None:
         """Leave; over a live run offer to detach."""
-        if not self.live:
-            self.let_go(leave=True)
+        if not self.attached.live:
+            self.attached.leave()
             self.exit(0)
         else:
             self._close_questions()
@@ -479,7 +488,7 @@ class HilcellApp(App[int]):
         """Open the form for a new run."""
         from hilcell.tui.screens.start import StartScreen
 
-        self.let_go(leave=True)
+        self.attached.show(None)
         while len(self.screen_stack) > 1:
             self.pop_screen()
         self.push_screen(StartScreen())

@@ -13,8 +13,8 @@ from hilcell.tui.themes import NAMES
 
 if TYPE_CHECKING:
     from hilcell.alarms import Latch
+    from hilcell.tui.attached import Attached
     from hilcell.tui.scene import Scene
-    from hilcell.tui.session import Session
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Desk(Protocol):
     options: Options
     glyphs: Glyphs
     keymap: Keymap
-    behind: Session | None
+    attached: Attached
 
     @property
     def scene(self) -> Scene | None:
@@ -58,6 +58,9 @@ class Desk(Protocol):
 
     def attach(self, folder: Path, process: Any = None) -> None:
         """Show a run in place of the one shown."""
+
+    def go_back(self) -> None:
+        """Show the live run again that goes on behind this one."""
 
     def open_run(self, folder: Path) -> None:
         """Show another run; leaving a live one asks."""

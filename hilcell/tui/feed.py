@@ -9,7 +9,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,10 +17,11 @@ import msgspec
 from hilcell.errors import HilcellError
 from hilcell.run.journal import Record, StorageError, read_journal
 from hilcell.runs import JOURNAL
-from hilcell.tui.link import Link, LinkLostError
-from hilcell.tui.scene import Status
+from hilcell.tui.link import Link, LinkLostError, LinkSilentError
+from hilcell.tui.scene import Engine, Status
 
 QUIET_S = 0.5  # where no engine is at work, little happens
+ANEW_S = 10.0  # a line that was silent for so long is opened anew
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Fresh:
     """What one look has brought."""
 
     records: list[Record] = field(default_factory=list)
-    alive: bool = False
+    engine: Engine = Engine.NONE
     status: Status | None = None
     trouble: str = ""
 
@@ -42,6 +42,7 @@ class Feed:
         self.link: Link | None = None
         self._deliver, self._period_s = deliver, period_s
         self._seen = 0
+        self._heard_s = 0.0
         self._leave = False
         self._ended = threading.Event()
         self._soon = threading.Event()
@@ -63,12 +64,9 @@ class Feed:
         self._let_go()
 
     def _let_go(self) -> None:
-        link, self.link = self.link, None
-        if link is not None:
-            if self._leave:
-                with suppress(HilcellError):  # an engine that is gone has nothing to be told
-                    link.ask("leave")
-            link.close()
+        if self.link is not None and self._leave:
+            self.link.leave()
+        self._hang_up()
 
     def _follow(self) -> None:
         while not self._ended.is_set():
@@ -76,33 +74,51 @@ class Feed:
             fresh = self._look()
             if not self._ended.is_set():
                 self._deliver(fresh)
-                period_s = self._period_s if fresh.alive else max(self._period_s, QUIET_S)
+                quiet = fresh.engine is Engine.NONE
+                period_s = max(self._period_s, QUIET_S) if quiet else self._period_s
                 self._soon.wait(max(period_s - (time.monotonic() - began_s), 0.02))
                 self._soon.clear()
         self._let_go()  # a line that was being opened when the end came
 
     def _look(self) -> Fresh:
-        status = self._status()
-        alive = self.link is not None
+        engine, status = self._hear()
         try:
             records = read_journal(self.folder / JOURNAL, after=self._seen)
         except StorageError as error:
-            waits = alive or not (self.folder / JOURNAL).is_file()
-            return Fresh([], alive, status, "" if waits and not self._seen else str(error))
+            waits = engine is not Engine.NONE or not (self.folder / JOURNAL).is_file()
+            return Fresh([], engine, status, "" if waits and not self._seen else str(error))
         self._seen += len(records)
-        return Fresh(records, alive, status)
+        return Fresh(records, engine, status)
 
-    def _status(self) -> Status | None:
+    def _hear(self) -> tuple[Engine, Status | None]:
+        """Ask the engine how it is; what makes no sense leaves the lamps to grow stale."""
         try:
-            link = self.link
+            link = self._line()
             if link is None:
-                link = self.link = Link.to(self.folder)
-                if link is None:
-                    return None
-                link.ask("attend")
-            return msgspec.convert(link.ask("status"), Status)
+                return Engine.NONE, None
+            answer = link.ask("status")
+            self._heard_s = time.monotonic()
+            return Engine.HEARD, msgspec.convert(answer, Status)
+        except LinkSilentError:
+            if time.monotonic() - self._heard_s > ANEW_S:
+                self._hang_up()
+            return Engine.SILENT, None
         except LinkLostError:
             self.link = None
+            return Engine.NONE, None
         except (HilcellError, msgspec.ValidationError):
-            pass  # refused, or of another version: the lamps grow stale
-        return None
+            return Engine.HEARD, None
+
+    def _line(self) -> Link | None:
+        """Return the line to the engine, opened where it was not."""
+        if self.link is None:
+            self.link = Link.to(self.folder)
+            self._heard_s = time.monotonic()
+            if self.link is not None:
+                self.link.ask("attend")
+        return self.link
+
+    def _hang_up(self) -> None:
+        link, self.link = self.link, None
+        if link is not None:
+            link.close()

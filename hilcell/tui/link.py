@@ -1,7 +1,8 @@
 """The screen's line to an engine: one connection that asks, and one that only ever says stop.
 
 The stop has a socket of its own, open from the start, so that it is one `sendall` away whatever
-else is under way. The trap: an answer may never come; each question has a deadline.
+else is under way. The trap: an answer may come late, and must not be taken for the next one's: it
+is waited for, and dropped, before anything else is asked.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from hilcell.run.control import ENGINE, EngineFile
 
 ANSWER_S = 2.0
 LONGEST = 1 << 16
-_STOP = msgspec.json.encode({"command": "stop"}) + b"\n"
+_STOP, _LEAVE = (msgspec.json.encode({"command": word}) + b"\n" for word in ("stop", "leave"))
 
 
 class Link:
@@ -36,17 +37,21 @@ class Link:
         except OSError:
             self._asking.close()
             raise
-        self._answers = self._asking.makefile("rb")
+        self._read = b""
+        self._owed = 0  # answers that are still to come
 
     @classmethod
     def to(cls, folder: Path, patience_s: float | None = None) -> Self | None:
         """Return the link to the engine of a run, or None where none lives.
 
-        ``patience_s`` is for what takes longer than an answer usually may.
+        ``patience_s`` is for what takes longer than an answer usually may. Raises
+        `LinkSilentError` where an engine lives that takes nobody any more.
         """
         try:
             engine = msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
             return cls(engine.socket, patience_s)
+        except (BlockingIOError, TimeoutError) as error:
+            raise LinkSilentError(f"engine: connect: no answer: {error}") from error
         except (OSError, msgspec.DecodeError):
             return None
 
@@ -59,6 +64,11 @@ class Link:
             return False
         return True
 
+    def leave(self) -> None:
+        """Say that whoever hangs up now is not lost; wait for nothing."""
+        with suppress(OSError):  # an engine that is gone has nothing to be told
+            self._asking.sendall(_LEAVE)
+
     def _forget_answers(self) -> None:
         """Make room: an engine whose answers nobody takes would stand still over the next one."""
         with suppress(BlockingIOError):
@@ -66,19 +76,38 @@ class Link:
                 pass
 
     def ask(self, command: str, **facts: str) -> dict[str, Any]:
-        """Send a command and return the answer; raises `HilcellError` with the refusal."""
+        """Send a command and return the answer.
+
+        Raises `HilcellError` with the refusal, `LinkSilentError` where none comes in time,
+        `LinkLostError` where none can come any more.
+        """
         question = msgspec.json.encode({"command": command} | facts) + b"\n"
         with self._lock:
             try:
+                while self._owed:
+                    self._line()
                 self._asking.sendall(question)
-                line = self._answers.readline(LONGEST)
-                answer: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
-            except (OSError, ValueError, msgspec.DecodeError) as error:
-                self.close()  # a late answer must never be taken for the next one's
+                self._owed += 1
+                answer: dict[str, Any] = msgspec.json.decode(self._line(), type=dict[str, Any])
+            except TimeoutError as error:
+                raise LinkSilentError(f"engine: {command}: no answer: {error}") from error
+            except (OSError, msgspec.DecodeError) as error:
+                self.close()
                 raise LinkLostError(f"engine: {command}: no answer: {error}") from error
         if not answer.get("ok"):
             raise HilcellError(str(answer.get("error", "the engine refused without a reason")))
         return answer
+
+    def _line(self) -> bytes:
+        """Return the next answer that is owed."""
+        while b"\n" not in self._read:
+            came = self._asking.recv(LONGEST)
+            if not came or len(self._read) > LONGEST:
+                raise ConnectionError("it has hung up" if not came else "it never ends a line")
+            self._read += came
+        line, _, self._read = self._read.partition(b"\n")
+        self._owed -= 1
+        return line
 
     def close(self) -> None:
         """Close both connections; who waits for an answer on one is told that none comes."""
@@ -86,12 +115,14 @@ class Link:
             with suppress(OSError):  # it has ended by itself
                 each.shutdown(socket.SHUT_RDWR)
             each.close()
-        self._answers.close()
 
 
 def stop_engine(folder: Path) -> bool:
     """Ask the engine of a run for a stop by a line of its own; return whether it was there."""
-    link = Link.to(folder)
+    try:
+        link = Link.to(folder)
+    except LinkSilentError:
+        return False
     if link is None:
         return False
     sent = link.stop()
@@ -99,8 +130,12 @@ def stop_engine(folder: Path) -> bool:
     return sent
 
 
+class LinkSilentError(HilcellError):
+    """The engine's process lives, and has not answered in time."""
+
+
 class LinkLostError(HilcellError):
-    """The engine did not answer in time; the link is closed."""
+    """The engine has hung up, or answers nonsense; the link is closed."""
 
 
 def _connect(path: str) -> socket.socket:

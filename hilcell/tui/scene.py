@@ -69,11 +69,12 @@ class Status(msgspec.Struct, frozen=True):
 
 
 class Engine(Enum):
-    """What is known of the process at work on a run: an engine once heard never starts again."""
+    """What is known of the process at work on a run: one that was heard never starts again."""
 
     NONE = "none"
     STARTING = "starting"  # this screen has started it; it has not said anything yet
     HEARD = "heard"
+    SILENT = "silent"  # it lives, and does not answer
 
 
 @dataclass(slots=True)
@@ -121,6 +122,8 @@ class Scene:
         if self.engine is Engine.NONE and not self.over:
             begun = self.log.plan is not None and self.log.end is None  # else it was refused
             return "gone" if begun else "idle"
+        if self.engine is Engine.SILENT and not self.over:
+            return "silent"
         if state == "finished":
             return "intolerant" if self.log.end and self.log.end["exit"] else "done"
         if state == "faulted":

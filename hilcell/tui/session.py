@@ -13,7 +13,6 @@ import msgspec
 from hilcell.alarms import Latch, alarms_of
 from hilcell.alarms.alarm import GO_ON
 from hilcell.errors import HilcellError
-from hilcell.run.control import ENGINE
 from hilcell.run.forecast import Forecast
 from hilcell.tui.feed import Feed, Fresh
 from hilcell.tui.link import Link, stop_engine
@@ -55,7 +54,7 @@ class Session:
         self.trouble = self._foreign or fresh.trouble
         if fresh.status is not None:
             scene.status, self._heard = fresh.status, now
-        before, scene.engine = scene.engine, self._engine(alive=fresh.alive)
+        before, scene.engine = scene.engine, self._engine(fresh.engine)
         news = scene.engine is not before or (fresh.records and not self._foreign)
         if news and scene.log.plan is not None:
             present = scene.engine is not Engine.NONE
@@ -63,9 +62,9 @@ class Session:
             self.latch.take(scene.alarms)
         self.tick(now)
 
-    def _engine(self, *, alive: bool) -> Engine:
-        if alive:
-            return Engine.HEARD
+    def _engine(self, found: Engine) -> Engine:
+        if found is not Engine.NONE:
+            return found
         begins = self.scene.engine is Engine.STARTING
         running = self.process is not None and self.process.poll() is None
         return Engine.STARTING if begins and running else Engine.NONE
@@ -106,11 +105,6 @@ class Session:
             return False
         self.process.terminate()  # does nothing where it has ended
         return True
-
-    @property
-    def has_engine(self) -> bool:
-        """Whether the run's folder says that an engine is at work, also when nobody looks."""
-        return (self.folder / ENGINE).is_file()
 
     def ask(self, command: str, **facts: str) -> None:
         """Send a command; raises `HilcellError` where it is refused or no engine lives."""

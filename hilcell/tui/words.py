@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import msgspec
 from textual.content import Content
@@ -25,6 +26,7 @@ STATES = {
     "intolerant": ("OUT OF TOLERANCE", "bad"),
     "aborted": ("ABORTED", "quiet"),
     "fault": ("FAULT", "bad"),
+    "silent": ("NO ANSWER", "bad"),
     "gone": ("ENGINE GONE", "bad"),
 }
 NOT_E_STOP = "software stop; not the E-stop"
@@ -43,19 +45,27 @@ def state_block(scene: Scene, glyphs: Glyphs) -> Content:
     return inverse(f"{glyphs.states[scene.key]} {word}", tone)
 
 
-def banner(scene: Scene, glyphs: Glyphs, width: int, *, behind: bool = False) -> Content:
+def banner(scene: Scene, glyphs: Glyphs, width: int, behind: Sequence[Scene] = ()) -> Content:
     """Return the first line: state, LIVE or HISTORIC, SIMULATION, and what the stop is not.
 
-    ``behind``: a live run was left to look at this one.
+    ``behind``: live runs that were left to look at this one.
     """
     parts = [state_block(scene, glyphs), Content(" ")]
     live = scene.live
     parts.append(inverse("LIVE" if live else "HISTORIC", "info" if live else "quiet"))
     if scene.log.plan is not None and scene.log.plan.simulated:
         parts += [Content(" "), inverse("SIMULATION", "sim")]
-    other = Content.styled("another run is LIVE; Esc stops it", "bold $warn")
-    end = other if behind else Content.styled(NOT_E_STOP, "$dim")
-    return spread(Content("").join(parts), end, width)
+    return spread(Content("").join(parts), _beside(scene, behind), width)
+
+
+def _beside(scene: Scene, behind: Sequence[Scene]) -> Content:
+    if behind:
+        states = ", ".join(STATES[each.key][0] for each in behind)
+        return Content.styled(f"behind: {states}; q goes back, Esc stops", "bold $warn")
+    if scene.key == "silent":
+        since = f" for {short_age(scene.heard_s)}" if scene.status is not None else ""
+        return Content.styled(f"silent{since}: use the E-stop", "bold $bad")
+    return Content.styled(NOT_E_STOP, "$dim")
 
 
 def spread(left: Content, right: Content, width: int) -> Content:

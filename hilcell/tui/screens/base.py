@@ -77,8 +77,8 @@ class SceneScreen(Screen[None]):
         if scene is not None and self.query("#banner"):
             from hilcell.tui import words  # reads journals: not for the first screen
 
-            behind = self.cell.behind is not None and not scene.live
-            lines = words.banner(scene, self.cell.glyphs, self.wide, behind=behind)
+            behind = [session.scene for session in self.cell.attached.behind]
+            lines = words.banner(scene, self.cell.glyphs, self.wide, behind)
             self.panel("banner").show(lines)
 
     def notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:

@@ -8,6 +8,7 @@ from typing import ClassVar
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
+from textual.widgets import Input
 
 from hilcell.tui import words
 from hilcell.tui.alarm_words import alarm_lines
@@ -40,7 +41,10 @@ class RunScreen(Finding):
         "stop", "pause", "help", "acknowledge", "retake", "abort", "report", "sort", "plots",
         "history", "detach", "new", "bad", "find", "log", "interlocks", "alarms", "quit",
     )  # fmt: skip
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "enter", "answer", show=False)]
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("enter", "enter", "answer", show=False),
+        Binding("q,backspace", "go_back", show=False, priority=True),
+    ]
 
     def __init__(self, view: View | None = None) -> None:
         super().__init__()
@@ -196,6 +200,15 @@ class RunScreen(Finding):
     def filter_rows(self) -> None:
         """Show the points with all the words."""
         self.show(self.cell.scene)
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Leave letters to the filter; go back only where there is something behind."""
+        typing = isinstance(self.focused, Input)
+        return action != "go_back" or (bool(self.cell.attached.behind) and not typing)
+
+    def action_go_back(self) -> None:
+        """Show the live run again that was left to look at this one."""
+        self.cell.go_back()
 
     def do_retake(self) -> None:
         """Measure the chosen point anew."""

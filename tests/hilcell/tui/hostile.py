@@ -45,7 +45,7 @@ def poisoned(name: str, text: str) -> Fresh:
     """Return a made-up run with ``text`` in every word that comes from outside."""
     found = fresh(name)
     records = [_record(record, text) for record in found.records]
-    return Fresh(records, found.alive, _status(found.status, text), text)
+    return Fresh(records, found.engine, _status(found.status, text), text)
 
 
 def _record(record: Record, text: str) -> Record:

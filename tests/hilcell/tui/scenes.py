@@ -13,7 +13,7 @@ from hilcell.cell import load_cell
 from hilcell.run.journal import Kind, Record
 from hilcell.run.seat import seat_prompt
 from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import DeviceStatus, Interlock, Prompt, Status
+from hilcell.tui.scene import DeviceStatus, Engine, Interlock, Prompt, Status
 
 BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
 RUN = "20260304-080000-calibrate-ab12"
@@ -159,11 +159,13 @@ def stories() -> dict[str, Story]:
             "end", state="aborted", exit=4, result={}, reason="stopped by the operator"),
         "fault": measuring().state("faulted", reason=FAULT_TEXT, **FAULT).add(
             "end", state="faulted", exit=3, result={}, reason=FAULT_TEXT),
+        "silent": measuring(),
         "gone": measuring(),
     }  # fmt: skip
 
 
-LIVE = ("checking", "running", "pausing", "paused", "suspended", "stopping")
+HEARD = ("checking", "running", "pausing", "paused", "suspended", "stopping")
+LIVE = (*HEARD, "silent")
 PROMPT = Prompt(
     title="Seat the reflector in P1",
     text=seat_prompt(load_cell("paper"), "P1", "F1", np.array([4007.5, -238.7, -480.3]), 5.0).text,
@@ -178,8 +180,9 @@ PROMPT = Prompt(
 
 def fresh(name: str) -> Fresh:
     """Return what one look at a run in a state brings."""
-    alive = name in LIVE
-    return Fresh(stories()[name].records, alive, status(name) if alive else None)
+    live = name in LIVE
+    engine = Engine.HEARD if name in HEARD else Engine.SILENT if live else Engine.NONE
+    return Fresh(stories()[name].records, engine, status(name) if live else None)
 
 
 def status(name: str) -> Status:

@@ -44,8 +44,8 @@ class Listener(Session):
 
     def stop(self) -> bool:
         """Count a stop, where an engine would hear it."""
-        self.stops += self.scene.heard
-        return self.scene.heard
+        self.stops += self.scene.live
+        return self.scene.live
 
     def close(self, *, leave: bool) -> None:
         """Write the end down."""
@@ -68,7 +68,7 @@ class Stage(HilcellApp):
         if not self.story and self.brought is None:
             self.push_screen(StartScreen())
             return
-        self.session = self.heard
+        self.attached.show(self.heard)
         self.heard.take(self.brought or fresh(self.story), self._now())
         self.push_screen(RunScreen())
 

@@ -12,6 +12,7 @@ from hilcell.tui.app import Delivered
 from hilcell.tui.feed import Fresh
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.rows import Rows
+from hilcell.tui.scene import Engine
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.history import HistoryPage
@@ -21,7 +22,7 @@ from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.tui.session import utc_now
 from tests.hilcell.tui.playing import PAGES, footer, play
-from tests.hilcell.tui.scenes import LIVE, PROMPT, fresh, status, stories
+from tests.hilcell.tui.scenes import HEARD, LIVE, PROMPT, fresh, status, stories
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import outside
 
@@ -38,6 +39,7 @@ SPACE = {
     "paused": ("proceed", True, "go on"),
     "suspended": ("proceed", True, "go on"),
     "stopping": None,
+    "silent": None,
     "done": None,
     "intolerant": None,
     "aborted": ("resume", True, "resume"),
@@ -58,7 +60,9 @@ def allowed(state: str) -> set[str]:
         found |= {"bad", "sort", "find", "retake"}
     if SPACE[state] is not None:
         found.add("pause")
-    found |= {"stop", "abort", "detach"} if state in LIVE else {"new"}
+    found |= {"stop", "detach"} if state in LIVE else {"new"}
+    found |= {"abort"} if state in HEARD else set()
+    found -= {"retake"} if state == "silent" else set()
     if state in ("suspended", "aborted", "fault", "gone", "intolerant"):
         found.add("acknowledge")
     return found
@@ -167,10 +171,10 @@ def test_a_question_about_a_run_ends_with_it(key: str) -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, key)
         assert isinstance(app.screen, Confirm)
-        app.post_message(Delivered(app.heard, Fresh([], alive=True)))
+        app.post_message(Delivered(app.heard, Fresh([], engine=Engine.HEARD)))
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
-        app.post_message(Delivered(app.heard, Fresh([], alive=False)))
+        app.post_message(Delivered(app.heard, Fresh([], engine=Engine.NONE)))
         await settle(pilot)
         assert isinstance(app.screen, RunScreen)
 
@@ -181,14 +185,16 @@ def test_what_was_said_about_a_moment_goes_with_it() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         waiting = msgspec.structs.replace(PROMPT, ready=False, seen_mm=9.0)
         asked = msgspec.structs.replace(status("suspended"), prompt=waiting)
-        app.heard.take(Fresh([], alive=True, status=asked), app.heard.scene.now or utc_now())
+        app.heard.take(
+            Fresh([], engine=Engine.HEARD, status=asked), app.heard.scene.now or utc_now()
+        )
         app._show()
         await press(pilot, "enter")
         assert "Enter works when" in text_of(app)
-        app.heard.take(Fresh([], alive=True, status=asked), utc_now())
+        app.heard.take(Fresh([], engine=Engine.HEARD, status=asked), utc_now())
         app._show()
         assert "Enter works when" in text_of(app)
-        app.heard.take(Fresh([], alive=True, status=status("suspended")), utc_now())
+        app.heard.take(Fresh([], engine=Engine.HEARD, status=status("suspended")), utc_now())
         app._show()
         await settle(pilot)
         assert "Enter works when" not in text_of(app)
@@ -255,25 +261,26 @@ def test_escape_stops_over_a_prompt() -> None:
 
 @pytest.mark.parametrize("state", STATES)
 def test_a_live_run_is_stopped_at_once_and_aborted_after_a_question(state: str) -> None:
-    live = state in LIVE
+    live, heard = state in LIVE, state in HEARD
+    refused = "the engine does not answer" if state == "silent" else "no run is live"
 
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, "escape")
         assert isinstance(app.screen, RunScreen)
         await press(pilot, "a")
-        assert isinstance(app.screen, Confirm) == live
-        if live:
+        assert isinstance(app.screen, Confirm) == heard
+        if heard:
             await press(pilot, "q")
             assert app.heard.asked == []
             await press(pilot, "a", "enter")
         else:
-            assert "abort: nothing to do now" in text_of(app)
+            assert f"abort: {refused}" in text_of(app)
         await press(pilot, "question_mark", "escape")
         assert isinstance(app.screen, HelpPage if live else RunScreen)
 
     app = play(act, state)
     assert app.heard.stops == (2 if live else 0)
-    assert app.heard.asked == ([("abort", {})] if live else [])
+    assert app.heard.asked == ([("abort", {})] if heard else [])
 
 
 def test_escape_leaves_the_plan_without_a_start() -> None:

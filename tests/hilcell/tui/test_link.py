@@ -15,9 +15,11 @@ from pathlib import Path
 import pytest
 
 from hilcell.errors import HilcellError
+from hilcell.tui import feed as feeds
 from hilcell.tui import link as links
 from hilcell.tui.feed import Feed, Fresh
-from hilcell.tui.link import Link, LinkLostError
+from hilcell.tui.link import Link, LinkLostError, LinkSilentError
+from hilcell.tui.scene import Engine
 from hilcell.tui.session import Session, utc_now
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
@@ -31,6 +33,7 @@ MANY_STOPS = 2000  # their answers fill any buffer
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for silent engines as long as a test may."""
     monkeypatch.setattr(links, "ANSWER_S", 0.2)
+    monkeypatch.setattr(feeds, "ANEW_S", 0.5)
 
 
 @pytest.fixture(autouse=True)
@@ -122,19 +125,45 @@ def test_a_refusal_without_a_reason_is_still_one(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "answer",
-    [SILENCE, b"garbage\n", b"\n", b"[1, 2]\n", b'"ok"\n', b"\xff\xfe\n", b'{"ok": true',
-     b"x" * 200_000 + b"\n", None],
-    ids=["silence", "garbage", "empty", "list", "text", "bytes", "torn", "endless", "closed"],
-)  # fmt: skip
+    [b"garbage\n", b"\n", b"[1, 2]\n", b'"ok"\n', b"\xff\xfe\n", b"x" * 200_000 + b"\n", None],
+    ids=["garbage", "empty", "list", "text", "bytes", "endless", "closed"],
+)
 def test_what_is_no_answer_loses_the_line(tmp_path: Path, answer: bytes | None) -> None:
     with Peer(tmp_path, lambda _: answer) as peer:
         link = linked(tmp_path)
         with pytest.raises(LinkLostError, match="engine: status: no answer"):
             link.ask("status")
-        with pytest.raises(LinkLostError):  # a late answer is never taken for the next one's
+        with pytest.raises(LinkLostError):
             link.ask("status")
         assert not link.stop()
         peer.until(lambda: peer.open == 0)
+
+
+@pytest.mark.parametrize("beginning", [SILENCE, b'{"ok": tr'], ids=["silence", "torn"])
+def test_a_late_answer_is_never_taken_for_the_next_one_s(tmp_path: Path, beginning: bytes) -> None:
+    waits = threading.Event()
+    answers = iter([beginning, says({"ok": True, "number": 2})])
+    rest = says({"ok": True, "number": 1}).removeprefix(beginning)
+
+    def slowly(words: dict[str, str]) -> bytes:
+        if words["command"] == "late":
+            assert waits.wait(LIMIT_S)
+            return rest
+        return usual(words) if words["command"] == "stop" else next(answers)
+
+    with Peer(tmp_path, slowly) as peer:
+        link = linked(tmp_path)
+        with pytest.raises(LinkSilentError, match="engine: status: no answer"):
+            link.ask("status")
+        with pytest.raises(LinkSilentError):  # nothing else is asked while one is owed
+            link.ask("pause")
+        link._asking.sendall(b'{"command": "late"}\n')  # stands for the engine's own time
+        assert link.stop()
+        peer.until_stops(1)
+        waits.set()
+        assert link.ask("answer")["number"] == 2
+        assert "pause" not in peer.commands
+        link.close()
 
 
 def test_a_stop_waits_for_no_answer(tmp_path: Path) -> None:
@@ -148,7 +177,7 @@ def test_a_stop_waits_for_no_answer(tmp_path: Path) -> None:
         link = linked(tmp_path)
 
         def ask() -> None:
-            with pytest.raises(LinkLostError):
+            with pytest.raises(LinkSilentError):
                 link.ask("status")
             lost.set()
 
@@ -225,7 +254,7 @@ def test_it_brings_the_journal_and_then_what_is_new(tmp_path: Path) -> None:
     screen.feed.start()
     first = screen.until(lambda fresh: bool(fresh.records))
     assert [record.kind for record in first.records][:2] == ["plan", "state"]
-    assert (first.alive, first.status) == (False, None)
+    assert (first.engine, first.status) == (Engine.NONE, None)
     writer.point("grid/0", "grid", (1.0, 2.0, 3.0))
     second = screen.until(lambda fresh: bool(fresh.records))
     assert [record.key for record in second.records] == ["grid/0"]
@@ -238,7 +267,7 @@ def test_it_attends_asks_and_leaves(tmp_path: Path) -> None:
         screen = Screen(tmp_path)
         screen.feed.start()
         fresh = screen.until(lambda fresh: fresh.status is not None)
-        assert fresh.alive
+        assert fresh.engine is Engine.HEARD
         assert fresh.status is not None
         assert fresh.status.devices["rail"].text == "1100.20 mm"
         assert peer.commands == ["attend"]
@@ -279,7 +308,7 @@ def test_a_line_that_ends_is_opened_again(tmp_path: Path) -> None:
         peer.hang_up()
         screen.until(lambda fresh: fresh.status is None)
         peer.until(lambda: peer.commands.count("attend") == 2)
-        assert screen.until(lambda fresh: fresh.status is not None).alive
+        assert screen.until(lambda fresh: fresh.status is not None).engine is Engine.HEARD
         screen.close()
         peer.until(lambda: peer.open == 0)
 
@@ -298,9 +327,10 @@ def test_an_engine_gone_mad_is_asked_anew_until_it_is_well(
         screen.feed.start()
         screen.until(lambda fresh: fresh.status is not None)
         mad.set()
-        assert not screen.until(lambda fresh: fresh.status is None).alive
+        lost = screen.until(lambda fresh: fresh.status is None)
+        assert lost.engine is (Engine.SILENT if answer == SILENCE else Engine.NONE)
         mad.clear()
-        assert screen.until(lambda fresh: fresh.status is not None).alive
+        assert screen.until(lambda fresh: fresh.status is not None).engine is Engine.HEARD
         screen.close()
         peer.until(lambda: peer.open == 0)
 
@@ -328,9 +358,29 @@ def test_a_status_that_makes_no_sense_leaves_the_last_to_grow_stale(
         screen.feed.start()
         screen.until(lambda fresh: fresh.status is not None)
         odd.set()
-        assert screen.until(lambda fresh: fresh.status is None).alive
+        assert screen.until(lambda fresh: fresh.status is None).engine is Engine.HEARD
         odd.clear()
         screen.until(lambda fresh: fresh.status is not None)
+        screen.close()
+
+
+def test_an_engine_that_only_stood_still_is_heard_on_the_same_line(tmp_path: Path) -> None:
+    goes = threading.Event()
+    goes.set()
+
+    def answer(words: dict[str, str]) -> bytes:
+        assert goes.wait(LIMIT_S)
+        return usual(words)
+
+    with Peer(tmp_path, answer) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        goes.clear()
+        assert screen.until(lambda fresh: fresh.status is None).engine is Engine.SILENT
+        goes.set()
+        assert screen.until(lambda fresh: fresh.status is not None).engine is Engine.HEARD
+        assert peer.commands == ["attend"]
         screen.close()
 
 
@@ -436,7 +486,7 @@ def test_a_stop_ends_an_engine_that_hears_nobody_yet(tmp_path: Path) -> None:
 def test_an_engine_that_was_heard_once_is_never_killed(tmp_path: Path) -> None:
     with child() as process:
         session = Session(tmp_path, lambda _: None, PERIOD_S, process)
-        session.take(Fresh([], alive=True), utc_now())
-        session.take(Fresh([], alive=False), utc_now())
+        session.take(Fresh([], engine=Engine.HEARD), utc_now())
+        session.take(Fresh([], engine=Engine.NONE), utc_now())
         assert not session.stop()
         assert process.poll() is None

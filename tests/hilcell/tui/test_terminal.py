@@ -17,7 +17,7 @@ import pytest
 
 from hilcell.run.journal import Journal, Record
 from hilcell.runs import JOURNAL
-from hilcell.tui.scene import Status
+from hilcell.tui.scene import Engine, Status
 from tests.hilcell.tui.engine_peer import STATUS, Peer, says
 from tests.hilcell.tui.hostile import NASTY, poisoned
 from tests.hilcell.tui.scenes import fresh, status, stories
@@ -97,7 +97,7 @@ def test_no_hostile_byte_reaches_the_terminal(tmp_path: Path, state: str) -> Non
     write(Path(os.fsdecode(named)), fresh("done").records)
     words = ["tui", NAME, "--runs", str(folder.parent)]
     with Peer(folder, lambda _: says(told(found.status))) as peer, Terminal(words) as terminal:
-        if not found.alive:
+        if found.engine is Engine.NONE:
             peer.hang_up()
             (folder / "engine.json").unlink()
         terminal.shows("PWNED")
@@ -164,21 +164,44 @@ def test_esc_stops_the_live_run_from_which_one_looked_at_another(tmp_path: Path)
     with live(tmp_path / NAME, "running") as (terminal, peer):
         look_at_another(terminal)
         terminal.shows("HISTORIC")
-        terminal.shows("another run is LIVE; Esc stops it")
+        terminal.shows("behind: RUNNING; q goes back, Esc stops")
         stops = peer.commands.count("stop") + 2
         terminal.press(ESC)
         peer.until_stops(stops)
         terminal.shows("STOP sent")
-        assert peer.commands.count("leave") == 1
+        assert "leave" not in peer.commands  # were this screen lost, the engine would be told
+        terminal.press("q")
+        terminal.shows("LIVE")
+        terminal.press(ENTER)
 
 
 def test_nothing_is_said_of_a_run_behind_whose_engine_has_ended(tmp_path: Path) -> None:
     write(tmp_path / "20260303-080000-calibrate-cd34", stories()["done"].records)
-    with live(tmp_path / NAME, "running") as (terminal, _):
+    with live(tmp_path / NAME, "running") as (terminal, peer):
         look_at_another(terminal)
-        terminal.shows("another run is LIVE")
+        terminal.shows("behind: RUNNING")
         (tmp_path / NAME / "engine.json").unlink()
+        peer.hang_up()
+        terminal.shows("which went on behind this run, has ended")
         terminal.shows("software stop; not the E-stop")
+
+
+@pytest.mark.parametrize("key", [CTRL_C, CTRL_Q])
+def test_leaving_with_a_live_run_behind_asks(tmp_path: Path, key: str) -> None:
+    write(tmp_path / "20260303-080000-calibrate-cd34", stories()["done"].records)
+    with live(tmp_path / NAME, "running") as (terminal, peer):
+        look_at_another(terminal)
+        terminal.shows("behind: RUNNING")
+        terminal.press("n")
+        terminal.shows("new run: a run is live: stop, abort or detach from it first")
+        terminal.press(key)
+        terminal.shows("A run is live.")
+        assert not terminal.ended
+        assert "leave" not in peer.commands
+        terminal.press("y")
+        assert terminal.ends() == 0
+        peer.until(lambda: peer.open == 0)
+        assert peer.commands == ["attend", "leave"]
 
 
 def test_esc_with_the_next_key_in_one_breath_stops(tmp_path: Path) -> None:

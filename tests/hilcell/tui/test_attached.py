@@ -1,0 +1,80 @@
+"""What a screen keeps hold of: the run it shows, and live ones that it left to look at another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hilcell.tui.attached import Attached
+from hilcell.tui.feed import Fresh
+from hilcell.tui.scene import Engine
+from hilcell.tui.session import utc_now
+from tests.hilcell.tui.stage import Listener
+
+
+def session(name: str, *, live: bool) -> Listener:
+    found = Listener(Path("/runs") / name)
+    found.take(Fresh([], Engine.HEARD if live else Engine.NONE), utc_now())
+    return found
+
+
+def end(listener: Listener) -> None:
+    listener.take(Fresh([], Engine.NONE), utc_now())
+
+
+def test_an_ended_run_that_is_left_is_let_go() -> None:
+    attached, first, second = Attached(), session("a", live=False), session("b", live=False)
+    attached.show(first)
+    attached.show(second)
+    assert (first.closed, second.closed) == ([True], [])
+    assert first not in attached
+    assert attached.live == []
+
+
+def test_a_live_run_that_is_left_keeps_its_line_until_it_ends() -> None:
+    attached, live, past = Attached(), session("a", live=True), session("b", live=False)
+    attached.show(live)
+    attached.show(past)
+    assert (live.closed, attached.live, attached.behind) == ([], [live], [live])
+    assert attached.of(live.folder) is live
+    assert attached.drop_ended() == []
+    end(live)
+    assert attached.drop_ended() == [live]
+    assert (live.closed, attached.live) == ([True], [])
+
+
+def test_going_back_takes_the_same_line() -> None:
+    attached, live, past = Attached(), session("a", live=True), session("b", live=False)
+    attached.show(live)
+    attached.show(past)
+    attached.show(live)
+    assert (attached.shown, attached.behind) == (live, [])
+    assert (live.closed, past.closed) == ([], [True])
+
+
+def test_a_resumed_run_is_not_behind_itself() -> None:
+    attached, live, again = Attached(), session("a", live=True), session("a", live=True)
+    attached.show(live)
+    attached.show(again)
+    assert attached.behind == []
+    assert live.closed == [True]
+
+
+def test_a_stop_reaches_every_live_run() -> None:
+    attached, first, second = Attached(), session("a", live=True), session("b", live=True)
+    assert not attached.stop()
+    attached.show(first)
+    attached.show(second)
+    assert attached.stop()
+    assert (first.stops, second.stops) == (1, 1)
+    end(second)
+    assert attached.stop()  # the one shown has ended, the other has not
+    assert first.stops == 2
+
+
+def test_leaving_lets_go_of_all() -> None:
+    attached, first, second = Attached(), session("a", live=True), session("b", live=True)
+    attached.show(first)
+    attached.show(second)
+    attached.leave()
+    assert (first.closed, second.closed) == ([True], [True])
+    assert (attached.shown, attached.behind) == (None, [])
