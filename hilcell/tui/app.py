@@ -83,9 +83,9 @@ class HilcellApp(App[int]):
     ]
 
     def __init__(self, options: Options) -> None:
+        self.attached = Attached()  # first: the terminal's driver wants its stop
         super().__init__()
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
-        self.attached = Attached()
         self.detached: list[str] = []  # the runs that go on without this screen
         self.refused: HilcellError | None = None  # why nothing could be opened
         self._collector: Collector | None = None
@@ -121,9 +121,7 @@ class HilcellApp(App[int]):
 
     def get_driver_class(self) -> type[Driver]:
         """Give the terminal's driver the one call that must not wait."""
-        return type(
-            "Stopping", (StopDriver,), {"on_escape": staticmethod(lambda: self.attached.stop())}
-        )
+        return type("Stopping", (StopDriver,), {"on_escape": staticmethod(self.attached.stop)})
 
     async def on_event(self, event: Event) -> None:
         """Take what is typed in its order; everything else as Textual does."""

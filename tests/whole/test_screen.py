@@ -16,7 +16,7 @@ from hilcell.run.control import live_engine, send_command
 from hilcell.run.journal import read_journal
 from hilcell.run.log import Log
 from hilcell.runs import JOURNAL, read_log, run_folders
-from tests.whole.bench import LIMIT_S, SMALL, sets, simulation, wait_gone
+from tests.whole.bench import LIMIT_S, SMALL, hilcell, sets, simulation, wait_gone
 from tests.whole.terminal import Terminal
 from tests.whole.trace import judge
 
@@ -204,6 +204,50 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
                 assert third.ends() == 0
             wait_for(lambda: read_log(folder).end is not None, "detached, it goes on to its end")
             assert read_log(folder).states["run"] == "finished"
+
+
+def test_a_screen_killed_while_it_shows_another_run_pauses_the_live_one(tmp_path: Path) -> None:
+    words = ("run", "home", "--unattended", "--runs", str(tmp_path), "--name", "20200101-home")
+    assert hilcell(*words).returncode == 0
+    with screen(tmp_path) as terminal:
+        start(terminal, UNHURRIED + ENTER)
+        terminal.shows("■ RUNNING", LIMIT_S)
+        terminal.press("h")
+        terminal.shows("2 of 2 runs")
+        terminal.press("\x1b[F" + ENTER)
+        terminal.shows("Esc still stops it")
+        terminal.press(ENTER)
+        terminal.shows("behind: RUNNING")
+        terminal.process.kill()
+        folder = run_folders(tmp_path)[-1]
+        wait_for(lambda: read_log(folder).states["run"] == "paused", "the run pauses")
+
+
+def test_an_engine_that_stands_still_is_silent_and_not_gone(tmp_path: Path) -> None:
+    with screen(tmp_path) as terminal:
+        start(terminal, UNHURRIED + ENTER)
+        terminal.shows("■ RUNNING", LIMIT_S)
+        folder = folder_of(tmp_path)
+        engine = live_engine(folder)
+        assert engine is not None
+        os.kill(engine.pid, signal.SIGSTOP)
+        try:
+            terminal.shows("NO ANSWER")
+            terminal.shows("use the E-stop")
+            terminal.press("a")
+            terminal.shows("abort: the engine does not answer")
+            asked = hilcell("stop", "last", "--runs", tmp_path)
+            assert asked.returncode == 2
+            assert f"process {engine.pid}, has not answered" in asked.stderr
+            assert "gone" not in hilcell("runs", "--runs", tmp_path).stdout
+            terminal.press(ESC)
+            terminal.shows("STOP sent, but the engine does not answer: use the E-stop")
+        finally:
+            os.kill(engine.pid, signal.SIGCONT)
+        wait_for(lambda: read_log(folder).end is not None, "the stop is heard")
+        terminal.shows("space resume")
+        assert "HC-J05" not in terminal.text
+    assert judged(folder) == []
 
 
 def test_the_screen_that_started_a_run_is_left_at_once_and_the_run_goes_on(tmp_path: Path) -> None:
