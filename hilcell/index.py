@@ -20,7 +20,7 @@ from pathlib import Path
 
 import msgspec
 
-from hilcell.run.journal import Record, StorageError, read_journal
+from hilcell.run.journal import ABSENT, Record, StorageError, read_journal
 from hilcell.runs import JOURNAL
 
 NAME = "index.sqlite"
@@ -289,8 +289,7 @@ def _seconds(t: str) -> str:
 def _stamps(runs: Path) -> dict[str, str]:
     """Return what tells a changed journal, by the run's name; empty where it cannot be told."""
     try:
-        with os.scandir(runs) as entries:
-            names = [entry.name for entry in entries if entry.is_dir()]
+        names = os.listdir(runs)  # noqa: PTH208 - of ten thousand runs a Path each is too slow
     except FileNotFoundError:
         return {}  # no run was ever made there
     except OSError as error:
@@ -302,9 +301,9 @@ def _stamps(runs: Path) -> dict[str, str]:
 
 def _stamp(journal: str, now_s: float) -> str | None:
     try:
-        file = os.stat(journal)  # noqa: PTH116 - of ten thousand runs a Path each is too slow
-    except OSError:
-        return None
+        file = os.stat(journal)  # noqa: PTH116 - as above
+    except OSError as error:
+        return None if error.errno in ABSENT else ""  # what keeps it from being read is told
     if not stat.S_ISREG(file.st_mode):
         return None
     # What is committed but not yet in the main file leaves that one as it was.

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hilcell.errors import HilcellError
-from hilcell.run.journal import StorageError, read_journal
+from hilcell.run.journal import StorageError, is_there, read_journal
 
 if TYPE_CHECKING:
     from hilcell.run.log import Log
 
 JOURNAL = "journal.sqlite"
-LONGEST_NAME = 200  # longer is no path that a file system takes
 
 
 def new_run(procedure: str) -> str:
@@ -22,25 +21,40 @@ def new_run(procedure: str) -> str:
     return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{procedure}-{secrets.token_hex(2)}"
 
 
+def make_folder(folder: Path) -> None:
+    """Make the folder of a run; raises `StorageError`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"run folder {folder} cannot be used: {error.strerror}") from error
+
+
 def run_folders(runs: Path) -> list[Path]:
     """Return the folders that hold a journal, oldest first; raises `StorageError`."""
     try:
         folders = list(runs.iterdir())
-        return sorted(folder for folder in folders if (folder / JOURNAL).is_file())
     except FileNotFoundError:
         return []  # no run was ever made there
     except OSError as error:
         raise StorageError(f"runs folder {runs} cannot be used: {error.strerror}") from error
+    return sorted(filter(is_run, folders))
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder holds a journal, or may: one that must not be looked into counts."""
+    try:
+        return is_there(folder / JOURNAL)
+    except OSError:
+        return True
 
 
 def find_run(runs: Path, name: str) -> Path:
     """Return the folder of one run; raises `HilcellError` where none or several are meant."""
-    direct = Path(name)
-    if name and len(name) <= LONGEST_NAME and (direct / JOURNAL).is_file():
-        return direct
+    if name and is_run(Path(name)):
+        return Path(name)
     folders = run_folders(runs)
     if name == "last" and folders:
-        return max(folders, key=lambda folder: (folder / JOURNAL).stat().st_mtime)
+        return max(folders, key=_written_s)
     meant = [folder for folder in folders if folder.name == name]
     meant = meant or [folder for folder in folders if name and folder.name.startswith(name)]
     if len(meant) == 1:
@@ -49,6 +63,14 @@ def find_run(runs: Path, name: str) -> Path:
         raise HilcellError(f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which")
     newest = ", ".join(folder.name for folder in folders[-3:]) or "none"
     raise HilcellError(f"run {name[:80]!r} is not in {runs}; newest there: {newest}")
+
+
+def _written_s(folder: Path) -> float:
+    """Return when a journal was last written; of one that must not be looked at, long ago."""
+    try:
+        return (folder / JOURNAL).stat().st_mtime
+    except OSError:
+        return 0.0
 
 
 def read_log(folder: Path) -> Log:

@@ -25,14 +25,14 @@ from hilcell.exits import EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.faces import Face, json_face, print_dry_run, print_end, progress_face
 from hilcell.ports import HilcellError, Stopped
 from hilcell.run.control import Control, live_engine, send_command
-from hilcell.run.journal import Journal
+from hilcell.run.journal import Journal, StorageError
 from hilcell.run.lock import lock_of_address, lock_of_name, locked
 from hilcell.run.log import Log
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
 from hilcell.run.signals import stopped_by_signals
-from hilcell.runs import JOURNAL, find_run, new_run, read_log
+from hilcell.runs import JOURNAL, find_run, make_folder, new_run, read_log
 from hilcell.writing import NotWritten
 
 
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     with locked(lock_of_name(args.runs, cell.name), f"cell {cell.name}", name):
         if (folder / JOURNAL).exists():
             raise HilcellError(f"run {name} exists already in {args.runs}; choose another --name")
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         journal = Journal(folder / JOURNAL, name, create=True)
         log = Log()
         journal.listen(log.take)
@@ -178,7 +178,10 @@ def _run(
     except (HilcellError, Stopped) as error:
         code, state = exit_code(error), log.states["run"]
         body = {"state": state, "exit": code, "result": {}, "reason": str(error)}
-        journal.append("end", "", body)
+        try:
+            journal.append("end", "", body)
+        except StorageError as unwritten:  # a disk that takes no engine takes no end either
+            return EXIT_STORAGE, unwritten
         return code, error
 
 

@@ -14,13 +14,15 @@ import socketserver
 import tempfile
 import threading
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Protocol
 
 import msgspec
 
 from hilcell.ports import HilcellError
+from hilcell.run.journal import StorageError
+from hilcell.writing import NotWritten, write_whole
 
 ENGINE = "engine.json"  # in the run's folder, while its engine lives
 ANSWER_S = 5.0
@@ -60,20 +62,37 @@ class Engine(Protocol):
 
 
 class Control:
-    """Listens for commands and hands them to the engine."""
+    """Listens for commands and hands them to the engine.
+
+    Raises `StorageError`, and leaves nothing behind, where its files find no place.
+    """
 
     def __init__(self, folder: Path, engine: Engine) -> None:
         self._file = folder / ENGINE
-        self._private = Path(tempfile.mkdtemp(prefix="hilcell-"))
-        path = self._private / "control"
-        self._server = _Server(str(path), engine)
-        path.chmod(0o600)
-        where = EngineFile(os.getpid(), str(path))
-        self._file.write_bytes(msgspec.json.encode(where))
+        with ExitStack() as undo:
+            path = self._listen(engine, undo)
+            _say_where(self._file, EngineFile(os.getpid(), str(path)))
+            undo.pop_all()
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.05,), name="control", daemon=True
         )
         self._thread.start()
+
+    def _listen(self, engine: Engine, undo: ExitStack) -> Path:
+        try:
+            self._private = Path(tempfile.mkdtemp(prefix="hilcell-"))
+            undo.callback(shutil.rmtree, self._private, ignore_errors=True)
+            path = self._private / "control"
+            self._server = _Server(str(path), engine)
+            undo.callback(self._server.server_close)
+            path.chmod(0o600)
+        except OSError as error:
+            where = tempfile.tempdir or "of this machine"
+            raise StorageError(
+                f"temporary folder {where} cannot be used: {error.strerror or error}; make room "
+                "there, or name another by TMPDIR"
+            ) from error
+        return path
 
     def close(self) -> None:
         """Stop listening, end every connection and remove the socket; once."""
@@ -83,8 +102,20 @@ class Control:
         self._server.server_close()
         self._server.end_connections()
         self._thread.join()
-        self._file.unlink(missing_ok=True)
         shutil.rmtree(self._private, ignore_errors=True)
+        with suppress(OSError):  # a file that nobody listens behind says the same as none
+            self._file.unlink()
+
+
+def _say_where(file: Path, where: EngineFile) -> None:
+    """Write the file whole: who reads half of one takes the engine for gone."""
+    try:
+        write_whole(file, msgspec.json.encode(where))
+    except NotWritten as error:
+        raise StorageError(
+            f"the engine could not say where it listens: {error}; make room or mend the disk, "
+            f"then `hilcell resume {file.parent.name}`"
+        ) from error
 
 
 class _Server(socketserver.ThreadingUnixStreamServer):

@@ -6,8 +6,10 @@ synchronous=FULL). The trap: nothing may be shown, counted or acted upon before 
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import sqlite3
+import stat
 import threading
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -19,6 +21,7 @@ import msgspec
 from hilcell.errors import HilcellError
 
 SCHEMA = 1
+ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other errors hide a file
 Kind = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 
 _TABLES = """
@@ -144,14 +147,24 @@ def _plain(value: Any) -> Any:
     return value.tolist()
 
 
+def is_there(path: Path) -> bool:
+    """Whether a journal is at a path; raises `OSError` where that cannot be told."""
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except OSError as error:
+        if error.errno in ABSENT:
+            return False
+        raise
+
+
 def read_journal(path: Path, after: int = 0) -> list[Record]:
     """Return the records after ``after``; raises `StorageError` where the file is not sound.
 
     Reading from the first record on verifies the hash chain.
     """
-    if not path.is_file():
-        raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
     try:
+        if not is_there(path):
+            raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
         base = _reader(path)
         try:
             return [record for record, _ in _stored(base, path, after)]
@@ -159,6 +172,8 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
             base.close()
     except sqlite3.Error as error:
         raise StorageError(f"journal {path}: cannot be read: {error}") from error
+    except OSError as error:
+        raise StorageError(f"journal {path}: cannot be read: {error.strerror}") from error
 
 
 def _reader(path: Path) -> sqlite3.Connection:

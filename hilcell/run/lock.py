@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO
 
 from hilcell.ports import HilcellError
 from hilcell.run.journal import StorageError
@@ -33,7 +33,10 @@ def lock_of_address(address: str) -> Path:
 
 
 def _locks() -> Path:
-    return Path(tempfile.gettempdir()) / f"hilcell-locks-{os.getuid()}"
+    try:
+        return Path(tempfile.gettempdir()) / f"hilcell-locks-{os.getuid()}"
+    except OSError as error:
+        raise StorageError(f"locks folder cannot be used: {error.strerror}") from error
 
 
 @contextmanager
@@ -44,21 +47,26 @@ def locked(path: Path, what: str, run: str) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
-            holder = file.read().strip() or "another run"
+            holder = file.read().decode(errors="replace").strip() or "another run"
             raise CellLocked(
                 f"{what} is locked by {holder}; wait for its end or `hilcell stop` it"
             ) from None
-        file.truncate(0)
-        file.write(f"run {run} (pid {os.getpid()})")
-        file.flush()
+        with _told(path.parent):
+            file.truncate(0)
+            file.write(f"run {run} (pid {os.getpid()})".encode())
         yield
 
 
-def _opened(path: Path) -> TextIO:
-    folder = path.parent
+def _opened(path: Path) -> BinaryIO:
+    with _told(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        return path.open("a+b", buffering=0)  # what a full disk refuses is not tried again later
+
+
+@contextmanager
+def _told(folder: Path) -> Iterator[None]:
     try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        return path.open("a+", encoding="utf-8")
+        yield
     except OSError as error:
         kind = "locks" if folder == _locks() else "runs"
         raise StorageError(f"{kind} folder {folder} cannot be used: {error.strerror}") from error

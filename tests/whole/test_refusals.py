@@ -175,3 +175,29 @@ def test_words_nobody_knows(words: list[str]) -> None:
     done = hilcell(*words)
     assert done.returncode == 2
     assert "usage" in done.stderr
+
+
+def test_an_engine_that_finds_no_place_for_its_file_says_so_and_can_be_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    runs = tmp_path / "runs"
+    (runs / "d" / "engine.json").mkdir(parents=True)  # as little to be written as on a full disk
+    for words in (("run", "home", "--name", "d"), ("resume", "d")):
+        done = hilcell(*words, "--runs", runs)
+        assert done.returncode == 7, done.stderr
+        assert "engine.json is a folder" in done.stderr
+        assert f"resume with: hilcell resume d --runs {runs}" in done.stderr
+        assert "Traceback" not in done.stderr
+    (runs / "d" / "engine.json").rmdir()
+    assert hilcell("resume", "d", "--runs", runs).returncode == 0
+    assert [path.name for path in temporary.iterdir() if "locks" not in path.name] == []
+
+
+def test_a_folder_of_runs_that_takes_no_run(tmp_path: Path) -> None:
+    (tmp_path / "d").write_text("in the way")
+    done = hilcell("run", "home", "--name", "d", "--runs", tmp_path)
+    assert done.returncode == 7
+    assert done.stderr == f"hilcell: run folder {tmp_path}/d cannot be used: File exists\n"

@@ -4,6 +4,7 @@ import socket
 import stat
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -258,3 +259,105 @@ def test_a_run_of_an_endless_name_is_not_there(tmp_path: Path) -> None:
     assert run_folders(tmp_path / "none") == []
     with pytest.raises(HilcellError, match="is not in"):
         find_run(tmp_path, "x" * 5000)
+
+
+def test_the_engine_s_file_is_never_seen_half_written(
+    tmp_path: Path, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "r"
+    folder.mkdir()
+    seen: list[bytes] = []
+    real = Path.replace
+
+    def replace(beside: Path, target: Path) -> Path:
+        seen.append(beside.read_bytes())
+        assert not target.exists()
+        return real(beside, target)
+
+    monkeypatch.setattr(Path, "replace", replace)
+    control = Control(folder, desk)
+    assert seen == [(folder / "engine.json").read_bytes()]
+    assert [path.name for path in folder.iterdir()] == ["engine.json"]
+    control.close()
+    assert list(folder.iterdir()) == []
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder of temporary files, a new one."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+NO_ROOM = """
+import resource, sys, tempfile, threading
+from pathlib import Path
+from hilcell.run.control import Control
+from hilcell.run.journal import StorageError
+from hilcell.run.lock import locked
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # names are taken, but nothing stands in them
+folder, tempfile.tempdir = Path(sys.argv[1]), sys.argv[2]
+try:
+    Control(folder, None)
+except StorageError as error:
+    print(error)
+try:
+    with locked(folder.parent / ".paper.lock", "cell paper", "mine"):
+        print("locked")
+except StorageError as error:
+    print(error)
+print(threading.active_count())
+"""
+
+
+def test_a_full_disk_is_a_storage_fault_and_leaves_nothing(tmp_path: Path, temporary: Path) -> None:
+    folder = tmp_path / "r"
+    folder.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", NO_ROOM, folder, temporary],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines() == [
+        (
+            f"the engine could not say where it listens: {folder}/engine.json: cannot be written: "
+            "File too large; make room or mend the disk, then `hilcell resume r`"
+        ),
+        f"runs folder {tmp_path} cannot be used: File too large",
+        "1",
+    ]
+    assert list(folder.iterdir()) == []
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_folder_of_temporary_files_that_cannot_be_used_is_named(
+    tmp_path: Path, desk: Desk, temporary: Path
+) -> None:
+    temporary.rmdir()
+    with pytest.raises(StorageError, match=f"temporary folder {temporary} cannot be used: No such"):
+        Control(tmp_path / "r", desk)
+
+
+def test_a_socket_under_a_path_too_long_is_told(
+    tmp_path: Path, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deep = tmp_path / ("x" * 120)
+    deep.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(deep))
+    with pytest.raises(StorageError, match="path too long; make room there, or name another"):
+        Control(tmp_path, desk)
+    assert list(deep.iterdir()) == []
+
+
+def test_an_engine_ends_also_where_its_file_stays(tmp_path: Path, control: Control) -> None:
+    """A disk that has become read-only keeps the file; nobody listens behind it."""
+    file = tmp_path / "engine.json"
+    where = msgspec.json.decode(file.read_bytes(), type=EngineFile)
+    file.unlink()
+    file.mkdir()
+    control.close()
+    assert not Path(where.socket).parent.exists()
+    assert live_engine(tmp_path) is None
