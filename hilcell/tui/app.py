@@ -17,6 +17,7 @@ from textual.binding import Binding, BindingType
 from textual.driver import Driver
 from textual.events import Event, Key, Paste
 from textual.message import Message
+from textual.screen import Screen
 from textual.scrollbar import ScrollBar
 from textual.widgets import Input
 
@@ -104,6 +105,12 @@ class HilcellApp(App[int]):
     def scene(self) -> Scene | None:
         """Return what is known of the attached run."""
         return self.session.scene if self.session is not None else None
+
+    @property
+    def page(self) -> Screen[Any]:
+        """Return the screen under whatever is asked, or under the palette."""
+        pages = (each for each in reversed(self.screen_stack) if isinstance(each, SceneScreen))
+        return next(pages, self.screen)
 
     @property
     def live(self) -> bool:
@@ -231,8 +238,8 @@ class HilcellApp(App[int]):
         self._show()
         for ended in self.attached.drop_ended():
             self.say(f"{ended.folder.name}, which went on behind this run, has ended")
-        if session is self.session and session.trouble:
-            self.say(session.trouble, over=False)
+        if session is self.session and session.scene.trouble:
+            self.say(session.scene.trouble, over=False)
 
     def _tick(self) -> None:
         from hilcell.tui.session import utc_now
@@ -257,10 +264,8 @@ class HilcellApp(App[int]):
 
     def say(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
         """Say something on the line above the keys, as `SceneScreen.notice` does."""
-        for screen in reversed(self.screen_stack):
-            if isinstance(screen, SceneScreen):
-                screen.notice(text, for_now=for_now, over=over)
-                return
+        if isinstance(self.page, SceneScreen):
+            self.page.notice(text, for_now=for_now, over=over)
 
     def background(self, work: Coroutine[Any, Any, None]) -> None:
         """Do something that may take a while; what goes wrong is said."""
@@ -287,7 +292,7 @@ class HilcellApp(App[int]):
 
     def refusal(self, name: str) -> str:
         """Return why an action does nothing now, on the screen that is on top."""
-        if name in OF_THE_POINTS and not hasattr(self.screen, f"do_{name}"):
+        if name in OF_THE_POINTS and not hasattr(self.page, f"do_{name}"):
             return "only where the points are listed"
         standing = self.session is not None and bool(self.latch.standing())
         return refusal(name, self.scene, behind=bool(self.attached.behind), standing=standing)
@@ -423,13 +428,13 @@ class HilcellApp(App[int]):
         folder = session.folder
         attended = [] if not session.scene.log.inputs.unattended else ["--unattended"]
         order = ["resume", folder.name, "--runs", str(folder.parent), *attended, *words]
-        process = engine.start(folder.parent, folder.name, order)
-        self.attach(folder, process)
-        self.background(self.watch_engine(process, folder))
+        started = engine.start(folder.parent, folder.name, order)
+        self.attach(folder, started.process)
+        self.background(self.watch_engine(started))
 
-    async def watch_engine(self, process: Any, folder: Path) -> None:
+    async def watch_engine(self, started: engine.Started) -> None:
         """Wait for an engine's end; one that leaves no word in the journal says it here."""
-        if told := engine.untold(folder, await aside(process.wait)):
+        if told := await aside(started.end):
             raise HilcellError(told)
 
     def ask(self, title: str, text: str, yes: str, act: Any) -> None:
@@ -476,8 +481,7 @@ class HilcellApp(App[int]):
             self._close_questions()
             self.ask(
                 "A run is live.",
-                "Detach: the run goes on without this screen. To stop it, "
-                "press q here and then Esc.",
+                "Detach: its engine works on without this screen. Esc stops it, from here, too.",
                 "detach",
                 self.do_detach,
             )

@@ -14,6 +14,7 @@ from hilcell.tui.themes import NAMES
 if TYPE_CHECKING:
     from hilcell.alarms import Latch
     from hilcell.tui.attached import Attached
+    from hilcell.tui.engine import Started
     from hilcell.tui.scene import Scene
 
 
@@ -65,7 +66,7 @@ class Desk(Protocol):
     def open_run(self, folder: Path) -> None:
         """Show another run; leaving a live one asks."""
 
-    def watch_engine(self, process: Any, folder: Path) -> Coroutine[Any, Any, None]:
+    def watch_engine(self, started: Started) -> Coroutine[Any, Any, None]:
         """Wait for an engine's end, and say what it said where no journal tells."""
 
     def enter(self, key: str) -> None:

@@ -6,17 +6,19 @@ import asyncio
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from signal import SIGTERM
-from typing import Any
+from typing import Any, BinaryIO
 
 import msgspec
 
 from hilcell.errors import HilcellError
 
-WORDS = "engine.log"
-MOST_LINES = 7  # of them are shown
+REASON = "hilcell: "
+MOST_LINES = 7  # of an engine's last words are shown
 UNTOLD = {  # exits that the journal may not tell of
     -SIGTERM: "stopped before anything moved",
     2: "refused",
@@ -54,7 +56,25 @@ class Order:
         return words if self.attended else [*words, "--unattended"]
 
 
-def start(runs: Path, run: str, words: Sequence[str]) -> subprocess.Popen[bytes]:
+@dataclass(frozen=True, slots=True)
+class Started:
+    """An engine that this screen has started, and the file that it alone speaks to."""
+
+    process: subprocess.Popen[bytes]
+    said: Path
+
+    def end(self) -> str:
+        """Wait for the engine's end; return what the journal may not tell of it, else nothing."""
+        from hilcell.runs import JOURNAL  # not for the first screen
+
+        code = self.process.wait()
+        if code not in UNTOLD and (self.said.parent / JOURNAL).is_file():
+            return ""
+        reason = _last_words(self.said) or UNTOLD.get(code, "without a word")
+        return f"the engine ended, exit {code}: {reason}"
+
+
+def start(runs: Path, run: str, words: Sequence[str]) -> Started:
     """Start an engine in a session of its own; what it says goes to a file in the run's folder.
 
     Raises `HilcellError` where nothing can be written there.
@@ -62,34 +82,36 @@ def start(runs: Path, run: str, words: Sequence[str]) -> subprocess.Popen[bytes]
     folder = runs / run
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / WORDS).open("ab") as said:
-            return subprocess.Popen(  # noqa: S603 - our own interpreter, words never reach a shell
+        with _new_file(folder) as said:
+            process = subprocess.Popen(  # noqa: S603 - our own interpreter, words reach no shell
                 [*HILCELL, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=said,
                 start_new_session=True,
             )
+            return Started(process, Path(said.name))
     except OSError as error:
         raise HilcellError(f"no engine was started: {folder}: {error.strerror}") from error
 
 
-def untold(folder: Path, code: int) -> str:
-    """Return what the journal may not tell of an engine's end; nothing where it does."""
-    from hilcell.runs import JOURNAL  # not for the first screen
-
-    if code not in UNTOLD and (folder / JOURNAL).is_file():
-        return ""
-    said = _last_words(folder) or UNTOLD.get(code, "without a word")
-    return f"the engine ended, exit {code}: {said}"
+def _new_file(folder: Path) -> BinaryIO:
+    """Open a file that nobody else writes: two screens may resume one run at a time."""
+    for number in count(1):
+        with suppress(FileExistsError):
+            return (folder / f"engine-{number}.log").open("xb")
+    raise AssertionError("numbers never end")
 
 
-def _last_words(folder: Path) -> str:
+def _last_words(said: Path) -> str:
+    """Return the reason that an engine gave last, without what it reported before."""
     try:
-        said = (folder / WORDS).read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        return str(error)
-    return "\n".join(said.strip().splitlines()[-MOST_LINES:])
+        lines = said.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    except OSError:
+        return ""  # the run's folder is gone, or its disk
+    reasons = [number for number, line in enumerate(lines) if line.startswith(REASON)]
+    last = lines[reasons[-1] :][:MOST_LINES] if reasons else lines[-MOST_LINES:]
+    return "\n".join(last).removeprefix(REASON)
 
 
 async def ask_hilcell(*words: str) -> str:
@@ -104,7 +126,8 @@ async def ask_hilcell(*words: str) -> str:
     out, err = await process.communicate()
     if process.returncode:
         said = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
-        raise HilcellError(said.removeprefix("hilcell: "))
+        said = said.rpartition("error: ")[2] if said.startswith("usage: ") else said
+        raise HilcellError(said.removeprefix(REASON))
     return out.decode(errors="replace") + err.decode(errors="replace")
 
 

@@ -64,9 +64,11 @@ class Feed:
         self._let_go()
 
     def _let_go(self) -> None:
-        if self.link is not None and self._leave:
-            self.link.leave()
-        self._hang_up()
+        link, self.link = self.link, None
+        if link is not None:
+            if self._leave:
+                link.leave()
+            link.close()
 
     def _follow(self) -> None:
         while not self._ended.is_set():
@@ -101,7 +103,7 @@ class Feed:
             return Engine.HEARD, msgspec.convert(answer, Status)
         except LinkSilentError:
             if time.monotonic() - self._heard_s > ANEW_S:
-                self._hang_up()
+                self._let_go()
             return Engine.SILENT, None
         except LinkLostError:
             self.link = None
@@ -117,8 +119,3 @@ class Feed:
             if self.link is not None:
                 self.link.ask("attend")
         return self.link
-
-    def _hang_up(self) -> None:
-        link, self.link = self.link, None
-        if link is not None:
-            link.close()

@@ -7,10 +7,11 @@ from collections.abc import Collection
 from hilcell.index import RunRow
 from hilcell.tui.rows import Column, Row
 
+PROCEDURE = 13
 NARROW = (
     Column("", 1),
     Column("begun UTC", 16),
-    Column("procedure", 13),
+    Column("procedure", PROCEDURE),
     Column("state", 16),
     Column("points", 6, right=True),
     Column("before", 6, right=True),
@@ -46,7 +47,7 @@ def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
     head = (
         mark,
         begun,
-        run.procedure or "?",
+        run.procedure or run.name[-PROCEDURE:],
         state,
         str(run.points or ""),
         _mm(run.before_mean_mm),

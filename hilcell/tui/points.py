@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 
 from hilcell.run.log import Log
 from hilcell.tui.deviation import BAD_STATES, PointRow, row_of
@@ -29,9 +30,11 @@ _WIDE_COLUMNS = (
 _TONES = {"out": "bad", "noisy": "warn", "waits": "info", "again": "info"}
 
 
-def columns_for(width: int) -> Sequence[Column]:
-    """Return the columns that a table of this width shows."""
-    return _WIDE_COLUMNS if width >= WIDE + 40 else _NARROW_COLUMNS
+def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
+    """Return the columns that a table of this width shows; the first tells which points."""
+    columns = _WIDE_COLUMNS if width >= WIDE + 40 else _NARROW_COLUMNS
+    which = ", ".join(["bad only"] * bad_only + ["worst first"] * worst)
+    return (replace(columns[0], title=f"point: {which}"), *columns[1:]) if which else columns
 
 
 class PointTable:

@@ -15,7 +15,7 @@ OF_A_RUN = OF_THE_POINTS | frozenset(
     ("pause", "acknowledge", "alarms", "plots", "interlocks", "log", "report")
 )
 ONE_AT_A_TIME = "a run is live: stop, abort or detach from it first"
-NO_RUN = "no run is shown yet"
+NO_RUN = "there is no run here to act on"
 NOT_LIVE = "no run is live"
 UNHEARD = {"checking": "the engine starts", "silent": "the engine does not answer"}
 AT_REST = {"stopping": "the run is being stopped", "done": "the run is over"} | UNHEARD

@@ -83,6 +83,7 @@ class Scene:
 
     run: str
     log: Log = field(default_factory=Log)
+    trouble: str = ""  # why the journal cannot be read
     engine: Engine = Engine.NONE
     status: Status | None = None
     heard_s: float = 0.0  # how old the status is
@@ -109,6 +110,14 @@ class Scene:
             self.step = record.body
 
     @property
+    def newest_target(self) -> Point | None:
+        """Return the newest point with a nominal place, or None where there is none yet."""
+        if self.last is None or self.last.nominal_mm is not None:
+            return self.last
+        points = reversed(self.log.points.values())
+        return next((point for point in points if point.nominal_mm is not None), None)
+
+    @property
     def over(self) -> bool:
         """Whether the run has ended, by its journal."""
         return self.log.states["run"] in OVER and self.log.end is not None
@@ -120,6 +129,8 @@ class Scene:
         if self.engine is Engine.STARTING:
             return "checking"
         if self.engine is Engine.NONE and not self.over:
+            if self.trouble and self.log.plan is None:
+                return "unreadable"
             begun = self.log.plan is not None and self.log.end is None  # else it was refused
             return "gone" if begun else "idle"
         if self.engine is Engine.SILENT and not self.over:

@@ -39,7 +39,6 @@ class Session:
         self.scene = Scene(folder.name, engine=Engine.STARTING if process else Engine.NONE)
         self.latch = Latch()
         self.process = process  # the engine, where this screen has started it
-        self.trouble = ""
         self._go_on = go_on
         self._foreign = ""  # why the journal cannot be understood
         self._forecast = Forecast()
@@ -51,7 +50,7 @@ class Session:
         if not self._foreign:
             self._take_records(fresh.records)
         scene = self.scene
-        self.trouble = self._foreign or fresh.trouble
+        scene.trouble = self._foreign or fresh.trouble
         if fresh.status is not None:
             scene.status, self._heard = fresh.status, now
         before, scene.engine = scene.engine, self._engine(fresh.engine)

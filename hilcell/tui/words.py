@@ -27,10 +27,18 @@ STATES = {
     "aborted": ("ABORTED", "quiet"),
     "fault": ("FAULT", "bad"),
     "silent": ("NO ANSWER", "bad"),
+    "unreadable": ("UNREADABLE", "bad"),
     "gone": ("ENGINE GONE", "bad"),
 }
 NOT_E_STOP = "software stop; not the E-stop"
+NOTHING = {  # where there is no plan in the journal
+    Engine.NONE: "nothing was recorded",
+    Engine.STARTING: "the engine starts ...",
+    Engine.HEARD: "nothing to see yet",
+    Engine.SILENT: "nothing to see yet",
+}
 SHORT = 4
+MOST_OF_A_NAME = 20
 LAMPS = ("rail", "strip", "robot", "tracker")
 
 
@@ -78,17 +86,22 @@ def identity(scene: Scene, width: int) -> Content:
     """Return element 2: procedure, job, operator, run."""
     plan = scene.log.plan
     if plan is None:
-        begun = "the engine starts ..." if scene.engine is Engine.STARTING else "nothing to see yet"
-        return Content(f"run {scene.run}: {begun}")
+        begun = NOTHING[scene.engine]
+        return Content(f"run {scene.run}: {scene.trouble or begun}")
     cell = str(plan.cell.get("name", "?"))
     words = [plan.procedure, f"cell {cell}"]
-    words += [f"job {plan.job}"] if plan.job else []
-    words += [f"operator {plan.operator}"] if plan.operator else []
+    words += [f"job {short(plan.job)}"] if plan.job else []
+    words += [f"operator {short(plan.operator)}"] if plan.operator else []
     words += ["unattended" if plan.unattended else "attended"]
     left = Content("  ".join(words))
     fits = left.cell_length + len(scene.run) < width
     run = scene.run if fits else f"run {scene.run[-SHORT:]}"  # its last letters tell runs apart
     return spread(left, Content.styled(run, "$dim"), width)
+
+
+def short(name: str) -> str:
+    """Return a name that leaves room for others on its line."""
+    return Content(name).truncate(MOST_OF_A_NAME, ellipsis=True).plain
 
 
 def step(scene: Scene, width: int) -> Content:
@@ -104,6 +117,8 @@ def step(scene: Scene, width: int) -> Content:
     if scene.last is not None:
         place = f" at {scene.last.station}" if scene.last.station else ""
         head += f", last {scene.last.key}{place}"
+    if scene.key in ("done", "intolerant"):
+        return Content(head)
     following = plan.steps[number]["name"] if number < len(plan.steps) else "the end"
     return spread(Content(head), Content.styled(f"next: {following}", "$dim"), width)
 
@@ -258,11 +273,13 @@ def _free(scene: Scene) -> str:
     return "rail and robot may move"
 
 
-def deviation(found: Deviation | None, glyphs: Glyphs, width: int) -> Content:
-    """Return element 6 in five rows: names, large digits, and |e| against its limit."""
+def deviation(found: Deviation | None, glyphs: Glyphs, width: int, none: str = "") -> Content:
+    """Return element 6 in five rows: names, large digits, and |e| against its limit.
+
+    ``none``: what is said where there is no deviation.
+    """
     if found is None:
-        blank = "deviation: no point with a nominal target yet"
-        return Content.styled("\n".join([blank, "", "", "", ""]), "$dim")
+        return Content.styled("\n".join([f"deviation: {none}", "", "", "", ""]), "$dim")
     values = [
         ("dx", f"{found.error_mm[0]:+.3f}"),
         ("dy", f"{found.error_mm[1]:+.3f}"),

@@ -88,7 +88,7 @@ def test_a_name_is_used_once(finished: tuple[Path, dict[str, Any]]) -> None:
 
 def test_a_folder_without_a_journal_is_taken(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "engine.log").write_text("")
+    (tmp_path / "mine" / "engine-1.log").write_text("")
     done = hilcell("run", "home", "--name", "mine", "--runs", tmp_path, "--json")
     assert end_of(done)["run"] == "mine"
     assert done.returncode == 0, done.stderr

@@ -13,6 +13,7 @@ from textual.widgets import Input
 from hilcell.tui import words
 from hilcell.tui.alarm_words import alarm_lines
 from hilcell.tui.deviation import deviation_of
+from hilcell.tui.keys import shown
 from hilcell.tui.panel import Panel
 from hilcell.tui.points import PointTable, columns_for, filtered
 from hilcell.tui.prompt_words import prompt_lines
@@ -102,11 +103,11 @@ class RunScreen(Finding):
     def _show_deviation(self, scene: Scene) -> None:
         """Show the newest point of a live run, the chosen one of a past run."""
         key = self.query_one(Rows).key
-        point = scene.last if scene.live or not key else scene.log.points.get(key)
+        point = scene.newest_target if scene.live or not key else scene.log.points.get(key)
         found = None if point is None else deviation_of(scene.log, point)
-        if found is not None or point is None or not scene.live:
-            lines = words.deviation(found, self.cell.glyphs, self.wide)
-            self.panel("deviation").show(lines)
+        none = f"{key}: no nominal place, so no deviation" if key else "no point measured yet"
+        lines = words.deviation(found, self.cell.glyphs, self.wide, none)
+        self.panel("deviation").show(lines)
 
     def on_rows_moved(self) -> None:
         """Show the point that is chosen now."""
@@ -146,9 +147,15 @@ class RunScreen(Finding):
         self._points_seen = state
         points = self._table.rows(scene.log)
         found = filtered(points, self.wanted, bad_only=self.bad_only, worst=self.worst_first)
-        rows.empty = "no such point" if self.wanted or self.bad_only else "no points yet"
+        rows.empty = "no such point" if self.wanted else "no points yet"
+        if self.bad_only:
+            all_key = shown(self.cell.keymap["bad"][0])
+            rows.empty = f"no such point is bad; {all_key} shows all"
         rows.follow = not self.worst_first
-        rows.put([self._table.drawn(each, waiting, wide) for each in found], columns_for(wide))
+        rows.put(
+            [self._table.drawn(each, waiting, wide) for each in found],
+            columns_for(wide, bad_only=self.bad_only, worst=self.worst_first),
+        )
         if self._chosen in scene.log.points:
             rows.choose(self._chosen)
             self._chosen = ""

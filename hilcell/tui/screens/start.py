@@ -153,9 +153,9 @@ class StartScreen(SceneScreen):
         runs = self.cell.options.runs
         run = new_run(order.procedure)
         words = [*order.words(), "--runs", str(runs), "--name", run]
-        process = engine.start(runs, run, words)
-        self.cell.attach(runs / run, process)
-        self.cell.background(self.cell.watch_engine(process, runs / run))
+        started = engine.start(runs, run, words)
+        self.cell.attach(runs / run, started.process)
+        self.cell.background(self.cell.watch_engine(started))
 
 
 class PlanSummary(Dialog[bool]):

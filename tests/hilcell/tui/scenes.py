@@ -161,6 +161,7 @@ def stories() -> dict[str, Story]:
             "end", state="faulted", exit=3, result={}, reason=FAULT_TEXT),
         "silent": measuring(),
         "gone": measuring(),
+        "unreadable": Story(),
     }  # fmt: skip
 
 
@@ -182,7 +183,8 @@ def fresh(name: str) -> Fresh:
     """Return what one look at a run in a state brings."""
     live = name in LIVE
     engine = Engine.HEARD if name in HEARD else Engine.SILENT if live else Engine.NONE
-    return Fresh(stories()[name].records, engine, status(name) if live else None)
+    trouble = "journal: damaged or not a journal" if name == "unreadable" else ""
+    return Fresh(stories()[name].records, engine, status(name) if live else None, trouble)
 
 
 def status(name: str) -> Status:

@@ -45,6 +45,7 @@ SPACE = {
     "aborted": ("resume", True, "resume"),
     "fault": ("resume", True, "resume"),
     "gone": ("resume", True, "resume"),
+    "unreadable": None,
 }
 pytestmark = pytest.mark.usefixtures("outside")
 
@@ -55,7 +56,7 @@ pytestmark = pytest.mark.usefixtures("outside")
 def allowed(state: str) -> set[str]:
     """Return the actions that a state allows on the run's screen."""
     found = {"history", "theme", "help", "quit"}
-    if state != "idle":
+    if state not in ("idle", "unreadable"):
         found |= {"alarms", "plots", "interlocks", "log", "report"}
         found |= {"bad", "sort", "find", "retake"}
     if SPACE[state] is not None:

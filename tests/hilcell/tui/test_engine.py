@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,7 @@ from hilcell.clean import clean
 from hilcell.cli import _parser
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
-from hilcell.tui.engine import UNTOLD, Order, ask_hilcell, dry_run, untold
+from hilcell.tui.engine import UNTOLD, Order, Started, ask_hilcell, dry_run
 
 # No terminal types NUL or half a letter; argparse drops a lone --.
 TYPED = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])).filter(
@@ -55,34 +57,53 @@ def test_a_refusal_says_why(order: Order) -> None:
         asyncio.run(dry_run(order))
 
 
+def test_a_value_that_is_refused_comes_without_the_usage_of_a_command() -> None:
+    with pytest.raises(HilcellError, match=r"^argument --seed: a whole number") as refused:
+        asyncio.run(dry_run(Order("paper", "home", seed="-1")))
+    assert "\n" not in str(refused.value)
+
+
 def test_what_a_command_says_in_its_last_breath_is_kept(tmp_path: Path) -> None:
     with pytest.raises(HilcellError, match="not in"):
         asyncio.run(ask_hilcell("show", "none", "--runs", str(tmp_path)))
 
 
-def test_an_engine_says_its_last_words_to_a_file(tmp_path: Path) -> None:
-    process = engine.start(tmp_path, "r", ["run", "nothing", "--runs", str(tmp_path)])
-    assert process.wait(60) == 2
-    assert "nothing" in untold(tmp_path / "r", 2)
-    assert "No such file" in untold(tmp_path / "other", 0)
+def test_an_engine_says_its_last_words_to_a_file_of_its_own(tmp_path: Path) -> None:
+    words = ["run", "nothing", "--runs", str(tmp_path)]
+    first, second = (engine.start(tmp_path, "r", words) for _ in range(2))
+    assert "'nothing' is not installed" in first.end()
+    assert first.said != second.said
+    assert "'nothing' is not installed" in second.end()
+
+
+def ended(folder: Path, code: int) -> Started:
+    """Return an engine that has ended so, without having run."""
+    process = subprocess.Popen([sys.executable, "-c", f"raise SystemExit({code})"])
+    return Started(process, folder / "engine-1.log")
 
 
 @pytest.mark.parametrize("code", [2, 5, 6, 7])
 def test_an_end_that_no_journal_tells_is_told(tmp_path: Path, code: int) -> None:
     (tmp_path / "journal.sqlite").touch()
-    said = tmp_path / "engine.log"
-    said.touch()
-    assert untold(tmp_path, code) == f"the engine ended, exit {code}: {UNTOLD[code]}"
+    assert ended(tmp_path, code).end() == f"the engine ended, exit {code}: {UNTOLD[code]}"
+    said = tmp_path / "engine-1.log"
     said.write_text("".join(f"line {number}\n" for number in range(100)))
-    assert untold(tmp_path, code).endswith("line 98\nline 99")
-    assert len(untold(tmp_path, code).splitlines()) == 7
+    told = ended(tmp_path, code).end()
+    assert told.endswith("line 98\nline 99")
+    assert len(told.splitlines()) == 7
+
+
+def test_the_reason_is_told_and_not_what_was_reported_before_it(tmp_path: Path) -> None:
+    said = tmp_path / "engine-1.log"
+    said.write_text("connected\nhilcell: a notice\n25/1035 points\nhilcell: locked\nby a run\n")
+    assert ended(tmp_path, 6).end() == "the engine ended, exit 6: locked\nby a run"
 
 
 @pytest.mark.parametrize("code", [0, 1, 3, 4])
 def test_an_end_that_the_journal_tells_is_not_told_twice(tmp_path: Path, code: int) -> None:
-    assert "No such file" in untold(tmp_path, code)
+    assert ended(tmp_path, code).end() == f"the engine ended, exit {code}: without a word"
     (tmp_path / "journal.sqlite").touch()
-    assert untold(tmp_path, code) == ""
+    assert ended(tmp_path, code).end() == ""
 
 
 def test_no_room_for_an_engine_is_told(tmp_path: Path) -> None:

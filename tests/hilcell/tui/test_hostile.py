@@ -219,7 +219,7 @@ def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             await press(pilot, "e", "q", "w", "b", "enter", "question_mark", "q")
-            app.say(app.heard.trouble)
+            app.say(app.heard.scene.trouble)
             await settle(pilot)
             return text_of(app)
 

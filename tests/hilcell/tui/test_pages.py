@@ -96,9 +96,14 @@ def test_the_worst_and_the_bad_are_found_with_a_key() -> None:
         await press(pilot, "w")
         assert rows.key == "validate/S1100/idw/001"  # raw errors are larger, but meant to be
         assert "as measured" in footer(app)
+        assert "point: worst first " in text_of(app)
         await press(pilot, "b")
         assert [row.key for row in rows.rows] == ["validate/S1100/idw/001"]
-        await press(pilot, "b", "w")
+        assert "point: bad only, worst" in text_of(app)
+        await press(pilot, "slash", *"chosen", "enter")
+        assert "no such point is bad; b shows all" in text_of(app)
+        await press(pilot, "slash", "ctrl+u", "enter", "b", "w")
+        assert "point: " not in text_of(app)
         assert rows.rows[0].key == "world/F1"
 
     play(act, "done")
@@ -167,7 +172,8 @@ def test_the_palette_names_all_that_can_be_done_before_one_types() -> None:
             if "stop everything now" in text_of(app):
                 break
         assert "stop everything now" in text_of(app)
-        assert "abort" in text_of(app)
+        for action in ("abort", "re-measure", "bad only", "worst first", "filter"):
+            assert action in text_of(app)
         assert "new run" not in text_of(app)  # not while one is live
 
     play(act, "running")

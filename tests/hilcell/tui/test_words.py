@@ -23,7 +23,7 @@ from hilcell.tui.digits import large
 from hilcell.tui.glyphs import ASCII, UNICODE, to_ascii
 from hilcell.tui.prompt_words import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, sight
 from hilcell.tui.scene import DeviceStatus, Scene
-from tests.hilcell.tui.scenes import BEGAN, PROMPT, fresh, stories
+from tests.hilcell.tui.scenes import BEGAN, PROMPT, fresh, measuring, stories
 from tests.hilcell.tui.stage import DEFAULT_KEYS, Listener
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
@@ -132,7 +132,7 @@ def test_the_banner_names_the_state_and_says_what_the_stop_is_not(name: str) -> 
     assert f"{UNICODE.states[name]} {words.STATES[name][0]}" in line
     assert ("LIVE" in line) != ("HISTORIC" in line)
     assert ("use the E-stop" if name == "silent" else words.NOT_E_STOP) in line
-    assert ("SIMULATION" in line) == (name != "idle")
+    assert ("SIMULATION" in line) == (name not in ("idle", "unreadable"))
 
 
 def test_a_real_run_is_not_called_a_simulation() -> None:
@@ -146,8 +146,31 @@ def test_the_step_is_told_with_its_count_and_the_next() -> None:
     line = words.step(scene_of("running"), 80).plain
     assert line.startswith("step 5/7 robot-grid: 5/8, last grid/0-0-4 at S1100")
     assert line.endswith("next: fit")
-    assert words.step(scene_of("done"), 80).plain.endswith("next: the end")
+    assert "next" not in words.step(scene_of("done"), 80).plain
     assert words.step(scene_of("checking"), 80).plain == "step: none yet"
+
+
+def test_a_long_job_leaves_room_for_operator_and_run() -> None:
+    scene = scene_of("running")
+    assert scene.log.plan is not None
+    scene.log.plan = msgspec.structs.replace(scene.log.plan, job="J" * 500, operator="Ann" * 50)
+    line = words.identity(scene, 100).plain
+    assert "operator AnnAnn" in line
+    assert "attended" in line
+    assert line.endswith(scene.run)
+
+
+def test_a_journal_that_cannot_be_read_says_why() -> None:
+    assert words.identity(scene_of("unreadable"), 80).plain.endswith("damaged or not a journal")
+
+
+def test_the_newest_deviation_stays_while_points_without_one_are_measured() -> None:
+    scene = scene_of("running")
+    story = measuring().point("control/F1", "control", commanded_deg=None)
+    scene.take(story.records[-1])
+    assert scene.last is not None
+    assert scene.last.key == "control/F1"
+    assert scene.newest_target is scene.log.points["grid/0-0-4"]
 
 
 @pytest.mark.parametrize("remaining_s", [None, 0.0, 30.0, 1e9])
