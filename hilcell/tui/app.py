@@ -332,11 +332,10 @@ class HilcellApp(App[int]):
         sent = self.attached.stop()
         if live or (sent and not over):
             self._close_questions()
+            said = "STOP sent" if sent else "STOP: no engine is there to hear it"
             if any(session.scene.key == "silent" for session in live):
-                self.say("STOP sent, but the engine does not answer: use the E-stop", for_now=True)
-            else:
-                said = "STOP sent" if sent else "STOP: no engine is there to hear it"
-                self.say(said, for_now=sent)
+                said += ", but it does not answer: use the E-stop"
+            self.say(said, for_now=sent)
         elif len(self.screen_stack) > 2:
             self.pop_screen()
 

@@ -64,4 +64,5 @@ class Attached:
         self.shown, self.behind = None, []
 
     def _all(self) -> list[Session]:
-        return [*([self.shown] if self.shown is not None else []), *self.behind]
+        """Return live ones first: a past run may lie on a disk that answers late."""
+        return [*self.behind, *([self.shown] if self.shown is not None else [])]

@@ -241,7 +241,7 @@ def test_an_engine_that_stands_still_is_silent_and_not_gone(tmp_path: Path) -> N
             assert f"process {engine.pid}, has not answered" in asked.stderr
             assert "gone" not in hilcell("runs", "--runs", tmp_path).stdout
             terminal.press(ESC)
-            terminal.shows("STOP sent, but the engine does not answer: use the E-stop")
+            terminal.shows("STOP sent, but it does not answer: use the E-stop")
         finally:
             os.kill(engine.pid, signal.SIGCONT)
         wait_for(lambda: read_log(folder).end is not None, "the stop is heard")
