@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import gc
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from hilcell.errors import HilcellError
+from hilcell.run.control import EngineFile, live_engine, send_command
 from hilcell.tui import feed as feeds
 from hilcell.tui import link as links
 from hilcell.tui.feed import Feed, Fresh
@@ -207,6 +210,25 @@ def test_no_engine_no_link(tmp_path: Path, text: bytes | None) -> None:
     if text is not None:
         (tmp_path / "engine.json").write_bytes(text)
     assert Link.to(tmp_path) is None
+
+
+def test_an_engine_whose_queue_is_full_lives_and_is_silent(tmp_path: Path) -> None:
+    path = tmp_path / "control"
+    with socket.socket(socket.AF_UNIX) as server, ExitStack() as waiting:
+        server.bind(str(path))
+        server.listen(0)
+        (tmp_path / "engine.json").write_bytes(msgspec.json.encode(EngineFile(1, str(path))))
+        with suppress(BlockingIOError):
+            while True:
+                client = waiting.enter_context(socket.socket(socket.AF_UNIX))
+                client.setblocking(False)
+                client.connect(str(path))
+        assert live_engine(tmp_path) is not None
+        with pytest.raises(LinkSilentError, match="connect: no answer"):
+            Link.to(tmp_path)
+        assert not links.stop_engine(tmp_path)
+        with pytest.raises(HilcellError, match="process 1, has not answered"):
+            send_command(tmp_path, "stop")
 
 
 # -- the feed --------------------------------------------------------------------------------------
