@@ -16,6 +16,7 @@ from pathlib import Path
 
 from hilcell import __version__
 from hilcell.clean import clean
+from hilcell.telling import tell
 
 LEAST_SPEED, MOST_SPEED = 0.001, 1e6
 MOST_SEED = 2**63 - 1
@@ -344,7 +345,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         act = getattr(importlib.import_module(f"hilcell.{module}"), function)
         return int(act(args))
     except KeyboardInterrupt:
-        print("hilcell: interrupted", file=sys.stderr)
+        tell("hilcell: interrupted")
         return 4
     except BrokenPipeError:
         sys.stderr.close()
@@ -358,10 +359,10 @@ def _refuse(error: Exception, *, as_json: bool) -> int:
 
     code = exit_code(error)
     if code == EXIT_INTERNAL:
-        traceback.print_exception(error)
-        print("hilcell: this is a defect of hilcell; please report it", file=sys.stderr)
+        tell("".join(traceback.format_exception(error)).rstrip())
+        tell("hilcell: this is a defect of hilcell; please report it")
     else:
-        print(f"hilcell: {error}", file=sys.stderr)
+        tell(f"hilcell: {error}")
     if as_json:
         import json
 

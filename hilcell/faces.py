@@ -15,9 +15,11 @@ from typing import Any, Self
 import msgspec
 
 from hilcell.cell import Cell
+from hilcell.report.words import harmless
 from hilcell.run.journal import Record
 from hilcell.run.log import Log
 from hilcell.run.procedure import Plan, Procedure, Table
+from hilcell.telling import harmless_lines, tell
 
 WIDEST = 500  # columns of a table
 
@@ -110,7 +112,7 @@ class _ProgressFace(Face):
             TimeRemainingColumn(),
             console=self._console,
         )
-        self._task = self._progress.add_task(run, total=points)
+        self._task = self._progress.add_task(harmless(run), total=points)
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -132,7 +134,8 @@ class _ProgressFace(Face):
         body = record.body
         if record.kind == "point" and body["group"] != "control":
             place = f" at {body['station']}" if body["station"] else ""
-            self._progress.update(self._task, advance=1, description=f"{body['group']}{place}")
+            text = harmless(f"{body['group']}{place}")
+            self._progress.update(self._task, advance=1, description=text)
         elif record.kind == "state" and body["machine"] == "calibration":
             self._say(f"{body['to'].replace('_', ' ')}")
         elif record.kind == "state" and body["to"] in ("paused", "suspended"):
@@ -141,11 +144,11 @@ class _ProgressFace(Face):
             self._say(f"{body['key']}: {body['reason']} (try {body['tries']})")
 
     def _say(self, text: str) -> None:
-        self._console.print(text, markup=False, highlight=False)
+        self._console.print(harmless_lines(text), markup=False, highlight=False)
 
 
 def print_table(table: Table) -> None:
-    """Print a table on stdout, at its full width: names must stay whole to be copied."""
+    """Print a table on stdout, harmless, at its full width: names must stay whole to be copied."""
     from rich.console import Console
     from rich.measure import Measurement
     from rich.table import Table as RichTable
@@ -153,9 +156,9 @@ def print_table(table: Table) -> None:
     headers, rows = table
     drawn = RichTable()
     for column, header in enumerate(headers):
-        drawn.add_column(header, justify="left" if column == 0 else "right", no_wrap=True)
+        drawn.add_column(harmless(header), justify="left" if column == 0 else "right", no_wrap=True)
     for row in rows:
-        drawn.add_row(*row)
+        drawn.add_row(*map(harmless_lines, row))
     text = io.StringIO()
     wide = Console(file=text, markup=False, highlight=False, width=WIDEST)
     wide.width = Measurement.get(wide, wide.options, drawn).maximum
@@ -168,7 +171,7 @@ def print_end(
 ) -> None:
     """Say how the run ended: its table on stdout, everything else on stderr."""
     if fault is not None:
-        print(f"hilcell: {fault}", file=sys.stderr)
+        tell(f"hilcell: {fault}")
     if face.as_json:
         return
     if log.end is not None and log.end["result"]:
@@ -177,11 +180,11 @@ def print_end(
             sys.stdout.flush()
     for key, verdict in log.verdicts.items():
         if not verdict["holds"]:
-            print(f"out of tolerance: {key}: {_facts(verdict)}", file=sys.stderr)
+            tell(f"out of tolerance: {key}: {_facts(verdict)}")
     kind = "SIMULATED run" if log.inputs.simulated else "run"
     state = log.states["run"]
     ended = state if log.end is not None else f"cut off while {state}"
-    print(f"{kind} {folder.name}: {ended}; journal in {folder}", file=sys.stderr)
+    tell(f"{kind} {folder.name}: {ended}; journal in {folder}")
 
 
 def _asked(body: dict[str, Any]) -> str:

@@ -15,6 +15,7 @@ from hilcell.devices import check_options, load_entry, start_simulation
 from hilcell.ports import HilcellError
 from hilcell.run.machine import CALIBRATION, RUN, mermaid
 from hilcell.run.procedure import Procedure
+from hilcell.telling import tell
 
 
 def check(args: argparse.Namespace) -> int:
@@ -51,11 +52,10 @@ def sim(args: argparse.Namespace) -> int:
     try:
         print(msgspec.json.encode(simulated.options | {"control": simulated.address}).decode())
         sys.stdout.flush()
-        print(
+        tell(
             "simulated cell is up; in another terminal:\n"
             f"  hilcell run --cell {args.cell} --set simulation.address={simulated.address}\n"
-            "ctrl-C ends it",
-            file=sys.stderr,
+            "ctrl-C ends it"
         )
         ended.wait()
     finally:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 
 import msgspec
+
+from hilcell.telling import tell
 
 
 def say(values: Mapping[str, object], words: str, *, as_json: bool) -> None:
@@ -13,4 +14,4 @@ def say(values: Mapping[str, object], words: str, *, as_json: bool) -> None:
     if as_json:
         print(msgspec.json.encode(values).decode())
     else:
-        print(words, file=sys.stderr)
+        tell(words)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 import msgspec
 
@@ -12,8 +11,9 @@ from hilcell.comparison import Comparison, compare_runs
 from hilcell.errors import HilcellError
 from hilcell.faces import print_table
 from hilcell.report.drift import Change
-from hilcell.report.words import harmless
+from hilcell.report.words import encodable, harmless
 from hilcell.runs import find_run, read_log
+from hilcell.telling import tell
 
 DIGITS = {"mm": 4, "deg": 5, "°C": 2}
 
@@ -24,7 +24,7 @@ def compare(args: argparse.Namespace) -> int:
     if folders[0].resolve() == folders[1].resolve():
         raise HilcellError(f"run {folders[0].name} is both: two runs are wanted")
     found = compare_runs(*(read_log(folder) for folder in folders))
-    names = [folder.resolve().name for folder in folders]
+    names = [encodable(folder.resolve().name) for folder in folders]
     if args.json:
         say(_facts(found, *names), "", as_json=True)
         return 0
@@ -45,8 +45,8 @@ def _print(found: Comparison, first: str, second: str) -> None:
     headers = ["where", "what", "first", "second", "change", "limit", "unit", "verdict"]
     _draw(headers, [_row(each) for each in found.changes])
     for note in found.notes:
-        print(f"note: {harmless(note)}", file=sys.stderr)
-    print(found.verdict, file=sys.stderr)
+        tell(f"note: {note}")
+    tell(found.verdict)
 
 
 def _draw(headers: list[str], rows: list[list[str]]) -> None:

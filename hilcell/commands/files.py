@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from hilcell.faces import print_table
 from hilcell.programs import is_program, load_program, write_program
 from hilcell.runs import find_run
 from hilcell.targets import read_targets, write_targets
+from hilcell.telling import tell
 from hilcell.turns import check_turns
 from hilcell.validity import check_fitness
 
@@ -61,12 +61,11 @@ def compensate(args: argparse.Namespace) -> int:
         count, written = _compensate_program(calibration, args.station, inputs, out, cell)
     else:
         count, written = _compensate_list(calibration, args.station, inputs, out)
-    print(f"{count} targets corrected for {args.station} into {written}", file=sys.stderr)
+    tell(f"{count} targets corrected for {args.station} into {written}")
     if calibration.provenance.simulated:
-        print(
+        tell(
             f"hilcell: SIMULATED: run {calibration.provenance.run} measured no real robot; what "
-            "was written is for trying out, not for a machine",
-            file=sys.stderr,
+            "was written is for trying out, not for a machine"
         )
     return 0
 
@@ -89,12 +88,10 @@ def _compensate_program(
     if cell is not None:
         check_turns(cell, calibration, station, program, command)
     elif any(target.posture is not None for target in program.targets):
-        print(f"{source.name}: turns (T) were not checked; --cell CELL does", file=sys.stderr)
+        tell(f"{source.name}: turns (T) were not checked; --cell CELL does")
     texts = program.with_positions(command[:, :3])
     written = write_program(texts, source, out, inputs=inputs)
     for note in program.notes:
-        print(f"{source.name}: {note}", file=sys.stderr)
-    print(
-        f"{source.name}: its targets were taken in {{W}}, its base must be {{W}}", file=sys.stderr
-    )
+        tell(f"{source.name}: {note}")
+    tell(f"{source.name}: its targets were taken in {{W}}, its base must be {{W}}")
     return len(program.targets), " and ".join(map(str, written))

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from hilcell.commands.common import say
 from hilcell.faces import Face, json_face, progress_face
+from hilcell.report.words import encodable
 from hilcell.run.control import live_engine, send_command
 from hilcell.run.journal import Record, read_journal
 from hilcell.run.log import Log
 from hilcell.runs import JOURNAL, find_run
+from hilcell.telling import tell
 
 FOLLOW_S = 0.1
 
@@ -42,12 +43,11 @@ def watch(args: argparse.Namespace) -> int:
     records = _follow(folder)
     first = next(records, None)
     if first is None or first.kind != "plan":
-        print(f"run {folder.name}: nothing to see yet", file=sys.stderr)
+        tell(f"run {folder.name}: nothing to see yet")
         return 2
     log.take(first)
-    face: Face = (
-        json_face(folder.name) if args.json else progress_face(folder.name, log.inputs.points)
-    )
+    name = encodable(folder.name)
+    face: Face = json_face(name) if args.json else progress_face(name, log.inputs.points)
     with face:
         face.take(first)
         for record in records:
@@ -55,7 +55,7 @@ def watch(args: argparse.Namespace) -> int:
             face.take(record)
     state = log.states["run"]
     ended = "" if log.end is not None else "; its engine is gone, `hilcell resume` continues it"
-    print(f"run {folder.name}: {state}{ended}", file=sys.stderr)
+    tell(f"run {folder.name}: {state}{ended}")
     return 0
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
 
 from hilcell.commands.common import say
 from hilcell.devices import load_entry
 from hilcell.faces import print_table
 from hilcell.index import RunRow, read_index, row_of
-from hilcell.report.words import harmless
+from hilcell.report.words import encodable, harmless
 from hilcell.run.procedure import Procedure
 from hilcell.runs import find_run, read_log
+from hilcell.telling import tell
 
 
 def runs(args: argparse.Namespace) -> int:
@@ -22,7 +22,7 @@ def runs(args: argparse.Namespace) -> int:
         say({"runs": found}, "", as_json=True)
         return 0
     if not found:
-        print(f"no runs in {args.runs}", file=sys.stderr)
+        tell(f"no runs in {args.runs}")
         return 0
     headers = ["run", "procedure", "cell", "state", "points", "exit"]
     rows = [[harmless(str(each.get(name, ""))) for name in headers] for each in found]
@@ -31,10 +31,11 @@ def runs(args: argparse.Namespace) -> int:
 
 
 def _summary(row: RunRow) -> dict[str, Any]:
+    name = encodable(row.name)
     if not row.readable:
-        return {"run": row.name, "state": row.state, "reason": row.reason}
+        return {"run": name, "state": row.state, "reason": encodable(row.reason)}
     return {
-        "run": row.name,
+        "run": name,
         "procedure": row.procedure,
         "cell": row.cell,
         "state": row.condition,
@@ -69,7 +70,7 @@ def show(args: argparse.Namespace) -> int:
         return 0
     rows = [[name, str(summary[name])] for name in _SHOWN if summary.get(name) not in ("", None)]
     rows.append(["state", summary["state"]])
-    print_table((["run", folder.name], rows))
+    print_table((["run", summary["run"]], rows))
     if result:
         print_table(procedure.table(result))
     return 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from hilcell.planning.holes import read_holes
 from hilcell.planning.plan import HolePlan, StationPlan, ratio
 from hilcell.planning.plan import plan as plan_holes
 from hilcell.targets import write_rows
+from hilcell.telling import tell
 
 
 def plan(args: argparse.Namespace) -> int:
@@ -80,10 +80,7 @@ def _print(cell: Cell, found: HolePlan) -> None:
     print_table((headers, rows))
     new = [each.station.name for each in found.stations if each.station not in cell.station]
     if new:
-        print(
-            f"not in the cell file yet: {', '.join(new)}; add them, with the strip's readings",
-            file=sys.stderr,
-        )
+        tell(f"not in the cell file yet: {', '.join(new)}; add them, with the strip's readings")
 
 
 def _figures(travel_mm: float, bound_mm: float) -> list[str]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from hilcell.calibration_file import NAME
 from hilcell.report.facts import read_facts
 from hilcell.runs import JOURNAL, find_run
+from hilcell.telling import tell
 from hilcell.writing import write_whole
 
 
@@ -19,7 +19,7 @@ def report(args: argparse.Namespace) -> int:
     folder = find_run(args.runs, args.run)
     facts = read_facts(folder)
     write_whole(Path(args.output), report_html(facts).encode(), inputs=_files(folder))
-    print(f"report of run {facts.run} in {args.output}", file=sys.stderr)
+    tell(f"report of run {facts.run} in {args.output}")
     return 0
 
 
@@ -31,7 +31,7 @@ def export(args: argparse.Namespace) -> int:
     folder = find_run(args.runs, args.run)
     facts = read_facts(folder)
     write_whole(Path(args.output), forms[args.form](facts), inputs=_files(folder))
-    print(f"{args.form} of run {facts.run} in {args.output}", file=sys.stderr)
+    tell(f"{args.form} of run {facts.run} in {args.output}")
     return 0
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import platform
-import sys
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -24,6 +23,7 @@ from hilcell.devices import build_devices, check_options, load_entry, start_simu
 from hilcell.exits import EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.faces import Face, json_face, print_dry_run, print_end, progress_face
 from hilcell.ports import HilcellError, Stopped
+from hilcell.report.words import encodable
 from hilcell.run.control import Control, live_engine, send_command
 from hilcell.run.journal import Journal, StorageError
 from hilcell.run.lock import lock_of_address, lock_of_name, locked
@@ -33,6 +33,7 @@ from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
 from hilcell.run.signals import stopped_by_signals
 from hilcell.runs import JOURNAL, find_run, make_folder, new_run, read_log
+from hilcell.telling import tell
 from hilcell.writing import NotWritten
 
 
@@ -78,9 +79,9 @@ def resume(args: argparse.Namespace) -> int:
     check_attended(cell, unattended=args.unattended)
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     with locked(lock_of_name(folder.parent, cell.name), f"cell {cell.name}", folder.name):
-        journal = Journal(folder / JOURNAL, folder.name, create=False)
+        journal = Journal(folder / JOURNAL, encodable(folder.name), create=False)
         journal.listen(log.take)
-        face = _face(args.json, folder.name, inputs.points, journal)
+        face = _face(args.json, journal.run, inputs.points, journal)
         for key in anew:
             journal.append("event", "", {"what": "retake asked", "key": key})
         face.already(sum(point.group != "control" for point in log.points.values()))
@@ -102,7 +103,7 @@ def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
         if not answer["ok"]:
             raise HilcellError(f"run {folder.name}: {answer['error']}")
     answer = send_command(folder, "proceed")
-    print(f"run {folder.name}: asked to go on; it was {answer.get('state')}", file=sys.stderr)
+    tell(f"run {folder.name}: asked to go on; it was {answer.get('state')}")
     return 0
 
 
@@ -137,7 +138,7 @@ def _perform(
     print_end(folder, log, procedure, face, fault)
     if code in RESUMABLE:
         runs = "" if folder.parent == Path("runs") else f" --runs {folder.parent}"
-        print(f"resume with: hilcell resume {folder.name}{runs}", file=sys.stderr)
+        tell(f"resume with: hilcell resume {folder.name}{runs}")
     return code
 
 

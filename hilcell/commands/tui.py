@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from hilcell.errors import HilcellError
+from hilcell.telling import tell
 from hilcell.tui.glyphs import ASCII, UNICODE
 from hilcell.tui.keys import load_keys
 
@@ -50,16 +51,15 @@ def tui(args: argparse.Namespace) -> int:
     if app.return_code:
         from hilcell.exits import EXIT_INTERNAL
 
-        print(
+        tell(
             "hilcell: the screen ended by a defect of its own; please report it. A live run is"
-            " not stopped by that: `hilcell tui last` shows it again",
-            file=sys.stderr,
+            " not stopped by that: `hilcell tui last` shows it again"
         )
         return EXIT_INTERNAL
     runs = "" if args.runs == Path("runs") else f" --runs {args.runs}"
     for detached in app.detached:
         again = f"hilcell tui {detached}{runs}"
-        print(f"hilcell: detached; the run goes on: `{again}` shows it again", file=sys.stderr)
+        tell(f"hilcell: detached; the run goes on: `{again}` shows it again")
     return 0
 
 

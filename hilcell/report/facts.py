@@ -14,6 +14,7 @@ from typing import Any
 from hilcell.cell import Cell
 from hilcell.devices import load_entry
 from hilcell.ports import HilcellError
+from hilcell.report.words import encodable
 from hilcell.run.journal import Record, chain, read_journal
 from hilcell.run.log import Log, PlanRecord
 from hilcell.run.procedure import Procedure, Table
@@ -60,7 +61,7 @@ class Facts:
 def read_facts(folder: Path) -> Facts:
     """Read a run's folder; raises `StorageError` where the journal is not sound."""
     records = read_journal(folder / JOURNAL)
-    log, run = Log(records), folder.resolve().name
+    log, run = Log(records), encodable(folder.resolve().name)
     if log.plan is None:
         raise HilcellError(f"run {run}: its journal holds no plan yet; there is nothing to report")
     procedure: Procedure = load_entry("procedures", log.plan.procedure)

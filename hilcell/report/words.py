@@ -18,3 +18,8 @@ def harmless(text: str) -> str:
         REPLACEMENT if unicodedata.category(character) in _UNSEEN else character
         for character in text
     )
+
+
+def encodable(text: str) -> str:
+    """Return ``text`` with bytes of a file's name that are no text replaced: no JSON holds them."""
+    return text.encode(errors="replace").decode()

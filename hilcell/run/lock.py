@@ -53,7 +53,7 @@ def locked(path: Path, what: str, run: str) -> Iterator[None]:
             ) from None
         with _told(path.parent):
             file.truncate(0)
-            file.write(f"run {run} (pid {os.getpid()})".encode())
+            file.write(f"run {run} (pid {os.getpid()})".encode(errors="replace"))
         yield
 
 
