@@ -55,8 +55,10 @@ class Comparison:
         return f"drift: {len(self.drifted)} of {len(judged)} judged changes are beyond it"
 
 
-def compare_runs(first: Log, second: Log) -> Comparison:
-    """Return what changed from the first run to the second.
+def compare_runs(
+    first: Log, second: Log, *, live: tuple[bool, bool] = (False, False)
+) -> Comparison:
+    """Return what changed from the first run to the second; ``live`` says whose engine is at work.
 
     Raises `HilcellError` for runs of different cells, for a simulated beside a real one, and for
     runs that have nothing in common.
@@ -78,7 +80,7 @@ def compare_runs(first: Log, second: Log) -> Comparison:
         _settings(first, second),
         [*changes, *_air(first, second)],
         drift.moved_mm if drift is not None else {},
-        list(_notes(first, second, grids=drift is not None)),
+        [*_unfinished(first, second, live), *_notes(first, second, grids=drift is not None)],
     )
 
 
@@ -158,11 +160,17 @@ def _air(first: Log, second: Log) -> Iterator[Change]:
 # -- words ----------------------------------------------------------------------------------------
 
 
+def _unfinished(first: Log, second: Log, live: tuple[bool, bool]) -> Iterator[str]:
+    for which, log, lives in zip(("first", "second"), (first, second), live, strict=True):
+        state = log.states["run"]
+        if state != "finished":
+            stands = lives or state in ("aborted", "faulted")
+            how = f"is {state}" if stands else f"was {state} when its engine was lost"
+            yield f"the {which} run {how}: what it has measured is compared"
+
+
 def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
     yield "the tracker's place in {W} is of its set-up and is not compared"
-    for which, log in (("first", first), ("second", second)):
-        if log.states["run"] != "finished":
-            yield f"the {which} run is {log.states['run']}: what it has measured is compared"
     if first.inputs.simulated and first.inputs.seed != second.inputs.seed:
         yield "the seeds differ: these are two simulated cells, not one that drifted"
     if not grids and all(log.group("grid") for log in (first, second)):

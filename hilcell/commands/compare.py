@@ -12,6 +12,7 @@ from hilcell.errors import HilcellError
 from hilcell.faces import print_table
 from hilcell.report.drift import Change
 from hilcell.report.words import encodable, harmless
+from hilcell.run.control import live_engine
 from hilcell.runs import find_run, read_log
 from hilcell.telling import tell
 
@@ -23,7 +24,9 @@ def compare(args: argparse.Namespace) -> int:
     folders = [find_run(args.runs, name) for name in (args.first, args.second)]
     if folders[0].resolve() == folders[1].resolve():
         raise HilcellError(f"run {folders[0].name} is both: two runs are wanted")
-    found = compare_runs(*(read_log(folder) for folder in folders))
+    first, second = (read_log(folder) for folder in folders)
+    lives, other_lives = (live_engine(folder) is not None for folder in folders)
+    found = compare_runs(first, second, live=(lives, other_lives))
     names = [encodable(folder.resolve().name) for folder in folders]
     if args.json:
         say(_facts(found, *names), "", as_json=True)

@@ -14,10 +14,12 @@ from hilcell.comparison import Comparison, Setting, compare_runs
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, three_point_frame
 from hilcell.report.drift import Change, _world_covariance, length_factor
-from hilcell.run.journal import Record, StorageError, read_journal
+from hilcell.run.control import Control
+from hilcell.run.journal import Journal, Record, StorageError, read_journal
 from hilcell.run.log import Log, positions_mm
 from hilcell.runs import JOURNAL
 from tests.hilcell.report.journals import Writer
+from tests.hilcell.run.test_control import Desk
 from tests.whole.bench import SMALL, end_of, hilcell, sets
 
 Change_ = Callable[[Record], Record | None]
@@ -273,8 +275,17 @@ def test_other_grids_are_not_compared(first: Log, records: list[Record]) -> None
 
 def test_an_unfinished_run_is_compared_as_far_as_it_is(first: Log, records: list[Record]) -> None:
     framed = next(n for n, r in enumerate(records) if r.key == "station.S300")
-    found = compare_runs(first, Log(records[: framed + 1]))
-    assert any("the second run is running" in note for note in found.notes)
+    cut = Log(records[: framed + 1])
+    kept = "what it has measured is compared"
+    live = compare_runs(cut, first, live=(True, False)).notes
+    assert f"the first run is running: {kept}" in live
+    aborted = msgspec.structs.replace(
+        records[framed], kind="state", body={"machine": "run", "from": "stopping", "to": "aborted"}
+    )
+    stopped = compare_runs(first, Log([*records[: framed + 1], aborted])).notes
+    assert f"the second run is aborted: {kept}" in stopped
+    found = compare_runs(first, cut)
+    assert f"the second run was running when its engine was lost: {kept}" in found.notes
     assert of(found, "validation") == []
     assert {each.place for each in of(found, "frames")} == {
         "base",
@@ -382,7 +393,7 @@ def told(pair: tuple[Path, Path], *, as_json: bool) -> int:
 
     return compare(
         argparse.Namespace(
-            first=str(pair[0]), second=pair[1].name, runs=pair[1].parent, json=as_json
+            first=str(pair[0]), second=str(pair[1]), runs=pair[1].parent, json=as_json
         )
     )
 
@@ -410,6 +421,26 @@ def test_the_command(
     assert "seed" in out
     assert seeds.verdict in err
     assert all(note in err for note in seeds.notes)
+
+
+def test_the_command_says_whose_engine_is_gone(
+    pair: tuple[Path, Path],
+    records: list[Record],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    cut = tmp_path / "cut"
+    cut.mkdir()
+    journal = Journal(cut / JOURNAL, "cut", create=True)
+    for record in records[: next(n for n, r in enumerate(records) if r.key == "station.S300")]:
+        journal.append(record.kind, record.key, record.body)
+    journal.close()
+    assert told((pair[0], cut), as_json=False) == 0
+    assert "note: the second run was running when its engine was lost" in capsys.readouterr().err
+    control = Control(cut, Desk())
+    assert told((pair[0], cut), as_json=False) == 0
+    control.close()
+    assert "note: the second run is running: " in capsys.readouterr().err
 
 
 def test_hostile_strings_do_not_reach_the_terminal(
