@@ -26,6 +26,7 @@ from hilcell.runs import JOURNAL
 NAME = "index.sqlite"
 SCHEMA = 1  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
+UNDER_WAY = ("checking", "running", "paused", "suspended", "stopping")
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
 
@@ -76,7 +77,9 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def gone(self) -> bool:
         """Whether the engine was lost: a journal that just ends was left by a crash."""
-        return self.readable and not self.live and self.exit is None
+        # A resume that was refused writes an end, but leaves the state as the crash left it.
+        ended = self.exit is not None and self.state not in UNDER_WAY
+        return self.readable and not self.live and not ended
 
     @property
     def condition(self) -> str:

@@ -143,6 +143,12 @@ def test_a_resumed_run_is_seen_though_its_file_is_as_it_was(runs: Path) -> None:
     journal.close()
 
 
+def test_a_refused_resume_does_not_bring_the_engine_back(tmp_path: Path) -> None:
+    written(tmp_path / "r", "running")
+    (row,) = read_index(tmp_path)
+    assert (row.exit, row.condition) == (0, "running, engine gone")
+
+
 @contextmanager
 def engine(folder: Path) -> Iterator[None]:
     """Let an engine seem to listen for the run of ``folder``."""
