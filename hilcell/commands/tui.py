@@ -9,12 +9,11 @@ from pathlib import Path
 
 from hilcell.errors import HilcellError
 from hilcell.telling import tell
+from hilcell.tui.claims import has_colours, has_shapes, is_coerced
 from hilcell.tui.glyphs import ASCII, UNICODE
 from hilcell.tui.keys import load_keys
 
-COLOURS = {"auto": "auto", "none": "auto", "16": "standard", "256": "256", "truecolor": "truecolor"}
-
-
+COLOURS = {"16": "standard", "none": "truecolor"}  # Textual's names, where they are others
 SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one that draws
 
 
@@ -25,18 +24,15 @@ def tui(args: argparse.Namespace) -> int:
             "tui: stdin and stdout must be a terminal; `hilcell watch` follows a run in a pipe"
         )
     keymap = load_keys(Path(args.keys) if args.keys else None)
-    # Textual reads these when it is imported.
-    os.environ["TEXTUAL_COLOR_SYSTEM"] = COLOURS[args.colors]
-    os.environ["TEXTUAL_ANIMATIONS"] = "none"
-    if args.colors == "none":
-        os.environ["NO_COLOR"] = "1"
+    glyphs = ASCII if args.ascii or not _has_shapes() else UNICODE
+    _say_to_textual(args.colors)
     from hilcell.tui.app import HilcellApp
     from hilcell.tui.desk import Options
 
     options = Options(
         runs=args.runs,
         keymap=keymap,
-        glyphs=ASCII if args.ascii or not _utf8() else UNICODE,
+        glyphs=glyphs,
         run=args.run,
         cell=args.cell,
         settings=tuple(f"{key}={value}" for key, value in args.set),
@@ -63,5 +59,17 @@ def tui(args: argparse.Namespace) -> int:
     return 0
 
 
-def _utf8() -> bool:
-    return (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
+def _say_to_textual(colours: str) -> None:
+    """Set what Textual reads when it is imported, and NO_COLOR, which its applications read."""
+    if colours == "auto" and not has_colours(os.environ):
+        colours = "none"
+    os.environ["TEXTUAL_COLOR_SYSTEM"] = COLOURS.get(colours, colours)
+    os.environ["TEXTUAL_ANIMATIONS"] = "none"
+    os.environ.pop("NO_COLOR", None)  # even empty it is obeyed, even against an option
+    if colours == "none":
+        os.environ["NO_COLOR"] = "1"
+
+
+def _has_shapes() -> bool:
+    writes = (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
+    return writes and has_shapes(os.environ, coerced=is_coerced())

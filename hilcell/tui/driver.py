@@ -1,4 +1,5 @@
-"""Textual's terminal driver, with one difference: Esc acts the moment its byte arrives.
+"""Textual's terminal driver, with two differences: Esc acts the moment its byte arrives, and where
+there are to be no colours, none is written.
 
 Textual waits to see whether Esc begins a longer sequence, and hands keys to a loop that may be
 drawing. Neither may hold up a stop, so the thread that reads the terminal calls it by itself.
@@ -17,6 +18,8 @@ from collections.abc import Callable
 from textual._xterm_parser import XTermParser
 from textual.drivers.linux_driver import LinuxDriver
 
+from hilcell.tui.bare import bare
+
 TICK_S = 0.05
 # Esc that begins no sequence, or as terminals with the kitty protocol write it, however often held.
 _ESCAPE = re.compile(rb"\x1b(?![\[\]\\NOPX^_])|\x1b\[27(?:;\d*(?::[12])?)?u")
@@ -28,9 +31,13 @@ def has_escape(read: bytes) -> bool:
 
 
 class StopDriver(LinuxDriver):
-    """Calls ``on_escape`` from the input thread; everything else is Textual's own."""
+    """Calls ``on_escape`` from the input thread; obeys NO_COLOR to the letter."""
 
     on_escape: Callable[[], object] | None = None
+
+    def write(self, data: str) -> None:
+        """Write what is drawn."""
+        super().write(bare(data, self._app.theme) if self._app.no_color else data)
 
     def run_input_thread(self) -> None:
         """Read the terminal until the screen ends."""

@@ -19,6 +19,7 @@ from typing import Self
 import pyte
 
 READ = 1 << 16
+AROUND = ("COLUMNS", "LINES", "NO_COLOR")  # of the terminal that the tests run in
 
 
 def _own_terminal() -> None:
@@ -38,9 +39,9 @@ class Terminal:
         self.began_s = time.monotonic()
         self._end, inner = pty.openpty()
         fcntl.ioctl(inner, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-        seen = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
+        seen = {"TERM": "xterm-256color", "COLORTERM": "truecolor", "LC_ALL": "C.UTF-8"}
         # Parallel tests state a size of their own, which would be believed over the terminal's.
-        around = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
+        around = {k: v for k, v in os.environ.items() if k not in AROUND}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "hilcell", *words],
             stdin=inner,

@@ -20,7 +20,7 @@ def unseen(monkeypatch: pytest.MonkeyPatch) -> None:
     for stream in (sys.stdin, sys.stdout):
         monkeypatch.setattr(stream, "isatty", lambda: True)
     monkeypatch.setattr(sys, "setswitchinterval", lambda _: None)
-    for name in ("TEXTUAL_COLOR_SYSTEM", "TEXTUAL_ANIMATIONS"):
+    for name in ("TEXTUAL_COLOR_SYSTEM", "TEXTUAL_ANIMATIONS", "NO_COLOR"):
         monkeypatch.setenv(name, "none")
 
 

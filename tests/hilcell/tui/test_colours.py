@@ -1,0 +1,112 @@
+"""What a real terminal gets of colours and shapes, by what it is called and what is asked for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.hilcell.tui.scenes import fresh
+from tests.hilcell.tui.sgr import colours_of
+from tests.hilcell.tui.test_terminal import NAME, write
+from tests.whole.terminal import Terminal
+
+TERMS = ("xterm", "linux", "screen", "vt100")
+COLOURLESS = ({"NO_COLOR": "1"}, {"TERM": "vt100"}, {"TERM": "dumb"})
+
+
+@contextmanager
+def shown(runs: Path, *words: str, **environment: str) -> Iterator[Terminal]:
+    """Show a run that is done."""
+    write(runs / NAME, fresh("done").records)
+    with Terminal(["tui", "last", "--runs", str(runs), *words], **environment) as terminal:
+        terminal.shows("worst first")
+        terminal.until(lambda text: "\n>" in text)
+        yield terminal
+
+
+def marked(terminal: Terminal, words: str) -> str:
+    """Return what of these words, where they are first seen, is in reverse video."""
+    rows = terminal.text.split("\n")
+    y = next(n for n, row in enumerate(rows) if words in row)
+    across = range(rows[y].index(words), rows[y].index(words) + len(words))
+    row = terminal.screen.buffer[y]
+    return "".join(row[x].data for x in across if row[x].reverse)
+
+
+def is_bare(terminal: Terminal) -> bool:
+    cells = (cell for row in terminal.screen.buffer.values() for cell in row.values())
+    colours = {colour for cell in cells for colour in (cell.fg, cell.bg)}
+    return colours_of(bytes(terminal.raw)) == set() and colours == {"default"}
+
+
+@pytest.mark.parametrize("theme", ["calm", "daylight"])
+def test_without_colours_none_is_sent_and_reverse_video_marks(tmp_path: Path, theme: str) -> None:
+    with shown(tmp_path, "--colors", "none", "--theme", theme) as terminal:
+        chosen = next(row for row in terminal.text.split("\n") if row.startswith(">"))
+        for words in (" ● DONE ", "HISTORIC", " SIMULATION ", chosen):
+            assert marked(terminal, words) == words
+        for words in ("calibrate", "Rail", "validate/S1100/before/000"):
+            assert marked(terminal, words) == ""
+        assert marked(terminal, "r re-measure  o report") == "ro"
+        terminal.press("/x")
+        terminal.shows("no such point")
+        (box,) = (row for row in terminal.screen.buffer.values() if row[0].data == "x")
+        assert [box[x].underscore for x in range(4)] == [True, False, True, True]
+        assert [box[x].reverse for x in range(4)] == [False, True, False, False]
+        assert is_bare(terminal)
+
+
+@pytest.mark.parametrize("said", COLOURLESS, ids=lambda said: " ".join(said.values()))
+def test_no_colours_where_there_are_none(tmp_path: Path, said: dict[str, str]) -> None:
+    with shown(tmp_path, **said) as terminal:
+        assert marked(terminal, "DONE") == "DONE"
+        assert is_bare(terminal)
+
+
+def test_what_is_asked_for_outweighs_the_environment(tmp_path: Path) -> None:
+    with shown(tmp_path, "--colors", "256", NO_COLOR="1", TERM="vt100") as terminal:
+        assert colours_of(bytes(terminal.raw)) == {"256"}
+        red, green, blue = re.findall("..", terminal.screen.buffer[0][2].bg)
+        assert not red == green == blue  # the state's block
+
+
+@pytest.mark.parametrize("term", TERMS)
+@pytest.mark.parametrize("colours", ["16", "256", "truecolor"])
+def test_only_the_colours_asked_for_are_sent(tmp_path: Path, term: str, colours: str) -> None:
+    with shown(tmp_path, "--colors", colours, TERM=term) as terminal:
+        terminal.press("h")
+        terminal.shows("History")
+        assert colours_of(bytes(terminal.raw)) == {colours}
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"LC_ALL": "C"},
+        {"LC_ALL": "POSIX"},
+        {"LC_ALL": "", "LC_CTYPE": "", "LANG": "C"},
+        {"LC_ALL": "", "LC_CTYPE": "", "LANG": ""},
+        {"TERM": "vt100"},
+        {"TERM": "linux"},
+        {"TERM": "dumb"},
+    ],
+    ids=lambda said: " ".join(f"{name}={value}" for name, value in said.items()),
+)
+def test_nothing_beyond_ascii_where_it_may_not_be_shown(
+    tmp_path: Path, said: dict[str, str]
+) -> None:
+    with shown(tmp_path, **said) as terminal:
+        terminal.shows("* DONE")
+        assert terminal.raw.isascii()
+
+
+def test_shapes_where_the_locale_has_them_and_none_where_they_are_refused(tmp_path: Path) -> None:
+    with shown(tmp_path / "a", LC_ALL="", LC_CTYPE="", LANG="not_HERE.UTF-8") as terminal:
+        terminal.shows("● DONE")
+    with shown(tmp_path / "b", "--ascii") as terminal:
+        terminal.shows("* DONE")
+        assert terminal.raw.isascii()
