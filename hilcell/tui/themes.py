@@ -40,6 +40,8 @@ class Palette:
             "cursor-row": self.cursor,
             "footer-background": self.background,
             "input-selection-background": self.cursor,
+            "block-cursor-blurred-background": self.quiet,  # the chosen line of the palette
+            "block-cursor-blurred-foreground": self.on,
         }
         return Theme(
             name=self.name, dark=self.dark, primary=self.info, secondary=self.quiet,

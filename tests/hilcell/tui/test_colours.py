@@ -60,6 +60,17 @@ def test_without_colours_none_is_sent_and_reverse_video_marks(tmp_path: Path, th
         assert is_bare(terminal)
 
 
+@pytest.mark.parametrize("theme", ["calm", "daylight"])
+def test_without_colours_the_command_that_is_chosen_is_reversed(tmp_path: Path, theme: str) -> None:
+    with shown(tmp_path, "--colors", "none", "--theme", theme) as terminal:
+        terminal.press("\x10")
+        terminal.shows("bad only: show")
+        terminal.press("\x1b[B")
+        terminal.until(lambda _: marked(terminal, "bad only: show") == "bad only: show", 5.0)
+        assert marked(terminal, "re-measure: measure") == ""
+        assert is_bare(terminal)
+
+
 @pytest.mark.parametrize("said", COLOURLESS, ids=lambda said: " ".join(said.values()))
 def test_no_colours_where_there_are_none(tmp_path: Path, said: dict[str, str]) -> None:
     with shown(tmp_path, **said) as terminal:
