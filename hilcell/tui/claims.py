@@ -1,8 +1,9 @@
 """What the terminal at hand can show, as the environment claims it.
 
-Doubt falls on the plain side: a shape that a terminal cannot show tears the lines of 80 columns,
-its ASCII like only looks plainer. Terminals are judged by name, for slim containers have no
-terminfo. The way back is to name the truth: ``LC_ALL=C.UTF-8``, ``TERM=xterm``.
+A locale that is named and is no UTF-8 means ASCII: a shape that a terminal cannot show tears the
+lines of 80 columns. One that is not named at all, as in containers and over bare SSH, says nothing
+against UTF-8, which terminals have had for decades. Terminals are judged by name, for slim
+containers have no terminfo. The way back is to name the truth: ``LC_ALL=C.UTF-8``, ``TERM=xterm``.
 
 The trap: where Python finds no UTF-8 in the locale, it writes its own into the environment that it
 then shows (PEP 538).
@@ -30,7 +31,7 @@ def has_shapes(environment: Mapping[str, str], *, coerced: bool = False) -> bool
         return False
     names = ("LC_ALL", "LANG") if coerced else ("LC_ALL", "LC_CTYPE", "LANG")
     locale = next((environment[name] for name in names if environment.get(name)), "")
-    return _UTF_8.search(locale) is not None
+    return not locale or _UTF_8.search(locale) is not None
 
 
 def is_coerced() -> bool:
