@@ -123,7 +123,7 @@ class SdoChannel:
         raise DeviceError(
             self._device,
             operation,
-            f"{reason} within {REPLY_S:.1f} s, {TRIES} times",
+            f"node {self._number}: {reason} within {REPLY_S:.1f} s, {TRIES} times",
             act=f"check node {self._number}: power, cable, bit rate, node number",
         )
 

@@ -15,16 +15,18 @@ class Stopped(HilcellError):
 
 
 class DeviceError(HilcellError):
-    """A device failed: names device, operation, wanted and found values, cause and next act."""
+    """A device failed: names device, operation, wanted and found values, cause and next act.
+
+    ``told`` is the same without the act, for who advises better.
+    """
 
     def __init__(
         self, device: str, operation: str, found: str, *, wanted: str = "", act: str = ""
     ) -> None:
         self.device, self.operation, self.found = device, operation, found
         self.wanted, self.act = wanted, act
-        parts = f"{device}: {operation}: {found}"
-        parts += f", wanted {wanted}" if wanted else ""
-        super().__init__(parts + (f"; {act}" if act else ""))
+        self.told = f"{device}: {operation}: {found}" + (f", wanted {wanted}" if wanted else "")
+        super().__init__(self.told + (f"; {act}" if act else ""))
 
 
 class DeviceRefused(DeviceError):

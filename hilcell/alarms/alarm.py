@@ -21,7 +21,6 @@ DRIFT_LIMIT_K = 2.0
 MANY_APPROACHES = 0.5  # of those that the cell file allows
 STRAYED = 0.5  # of rail.slip_limit_mm: drive against strip, from one hold to the next
 OVER = ("aborted", "faulted", "finished")
-SAYS_NOTHING = ("put the cause right", "look at the tracker")  # acts that the entry says better
 REFUSED_EXITS = (2, 3, 5, 6, 7)
 GO_ON = "space"  # the usual key
 
@@ -73,8 +72,8 @@ def alarms_of(log: Log, run: str, *, live: bool, go_on: str = GO_ON) -> list[Ala
 def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
     entry, finding = entry_of(moment.finding), moment.finding
     severity = moment.severity or entry.severity
-    act = "" if finding.act.startswith(SAYS_NOTHING) else line(finding.act)
-    steps = [act, *entry.do]
+    # What an error itself advises is said by an entry that knows it, for a technician.
+    steps = [*entry.do] if entry.specific else [finding.advice, *entry.do]
     if severity != "notice":
         steps.append(_then(entry, run, go_on, over=over))
     return Alarm(
@@ -106,6 +105,7 @@ def _then(entry: Entry, run: str, go_on: str, *, over: bool) -> str:
 
 
 def _events(session: list[Record]) -> Iterator[_Moment]:
+    back = max((r.seq for r in session if r.body["what"] == "screen back"), default=0)
     for record in session:
         body, t, seq = record.body, record.t, record.seq
         match body["what"]:
@@ -114,11 +114,11 @@ def _events(session: list[Record]) -> Iterator[_Moment]:
                 yield _Moment(finding, t, seq, "notice")
             case "safe stop" | "closed" as what:
                 for name, problem in body["problems"].items():
-                    yield _Moment(Finding("Cell", what, f"{name}: {problem}"), t, seq)
+                    yield _Moment(Finding("Cell", what, _problem(name, problem)), t, seq)
             case "command refused":
                 found = f"{body['command']} is not possible while {body['in']}"
                 yield _Moment(Finding("Cell", "command", found), t, seq)
-            case "screen lost":
+            case "screen lost" if seq > back:
                 yield _Moment(Finding("Cell", "screen lost", "nobody watches any more"), t, seq)
             case "answer refused" | "retake refused" as what:
                 found = ": ".join(str(body[name]) for name in ("key", "reason") if name in body)
@@ -126,6 +126,12 @@ def _events(session: list[Record]) -> Iterator[_Moment]:
             case "outlier measured again":
                 found = f"{body['key']} stands out from its neighbours and was measured again"
                 yield _Moment(Finding("Cell", "outlier", found), t, seq)
+
+
+def _problem(name: str, problem: str) -> str:
+    """Return what a device's error says, with its name once and without its advice."""
+    finding = findings_of(problem)[0]
+    return f"{finding.where or name}: {finding.told}"
 
 
 def _strip(log: Log, session: list[Record]) -> Iterator[_Moment]:

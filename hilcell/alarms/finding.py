@@ -6,6 +6,7 @@ are taken. The trap: a text may come from a device, so nothing of it reaches a f
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -35,6 +36,13 @@ class Finding:
         """Return what was found and what was wanted, as one line."""
         wanted = f", wanted {line(self.wanted)}" if self.wanted else ""
         return line(self.found) + wanted
+
+    @property
+    def advice(self) -> str:
+        """Return ``act`` as a sentence; that the run is to be resumed is said elsewhere."""
+        text = re.sub(r"[,;]?\s*\b(then )?resume$", "", line(self.act))
+        end = "" if text.endswith((".", "?", "!")) else "."
+        return f"{text[:1].upper()}{text[1:]}{end}" if text else ""
 
 
 def line(text: str) -> str:
@@ -78,6 +86,8 @@ def _of_text(text: str) -> Finding:
     device, _, rest = text.partition(": ")
     operation, mark, rest = rest.partition(": ")
     if device not in DEVICES or not mark:
+        if "\n" in text:  # several problems, each with advice of its own
+            return Finding("", "", text)
         found, _, act = text.partition("; ")
         return Finding("", "", found, act=act)
     found, _, wanted = rest.partition(", wanted ")

@@ -1,7 +1,8 @@
 """Alarms latch at their highest severity until somebody has acknowledged them.
 
-No clock: what is new is told by the records that alarms come from, so the same journal, read
-again, counts nothing twice.
+A notice latches too, but is let go when the journal tells it no more: the screen that was lost is
+back, the run that was stopped goes on. No clock: what is new is told by the records that alarms
+come from, so the same journal, read again, counts nothing twice.
 """
 
 from __future__ import annotations
@@ -22,17 +23,29 @@ class Latched:
     count: int
 
 
+Mark = tuple[str, int, str]
+
+
+def _mark(alarm: Alarm) -> Mark:
+    return alarm.code, alarm.seq, alarm.where
+
+
 class Latch:
     """The alarms that nobody has acknowledged yet. Used by one thread."""
 
     def __init__(self) -> None:
         self._latched: dict[str, Latched] = {}
-        self._seen: set[tuple[str, int, str]] = set()
+        self._seen: set[Mark] = set()
 
     def take(self, alarms: Iterable[Alarm]) -> None:
-        """Latch those that were not seen before."""
-        for alarm in alarms:
-            mark = (alarm.code, alarm.seq, alarm.where)
+        """Latch those that were not seen before; ``alarms`` are all that the journal tells now."""
+        told = {_mark(alarm): alarm for alarm in alarms}
+        for each in self.standing():
+            mark = _mark(each.alarm)
+            if each.severity == "notice" and mark not in told:
+                del self._latched[each.alarm.code]
+                self._seen.discard(mark)
+        for mark, alarm in told.items():
             if mark not in self._seen:
                 self._seen.add(mark)
                 self._add(alarm)

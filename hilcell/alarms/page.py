@@ -30,9 +30,9 @@ for somebody: the run waits, or its result is in doubt. A **notice** is worth kn
 that nobody can answer, because the run is unattended, ends it as a fault; what a repetition has
 healed is told as a notice.
 
-On the screen an alarm also says where it was found, what was read and what was wanted. The first
-step there is what the failing operation itself advises. A stop on the screen is a software stop,
-not the E-stop.
+On the screen an alarm also says where it was found, what was read and what was wanted. Where this
+list does not know a fault (codes that end in 99), the first step there is what the failing
+operation itself advises. A stop on the screen is a software stop, not the E-stop.
 """
 
 

@@ -392,7 +392,7 @@ class Bench:
                     return self._reading(key, near_mm, samples)
                 except NoReading as error:
                     self.event("no reading", key=key, tries=tries, reason=str(error))
-                    reason = str(error)
+                    reason = error.told
             limit_mm = self.cell.tracker.find_radius_mm
             prompt = beam_prompt(self.cell, key, place, near_mm, limit_mm, reason)
             self._ask(prompt, lambda: self._look(key, near_mm))
@@ -409,7 +409,7 @@ class Bench:
         try:
             reading = self._reading(key, near_mm, 1)
         except DeviceError as error:
-            return Look(None, str(error), time.monotonic())
+            return Look(None, error.told, time.monotonic())
         x, y, z = (float(value) for value in reading.xyz_mm)
         off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
         return Look(off_mm, "", reading.taken_s, (x, y, z))

@@ -93,6 +93,7 @@ class Runner:
         self._proven = threading.Event()
         self._bench: Bench | None = None
         self._screens, self._screens_lock = 0, threading.Lock()
+        self._unwatched = False
         self._fault: Exception | None = None
         self._life = StateMachine(
             RUN, log.states["run"], lambda body: journal.append("state", "", body)
@@ -150,7 +151,10 @@ class Runner:
         """Add ``by`` to the screens that attend; return how many do now."""
         with self._screens_lock:
             self._screens += by
-            return self._screens
+            now = self._screens
+        if by > 0:
+            self.post("watched")
+        return now
 
     def status(self) -> dict[str, object]:
         """Return the run's state for those who ask."""
@@ -313,8 +317,8 @@ class Runner:
                 self._proven.set()
             case "interrupt":
                 self._interrupt()
-            case "lost":
-                self._lose_screen()
+            case "lost" | "watched":
+                self._look_for_screens(lost=command == "lost")
             case "pause" if self._may_pause():
                 self._why_paused = ""
                 self._gate.close()
@@ -337,6 +341,15 @@ class Runner:
 
     def _reason(self) -> dict[str, str]:
         return {"reason": self._why_paused} if self._why_paused else {}
+
+    def _look_for_screens(self, *, lost: bool) -> None:
+        """Tell whether somebody watches now: meanwhile another screen may have come, or gone."""
+        if lost and not self._screens:
+            self._unwatched = True
+            self._lose_screen()
+        elif self._screens and self._unwatched:
+            self._unwatched = False
+            self._journal.append("event", "", {"what": "screen back"})
 
     def _lose_screen(self) -> None:
         """Pause where somebody should watch and nobody does."""

@@ -97,7 +97,6 @@ def test_a_fault_says_code_place_words_and_steps() -> None:
         found="no progress for 3 s at 480.000 mm, wanted target reached at 500.000 mm",
         means=alarm.means,
         do=(
-            "check the slide for an obstacle",
             "Look for an obstacle and for a brake that stays closed.",
             "Check coupling and belt.",
             f"Continue: space, or `hilcell resume {RUN}`.",
@@ -119,13 +118,74 @@ def test_parts_are_believed_before_the_text() -> None:
     (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
     assert alarm.code == "HC-B26"
     assert alarm.found == "it says: a, wanted b; c"
-    assert alarm.do[0] == "restart it"
 
 
-def test_an_act_that_says_nothing_is_left_out() -> None:
-    error = DeviceError("Rail", "home", "homing error", act="put the cause right, then resume")
+def test_what_the_list_knows_is_advised_once() -> None:
+    error = DeviceError(
+        "Tracker",
+        "receive",
+        "10.0.0.3:700: the device closed the connection",
+        act="check the device and its network, then resume",
+    )
     (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
-    assert alarm.do[0] == "Check the negative limit switch and its cable."
+    assert alarm.code == "HC-T02"
+    assert alarm.do[0] == "Check the network cable and that the controller runs."
+    assert len(alarm.do) == 3
+
+
+@pytest.mark.parametrize(
+    ("act", "step"),
+    [
+        ("feed it, then resume", "Feed it."),
+        ("feed it; resume", "Feed it."),
+        ("feed it, resume", "Feed it."),
+        ("is it fed? resume", "Is it fed?"),
+        ("it starves; feed it", "It starves; feed it."),
+        ("$FOOD must be TRUE", "$FOOD must be TRUE."),
+        ("resume", "Look at the drive, the strip and the gateway."),
+        ("", "Look at the drive, the strip and the gateway."),
+    ],
+)
+def test_what_no_entry_knows_says_its_own_advice_as_a_sentence(act: str, step: str) -> None:
+    """A plant's own driver names faults that are in no list."""
+    error = DeviceError("Rail", "move", "the horse is hungry", act=act)
+    (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
+    assert alarm.code == "HC-R99"
+    assert alarm.do[0] == step
+    assert len(alarm.do) == 3 if step.startswith(("Feed", "Is", "It", "$")) else 2
+
+
+LOST = (
+    "Rail: CAN: link lost: [Errno 32] Broken pipe; "
+    "check the gateway, the cable and the terminators, then resume"
+)
+
+
+@pytest.mark.parametrize(
+    ("what", "problem", "found"),
+    [
+        ("closed", LOST, "Rail: CAN: link lost: [Errno 32] Broken pipe"),
+        ("safe stop", LOST, "Rail: CAN: link lost: [Errno 32] Broken pipe"),
+        ("closed", "no answer within 10 s", "Rail: no answer within 10 s"),
+        (
+            "closed",
+            "Rail: close: the drive keeps its power, wanted off; switch the drive off",
+            "Rail: close: the drive keeps its power, wanted off",
+        ),
+    ],
+)
+def test_a_device_s_problem_names_it_once_and_advises_nothing(
+    what: str, problem: str, found: str
+) -> None:
+    (alarm,) = alarms(*BEGUN, event(what, problems={"Rail": problem}), *DONE[1:])
+    assert alarm.where == f"Cell: {what}"
+    assert alarm.found == found
+
+
+def test_several_problems_are_told_whole() -> None:
+    reason = "paper: 2 problems\n  a: unknown key; known here: b\n  c: missing"
+    (alarm,) = alarms(ended(reason, 2, "idle"))
+    assert alarm.found == "paper: 2 problems; a: unknown key; known here: b; c: missing"
 
 
 def test_devices_that_failed_together_are_told_one_by_one() -> None:
@@ -152,7 +212,7 @@ def test_a_reading_that_came_at_the_second_try_is_a_notice() -> None:
     (alarm,) = alarms(*BEGUN, NO_READING, point("grid/1"), live=True)
     assert (alarm.code, alarm.severity) == ("HC-T10", "notice")
     assert alarm.where == "Tracker: measure grid/1"
-    assert alarm.do[0] == "clear the line of sight"
+    assert alarm.do[0] == "Clear the line of sight; keep people and cables out of it."
     assert not any("Continue" in step for step in alarm.do)
 
 
@@ -204,6 +264,14 @@ def test_a_run_that_never_began_says_why() -> None:
     (alarm,) = alarms(ended("robot: 1 problem\n  port: a whole number is expected", 2, "idle"))
     assert (alarm.code, alarm.severity) == ("HC-C11", "fault")
     assert alarm.found == "robot: 1 problem; port: a whole number is expected"
+
+
+def test_a_lost_screen_is_no_alarm_any_more_when_one_is_back() -> None:
+    lost = (*BEGUN, event("screen lost"))
+    assert [alarm.code for alarm in alarms(*lost, live=True)] == ["HC-C08"]
+    assert alarms(*lost, event("screen back"), live=True) == []
+    again = (*lost, event("screen back"), event("screen lost"))
+    assert [alarm.seq for alarm in alarms(*again, live=True)] == [len(again) + 1]
 
 
 def test_temperature_is_judged_from_the_first_point_and_told_once() -> None:

@@ -48,6 +48,39 @@ def test_acknowledged_is_gone_until_it_comes_again() -> None:
     assert standing(latch) == [("HC-R31", "notice", 1)]
 
 
+def test_a_notice_of_what_is_no_more_is_let_go() -> None:
+    latch = Latch()
+    lost = (*BEGUN, event("screen lost"))
+    latch.take(alarms(*lost, live=True))
+    assert standing(latch) == [("HC-C08", "notice", 1)]
+    latch.take(alarms(*lost, event("screen back"), live=True))
+    assert standing(latch) == []
+    again = (*lost, event("screen back"), event("screen lost"))
+    latch.take(alarms(*again, live=True))
+    assert standing(latch) == [("HC-C08", "notice", 1)]
+
+
+def test_what_was_worse_than_a_notice_stays_until_acknowledged() -> None:
+    latch = Latch()
+    fault = replace(ONE, code="HC-R31", severity="fault", seq=6)
+    latch.take([ONE, fault])
+    latch.take([])
+    assert standing(latch) == [("HC-R31", "fault", 1), ("HC-T10", "warning", 1)]
+
+
+def test_a_notice_that_is_let_go_and_told_again_stands_again() -> None:
+    latch = Latch()
+    notice = replace(ONE, severity="notice")
+    latch.take([notice])
+    latch.take([])
+    latch.take([notice])
+    assert standing(latch) == [("HC-T10", "notice", 1)]
+    latch.acknowledge()
+    latch.take([])
+    latch.take([notice])
+    assert standing(latch) == []
+
+
 def test_the_worst_stands_first_and_of_these_the_newest() -> None:
     latch = Latch()
     codes: dict[str, Severity] = {"a": "notice", "b": "fault", "c": "warning", "d": "fault"}

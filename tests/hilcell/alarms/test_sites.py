@@ -106,7 +106,7 @@ def test_every_entry_is_reached(code: str) -> None:
 
 
 # Events that are the run's ordinary course; every other one becomes an alarm.
-ORDINARY = {"connected", "station found held", "step", "retake asked", "seated"}
+ORDINARY = {"connected", "station found held", "step", "retake asked", "seated", "screen back"}
 ALARMING = {
     "no reading", "safe stop", "closed", "command refused", "screen lost", "answer refused",
     "retake refused", "outlier measured again", "station held", "internal error",

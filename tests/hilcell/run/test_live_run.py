@@ -210,6 +210,31 @@ def test_a_lost_screen_pauses_an_attended_run(attended: Bed) -> None:
     assert len(attended.events("screen lost")) == 2
 
 
+def test_a_screen_that_comes_back_is_told(attended: Bed) -> None:
+    with Live(attended, procedure(Points(MANY))) as live:
+        live.until("state", "running")
+        live.runner.watched(1)  # the first screen: nobody was lost before it
+        live.runner.watched(-1)
+        live.runner.post("lost")
+        live.until("state", "paused")
+        live.runner.watched(1)
+        live.runner.watched(1)  # one more, when nobody is missed
+        live.runner.post("stop")
+    told = [r.body["what"] for r in attended.log().events if "screen" in r.body["what"]]
+    assert told == ["screen lost", "screen back"]
+
+
+def test_a_screen_that_was_replaced_at_once_is_not_missed(attended: Bed) -> None:
+    with Live(attended, procedure(Points(MANY))) as live:
+        live.until("state", "running")
+        live.runner.watched(1)
+        live.runner.post("lost")  # of another, whose connection ended meanwhile
+        live.runner.post("proceed")  # is refused: nothing waits
+        until(lambda: bool(attended.events("command refused")))
+        live.runner.post("stop")
+    assert attended.events("screen lost") == []
+
+
 def test_an_unattended_run_goes_on_without_a_screen(bed: Bed) -> None:
     with Live(bed, procedure(Points(3, lambda bench, number: None))) as live:
         live.runner.post("lost")

@@ -20,7 +20,7 @@ def bed(tmp_path: Path) -> Bed:
 
 
 def blocked() -> None:
-    raise NoReading("Tracker", "measure", "the beam broke")
+    raise NoReading("Tracker", "measure", "the beam broke", act="clear the line of sight")
 
 
 def clear() -> None:
@@ -33,12 +33,15 @@ def test_a_lasting_break_asks_and_goes_on_when_the_reflector_is_seen(bed: Bed) -
         prompt = live.status("prompt")
         assert prompt["title"] == "Clear the beam to F1"
         assert "nest F1 on the floor, x 0, y 0, z 0 mm in {W}" in prompt["text"]
+        assert prompt["text"].casefold().count("clear the line of sight") == 1
         assert prompt["place"] == "F1"
         assert len(prompt["expected_mm"]) == 3
         until(lambda: live.status("prompt")["age_s"] is not None)
         assert live.status("prompt")["ready"] is False
         assert live.status("prompt")["seen_mm"] is None
-        assert "sees no reflector at F1: Tracker: measure: the beam broke" in live.runner.answer()
+        assert live.runner.answer().endswith(
+            "sees no reflector at F1: Tracker: measure: the beam broke"
+        )
         assert live.status("state") == "suspended"
         bed.tracker.answer = clear
         until(lambda: live.status("prompt")["ready"] is True)
