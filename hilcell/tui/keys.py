@@ -3,9 +3,11 @@
     # ~/.config/hilcell/keys.toml
     [keys]
     history = ["h", "ctrl+y"]
+    log = ["l", "д"]
 
-The trap: terminals, multiplexers and layouts eat keys, so no action hangs on a function key alone,
-and Esc stops whatever a file says.
+A key is any printed character, a word for one, or `ctrl+` with a letter from a to z. The trap:
+terminals, multiplexers and layouts eat keys, so no action hangs on a function key alone, and Esc
+stops whatever a file says.
 """
 
 from __future__ import annotations
@@ -65,7 +67,11 @@ NAMED = (
     "space", "slash", "question_mark", "comma", "full_stop", "minus", "plus", "semicolon", "colon",
     "insert", "delete", *(f"f{number}" for number in range(1, 25)),
 )  # fmt: skip
-_SHOWN = {"slash": "/", "question_mark": "?", ESCAPE: "Esc", "comma": ",", "full_stop": "."}
+_SHOWN = {
+    "slash": "/", "question_mark": "?", "comma": ",", "full_stop": ".", "minus": "-", "plus": "+",
+    "semicolon": ";", "colon": ":", ESCAPE: "Esc",
+}  # fmt: skip
+_NAMES = {" ": "space"} | {sign: name for name, sign in _SHOWN.items() if name in NAMED}
 
 Keymap = dict[str, tuple[str, ...]]
 
@@ -122,7 +128,7 @@ def _keys_of(name: str, value: object, problems: list[str]) -> tuple[str, ...]:
         problems.append(f"keys.{name}: a key, or a list of keys, is wanted, found {value!r}")
         return ()
     problems.extend(
-        f"keys.{name}: {key!r} is no key; write a, A, ctrl+a, f5, space, slash"
+        f"keys.{name}: {key!r} is no key; write a, A, é, ctrl+a, f5, space, slash"
         for key in keys
         if not is_key(key)
     )
@@ -131,14 +137,19 @@ def _keys_of(name: str, value: object, problems: list[str]) -> tuple[str, ...]:
             f"keys.{name}: function keys alone ({', '.join(keys)}) are eaten by some terminals; "
             "add another key"
         )
-    return tuple(keys)
+    return tuple(map(named, keys))
 
 
 def is_key(key: str) -> bool:
-    """Whether a word names a key."""
+    """Whether a word names a key: of any layout, one printed character."""
     if key.startswith("ctrl+"):
         return key.removeprefix("ctrl+") in tuple(string.ascii_lowercase)
-    return key in (*string.ascii_letters, *string.digits, *NAMED, ESCAPE)
+    return (len(key) == 1 and key.isprintable()) or key in (*NAMED, ESCAPE)
+
+
+def named(key: str) -> str:
+    """Return the word for a character that has one, so that no key has two names."""
+    return _NAMES.get(key, key)
 
 
 def conflicts(keymap: Keymap) -> list[str]:

@@ -17,15 +17,15 @@ SGR = re.compile(r"\x1b\[[\d;:]*m")
 by_palette = pytest.mark.parametrize("palette", PALETTES, ids=lambda palette: palette.name)
 themes = st.sampled_from(NAMES)
 numbers = st.integers(0, 120).map(str)
-shades = st.lists(st.integers(0, 255), min_size=3, max_size=3).map(
-    lambda rgb: ";".join(map(str, rgb))
-)
+rgb = st.lists(st.integers(0, 255).map(str), min_size=3, max_size=3)
+kinds = st.sampled_from("345")
+short = (*range(30, 38), 39, *range(40, 48), 49, 59, *range(90, 98), *range(100, 108))
 colours = st.one_of(
-    st.builds("{}8;2;{}".format, st.sampled_from("345"), shades),
-    st.builds("{}8;5;{}".format, st.sampled_from("345"), st.integers(0, 255)),
-    st.builds("{}8:2::{}".format, st.sampled_from("345"), shades.map(lambda s: s.replace(";", ":"))),
-    st.sampled_from([*range(30, 38), 39, *range(40, 48), 49, 59, *range(90, 98), *range(100, 108)]),
-).map(str)  # fmt: skip
+    st.builds("{}8;2;{}".format, kinds, rgb.map(";".join)),
+    st.builds("{}8:2::{}".format, kinds, rgb.map(":".join)),
+    st.builds("{}8;5;{}".format, kinds, st.integers(0, 255)),
+    st.sampled_from(short).map(str),
+)
 attributes = st.sampled_from(["0", "1", "2", "3", "4", "4:3", "5", "7", "9", "22", "27"])
 words = st.text(st.characters(exclude_characters="\x1b", exclude_categories=["Cs"]))
 codes = st.lists(colours | attributes | numbers).map(lambda each: f"\x1b[{';'.join(each)}m")

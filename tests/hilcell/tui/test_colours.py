@@ -22,7 +22,8 @@ COLOURLESS = ({"NO_COLOR": "1"}, {"TERM": "vt100"}, {"TERM": "dumb"})
 def shown(runs: Path, *words: str, **environment: str) -> Iterator[Terminal]:
     """Show a run that is done."""
     write(runs / NAME, fresh("done").records)
-    with Terminal(["tui", "last", "--runs", str(runs), *words], **environment) as terminal:
+    order = ["tui", "last", "--runs", str(runs), *words]
+    with Terminal(order, columns=80, rows=24, **environment) as terminal:
         terminal.shows("worst first")
         terminal.until(lambda text: "\n>" in text)
         yield terminal

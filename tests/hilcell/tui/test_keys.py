@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import random
 import re
 import string
+import tempfile
 import textwrap
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from textual.keys import Keys
+from textual._xterm_parser import XTermParser
+from textual.events import Key
+from textual.keys import Keys, _normalize_key_list
 
+from hilcell.clean import UNSAFE
 from hilcell.settings import SettingsError
 from hilcell.tui import keys
 from hilcell.tui.keys import (
@@ -26,11 +31,13 @@ from hilcell.tui.keys import (
     default_file,
     is_key,
     load_keys,
+    named,
     shown,
 )
 
 DEFAULTS = {action.name: action.keys for action in ACTIONS}
 FREE = sorted({*string.ascii_letters, *string.digits, *NAMED} - set(RESERVED))
+PRINTED = st.characters(exclude_categories=["Cs"]).filter(str.isprintable)
 REBOUND = [action.name for action in ACTIONS if action.name != "stop"]
 
 
@@ -115,9 +122,17 @@ def test_escape_stops_whatever_the_file_says(tmp_path: Path) -> None:
         ("[keys]\nlog = 5", "keys.log: a key, or a list of keys, is wanted, found 5"),
         ("[keys]\nlog = []", "keys.log: a key, or a list of keys, is wanted, found []"),
         ('[keys]\nlog = ["L", 5]', "keys.log: a key, or a list of keys, is wanted"),
-        ('[keys]\nlog = "super+l"', "keys.log: 'super+l' is no key; write a, A, ctrl+a, f5"),
+        ('[keys]\nlog = "super+l"', "keys.log: 'super+l' is no key; write a, A, é, ctrl+a, f5"),
         ('[keys]\nlog = ""', "keys.log: '' is no key"),
-        ('[keys]\nlog = "é"', "keys.log: 'é' is no key"),
+        ('[keys]\nlog = "e\u0301"', "is no key"),  # a letter and an accent: two characters
+        ('[keys]\nlog = "\\u0007"', "keys.log: '\\x07' is no key"),
+        ('[keys]\nlog = "\\u00a0"', "keys.log: '\\xa0' is no key"),
+        ('[keys]\nlog = "\\u202e"', "keys.log: '\\u202e' is no key"),
+        ('[keys]\nlog = "ctrl+é"', "keys.log: 'ctrl+é' is no key"),
+        ('[keys]\nlog = "д"\nplots = "д"', "key 'д' means plots and log"),
+        ('[keys]\nlog = "/"', "key '/' means find and log"),
+        ('[keys]\nlog = " "', "key 'space' means pause and log"),
+        ('[keys]\nlog = "?"', "key '?' means log and help"),
         ('[keys]\nlog = "ctrl+A"', "keys.log: 'ctrl+A' is no key"),
         ('[keys]\nlog = "f5"', "keys.log: function keys alone (f5) are eaten"),
         ('[keys]\nlog = ["f5", "f12"]', "keys.log: function keys alone (f5, f12) are eaten"),
@@ -200,13 +215,32 @@ def test_named_keys_are_named_as_the_terminal_library_names_them() -> None:
 
 
 def test_keys_are_printed_shortly() -> None:
-    assert [shown(key) for key in ("slash", "question_mark", ESCAPE, "ctrl+q", "a")] == [
-        "/",
-        "?",
-        "Esc",
-        "^q",
-        "a",
-    ]
+    keys = ("slash", "question_mark", "minus", "colon", "space", ESCAPE, "ctrl+q", "a", "é", "<")
+    assert [shown(key) for key in keys] == ["/", "?", "-", ":", "space", "Esc", "^q", "a", "é", "<"]
+
+
+@given(PRINTED)
+def test_every_printed_character_is_a_key_and_is_the_one_that_comes(letter: str) -> None:
+    key = named(letter)
+    assert is_key(key)
+    (event,) = XTermParser().feed(letter)
+    assert isinstance(event, Key)
+    assert _normalize_key_list(key) == event.key
+    if letter != " ":
+        assert shown(key) == letter
+        assert not UNSAFE.search(shown(key))
+
+
+@given(st.lists(PRINTED, min_size=1, unique=True))
+def test_printed_characters_are_bound_as_they_are_typed(letters: list[str]) -> None:
+    text = json.dumps(letters, ensure_ascii=False)
+    with tempfile.TemporaryDirectory() as folder:
+        keys = [named(letter) for letter in letters]
+        taken = {key for action, ks in DEFAULTS.items() if action != "log" for key in ks}
+        if set(keys) & {*RESERVED, *taken}:
+            problems_of(Path(folder), f"[keys]\nlog = {text}\n")
+        else:
+            assert load(Path(folder), f"[keys]\nlog = {text}\n")["log"] == tuple(keys)
 
 
 def test_the_examples_in_the_words_are_good(tmp_path: Path) -> None:

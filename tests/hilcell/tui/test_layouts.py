@@ -1,0 +1,61 @@
+"""Keys of other layouts: Cyrillic, Greek, accents and signs, as a terminal sends them."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+from textual._xterm_parser import XTermParser
+from textual.events import Key
+
+from hilcell.tui.glyphs import ASCII
+from hilcell.tui.help_words import help_lines
+from hilcell.tui.keys import load_keys
+from tests.hilcell.tui.scenes import fresh
+from tests.hilcell.tui.stage import SIZE, Stage, options, settle, text_of
+from tests.hilcell.tui.test_terminal import NAME, write
+from tests.whole.terminal import Terminal
+
+LETTERS = ("д", "Д", "λ", "é", "ß", "ñ", "字", "<", "[", "|", "#", "€", ",", "\\", "1")
+KITTY = "\x1b[{0};;{0}u"
+
+
+def keys_file(folder: Path, letter: str) -> Path:
+    """Write a file that gives the log to one letter."""
+    file = folder / "keys.toml"
+    file.write_text(f"[keys]\nlog = ['{letter}']\n", encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("letter", LETTERS)
+@pytest.mark.parametrize("sent", ["{1}", KITTY], ids=["plain", "kitty"])
+def test_a_letter_of_any_layout_acts_and_is_shown(tmp_path: Path, letter: str, sent: str) -> None:
+    keymap = load_keys(keys_file(tmp_path, letter))
+
+    async def play() -> None:
+        app = Stage(options(Path("/runs"), keymap=keymap), "done")
+        async with app.run_test(size=SIZE) as pilot:
+            await settle(pilot)
+            for event in XTermParser().feed(sent.format(ord(letter), letter)):
+                assert isinstance(event, Key)
+                app.post_message(event)
+            await settle(pilot)
+            assert "Event log" in text_of(app)
+
+    asyncio.run(play())
+    lines = help_lines(keymap, ASCII).plain.splitlines()
+    assert any(line.startswith(f"{letter} ") and "journal" in line for line in lines)
+
+
+@pytest.mark.parametrize("letter", ["д", "é", "Ω", "["])
+def test_such_a_key_in_a_real_terminal(tmp_path: Path, letter: str) -> None:
+    write(tmp_path / "runs" / NAME, fresh("done").records)
+    words = ["tui", "last", "--runs", str(tmp_path / "runs")]
+    words += ["--keys", str(keys_file(tmp_path, letter))]
+    with Terminal(words, columns=160) as terminal:
+        terminal.shows(f"{letter} log")
+        terminal.press(letter)
+        terminal.shows("Event log")
+        terminal.press("q?")
+        terminal.shows(f"{letter:<12}every record of the journal")
