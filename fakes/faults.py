@@ -16,7 +16,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from hilcell.settings import SettingsError, convert
+from hilcell.settings import SettingsError, convert, unreadable
 
 Value = bool | int | float | str
 
@@ -185,7 +185,7 @@ def load_faults(path: str) -> Faults:
     try:
         values = tomllib.loads(Path(path).read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SettingsError(path, [f"cannot be read: {error}"]) from error
+        raise unreadable(path, error) from error
     lines = convert(values, FaultFile, path).fault
     problems = [problem for line in lines if (problem := _problem(line.name, line.value))]
     if problems:

@@ -22,7 +22,7 @@ from hilcell.calibration_form import Calibration, Provenance, StationEntry, Vali
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, zyx_from_pose
 from hilcell.ports import Array, HilcellError
 from hilcell.run.log import Log
-from hilcell.settings import SettingsError
+from hilcell.settings import SettingsError, unreadable
 from hilcell.writing import write_whole
 
 SCHEMA = 2  # 2: sealed
@@ -88,7 +88,7 @@ def read_calibration(path: Path) -> Calibration:
         problems = _seal_problems(content)
         calibration = msgspec.convert(content, Calibration)
     except OSError as error:
-        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
+        raise unreadable(str(path), error) from error
     except (msgspec.DecodeError, RecursionError, OverflowError) as error:
         raise SettingsError(str(path), [f"not a calibration file: {error}"]) from error
     problems += problems_of(calibration)

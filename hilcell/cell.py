@@ -21,7 +21,7 @@ from msgspec import Meta, field
 
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.layout import Layout, Nest
-from hilcell.settings import SettingsError, convert, refuse
+from hilcell.settings import SettingsError, convert, refuse, unreadable
 from hilcell.tables import (
     Acceleration,
     Angle,
@@ -357,6 +357,11 @@ def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
 
 
 def _read(where: str) -> dict[str, Any]:
+    if not where.strip():
+        known = ", ".join(built_in_cells())
+        raise SettingsError(
+            "cell", [f"no cell was named; built in are: {known}; or give a path to a TOML file"]
+        )
     if where in built_in_cells():
         text = (resources.files("hilcell.cells") / f"{where}.toml").read_text("utf-8")
     else:
@@ -369,7 +374,7 @@ def _read(where: str) -> dict[str, Any]:
                 where, [f"no such file, and no built-in cell of that name; built in: {known}"]
             ) from None
         except (OSError, UnicodeDecodeError) as error:
-            raise SettingsError(where, [f"cannot be read: {error}"]) from error
+            raise unreadable(where, error, "cell file") from error
     return _parsed(text, where)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hilcell.krl.program import Program, read_program
-from hilcell.settings import SettingsError
+from hilcell.settings import SettingsError, unreadable
 from hilcell.writing import NotWritten, write_together
 
 ENCODING = "latin-1"
@@ -55,7 +55,7 @@ def _data_beside(path: Path) -> Path | None:
             if each.stem == path.stem and each.suffix.lower() == DATA and each.is_file()
         ]
     except OSError as error:
-        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
+        raise unreadable(str(path), error) from error
     if len(found) > 1:
         names = ", ".join(sorted(each.name for each in found))
         raise SettingsError(str(path), [f"several data lists beside it: {names}; leave one"])
@@ -66,7 +66,7 @@ def _text(path: Path) -> str:
     try:
         text = path.read_bytes().decode(ENCODING)
     except OSError as error:
-        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
+        raise unreadable(str(path), error) from error
     if "\0" in text:
         raise SettingsError(str(path), ["has NUL bytes: not a KRL text, or saved as UTF-16"])
     return text

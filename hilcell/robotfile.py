@@ -20,7 +20,7 @@ from msgspec import Meta
 
 from hilcell.cell import Joint, arm_from_joints
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.settings import SettingsError, convert
+from hilcell.settings import SettingsError, convert, unreadable
 from hilcell.targets import MOST, MOST_DEG, numbers
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
@@ -150,4 +150,4 @@ def _text(path: Path) -> str:
     try:
         return path.read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
+        raise unreadable(str(path), error) from error

@@ -32,6 +32,20 @@ class SettingsError(HilcellError):
         super().__init__(f"{source}: {count}\n" + "\n".join(f"  {line}" for line in problems))
 
 
+def unreadable(source: str, error: Exception, kind: str = "file") -> SettingsError:
+    """Return what refuses a file that could not be opened or is no text; ``kind`` was expected."""
+    match error:
+        case IsADirectoryError():
+            problem = f"is a folder, not a {kind}"
+        case UnicodeDecodeError():
+            problem = "is no text file (UTF-8)"
+        case OSError():
+            problem = f"cannot be read: {error.strerror}"
+        case _:
+            problem = f"cannot be read: {error}"
+    return SettingsError(source, [problem])
+
+
 def convert(values: Mapping[str, object], kind: type[T], source: str) -> T:
     """Build ``kind`` from plain values; raises `SettingsError` naming all problems at once."""
     problems: list[str] = []

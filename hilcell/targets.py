@@ -17,7 +17,7 @@ import numpy as np
 
 from hilcell.clean import clean
 from hilcell.ports import Array
-from hilcell.settings import SettingsError
+from hilcell.settings import SettingsError, unreadable
 from hilcell.writing import write_whole
 
 MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
@@ -74,7 +74,7 @@ def _lines(path: Path) -> list[list[str]]:
         with path.open(encoding="utf-8-sig", newline="") as file:
             return list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
+        raise unreadable(str(path), error) from error
 
 
 def _take(

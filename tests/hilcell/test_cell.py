@@ -202,7 +202,7 @@ def test_missing_keys_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "part"),
-    [(b"name = ", "not valid TOML"), (b"\xff\xfe", "cannot be read")],
+    [(b"name = ", "not valid TOML"), (b"\xff\xfe", r"is no text file \(UTF-8\)$")],
 )
 def test_files_that_are_no_toml(tmp_path: Path, text: bytes, part: str) -> None:
     file = tmp_path / "cell.toml"
@@ -214,6 +214,33 @@ def test_files_that_are_no_toml(tmp_path: Path, text: bytes, part: str) -> None:
 def test_a_cell_that_does_not_exist_names_those_that_do() -> None:
     with pytest.raises(SettingsError, match=r"built in: .*paper"):
         load_cell("papper")
+
+
+@pytest.mark.parametrize("where", ["", "  "])
+def test_a_cell_that_was_not_named_names_those_that_are_built_in(where: str) -> None:
+    with pytest.raises(SettingsError) as error:
+        load_cell(where)
+    known = ", ".join(built_in_cells())
+    assert "paper" in known
+    assert str(error.value) == (
+        "cell: 1 problem\n"
+        f"  no cell was named; built in are: {known}; or give a path to a TOML file"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        (".", "is a folder, not a cell file"),
+        ("x" * 300, "cannot be read: File name too long"),
+        ("cell.toml/x", "cannot be read: Not a directory"),
+    ],
+)
+def test_what_is_no_file_is_said_in_plain_words(tmp_path: Path, name: str, problem: str) -> None:
+    (tmp_path / "cell.toml").touch()
+    with pytest.raises(SettingsError) as error:
+        load_cell(str(tmp_path / name))
+    assert error.value.problems == [problem]
 
 
 def test_the_digest_is_of_the_cell_and_not_of_its_simulation() -> None:

@@ -62,5 +62,10 @@ def test_what_is_no_target_list(tmp_path: Path, lines: list[str], part: str) -> 
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="cannot be read"):
+    with pytest.raises(SettingsError, match=r"cannot be read: No such file or directory$"):
         read_targets(tmp_path / "nowhere.csv")
+    with pytest.raises(SettingsError, match=r"is a folder, not a file$"):
+        read_targets(tmp_path)
+    (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n")
+    with pytest.raises(SettingsError, match=r"is no text file \(UTF-8\)$"):
+        read_targets(tmp_path / "image.png")
