@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import time
@@ -294,18 +293,3 @@ def test_keys_that_conflict_are_refused_before_anything_is_shown(tmp_path: Path)
     with Terminal(["tui", "--runs", str(tmp_path), "--keys", str(keys)]) as terminal:
         terminal.shows("key 'p' means")
         assert terminal.ends() == 2
-
-
-def test_sixteen_colours_and_none(tmp_path: Path) -> None:
-    for colours, forbidden in (("16", (b"38;2;", b"38;5;", b"48;2;", b"48;5;")), ("none", ())):
-        with Terminal(["tui", "--runs", str(tmp_path), "--colors", colours]) as terminal:
-            terminal.shows("validated before and after")
-            assert not [code for code in forbidden if code in terminal.raw], colours
-            if colours == "none":
-                shades = set(json.dumps(terminal.raw.decode()).split("38;2;")[1:])
-                assert all(_grey(each) for each in shades)
-
-
-def _grey(code: str) -> bool:
-    red, green, blue = code.split("m", maxsplit=1)[0].split(";")[:3]
-    return red == green == blue

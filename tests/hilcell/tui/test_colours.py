@@ -101,7 +101,6 @@ def test_only_the_colours_asked_for_are_sent(tmp_path: Path, term: str, colours:
         {"LC_ALL": "C"},
         {"LC_ALL": "POSIX"},
         {"LC_ALL": "", "LC_CTYPE": "", "LANG": "C"},
-        {"LC_ALL": "", "LC_CTYPE": "", "LANG": ""},
         {"TERM": "vt100"},
         {"TERM": "linux"},
         {"TERM": "dumb"},
@@ -116,9 +115,13 @@ def test_nothing_beyond_ascii_where_it_may_not_be_shown(
         assert terminal.raw.isascii()
 
 
-def test_shapes_where_the_locale_has_them_and_none_where_they_are_refused(tmp_path: Path) -> None:
-    with shown(tmp_path / "a", LC_ALL="", LC_CTYPE="", LANG="not_HERE.UTF-8") as terminal:
+@pytest.mark.parametrize("language", ["", "not_HERE.UTF-8"])
+def test_shapes_where_the_locale_has_them_or_says_nothing(tmp_path: Path, language: str) -> None:
+    with shown(tmp_path, LC_ALL="", LC_CTYPE="", LANG=language) as terminal:
         terminal.shows("● DONE")
-    with shown(tmp_path / "b", "--ascii") as terminal:
+
+
+def test_no_shapes_where_they_are_refused(tmp_path: Path) -> None:
+    with shown(tmp_path, "--ascii") as terminal:
         terminal.shows("* DONE")
         assert terminal.raw.isascii()
