@@ -13,6 +13,7 @@ from textual.pilot import Pilot
 from textual.widgets import Input
 
 from hilcell import index
+from hilcell.tui.choice import Choice
 from hilcell.tui.engine import Order
 from hilcell.tui.keys import load_keys
 from hilcell.tui.rows import Rows
@@ -65,6 +66,19 @@ def test_a_question_typed_ahead_is_answered() -> None:
         await settle(pilot)
 
     assert play(act, "running").heard.asked == [("abort", {})]
+
+
+def test_one_sees_which_choice_of_the_form_takes_the_keys() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        first, second = app.screen.query(Choice)
+        await press(pilot, *["tab"] * 5)
+        assert app.focused is first
+        assert first.rich_style != second.rich_style
+        await press(pilot, "tab")
+        assert app.focused is second
+        assert first.rich_style != second.rich_style
+
+    play(act)
 
 
 def test_letters_typed_into_the_form_do_not_act() -> None:
