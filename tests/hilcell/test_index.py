@@ -19,7 +19,6 @@ import pytest
 
 from hilcell import index
 from hilcell.cli import main
-from hilcell.errors import HilcellError
 from hilcell.index import NAME, RunRow, matches, read_index
 from hilcell.run.control import EngineFile
 from hilcell.run.journal import Journal, StorageError, read_journal
@@ -315,21 +314,6 @@ def test_an_index_that_another_holds(
     assert opened.since() == ["3-abandoned"]
 
 
-def test_entries_that_lead_nowhere_are_no_runs(runs: Path) -> None:
-    rows = read_index(runs)
-    (runs / "loop").symlink_to("loop")
-    (runs / "broken").symlink_to("nowhere")
-    (runs / "endless").symlink_to("x" * 300)
-    (runs / "4-inner").mkdir()
-    (runs / "4-inner" / JOURNAL).symlink_to(JOURNAL)
-    assert read_index(runs) == rows
-    assert len(run_folders(runs)) == 3
-    assert find_run(runs, "last").name in ("1-finished", "2-faulted", "3-abandoned")
-    for name in ("loop", str(runs / "loop")):
-        with pytest.raises(HilcellError, match="is not in"):
-            find_run(runs, name)
-
-
 READ = """
 import json, os, sys, urllib.parse  # what the library loads late, nobody may read later
 from pathlib import Path
@@ -348,39 +332,6 @@ def open_folder() -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o755)
         yield Path(name)
-
-
-LOCKED = """
-import json, os, sys
-from pathlib import Path
-from hilcell.index import read_index
-from hilcell.run import control, log  # nothing more can be loaded once rights are given away
-from hilcell.runs import find_run, read_log
-os.getuid() or os.setuid(65534)  # root may look everywhere
-runs = Path(sys.argv[1])
-print(json.dumps([[row.name, row.state, row.reason] for row in read_index(runs)]))
-print(find_run(runs, "last").name)
-try:
-    read_log(find_run(runs, str(runs / "2")))
-except Exception as error:
-    print(f"{type(error).__name__}: {error}")
-"""
-
-
-def test_a_run_that_must_not_be_looked_into_is_listed_with_its_reason(open_folder: Path) -> None:
-    written(open_folder / "1")
-    locked = written(open_folder / "2")
-    locked.chmod(0)
-    done = subprocess.run(
-        [sys.executable, "-c", LOCKED, open_folder], capture_output=True, text=True, check=False
-    )
-    locked.chmod(0o755)
-    listed, last, told = done.stdout.splitlines()
-    why = f"journal {locked / JOURNAL}: cannot be read: Permission denied"
-    assert [row[:2] for row in json.loads(listed)] == [["1", "finished"], ["2", "unreadable"]]
-    assert json.loads(listed)[1][2] == why
-    assert last == "1"
-    assert told == f"StorageError: {why}"
 
 
 def test_a_folder_that_may_only_be_read(open_folder: Path) -> None:
