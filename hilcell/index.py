@@ -79,11 +79,18 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
         """Whether the engine was lost: a journal that just ends was left by a crash."""
         # A resume that was refused writes an end, but leaves the state as the crash left it.
         ended = self.exit is not None and self.state not in UNDER_WAY
-        return self.readable and not self.live and not ended
+        return self.readable and not (self.live or ended or self.unbegun)
+
+    @property
+    def unbegun(self) -> bool:
+        """Whether there is a plan and no more: the engine is starting, or died before it did."""
+        return self.state == "idle" and not self.live and self.exit is None
 
     @property
     def condition(self) -> str:
         """Return the state in words."""
+        if self.unbegun:
+            return "not begun"
         return f"{self.state}, engine gone" if self.gone else self.state
 
 

@@ -145,9 +145,9 @@ def overview(cell: Cell, sight: Sight) -> list[dict[str, str]]:
             raise Blocked("Robot", MEASURE_BLOCKED, "the robot is moving", wanted="at rest")
 
     return [
-        {"name": "rail may move", "blocked": _reason(parked)},
-        {"name": "robot may move", "blocked": _reason(lambda: held(ROBOT_BLOCKED))},
-        {"name": "measure", "blocked": _reason(at_rest)},
+        {"name": "rail move", "blocked": _reason(parked)},
+        {"name": "robot move", "blocked": _reason(lambda: held(ROBOT_BLOCKED))},
+        {"name": "measurement", "blocked": _reason(at_rest)},
     ]
 
 

@@ -38,7 +38,7 @@ def columns_for(width: int) -> tuple[Column, ...]:
 
 def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
     """Return the cells of one run; ``marked`` are those to be compared."""
-    state = "LIVE " + run.state if run.live else "engine gone" if run.gone else run.state
+    state = "LIVE " + run.state if run.live else "engine gone" if run.gone else run.condition
     if run.exit == 1:
         state = "out of tolerance"
     mark = "*" if run.name in marked else ""

@@ -259,9 +259,8 @@ def interlocks(scene: Scene, width: int) -> Content:
         return Content.styled(f"interlocks: last heard {short_age(scene.heard_s)} ago", "$dim")
     if not blocked:
         return Content.styled(f"interlocks: {_free(scene)}", "$dim")
-    return Content(f"{blocked[0].name}: blocked: {blocked[0].blocked}").truncate(
-        width, ellipsis=True
-    )
+    said = f"{blocked[0].name} blocked: {blocked[0].blocked}"
+    return Content(said).truncate(width, ellipsis=True)
 
 
 def _free(scene: Scene) -> str:

@@ -105,6 +105,13 @@ def test_rows_say_what_logs_say(runs: Path) -> None:
         assert faulted.begun == f"{read_journal(runs / '2-faulted' / JOURNAL)[0].t[:19]}Z"
 
 
+def test_a_run_of_which_there_is_a_plan_and_no_more_is_not_begun() -> None:
+    row = msgspec.structs.replace(ROW, state="idle", exit=None, live=False)
+    assert (row.condition, row.gone) == ("not begun", False)
+    assert msgspec.structs.replace(row, live=True).condition == "idle"
+    assert msgspec.structs.replace(row, exit=2).condition == "idle"
+
+
 def test_only_what_changed_is_opened(runs: Path, opened: Opened) -> None:
     read_index(runs)
     assert opened.since() == ["1-finished", "2-faulted", "3-abandoned"]

@@ -94,7 +94,7 @@ def interlock_page(scene: Scene, glyphs: Glyphs) -> Content:
     if status is None or not scene.live:
         return Content("No engine is at work on this run: nothing can move from here.")
     lines = [
-        Content.styled(f"{glyphs.lost} {each.name}: blocked: {each.blocked}", "bold $warn")
+        Content.styled(f"{glyphs.lost} {each.name} blocked: {each.blocked}", "bold $warn")
         if each.blocked
         else Content.styled(f"{glyphs.fresh} {each.name}: free", "$good")
         for each in status.interlocks

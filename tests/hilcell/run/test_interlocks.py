@@ -111,7 +111,7 @@ def blocked(**changes: object) -> dict[str, str]:
 
 
 def test_the_overview_opens_on_good_readings() -> None:
-    assert blocked() == {"rail may move": "", "robot may move": "", "measure": ""}
+    assert blocked() == {"rail move": "", "robot move": "", "measurement": ""}
 
 
 REST = "the robot is moving, wanted at rest"
@@ -156,7 +156,7 @@ def test_the_overview_says_what_blocks(
     changes: dict[str, object], by_rail: str, by_robot: str, measure: str
 ) -> None:
     assert blocked(**changes) == {
-        "rail may move": by_rail,
-        "robot may move": by_robot,
-        "measure": measure,
+        "rail move": by_rail,
+        "robot move": by_robot,
+        "measurement": measure,
     }

@@ -20,7 +20,7 @@ STATUS: dict[str, Any] = {
     "ok": True, "run": "r", "state": "running", "calibration": "grid", "points": 3,
     "unattended": False, "screens": 1, "pausing": False,
     "devices": {"rail": {"state": "fresh", "age_s": 0.1, "text": "1100.20 mm", "reason": ""}},
-    "interlocks": [{"name": "rail may move", "blocked": ""}], "prompt": None, "retakes": [],
+    "interlocks": [{"name": "rail move", "blocked": ""}], "prompt": None, "retakes": [],
 }  # fmt: skip
 SILENCE = b""  # no answer at all
 Answer = Callable[[dict[str, str]], bytes | None]  # None: the connection is closed

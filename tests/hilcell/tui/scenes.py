@@ -201,9 +201,9 @@ def status(name: str) -> Status:
             "tracker": DeviceStatus("fresh", 1.2, "SMR 1.5in"),
         },
         interlocks=[
-            Interlock("rail may move", "robot not at safe pose, A2 -53.017 deg"),
-            Interlock("robot may move"),
-            Interlock("measure"),
+            Interlock("rail move", "robot not at safe pose, A2 -53.017 deg"),
+            Interlock("robot move"),
+            Interlock("measurement"),
         ],
         prompt=PROMPT if name == "suspended" else None,
     )

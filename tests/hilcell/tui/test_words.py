@@ -193,7 +193,7 @@ def test_a_run_that_is_over_is_done() -> None:
 
 def test_interlocks_name_the_first_that_is_blocked() -> None:
     scene = scene_of("running")
-    assert "rail may move: blocked: robot not at safe pose" in words.interlocks(scene, 80).plain
+    assert "rail move blocked: robot not at safe pose" in words.interlocks(scene, 80).plain
     assert scene.status is not None
     scene.heard_s = 9.0
     assert words.interlocks(scene, 80).plain == "interlocks: last heard 9.0 s ago"
