@@ -34,7 +34,7 @@ from hilcell.tui.driver import StopDriver
 from hilcell.tui.garbage import Collector
 from hilcell.tui.keys import ACTIONS, BY_NAME, shown
 from hilcell.tui.palette import Actions
-from hilcell.tui.refusals import OF_THE_POINTS, pause_command, refusal, unheard
+from hilcell.tui.refusals import ELSEWHERE, pause_command, refusal, unheard
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.opening import Opening
@@ -292,8 +292,8 @@ class HilcellApp(App[int]):
 
     def refusal(self, name: str) -> str:
         """Return why an action does nothing now, on the screen that is on top."""
-        if name in OF_THE_POINTS and not hasattr(self.page, f"do_{name}"):
-            return "only where the points are listed"
+        if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
+            return ELSEWHERE[name]
         standing = self.session is not None and bool(self.latch.standing())
         return refusal(name, self.scene, behind=bool(self.attached.behind), standing=standing)
 

@@ -50,6 +50,8 @@ ACTIONS = (
     Action("log", ("l",), "log", "every record of the journal"),
     Action("report", ("o",), "report", "write the report and show its figures"),
     Action("history", ("h",), "history", "earlier runs; two can be compared"),
+    Action("mark", ("x",), "mark", "in the history: mark a run to be compared"),
+    Action("compare", ("c",), "compare two", "in the history: what has drifted between two runs"),
     Action("new", ("n",), "new run", "choose cell and procedure and start a run"),
     Action("detach", ("d",), "detach", "leave the screen; the run goes on"),
     Action("theme", ("t",), "theme", "the next theme"),
@@ -60,7 +62,7 @@ BY_NAME = {action.name: action for action in ACTIONS}
 # Keys with a fixed meaning: to move, to choose, to go back, to open the palette.
 RESERVED = (
     "enter", "tab", "shift+tab", "up", "down", "left", "right", "pageup", "pagedown", "home",
-    "end", "backspace", "q", "ctrl+p", "y", "x", "c",
+    "end", "backspace", "q", "ctrl+p", "y",
     "ctrl+h", "ctrl+i", "ctrl+j", "ctrl+m",  # what terminals send for Backspace, Tab and Enter
 )  # fmt: skip
 NAMED = (

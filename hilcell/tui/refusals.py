@@ -10,9 +10,18 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hilcell.tui.scene import Scene
 
-OF_THE_POINTS = frozenset(("bad", "sort", "find", "retake"))
-OF_A_RUN = OF_THE_POINTS | frozenset(
-    ("pause", "acknowledge", "alarms", "plots", "interlocks", "log", "report")
+POINTS, HISTORY = "only where the points are listed", "only in the history"
+ELSEWHERE = {  # actions of certain screens: what is said on others
+    "bad": POINTS,
+    "sort": POINTS,
+    "retake": POINTS,
+    "find": "only where there are rows to filter",
+    "mark": HISTORY,
+    "compare": HISTORY,
+}
+OF_A_RUN = frozenset(
+    ("pause", "retake", "acknowledge", "bad", "sort")
+    + ("alarms", "plots", "interlocks", "log", "report")
 )
 ONE_AT_A_TIME = "a run is live: stop, abort or detach from it first"
 NO_RUN = "there is no run here to act on"

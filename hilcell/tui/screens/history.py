@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
 from textual.content import Content
 
 from hilcell.tui.aside import aside
 from hilcell.tui.history_words import columns_for, history_row
+from hilcell.tui.keys import shown
 from hilcell.tui.rows import Rows
 from hilcell.tui.screens.base import Page
 from hilcell.tui.screens.find import Finding
@@ -25,17 +25,11 @@ class HistoryPage(Finding, Page):
     """Element 12. The rows come from the index; a run is read only when it is opened."""
 
     title_text = "History"
-    footer = ("find", "stop", "quit")
+    footer = ("mark", "compare", "find", "stop", "quit")
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
         *Page.fixed,
         ("Enter", "open"),
-        ("x", "mark"),
-        ("c", "compare two"),
     )
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("x", "mark", show=False),
-        Binding("c", "compare", show=False),
-    ]
 
     def __init__(self) -> None:
         super().__init__()
@@ -93,7 +87,7 @@ class HistoryPage(Finding, Page):
         if message.key:
             self.cell.open_run(self.cell.options.runs / message.key)
 
-    def action_mark(self) -> None:
+    def do_mark(self) -> None:
         """Mark a run, or take its mark away; of more than two the oldest mark goes."""
         key = self.query_one(Rows).key
         if key in self._marked:
@@ -102,10 +96,10 @@ class HistoryPage(Finding, Page):
             self._marked = [*self._marked, key][-TO_COMPARE:]
         self.filter_rows()
 
-    def action_compare(self) -> None:
+    def do_compare(self) -> None:
         """Compare the two marked runs."""
         if len(self._marked) != TO_COMPARE:
-            self.notice("mark two runs with x first")
+            self.notice(f"mark two runs with {shown(self.cell.keymap['mark'][0])} first")
             return
         from hilcell.tui.screens.compare import ComparePage
 

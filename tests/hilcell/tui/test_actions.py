@@ -55,10 +55,10 @@ pytestmark = pytest.mark.usefixtures("outside")
 
 def allowed(state: str) -> set[str]:
     """Return the actions that a state allows on the run's screen."""
-    found = {"history", "theme", "help", "quit"}
+    found = {"history", "theme", "help", "quit", "find"}
     if state not in ("idle", "unreadable"):
         found |= {"alarms", "plots", "interlocks", "log", "report"}
-        found |= {"bad", "sort", "find", "retake"}
+        found |= {"bad", "sort", "retake"}
     if SPACE[state] is not None:
         found.add("pause")
     found |= {"stop", "detach"} if state in LIVE else {"new"}

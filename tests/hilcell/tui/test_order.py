@@ -13,7 +13,7 @@ from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
 from tests.hilcell.tui.playing import play
-from tests.hilcell.tui.stage import Stage, settle, text_of, type_ahead
+from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import PLAN, outside
 
 __all__ = ["PLAN", "outside"]
@@ -88,6 +88,17 @@ def test_the_point_under_the_cursor_is_the_one_acted_upon() -> None:
         assert rows.rows[-1].key in text_of(app)
 
     play(act, "running")
+
+
+def test_the_run_under_the_cursor_is_the_one_marked() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, "h")
+        type_ahead(app, "x", "down", "down", "x", "up", "x", "x")
+        await settle(pilot)
+        marks = [row.cells[0] for row in app.screen.query_one(Rows).rows]
+        assert marks == ["", "", "*", ""]  # of three the first went, the third was taken back
+
+    play(act)
 
 
 def test_a_filter_ends_with_its_enter() -> None:

@@ -37,7 +37,7 @@ def test_without_a_run_there_is_nothing_to_act_on() -> None:
     assert pause_command(None) == ""
     for name in ("pause", "retake", "acknowledge", "log", "bad"):
         assert refusal(name, None, behind=False, standing=False)
-    for name in ("new", "history", "help", "theme", "quit"):
+    for name in ("new", "history", "help", "theme", "quit", "find", "mark"):
         assert refusal(name, None, behind=False, standing=False) == ""
 
 

@@ -1,0 +1,251 @@
+"""What follows a run: the journal as it grows, the engine as it answers, however it fails."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hilcell.tui.feed import Feed, Fresh
+from hilcell.tui.scene import Engine
+from tests.hilcell.report.journals import Writer
+from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
+from tests.hilcell.tui.lines import LIMIT_S, PERIOD_S, nothing_left_open, short
+
+__all__ = ["nothing_left_open", "short"]
+
+
+class Screen:
+    """Takes what a feed delivers."""
+
+    def __init__(self, folder: Path) -> None:
+        self.brought: list[Fresh] = []
+        self._looked = 0
+        self._came = threading.Condition()
+        self.feed = Feed(folder, self._take, PERIOD_S)
+
+    def _take(self, fresh: Fresh) -> None:
+        with self._came:
+            self.brought.append(fresh)
+            self._came.notify_all()
+
+    def until(self, true: Callable[[Fresh], bool]) -> Fresh:
+        """Wait for a look that brings something, after those already returned; return it."""
+        with self._came:
+            assert self._came.wait_for(
+                lambda: any(map(true, self.brought[self._looked :])), LIMIT_S
+            )
+            while not true(self.brought[self._looked]):
+                self._looked += 1
+            self._looked += 1
+            return self.brought[self._looked - 1]
+
+    def close(self, *, leave: bool = True) -> None:
+        """End, and wait for the thread."""
+        self.feed.close(leave=leave)
+        self.feed._thread.join(LIMIT_S)
+        assert not self.feed._thread.is_alive()
+
+
+def journal(folder: Path) -> Writer:
+    return Writer(folder).began()
+
+
+def test_it_brings_the_journal_and_then_what_is_new(tmp_path: Path) -> None:
+    writer = journal(tmp_path / "r")
+    screen = Screen(tmp_path / "r")
+    screen.feed.start()
+    first = screen.until(lambda fresh: bool(fresh.records))
+    assert [record.kind for record in first.records][:2] == ["plan", "state"]
+    assert (first.engine, first.status) == (Engine.NONE, None)
+    writer.point("grid/0", "grid", (1.0, 2.0, 3.0))
+    second = screen.until(lambda fresh: bool(fresh.records))
+    assert [record.key for record in second.records] == ["grid/0"]
+    screen.close()
+    writer.left()
+
+
+def test_it_attends_asks_and_leaves(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        fresh = screen.until(lambda fresh: fresh.status is not None)
+        assert fresh.engine is Engine.HEARD
+        assert fresh.status is not None
+        assert fresh.status.devices["rail"].text == "1100.20 mm"
+        assert peer.commands == ["attend"]
+        screen.close(leave=True)
+        peer.until(lambda: peer.open == 0)
+        assert peer.commands == ["attend", "leave"]
+
+
+def test_a_screen_that_is_lost_does_not_leave(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        screen.close(leave=False)
+        peer.until(lambda: peer.open == 0)
+        assert peer.commands == ["attend"]
+
+
+def test_a_screen_that_is_killed_does_not_leave(tmp_path: Path) -> None:
+    code = (
+        "import sys, time; from pathlib import Path; from hilcell.tui.feed import Feed; "
+        "Feed(Path(sys.argv[1]), lambda _: None, 0.02).start(); time.sleep(60)"
+    )
+    with Peer(tmp_path) as peer:
+        killed = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)])
+        peer.until(lambda: "attend" in peer.commands, 30.0)
+        killed.send_signal(signal.SIGKILL)
+        killed.wait()
+        peer.until(lambda: peer.open == 0)
+        assert peer.commands == ["attend"]
+
+
+def test_a_line_that_ends_is_opened_again(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        peer.hang_up()
+        screen.until(lambda fresh: fresh.status is None)
+        peer.until(lambda: peer.commands.count("attend") == 2)
+        assert screen.until(lambda fresh: fresh.status is not None).engine is Engine.HEARD
+        screen.close()
+        peer.until(lambda: peer.open == 0)
+
+
+@pytest.mark.parametrize("answer", [SILENCE, b"garbage\n", None], ids=["silence", "garbage", "end"])
+def test_an_engine_gone_mad_is_asked_anew_until_it_is_well(
+    tmp_path: Path, answer: bytes | None
+) -> None:
+    mad = threading.Event()
+
+    def sometimes(words: dict[str, str]) -> bytes | None:
+        return answer if mad.is_set() else usual(words)
+
+    with Peer(tmp_path, sometimes) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        mad.set()
+        lost = screen.until(lambda fresh: fresh.status is None)
+        assert lost.engine is (Engine.SILENT if answer == SILENCE else Engine.NONE)
+        mad.clear()
+        assert screen.until(lambda fresh: fresh.status is not None).engine is Engine.HEARD
+        screen.close()
+        peer.until(lambda: peer.open == 0)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"ok": False, "error": "no"},
+        {"ok": True},
+        STATUS | {"devices": 5},
+        STATUS | {"prompt": {"title": 3}},
+        STATUS | {"retakes": [None]},
+    ],
+)
+def test_a_status_that_makes_no_sense_leaves_the_last_to_grow_stale(
+    tmp_path: Path, told: dict[str, object]
+) -> None:
+    odd = threading.Event()
+
+    def answer(words: dict[str, str]) -> bytes:
+        return says(told) if odd.is_set() else usual(words)
+
+    with Peer(tmp_path, answer):
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        odd.set()
+        assert screen.until(lambda fresh: fresh.status is None).engine is Engine.HEARD
+        odd.clear()
+        screen.until(lambda fresh: fresh.status is not None)
+        screen.close()
+
+
+def test_an_engine_that_only_stood_still_is_heard_on_the_same_line(tmp_path: Path) -> None:
+    goes = threading.Event()
+    goes.set()
+
+    def answer(words: dict[str, str]) -> bytes:
+        assert goes.wait(LIMIT_S)
+        return usual(words)
+
+    with Peer(tmp_path, answer) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        goes.clear()
+        assert screen.until(lambda fresh: fresh.status is None).engine is Engine.SILENT
+        goes.set()
+        assert screen.until(lambda fresh: fresh.status is not None).engine is Engine.HEARD
+        assert peer.commands == ["attend"]
+        screen.close()
+
+
+def test_what_is_asked_for_is_looked_at_soon(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        screen = Screen(tmp_path)
+        screen.feed._period_s = 60.0
+        screen.feed.start()
+        peer.until(lambda: len(peer.heard) == 2)
+        screen.feed.soon()
+        peer.until(lambda: len(peer.heard) == 3)
+        screen.close()
+
+
+def test_closing_while_a_line_is_being_opened_leaves_nothing_open(tmp_path: Path) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slowly(words: dict[str, str]) -> bytes:
+        begun.set()
+        assert go_on.wait(LIMIT_S)
+        return usual(words)
+
+    with Peer(tmp_path, slowly) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        assert begun.wait(LIMIT_S)
+        go_on.set()
+        screen.close()
+        peer.until(lambda: peer.open == 0)
+
+
+def test_a_journal_that_is_damaged_is_told(tmp_path: Path) -> None:
+    (tmp_path / "journal.sqlite").write_bytes(b"no journal at all, but long enough to be one")
+    screen = Screen(tmp_path)
+    screen.feed.start()
+    assert "damaged or not a journal" in screen.until(lambda fresh: bool(fresh.trouble)).trouble
+    screen.close()
+
+
+def test_a_run_that_has_no_journal_yet_is_waited_for(tmp_path: Path) -> None:
+    screen = Screen(tmp_path / "r")
+    screen.feed.start()
+    assert screen.until(lambda _: True).trouble == ""
+    writer = journal(tmp_path / "r")
+    screen.until(lambda fresh: bool(fresh.records))
+    screen.close()
+    writer.left()
+
+
+def test_a_detach_over_a_silent_engine_is_not_long(tmp_path: Path) -> None:
+    mad = threading.Event()
+    with Peer(tmp_path, lambda words: SILENCE if mad.is_set() else usual(words)):
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        screen.until(lambda fresh: fresh.status is not None)
+        mad.set()
+        began_s = time.monotonic()
+        screen.close(leave=True)
+        assert time.monotonic() - began_s < 2.0

@@ -1,0 +1,87 @@
+"""One attachment of a screen to a run: what it asks, and whom its stop reaches."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from hilcell.errors import HilcellError
+from hilcell.tui import link as links
+from hilcell.tui.feed import Fresh
+from hilcell.tui.scene import Engine
+from hilcell.tui.session import Session, utc_now
+from tests.hilcell.tui.engine_peer import Peer, usual
+from tests.hilcell.tui.lines import LIMIT_S, PERIOD_S, nothing_left_open, short
+
+__all__ = ["nothing_left_open", "short"]
+
+
+def test_without_an_engine_nothing_is_asked_or_stopped(tmp_path: Path) -> None:
+    session = Session(tmp_path / "r", lambda _: None, PERIOD_S)
+    with pytest.raises(HilcellError, match="pause: no engine is running for r"):
+        session.ask("pause")
+    assert not session.stop()
+    session.close(leave=True)
+
+
+def test_a_stop_finds_a_line_of_its_own(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        session = Session(tmp_path, lambda _: None, PERIOD_S)
+        assert session.stop()
+        peer.until(lambda: peer.commands == ["stop"] and peer.open == 0)
+        session.close(leave=True)
+
+
+def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(tmp_path: Path) -> None:
+    looked = threading.Event()
+
+    def slow(command: dict[str, str]) -> bytes:
+        if command["command"] == "answer":
+            assert looked.wait(LIMIT_S)
+        return usual(command)
+
+    with Peer(tmp_path, slow):
+        session = Session(tmp_path, lambda _: None, PERIOD_S)
+        later = threading.Timer(3 * links.ANSWER_S, looked.set)
+        later.start()
+        session.ask("answer")  # raises where it gives up
+        later.join()
+        session.close(leave=True)
+
+
+# -- an engine that is being started ---------------------------------------------------------------
+
+
+@contextmanager
+def child() -> Iterator[subprocess.Popen[bytes]]:
+    """Give a process that does nothing, until the block is left."""
+    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_stop_ends_an_engine_that_hears_nobody_yet(tmp_path: Path) -> None:
+    with child() as process:
+        session = Session(tmp_path, lambda _: None, PERIOD_S, process)
+        assert session.stop()
+        assert process.wait(LIMIT_S) == -signal.SIGTERM
+        assert session.stop()  # said again, it is still so
+
+
+def test_an_engine_that_was_heard_once_is_never_killed(tmp_path: Path) -> None:
+    with child() as process:
+        session = Session(tmp_path, lambda _: None, PERIOD_S, process)
+        session.take(Fresh([], engine=Engine.HEARD), utc_now())
+        session.take(Fresh([], engine=Engine.NONE), utc_now())
+        assert not session.stop()
+        assert process.poll() is None
