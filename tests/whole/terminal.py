@@ -23,7 +23,8 @@ AROUND = ("COLUMNS", "LINES", "NO_COLOR")  # of the terminal that the tests run 
 
 
 def _own_terminal() -> None:
-    """Make the terminal the program's own, so that its loss is told to the program."""
+    """Make the terminal the program's own, so that its loss is told to the program, and heard."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # tests may run under nohup
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 

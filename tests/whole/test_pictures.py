@@ -122,7 +122,7 @@ async def a_fault(tmp_path: Path) -> None:
             await until(pilot, r"/10 robot-grid: ([2-9]|\d\d)/")
             assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
             await until(pilot, "space resume")
-            assert "HC-B10" in shown(app_of(pilot))
+            await until(pilot, "HC-B10")
             keep(app_of(pilot), "screen-fault")
 
 

@@ -72,7 +72,9 @@ def test_circle_agrees_with_a_peer_by_scipy(seed: int, degrees: float) -> None:
         radial = np.linalg.norm(np.cross(lever, axis), axis=1)
         return np.concatenate([along, radial - 800 - x[5]])
 
-    peer = least_squares(distances, np.zeros(6), xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
+    peer = least_squares(
+        distances, np.zeros(6), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac"
+    )
     circle = fit_circle(points)
     axis = T[:3, :3] @ np.array([peer.x[3], peer.x[4], 1.0])
     assert np.sum(circle.residuals_mm**2) == pytest.approx(2 * peer.cost, rel=1e-9)
