@@ -122,7 +122,7 @@ async def a_fault(tmp_path: Path) -> None:
             await until(pilot, r"/10 robot-grid: ([2-9]|\d\d)/")
             assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
             await until(pilot, "space resume")
-            await until(pilot, "HC-B10")
+            await until(pilot, r"HC-B10(.*\n)*>")
             keep(app_of(pilot), "screen-fault")
 
 
