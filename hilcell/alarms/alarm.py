@@ -164,9 +164,10 @@ def _temperature(log: Log) -> Iterator[_Moment]:
 
 
 def _verdicts(log: Log) -> Iterator[_Moment]:
-    for key, body in log.verdicts.items():
-        if not body["holds"]:
-            yield _Moment(Finding("Cell", f"verdict {key}", _figures(body)))
+    for key, record in log.judged.items():
+        if not record.body["holds"]:
+            finding = Finding("Cell", f"verdict {key}", _figures(record.body))
+            yield _Moment(finding, record.t, record.seq)
 
 
 def _figures(body: dict[str, Any]) -> str:

@@ -83,6 +83,7 @@ class Log:
         self.points: dict[str, Point] = {}
         self.frames: dict[str, dict[str, Any]] = {}
         self.verdicts: dict[str, dict[str, Any]] = {}
+        self.judged: dict[str, Record] = {}  # the verdicts' records
         self.events: list[Record] = []
         self.states = {"run": "idle", "calibration": "unknown"}
         self.life: list[Record] = []  # the states that the run went through
@@ -113,6 +114,7 @@ class Log:
                 self.frames[record.key] = body
             case "verdict":
                 self.verdicts[record.key] = body
+                self.judged[record.key] = record
             case "event":
                 self.events.append(record)
                 self._take_event(body)

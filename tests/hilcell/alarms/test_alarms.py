@@ -296,7 +296,7 @@ def test_newest_is_last() -> None:
         faulted(STALLED),
         ("verdict", "sign", {"holds": False}),
     )
-    assert [alarm.code for alarm in found] == ["HC-V02", "HC-T10", "HC-C06", "HC-C02", "HC-R31"]
+    assert [alarm.code for alarm in found] == ["HC-T10", "HC-C06", "HC-C02", "HC-R31", "HC-V02"]
     assert [alarm.seq for alarm in found] == sorted(alarm.seq for alarm in found)
 
 
