@@ -7,6 +7,7 @@ imported after the first screen is painted.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Coroutine
 from pathlib import Path
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
 TICK_S = 1.0
+HURRY_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers slower
 ScrollBar.renderer = WholeBar  # Textual's way to choose: a class, for all of its bars
 
 
@@ -89,6 +91,8 @@ class HilcellApp(App[int]):
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
         self.detached: list[str] = []  # the runs that go on without this screen
         self.refused: HilcellError | None = None  # why nothing could be opened
+        self.unhurried = True
+        self._typed_s = -math.inf  # when the last key came
         self._collector: Collector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
         for palette in PALETTES:
@@ -142,6 +146,7 @@ class HilcellApp(App[int]):
         if isinstance(event, Paste):
             event.text = UNSAFE.sub("", event.text.partition("\n")[0])
         told = (self.focused or self.screen).ancestors_with_self
+        self.unhurried, self._typed_s = event.time - self._typed_s >= HURRY_S, event.time
         self.say("")  # what was said has been read
         await super().on_event(event)
         await settled(node for node in told if node is not self)
@@ -319,6 +324,8 @@ class HilcellApp(App[int]):
             if refused := self.refusal(name):
                 self.say(f"{BY_NAME[name].label}: {refused}")
                 return
+            if name == "detach" and not self.unhurried:
+                return  # no scanned code leaves an attended run alone
             if name in PAGES:
                 self._turn_to(page_of(name, self.session))
             else:
@@ -352,13 +359,15 @@ class HilcellApp(App[int]):
         elif command == "resume":
             from hilcell.tui.words import prospect
 
-            self.ask("Resume this run?", prospect(self.scene), "resume", self.start_resume)
+            text = prospect(self.scene)
+            self.ask("Resume this run?", text, "resume", self.start_resume, moves=True)
         else:
             self.ask(
                 "Go on?",
                 "The robot and the rail may move at once.",
                 "go on",
                 lambda: self.command("proceed"),
+                moves=True,
             )
 
     def do_abort(self) -> None:
@@ -377,7 +386,8 @@ class HilcellApp(App[int]):
             if refused := unheard(scene):
                 self.say(refused)
             elif scene.prompt.ready or not scene.prompt.check:
-                self.background(self._answer())
+                if self.unhurried:
+                    self.background(self._answer())
             else:
                 self.say(
                     "Enter works when the tracker sees the reflector in its place", for_now=True
@@ -410,6 +420,7 @@ class HilcellApp(App[int]):
                 f"{key}: at the next point of the robot.",
                 "re-measure",
                 lambda: self.command("retake", key=key),
+                moves=True,
             )
         else:
             self.ask(
@@ -417,6 +428,7 @@ class HilcellApp(App[int]):
                 f"{key}: the devices are connected, the control points proved, the robot moves.",
                 "re-measure",
                 lambda: self.start_resume("--retake", key),
+                moves=True,
             )
 
     def start_resume(self, *words: str) -> None:
@@ -436,8 +448,11 @@ class HilcellApp(App[int]):
         if told := await aside(started.end):
             raise HilcellError(told)
 
-    def ask(self, title: str, text: str, yes: str, act: Any) -> None:
-        """Ask before an act; only a yes does it, and what hinders it is said."""
+    def ask(self, title: str, text: str, yes: str, act: Any, *, moves: bool = False) -> None:
+        """Ask before an act; only a yes does it, and what hinders it is said.
+
+        ``moves``: the machine may move, so a yes in one burst with other keys is none.
+        """
 
         def replied(reply: str | None) -> None:
             try:
@@ -446,7 +461,7 @@ class HilcellApp(App[int]):
             except HilcellError as error:
                 self.say(str(error))
 
-        self.push_screen(Confirm(title, text, yes), replied)
+        self.push_screen(Confirm(title, text, yes, moves=moves), replied)
 
     def _turn_to(self, page: SceneScreen) -> None:
         """Show a page; one of its kind that is open is gone back to: keys may be held down."""

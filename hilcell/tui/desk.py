@@ -39,6 +39,7 @@ class Desk(Protocol):
     glyphs: Glyphs
     keymap: Keymap
     attached: Attached
+    unhurried: bool  # whether the key under way came by itself, not in a burst
 
     @property
     def scene(self) -> Scene | None:

@@ -18,6 +18,8 @@ from typing import Self
 
 import pyte
 
+from hilcell.tui.app import HURRY_S
+
 READ = 1 << 16
 AROUND = ("COLUMNS", "LINES", "NO_COLOR")  # of the terminal that the tests run in
 
@@ -71,6 +73,11 @@ class Terminal:
     def press(self, keys: str) -> None:
         """Type."""
         os.write(self._end, keys.encode())
+
+    def answer(self, keys: str) -> None:
+        """Type like a person who has read a question: in one burst it would be no answer."""
+        self.pump_for(1.5 * HURRY_S)
+        self.press(keys)
 
     def pump(self, wait_s: float) -> bool:
         """Take what has come within some time; return whether anything did."""

@@ -46,7 +46,7 @@ def start(terminal: Terminal, keys: str = ENTER) -> None:
     terminal.shows("validated before and after")
     terminal.press(keys)
     terminal.shows("The robot and the rail will move")
-    terminal.press(ENTER)
+    terminal.answer(ENTER)
 
 
 def folder_of(runs: Path) -> Path:
@@ -88,7 +88,7 @@ def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the
         assert key.startswith("validate/")
         terminal.press("r")
         terminal.shows("Open this run again")
-        terminal.press(ENTER)
+        terminal.answer(ENTER)
         terminal.shows("LIVE")
         terminal.shows("● DONE", LIMIT_S)
         wait_for(lambda: live_engine(folder_of(tmp_path)) is None, "the engine ends")
@@ -115,7 +115,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
             terminal.shows("▲ PAUSED", LIMIT_S)
             terminal.press(" ")
             terminal.shows("Go on?")
-            terminal.press(ENTER)
+            terminal.answer(ENTER)
             terminal.shows("■ RUNNING", LIMIT_S)
             assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
             terminal.shows("✖ FAULT", LIMIT_S)
@@ -130,7 +130,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
             terminal.shows("space resume")
             terminal.press(" ")  # three keys: resume, yes, acknowledge
             terminal.shows("Resume this run?")
-            terminal.press(ENTER)
+            terminal.answer(ENTER)
             terminal.shows("■ RUNNING", LIMIT_S)
             terminal.press("k")
             terminal.until(lambda text: "HC-B" not in text)
@@ -174,7 +174,7 @@ def test_esc_right_after_a_resume_is_heard(tmp_path: Path) -> None:
         (before,) = logs(tmp_path)
         terminal.press(" ")
         terminal.shows("Resume this run?")
-        terminal.press(ENTER)
+        terminal.answer(ENTER)
         terminal.shows("CHECKING")
         terminal.press(ESC)
         terminal.until(lambda text: "LIVE" not in text)
@@ -197,7 +197,7 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
                 third.shows("▲ PAUSED")
                 third.press(" ")
                 third.shows("Go on?")
-                third.press(ENTER)
+                third.answer(ENTER)
                 third.shows("■ RUNNING")
                 third.press("d")
                 assert third.ends() == 0
@@ -274,7 +274,7 @@ def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None
                 terminal.shows("Enter works when the tracker sees")
                 assert cell.ask(do="seat", place=nest)["ok"]
                 terminal.shows("press Enter")
-                terminal.press(ENTER)
+                terminal.answer(ENTER)
             terminal.shows("● DONE", LIMIT_S)
         assert judged(folder_of(tmp_path)) == []
 

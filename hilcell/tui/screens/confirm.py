@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, TypeVar
+from typing import ClassVar, TypeVar, cast
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
@@ -10,6 +10,7 @@ from textual.containers import Vertical
 from textual.content import Content
 from textual.screen import ModalScreen
 
+from hilcell.tui.desk import Desk
 from hilcell.tui.panel import Panel
 
 T = TypeVar("T")
@@ -24,6 +25,11 @@ class Dialog(ModalScreen[T]):
         with Vertical(id="dialog"):
             yield Panel("question")
             yield Panel("answers")
+
+    @property
+    def deliberate(self) -> bool:
+        """Whether the key under way is an answer: a scanner's Enter, or a held one, is none."""
+        return cast("Desk", self.app).unhurried
 
     def put(self, question: Content, answers: Content) -> None:
         """Show both."""
@@ -55,15 +61,16 @@ class Confirm(Dialog[str]):
         Binding("n,q,backspace", "reply('no')", show=False, priority=True),
     ]
 
-    def __init__(self, title: str, text: str, yes: str, no: str = "no") -> None:
+    def __init__(self, title: str, text: str, yes: str, *, moves: bool) -> None:
         super().__init__()
-        self._title, self._text, self._yes, self._no = title, text, yes, no
+        self._title, self._text, self._yes, self._moves = title, text, yes, moves
 
     def on_mount(self) -> None:
         """Show the question."""
         question = Content.assemble((self._title, "bold $warn"), "\n", self._text, "\n")
-        self.put(question, answer_keys(self._yes, self._no))
+        self.put(question, answer_keys(self._yes, "no"))
 
     def action_reply(self, word: str) -> None:
         """Close with the answer."""
-        self.dismiss(word)
+        if word != "yes" or self.deliberate or not self._moves:
+            self.dismiss(word)

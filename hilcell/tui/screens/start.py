@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from importlib.metadata import entry_points
 from typing import Any, ClassVar
 
@@ -32,7 +31,6 @@ FIELDS = (
 )
 WATCHED = ("yes, I am here", "no, unattended")
 SPEEDS = ("max", "100", "10", "1")
-HELD_S = 0.2  # keys that are held down come faster, fingers slower
 
 
 class StartScreen(SceneScreen):
@@ -46,7 +44,6 @@ class StartScreen(SceneScreen):
         Binding("enter", "check", show=False),
     ]
     _checking = False
-    _entered_s = 0.0  # when Enter was pressed last
 
     def compose(self) -> ComposeResult:
         """Build the form."""
@@ -127,7 +124,6 @@ class StartScreen(SceneScreen):
 
     def action_check(self) -> None:
         """Check the plan, once at a time: keys may be held down."""
-        self._entered_s = time.monotonic()
         if not self._checking:
             self._checking = True
             self.cell.background(self._check())
@@ -143,7 +139,7 @@ class StartScreen(SceneScreen):
             return  # left meanwhile
         self.notice("")
         self.app.push_screen(
-            PlanSummary(order, plan, self._entered_s),
+            PlanSummary(order, plan),
             lambda yes: self.cell.background(self._start(order)) if yes else None,
         )
 
@@ -166,19 +162,17 @@ class PlanSummary(Dialog[bool]):
         Binding("q,n,backspace", "reply(False)", show=False, priority=True),
     ]
 
-    def __init__(self, order: engine.Order, plan: dict[str, Any], entered_s: float) -> None:
+    def __init__(self, order: engine.Order, plan: dict[str, Any]) -> None:
         super().__init__()
-        self._order, self._plan, self._entered_s = order, plan, entered_s
+        self._order, self._plan = order, plan
 
     def on_mount(self) -> None:
         """Show the plan."""
         self.put(plan_lines(self._order, self._plan), warning(self._plan))
 
     def action_reply(self, yes: bool) -> None:
-        """Close with the answer; an Enter that is still held down from the form is none."""
-        now_s = time.monotonic()
-        held, self._entered_s = yes and now_s - self._entered_s < HELD_S, now_s
-        if not held:
+        """Close with the answer."""
+        if self.deliberate or not yes:
             self.dismiss(yes)
 
 

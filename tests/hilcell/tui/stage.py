@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from datetime import datetime
@@ -111,8 +112,10 @@ async def _round(pilot: Pilot[int]) -> None:
 
 
 async def press(pilot: Pilot[int], *keys: str) -> None:
-    """Press keys, and wait until what each began is done and painted."""
+    """Press keys as a person does, and wait until what each began is done and painted."""
     for key in keys:
+        if isinstance(pilot.app, HilcellApp):
+            pilot.app._typed_s = -math.inf
         type_ahead(pilot.app, key)
         await settle(pilot)
 

@@ -137,6 +137,9 @@ def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order(key: str) -> None:
         assert [type(each) for each in app.screen_stack[-2:]] == [RunScreen, Confirm]
         type_ahead(app, "q", "h", "q", "space", "enter")
         await settle(pilot)
+        assert isinstance(app.screen, Confirm)  # it moves the machine: not in one burst
+        assert not app.engines
+        await press(pilot, "enter")
         assert app.engines
 
     play(act, "fault")

@@ -30,10 +30,10 @@ class Watched(Stage):
 
     questions = 0
 
-    def ask(self, title: str, text: str, yes: str, act: object) -> None:
+    def ask(self, title: str, text: str, yes: str, act: object, *, moves: bool = False) -> None:
         """Count a question."""
         self.questions += 1
-        super().ask(title, text, yes, act)
+        super().ask(title, text, yes, act, moves=moves)
 
 
 @pytest.mark.usefixtures("outside")

@@ -11,7 +11,7 @@ from hilcell.tui.rows import Rows
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.run import RunScreen
-from hilcell.tui.screens.start import StartScreen
+from hilcell.tui.screens.start import PlanSummary, StartScreen
 from tests.hilcell.tui.playing import play
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import PLAN, outside
@@ -58,6 +58,34 @@ def test_an_enter_checks_what_was_typed_before_it() -> None:
         assert "job Job 7, operator Ann" in text_of(app)
 
     play(act)
+
+
+def test_a_second_code_from_a_scanner_starts_nothing() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        type_ahead(app, "tab", "tab", "tab", *keys("JOB-7"), "enter")
+        await settle(pilot)
+        assert isinstance(app.screen, PlanSummary)
+        type_ahead(app, *keys("JOB-8"), "enter")
+        await settle(pilot)
+        assert isinstance(app.screen, PlanSummary)
+        assert "job JOB-7" in text_of(app)
+
+    play(act)
+
+
+@pytest.mark.parametrize("state", ["paused", "fault", "running"])
+def test_a_scanned_code_moves_nothing_and_leaves_nothing(state: str) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        for code in (" \ny", "r\n", "d"):
+            type_ahead(app, "f9", *["enter" if key == "\n" else key for key in keys(code)])
+            await settle(pilot)
+            while not isinstance(app.screen, RunScreen):
+                await press(pilot, "q")
+        assert app.detached == []
+
+    app = play(act, state)
+    assert app.engines == []
+    assert [word for word, _ in app.heard.asked if word != "pause"] == []
 
 
 def test_choices_and_rows_follow_the_keys_before_them() -> None:
