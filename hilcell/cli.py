@@ -66,7 +66,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         metavar="X|max",
         help="of a simulated cell's time: a factor, or as fast as it goes (default: max)",
     )
-    run.add_argument("--unattended", action="store_true", help="nobody is there to ask")
+    _watch_options(run)
     run.add_argument(
         "--operator", type=clean, default="", metavar="NAME", help="kept in the journal"
     )
@@ -81,7 +81,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     _json_option(run, "one event a line, as journalled")
     resume = _command(commands, "resume", "commands.run:resume", "continue a run, or a paused one")
     _run_argument(resume)
-    resume.add_argument("--unattended", action="store_true", help="nobody is there to ask")
+    _watch_options(resume)
     resume.add_argument(
         "--retake",
         action="append",
@@ -282,6 +282,15 @@ def _runs_option(parser: argparse.ArgumentParser) -> None:
         default=Path("runs"),
         metavar="DIR",
         help="folder of runs (default: runs)",
+    )
+
+
+def _watch_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--unattended", action="store_true", help="nobody is there to ask")
+    parser.add_argument(
+        "--screen",
+        action="store_true",
+        help="a screen has ordered this: nothing moves before one attends",
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from hilcell.commands.common import say
 from hilcell.faces import Face, json_face, progress_face
 from hilcell.report.words import encodable
-from hilcell.run.control import live_engine, send_command
+from hilcell.run.control import live_engine, order
 from hilcell.run.journal import Record, read_journal
 from hilcell.run.log import Log
 from hilcell.runs import JOURNAL, find_run
@@ -31,7 +31,7 @@ def stop(args: argparse.Namespace) -> int:
 
 def _command(args: argparse.Namespace, command: str) -> int:
     folder = find_run(args.runs, args.run)
-    answer = send_command(folder, command)
+    answer = order(folder, command)
     say(answer, f"run {folder.name}: asked to {command}", as_json=args.json)
     return 0
 

@@ -25,9 +25,13 @@ def runs(args: argparse.Namespace) -> int:
         tell(f"no runs in {args.runs}")
         return 0
     headers = ["run", "procedure", "cell", "state", "points", "exit"]
-    rows = [[harmless(str(each.get(name, ""))) for name in headers] for each in found]
+    rows = [[_word(each.get(name)) for name in headers] for each in found]
     print_table((headers, rows))
     return 0
+
+
+def _word(value: object) -> str:
+    return "" if value is None else harmless(str(value))
 
 
 def _summary(row: RunRow) -> dict[str, Any]:

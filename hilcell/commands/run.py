@@ -24,7 +24,7 @@ from hilcell.exits import EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.faces import Face, json_face, print_dry_run, print_end, progress_face
 from hilcell.ports import HilcellError, Stopped
 from hilcell.report.words import encodable
-from hilcell.run.control import Control, live_engine, send_command
+from hilcell.run.control import Control, live_engine, order
 from hilcell.run.journal import Journal, StorageError
 from hilcell.run.lock import lock_of_address, lock_of_name, locked
 from hilcell.run.log import Log
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         journal.listen(log.take)
         face = _face(args.json, name, plan.points, journal)
         journal.append("plan", "", _plan_record(cell, procedure, plan, args))
-        return _perform(cell, procedure, journal, log, face, folder, unattended=args.unattended)
+        return _perform(cell, procedure, journal, log, face, folder, args)
 
 
 def resume(args: argparse.Namespace) -> int:
@@ -85,7 +85,7 @@ def resume(args: argparse.Namespace) -> int:
         for key in anew:
             journal.append("event", "", {"what": "retake asked", "key": key})
         face.already(sum(point.group != "control" for point in log.points.values()))
-        return _perform(cell, procedure, journal, log, face, folder, unattended=args.unattended)
+        return _perform(cell, procedure, journal, log, face, folder, args)
 
 
 def check_attended(cell: Cell, *, unattended: bool) -> None:
@@ -99,10 +99,8 @@ def check_attended(cell: Cell, *, unattended: bool) -> None:
 
 def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
     for key in retakes:
-        answer = send_command(folder, "retake", key=key)
-        if not answer["ok"]:
-            raise HilcellError(f"run {folder.name}: {answer['error']}")
-    answer = send_command(folder, "proceed")
+        order(folder, "retake", key=key)
+    answer = order(folder, "proceed")
     tell(f"run {folder.name}: asked to go on; it was {answer.get('state')}")
     return 0
 
@@ -118,8 +116,7 @@ def _perform(
     log: Log,
     face: Face,
     folder: Path,
-    *,
-    unattended: bool,
+    args: argparse.Namespace,
 ) -> int:
     """Run to an end, write the calibration, and say how it went."""
     with ExitStack() as stack:
@@ -128,7 +125,7 @@ def _perform(
         if log.states["run"] == "finished" and not log.retakes:
             code, fault = finish(procedure, journal, log), None
         else:
-            code, fault = _run(cell, procedure, journal, log, folder, unattended=unattended)
+            code, fault = _run(cell, procedure, journal, log, folder, args)
         if log.states["run"] == "finished" and "fit" in log.verdicts:
             try:
                 write_calibration(calibration_of(log, journal.run), folder / CALIBRATION_NAME)
@@ -148,8 +145,7 @@ def _run(
     journal: Journal,
     log: Log,
     folder: Path,
-    *,
-    unattended: bool,
+    args: argparse.Namespace,
 ) -> tuple[int, Exception | None]:
     """Bring up devices and perform; what fails before the runner lives is journalled here."""
     inputs, stop = log.inputs, threading.Event()
@@ -172,7 +168,8 @@ def _run(
                 devices=devices,
                 clock=clock,
                 stop=stop,
-                unattended=unattended,
+                unattended=args.unattended,
+                ordered=args.screen,
             )
             stack.callback(Control(folder, runner).close)
             return runner.run(), runner.fault

@@ -3,16 +3,21 @@
 The socket lies in a private folder of its own, because a run's folder may be on a disk that knows
 no sockets or under a path too long for one; ``engine.json`` beside the journal says where. A
 connection lives as long as who opened it: one that attends and ends without a word was lost.
+
+An order may come late, when who gave it has long been told that it failed: the engine's process
+stood still, and reads now what was sent then. So an order says until when it holds.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import socket
 import socketserver
 import tempfile
 import threading
+import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -165,26 +170,34 @@ class _Handler(socketserver.StreamRequestHandler):
             words = {}
         command = words.get("command", "")
         if command == "stop":
-            engine.stop()  # before anything else is done
-        elif command in ("pause", "proceed", "abort"):
-            engine.post(command)
-        else:
-            act = self._acts().get(command)
-            if act is None:
-                return {"ok": False, "error": f"commands: {', '.join(COMMANDS)}"}
-            if refused := act(words):
-                return {"ok": False, "error": refused}
+            engine.stop()  # before anything else is done, and however late
+        elif refused := self._do(command, words):
+            return {"ok": False, "error": refused}
         return {"ok": True} | engine.status()
+
+    def _do(self, command: str, words: Words) -> str:
+        """Do what is asked; return why that is refused."""
+        act = self._acts().get(command)
+        if act is None:
+            return f"commands: {', '.join(COMMANDS)}"
+        return too_late(command, words) or act(words)
 
     def _acts(self) -> dict[str, Callable[[Words], str]]:
         engine = self.server.engine
         return {
             "status": lambda _: "",
+            "pause": lambda _: self._post("pause"),
+            "proceed": lambda _: self._post("proceed"),
+            "abort": lambda _: self._post("abort"),
             "answer": lambda _: engine.answer(),
             "retake": lambda words: engine.retake(words.get("key", "")),
             "attend": lambda _: self._attend(attends=True),
             "leave": lambda _: self._attend(attends=False),
         }
+
+    def _post(self, command: str) -> str:
+        self.server.engine.post(command)
+        return ""
 
     def _attend(self, *, attends: bool) -> str:
         if attends != self.attends:
@@ -196,6 +209,39 @@ class _Handler(socketserver.StreamRequestHandler):
 COMMANDS = (
     "status", "pause", "proceed", "stop", "abort", "answer", "retake", "attend", "leave",
 )  # fmt: skip
+TIMELESS = ("stop", "status", "attend", "leave")  # the others are orders, and grow old
+
+
+def in_time(command: str, patience_s: float) -> Words:
+    """Return the words by which ``command`` holds for ``patience_s`` from now; none if for ever.
+
+    Seconds of CLOCK_MONOTONIC, which is one clock for all processes of a machine. To be called
+    just before the command is sent, with the time after which its sender tells that it failed.
+    """
+    return {} if command in TIMELESS else {"before": str(time.monotonic() + patience_s)}
+
+
+def too_late(command: str, words: Words) -> str:
+    """Return why ``command`` holds no more; an order that names no time holds for ever."""
+    if command in TIMELESS or "before" not in words:
+        return ""
+    try:
+        before_s = float(words["before"])
+    except ValueError:
+        before_s = math.nan
+    if not math.isfinite(before_s):
+        found = words["before"][:80]
+        return f"before: a finite number of seconds is wanted, found {found!r}; nothing was done"
+    late_s = time.monotonic() - before_s
+    return f"the order came {late_s:.1f} s too late; nothing was done" if late_s > 0 else ""
+
+
+def order(folder: Path, command: str, **facts: str) -> dict[str, object]:
+    """Send ``command`` as `send_command` does; a refusal raises `HilcellError`, too."""
+    answer = send_command(folder, command, **facts)
+    if not answer["ok"]:
+        raise HilcellError(f"run {folder.name}: {answer['error']}")
+    return answer
 
 
 def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
@@ -208,11 +254,12 @@ def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
         raise HilcellError(
             f"run {folder.name}: no engine is running; `hilcell show` tells how it ended"
         )
+    words = {"command": command} | in_time(command, ANSWER_S) | facts
     with socket.socket(socket.AF_UNIX) as link:
         link.settimeout(ANSWER_S)
         try:
             link.connect(engine.socket)
-            link.sendall(msgspec.json.encode({"command": command} | facts) + b"\n")
+            link.sendall(msgspec.json.encode(words) + b"\n")
             answer = link.makefile("rb").readline(LONGEST_ANSWER)
         except OSError as error:
             raise HilcellError(

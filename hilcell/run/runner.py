@@ -7,6 +7,7 @@ sent by threads that wait for nothing else, so it works while the worker hangs i
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -42,6 +43,7 @@ from hilcell.run.stopping import SafeStop, close_all
 SIGNAL_S = 0.05
 ENDED = "the run has ended"
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
+SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
 
 Answers = list["Future[str]"]
 
@@ -77,7 +79,9 @@ class Runner:
         clock: Clock,
         stop: threading.Event,
         unattended: bool,
+        ordered: bool = False,
     ) -> None:
+        """``ordered``: by a screen, before whose eyes alone an attended run begins to move."""
         self.log = log
         self._cell, self._procedure = cell, procedure
         self._journal, self._clock = journal, clock
@@ -94,6 +98,9 @@ class Runner:
         self._bench: Bench | None = None
         self._screens, self._screens_lock = 0, threading.Lock()
         self._unwatched = False
+        self._screen_known = threading.Event()  # it has come, or it was lost
+        if unattended or not ordered:
+            self._screen_known.set()
         self._fault: Exception | None = None
         self._life = StateMachine(
             RUN, log.states["run"], lambda body: journal.append("state", "", body)
@@ -196,6 +203,7 @@ class Runner:
         try:
             identities = connect_all(self._devices)
             self._journal.append("event", "", {"what": "connected", "devices": identities})
+            self._await_screen()
             self._messages.put("started")
             self._checkpoint()
             self._bench = Bench(
@@ -212,6 +220,15 @@ class Runner:
             error = caught
         self._asking.close(ENDED)
         self._messages.put(Ended(error))
+
+    def _await_screen(self) -> None:
+        """Wait for the screen that ordered this run; one that does not come was lost."""
+        missed_s = time.monotonic() + SCREEN_S
+        while not self._screen_known.wait(REST_S):
+            self._at_rest()
+            if time.monotonic() > missed_s:
+                self.post("lost")
+                missed_s = math.inf
 
     def _checkpoint(self) -> None:
         """Wait here while the run is paused; the point in flight is always finished first."""
@@ -350,6 +367,7 @@ class Runner:
         elif self._screens and self._unwatched:
             self._unwatched = False
             self._journal.append("event", "", {"what": "screen back"})
+        self._screen_known.set()  # a run that has to pause has its gate closed by now
 
     def _lose_screen(self) -> None:
         """Pause where somebody should watch and nobody does."""

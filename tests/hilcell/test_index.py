@@ -467,6 +467,8 @@ def test_the_command_keeps_its_keys(runs: Path, capsys: pytest.CaptureFixture[st
     table = capsys.readouterr().out
     assert "1-finished" in table
     assert "unreadable" in table
+    assert listed[3]["exit"] is None
+    assert "None" not in table
 
 
 def test_a_row_survives_its_file() -> None:

@@ -140,3 +140,41 @@ def test_an_axis_that_loses_its_zero_in_the_grid_ends_the_run(tmp_path: Path) ->
     assert last["exit"] == 3
     assert "an axis lost its zero" in last["reason"]
     assert judge(engine.events) == []
+
+
+def test_a_run_that_a_screen_ordered_moves_only_before_its_eyes(tmp_path: Path) -> None:
+    words = ("--runs", tmp_path, "--screen")
+    engine = Engine("run", *words, "--name", "x", "--speed", "50", *sets(SMALL))
+    engine.until(lambda event: event.get("what") == "screen lost")
+    engine.until(lambda event: state(event, "paused"))
+    assert not [event for event in engine.events if event["kind"] in ("intent", "point")]
+    assert hilcell("stop", "x", "--runs", tmp_path).returncode == 0
+    assert engine.rest()[-1]["exit"] == 4
+    resumed = Engine("resume", "x", *words)
+    resumed.until(lambda event: event.get("what") == "connected")
+    screen = Screen(tmp_path / "x")
+    screen.ask("attend")
+    resumed.until(lambda event: event["kind"] == "point")
+    assert not [event for event in resumed.events if state(event, "paused")]
+    assert screen.ask("stop")["ok"] is True
+    assert resumed.rest()[-1]["exit"] == 4
+    screen.vanish()
+
+
+def test_an_order_that_failed_moves_nothing_later(tmp_path: Path) -> None:
+    engine = Engine("run", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
+    engine.until(lambda event: event["kind"] == "point")
+    assert hilcell("pause", engine.run, "--runs", tmp_path).returncode == 0
+    engine.until(lambda event: state(event, "paused"))
+    engine.process.send_signal(signal.SIGSTOP)
+    refused = hilcell("resume", engine.run, "--runs", tmp_path)
+    assert refused.returncode == 2
+    assert "has not answered within 5 s" in refused.stderr
+    engine.process.send_signal(signal.SIGCONT)
+    screen = Screen(tmp_path / engine.run)  # comes after the order, and is heard after it
+    assert screen.ask("status")["state"] == "paused"
+    assert hilcell("stop", engine.run, "--runs", tmp_path).returncode == 0
+    assert engine.rest()[-1]["exit"] == 4
+    after = engine.events[[state(event, "paused") for event in engine.events].index(True) + 1 :]
+    assert not [event for event in after if state(event, "running")]
+    screen.vanish()

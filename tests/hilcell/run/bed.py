@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from hilcell.cell import Cell, load_cell
 from hilcell.clock import WallClock
 from hilcell.devices import Devices
 from hilcell.ports import NoReading
+from hilcell.run.control import EngineFile
 from hilcell.run.journal import Journal, Record, read_journal
 from hilcell.run.log import Log
 from hilcell.run.procedure import Procedure
@@ -29,11 +33,18 @@ PLAN = {
 class Bed:
     """One run's journal and devices, through several sessions."""
 
-    def __init__(self, folder: Path, *, unattended: bool = True, cell: Cell = CELL) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        unattended: bool = True,
+        ordered: bool = False,
+        cell: Cell = CELL,
+    ) -> None:
         self.path = folder / "journal.sqlite"
         self.cell = cell
         self.devices: Devices = desk(cell)
-        self.unattended = unattended
+        self.unattended, self.ordered = unattended, ordered
 
     @property
     def tracker(self) -> DeskTracker:
@@ -67,6 +78,7 @@ class Bed:
             clock=WallClock(stop),
             stop=stop,
             unattended=self.unattended,
+            ordered=self.ordered,
         )
 
     def run(self, what: Procedure) -> int:
@@ -118,6 +130,28 @@ class Live:
 
     def until(self, key: str, value: object) -> None:
         until(lambda: self.status(key) == value)
+
+
+class Screen:
+    """A connection that stays open."""
+
+    def __init__(self, folder: Path) -> None:
+        file = msgspec.json.decode((folder / "engine.json").read_bytes(), type=EngineFile)
+        self.link = socket.socket(socket.AF_UNIX)
+        self.link.settimeout(10)
+        self.link.connect(file.socket)
+        self.lines = self.link.makefile("rb")
+
+    def ask(self, command: str, **facts: str) -> dict[str, Any]:
+        return self.raw(msgspec.json.encode({"command": command} | facts) + b"\n")
+
+    def raw(self, line: bytes) -> dict[str, Any]:
+        self.link.sendall(line)
+        return msgspec.json.decode(self.lines.readline(), type=dict[str, Any])
+
+    def close(self) -> None:
+        self.lines.close()
+        self.link.close()
 
 
 def until(condition: Callable[[], bool], limit_s: float = 10.0) -> None:

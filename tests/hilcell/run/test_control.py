@@ -1,24 +1,39 @@
 """The control channel and the locks, between real processes."""
 
-import socket
+import math
+import signal
 import stat
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+import hilcell.run.control as control_module
 from hilcell.ports import HilcellError
-from hilcell.run.control import Control, EngineFile, live_engine, send_command
+from hilcell.run.control import (
+    COMMANDS,
+    TIMELESS,
+    Control,
+    EngineFile,
+    in_time,
+    live_engine,
+    order,
+    send_command,
+    too_late,
+)
 from hilcell.run.journal import StorageError
 from hilcell.run.lock import CellLocked, lock_of_address, lock_of_name, locked
 from hilcell.runs import find_run, run_folders
+from tests.hilcell.run.bed import Screen, until
+from tests.hilcell.run.desk import hang
 
 
 class Desk:
@@ -48,7 +63,11 @@ class Desk:
         return self.screens
 
     def status(self) -> dict[str, object]:
+        self.answers()
         return {"state": "running", "screens": self.screens}
+
+    def answers(self) -> None:
+        """Take as long as a test wants."""
 
 
 @pytest.fixture
@@ -63,40 +82,11 @@ def control(tmp_path: Path, desk: Desk) -> Iterator[Control]:
     control.close()
 
 
-class Screen:
-    """A connection that stays open."""
-
-    def __init__(self, folder: Path) -> None:
-        file = msgspec.json.decode((folder / "engine.json").read_bytes(), type=EngineFile)
-        self.link = socket.socket(socket.AF_UNIX)
-        self.link.settimeout(10)
-        self.link.connect(file.socket)
-        self.lines = self.link.makefile("rb")
-
-    def ask(self, command: str, **facts: str) -> dict[str, Any]:
-        return self.raw(msgspec.json.encode({"command": command} | facts) + b"\n")
-
-    def raw(self, line: bytes) -> dict[str, Any]:
-        self.link.sendall(line)
-        return msgspec.json.decode(self.lines.readline(), type=dict[str, Any])
-
-    def close(self) -> None:
-        self.lines.close()
-        self.link.close()
-
-
 @pytest.fixture
 def screen(tmp_path: Path, control: Control) -> Iterator[Screen]:
     screen = Screen(tmp_path)
     yield screen
     screen.close()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 10
-    while not condition():
-        assert time.monotonic() < deadline, "waited too long"
-        time.sleep(0.002)
 
 
 def test_commands_reach_the_engine_and_are_answered(
@@ -204,6 +194,122 @@ def test_a_dead_engine_is_told(tmp_path: Path, control: Control) -> None:
         send_command(tmp_path, "pause")
     (tmp_path / "engine.json").write_text('{"pid": 1, "socket": "/nowhere/control"}')
     assert live_engine(tmp_path) is None
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_only_orders_grow_old(command: str) -> None:
+    words = in_time(command, -1.0)
+    assert bool(words) is (command in {"pause", "proceed", "abort", "answer", "retake"})
+    assert bool(too_late(command, words)) is (command not in TIMELESS)
+    assert too_late(command, in_time(command, 60.0)) == ""
+    assert too_late(command, {}) == ""  # of a client that says no time
+
+
+@given(st.floats(-1e9, 1e9).filter(lambda ahead_s: abs(ahead_s) > 5.0))
+def test_an_order_is_taken_until_its_time(ahead_s: float) -> None:
+    refused = too_late("proceed", in_time("proceed", ahead_s))
+    assert bool(refused) is (ahead_s < 0)
+    if refused:
+        assert refused.startswith("the order came ")
+        assert refused.endswith(" s too late; nothing was done")
+        assert float(refused.split()[3]) == pytest.approx(-ahead_s, abs=5.0)
+
+
+@given(st.text() | st.sampled_from(["nan", "inf", "-inf", "1e999", "", "soon"]))
+def test_a_time_that_is_none_is_refused(text: str) -> None:
+    try:
+        number = math.isfinite(float(text))
+    except ValueError:
+        number = False
+    refused = too_late("proceed", {"before": text})
+    assert ("a finite number of seconds is wanted" in refused) is not number
+
+
+@pytest.mark.parametrize("command", ["pause", "proceed", "abort", "answer", "retake"])
+@pytest.mark.parametrize("before", ["0.0", "nan", "soon"])
+def test_an_order_that_comes_late_does_nothing(
+    desk: Desk, screen: Screen, command: str, before: str
+) -> None:
+    answer = screen.ask(command, before=before)
+    assert answer["ok"] is False
+    assert "nothing was done" in answer["error"]
+    assert desk.told == []
+
+
+def test_a_stop_never_comes_late(desk: Desk, screen: Screen) -> None:
+    assert screen.ask("stop", before="0.0")["ok"] is True
+    assert screen.ask("stop", before="soon")["ok"] is True
+    assert desk.told == ["stop", "stop"]
+    assert screen.ask("attend", before="0.0")["screens"] == 1
+    assert screen.ask("leave", before="0.0")["screens"] == 0
+
+
+def test_an_order_that_waits_behind_a_slow_answer_grows_old(
+    desk: Desk, screen: Screen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entered, release = threading.Event(), threading.Event()
+    monkeypatch.setattr(desk, "answers", hang(entered, release))
+    first, second = (
+        msgspec.json.encode({"command": command} | in_time(command, 0.0))
+        for command in ("status", "proceed")
+    )
+    screen.link.sendall(first + b"\n" + second + b"\n")
+    assert entered.wait(10)
+    release.set()
+    answers = [msgspec.json.decode(screen.lines.readline()) for _ in range(2)]
+    assert [answer["ok"] for answer in answers] == [True, False]
+    assert desk.told == []
+
+
+def test_a_refused_order_is_told(
+    tmp_path: Path, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk.refusal = "nothing is asked now"
+    with pytest.raises(HilcellError, match=f"^run {tmp_path.name}: nothing is asked now$"):
+        order(tmp_path, "answer")
+    assert order(tmp_path, "pause")["state"] == "running"
+    monkeypatch.setattr(control_module, "in_time", lambda command, patience_s: {"before": "0.0"})
+    with pytest.raises(HilcellError, match="s too late; nothing was done"):
+        order(tmp_path, "proceed")
+    assert desk.told == ["answer", "pause"]
+
+
+ENGINE = """
+import sys
+from pathlib import Path
+from hilcell.run.control import Control
+from tests.hilcell.run.test_control import Desk
+desk = Desk()
+control = Control(Path(sys.argv[1]), desk)
+print("listens", flush=True)
+sys.stdin.read()
+control.close()
+print(desk.told)
+"""
+
+
+def test_what_was_told_as_failed_is_not_done_later(
+    tmp_path: Path, control: Control, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    control.close()
+    monkeypatch.setattr(control_module, "ANSWER_S", 0.2)
+    engine = subprocess.Popen(
+        [sys.executable, "-c", ENGINE, str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert engine.stdout is not None
+    assert engine.stdout.readline() == "listens\n"
+    engine.send_signal(signal.SIGSTOP)
+    for command in ("proceed", "answer", "stop"):
+        with pytest.raises(HilcellError, match="has not answered"):
+            send_command(tmp_path, command)
+    engine.send_signal(signal.SIGCONT)
+    monkeypatch.setattr(control_module, "ANSWER_S", 10.0)
+    assert send_command(tmp_path, "pause")["ok"] is True
+    told, _ = engine.communicate(timeout=20)
+    assert sorted(msgspec.json.decode(told.replace("'", '"'))) == ["pause", "stop"]
 
 
 HOLD = """
