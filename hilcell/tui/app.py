@@ -185,8 +185,8 @@ class HilcellApp(App[int]):
         view = next(
             (each.view for each in self.screen_stack if isinstance(each, RunScreen)), View()
         )
-        session = self.attached.of(folder)
-        if session is None:
+        session = self.attached.behind
+        if session is None or session.folder != folder:
             session = self._session(folder, process)
             if before is not None:  # what nobody has acknowledged still stands
                 session.latch = before.latch
@@ -212,7 +212,7 @@ class HilcellApp(App[int]):
         """Show another run; leaving a live one asks."""
         if self.session is not None and self.session.folder == folder:
             self.screen.dismiss()
-        elif self.live:
+        elif self.live and self.attached.behind is None:
             self.ask(
                 "A run is live.",
                 "It goes on while you look at another one; Esc still stops it, q goes back to it.",
@@ -224,8 +224,8 @@ class HilcellApp(App[int]):
 
     def go_back(self) -> None:
         """Show the live run again that goes on behind this one."""
-        if self.attached.behind:
-            self.attach(self.attached.behind[-1].folder)
+        if self.attached.behind is not None:
+            self.attach(self.attached.behind.folder)
 
     # -- what comes in ------------------------------------------------------------------------
 
@@ -234,15 +234,17 @@ class HilcellApp(App[int]):
         from hilcell.tui.session import utc_now
 
         session = message.session
-        if session not in self.attached:
+        if session not in self.attached.all:
             return
         was_live = session.scene.live
         session.take(message.fresh, utc_now())
         if session is self.session and was_live and not self.live:
             self._close_questions()  # they were about a run that goes on
         self._show()
-        for ended in self.attached.drop_ended():
-            self.say(f"{ended.folder.name}, which went on behind this run, has ended")
+        if (ended := self.attached.drop_ended()) is not None:
+            from hilcell.tui.words import end_of
+
+            self.say(end_of(ended.scene))
         if session is self.session and session.scene.trouble:
             self.say(session.scene.trouble, over=False)
 
@@ -300,7 +302,7 @@ class HilcellApp(App[int]):
         if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
             return ELSEWHERE[name]
         standing = self.session is not None and bool(self.latch.standing())
-        return refusal(name, self.scene, behind=bool(self.attached.behind), standing=standing)
+        return refusal(name, self.scene, behind=self.attached.behind is not None, standing=standing)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Leave letters to a text box or a question, and the space bar to a choice."""

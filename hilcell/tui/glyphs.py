@@ -31,7 +31,7 @@ UNICODE = Glyphs(
     states={
         "idle": "○", "checking": "◌", "running": "■", "pausing": "▽", "paused": "▲",
         "suspended": "◆", "stopping": "▼", "done": "●", "intolerant": "▣", "aborted": "□",
-        "fault": "✖", "gone": "◇", "silent": "◎", "unreadable": "▤",
+        "fault": "✖", "gone": "◇", "silent": "◎", "unreadable": "▤", "looking": "◔",
     },
     fresh="●", moving="◐", stale="○", lost="✖", full="█", empty="░", mark="▼", rule="─",
     over_left="◀", over_right="▶", degree="°", plus_minus="±", delta="Δ", dot="·", plain=False,
@@ -41,7 +41,7 @@ ASCII = Glyphs(
     states={
         "idle": "-", "checking": "~", "running": "#", "pausing": "=", "paused": "^",
         "suspended": "?", "stopping": "V", "done": "*", "intolerant": "!", "aborted": "o",
-        "fault": "X", "gone": "/", "silent": "%", "unreadable": "$",
+        "fault": "X", "gone": "/", "silent": "%", "unreadable": "$", "looking": ":",
     },
     fresh="*", moving="~", stale="o", lost="X", full="#", empty=".", mark="V", rule="-",
     over_left="<", over_right=">", degree=" deg", plus_minus="+-", delta="d", dot="|", plain=True,

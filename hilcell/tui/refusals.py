@@ -26,13 +26,17 @@ OF_A_RUN = frozenset(
 ONE_AT_A_TIME = "a run is live: stop, abort or detach from it first"
 NO_RUN = "there is no run here to act on"
 NOT_LIVE = "no run is live"
-UNHEARD = {"checking": "the engine starts", "silent": "the engine does not answer"}
+UNHEARD = {
+    "looking": "the run is being read",
+    "checking": "the engine starts",
+    "silent": "the engine does not answer",
+}
 AT_REST = {"stopping": "the run is being stopped", "done": "the run is over"} | UNHEARD
 
 
 def pause_command(scene: Scene | None) -> str:
     """Return what the space bar does: pause, proceed, resume, or nothing."""
-    if scene is None or scene.key == "silent":
+    if scene is None or scene.key in ("looking", "silent"):
         return ""
     if not scene.live:
         return "" if scene.key in ("done", "intolerant", "idle") else "resume"
@@ -51,7 +55,7 @@ def refusal(name: str, scene: Scene | None, *, behind: bool, standing: bool) -> 
         case "stop" | "detach":
             return "" if live or behind else NOT_LIVE
         case "abort":
-            return _abort_refusal(scene)
+            return _abort_refusal(scene, behind=behind)
         case "new":
             return ONE_AT_A_TIME if live or behind else ""
     if name not in OF_A_RUN:
@@ -73,8 +77,10 @@ def unheard(scene: Scene) -> str:
     return "" if scene.heard else UNHEARD.get(scene.key, UNHEARD["silent"])
 
 
-def _abort_refusal(scene: Scene | None) -> str:
-    return NOT_LIVE if scene is None or not scene.live else unheard(scene)
+def _abort_refusal(scene: Scene | None, *, behind: bool) -> str:
+    if scene is None or not scene.live:
+        return "not the run behind: go back to it first" if behind else NOT_LIVE
+    return unheard(scene)
 
 
 def _retake_refusal(scene: Scene, *, behind: bool) -> str:

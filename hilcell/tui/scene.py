@@ -71,6 +71,7 @@ class Status(msgspec.Struct, frozen=True):
 class Engine(Enum):
     """What is known of the process at work on a run: one that was heard never starts again."""
 
+    UNKNOWN = "unknown"  # nobody has looked yet
     NONE = "none"
     STARTING = "starting"  # this screen has started it; it has not said anything yet
     HEARD = "heard"
@@ -126,6 +127,8 @@ class Scene:
     def key(self) -> str:
         """Return the state in one word, as the state block names it."""
         state = self.log.states["run"]
+        if self.engine is Engine.UNKNOWN:
+            return "looking"
         if self.engine is Engine.STARTING:
             return "checking"
         if self.engine is Engine.NONE and not self.over:

@@ -36,7 +36,7 @@ class Session:
         go_on: str = GO_ON,
     ) -> None:
         self.folder = folder
-        self.scene = Scene(folder.name, engine=Engine.STARTING if process else Engine.NONE)
+        self.scene = Scene(folder.name, engine=Engine.STARTING if process else Engine.UNKNOWN)
         self.latch = Latch()
         self.process = process  # the engine, where this screen has started it
         self._go_on = go_on

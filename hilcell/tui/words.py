@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import msgspec
 from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
+from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.tui.deviation import Deviation
 from hilcell.tui.digits import large
 from hilcell.tui.glyphs import Glyphs
 from hilcell.tui.scene import DeviceStatus, Engine, Scene
 
 STATES = {
+    "looking": ("LOOKING", "quiet"),
     "idle": ("NOT STARTED", "quiet"),
     "checking": ("CHECKING", "info"),
     "running": ("RUNNING", "good"),
@@ -32,6 +33,7 @@ STATES = {
 }
 NOT_E_STOP = "software stop; not the E-stop"
 NOTHING = {  # where there is no plan in the journal
+    Engine.UNKNOWN: "reading ...",
     Engine.NONE: "nothing was recorded",
     Engine.STARTING: "the engine starts ...",
     Engine.HEARD: "nothing to see yet",
@@ -53,27 +55,42 @@ def state_block(scene: Scene, glyphs: Glyphs) -> Content:
     return inverse(f"{glyphs.states[scene.key]} {word}", tone)
 
 
-def banner(scene: Scene, glyphs: Glyphs, width: int, behind: Sequence[Scene] = ()) -> Content:
+def banner(scene: Scene, glyphs: Glyphs, width: int, behind: Scene | None = None) -> Content:
     """Return the first line: state, LIVE or HISTORIC, SIMULATION, and what the stop is not.
 
-    ``behind``: live runs that were left to look at this one.
+    ``behind``: the live run that was left to look at this one.
     """
-    parts = [state_block(scene, glyphs), Content(" ")]
-    live = scene.live
-    parts.append(inverse("LIVE" if live else "HISTORIC", "info" if live else "quiet"))
+    parts = [state_block(scene, glyphs)]
+    if scene.engine is not Engine.UNKNOWN:
+        word, tone = ("LIVE", "info") if scene.live else ("HISTORIC", "quiet")
+        parts += [Content(" "), inverse(word, tone)]
     if scene.log.plan is not None and scene.log.plan.simulated:
         parts += [Content(" "), inverse("SIMULATION", "sim")]
-    return spread(Content("").join(parts), _beside(scene, behind), width)
+    left = Content("").join(parts)
+    room = width - left.cell_length - 1
+    return spread(left, _beside(scene, room) if behind is None else _told(behind, room), width)
 
 
-def _beside(scene: Scene, behind: Sequence[Scene]) -> Content:
-    if behind:
-        states = ", ".join(STATES[each.key][0] for each in behind)
-        return Content.styled(f"behind: {states}; q goes back, Esc stops", "bold $warn")
+def _beside(scene: Scene, room: int) -> Content:
     if scene.key == "silent":
         since = f" for {short_age(scene.heard_s)}" if scene.status is not None else ""
         return Content.styled(f"silent{since}: use the E-stop", "bold $bad")
-    return Content.styled(NOT_E_STOP, "$dim")
+    return Content.styled(NOT_E_STOP if room >= len(NOT_E_STOP) else "", "$dim")
+
+
+def _told(behind: Scene, room: int) -> Content:
+    """Say that a run goes on behind, in as many words as there is room for."""
+    word = STATES[behind.key][0]
+    sayings = (f"behind: {word}; q goes back, Esc stops", f"behind: {word}; Esc stops", "1 behind")
+    said = next((each for each in sayings if len(each) <= room), "")
+    return Content.styled(said, "bold $warn")
+
+
+def end_of(scene: Scene) -> str:
+    """Say how a run has ended that went on behind another one."""
+    worst = max(scene.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity), default=None)
+    why = f": {worst.code} {worst.title}" if worst is not None else ""
+    return f"the run behind, {scene.run}, has ended: {STATES[scene.key][0]}{why}"
 
 
 def spread(left: Content, right: Content, width: int) -> Content:

@@ -77,8 +77,9 @@ class SceneScreen(Screen[None]):
         if scene is not None and self.query("#banner"):
             from hilcell.tui import words  # reads journals: not for the first screen
 
-            behind = [session.scene for session in self.cell.attached.behind]
-            lines = words.banner(scene, self.cell.glyphs, self.wide, behind)
+            behind = self.cell.attached.behind
+            other = behind.scene if behind is not None else None
+            lines = words.banner(scene, self.cell.glyphs, self.wide, other)
             self.panel("banner").show(lines)
 
     def notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:

@@ -211,7 +211,7 @@ class RunScreen(Finding):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Leave letters to the filter; go back only where there is something behind."""
         typing = isinstance(self.focused, Input)
-        return action != "go_back" or (bool(self.cell.attached.behind) and not typing)
+        return action != "go_back" or (self.cell.attached.behind is not None and not typing)
 
     def action_go_back(self) -> None:
         """Show the live run again that was left to look at this one."""

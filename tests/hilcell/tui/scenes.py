@@ -143,6 +143,7 @@ RESULT = {
 def stories() -> dict[str, Story]:
     """Return a run in every state that the screen can be shown."""
     return {
+        "looking": Story(),
         "idle": Story(),
         "checking": begun(),
         "running": measuring(),
@@ -166,7 +167,7 @@ def stories() -> dict[str, Story]:
 
 
 HEARD = ("checking", "running", "pausing", "paused", "suspended", "stopping")
-LIVE = (*HEARD, "silent")
+LIVE = (*HEARD, "silent", "looking")
 PROMPT = Prompt(
     title="Seat the reflector in P1",
     text=seat_prompt(load_cell("paper"), "P1", "F1", np.array([4007.5, -238.7, -480.3]), 5.0).text,
@@ -182,9 +183,15 @@ PROMPT = Prompt(
 def fresh(name: str) -> Fresh:
     """Return what one look at a run in a state brings."""
     live = name in LIVE
-    engine = Engine.HEARD if name in HEARD else Engine.SILENT if live else Engine.NONE
+    unheard = {"silent": Engine.SILENT, "looking": Engine.UNKNOWN}
+    engine = Engine.HEARD if name in HEARD else unheard.get(name, Engine.NONE)
     trouble = "journal: damaged or not a journal" if name == "unreadable" else ""
-    return Fresh(stories()[name].records, engine, status(name) if live else None, trouble)
+    return Fresh(
+        stories()[name].records,
+        engine,
+        status(name) if live and name != "looking" else None,
+        trouble,
+    )
 
 
 def status(name: str) -> Status:

@@ -33,6 +33,7 @@ OVER = tuple(state for state in STATES if state not in LIVE)
 # What the space bar does: the command posted, whether it asks before, and the word in the footer.
 SPACE = {
     "idle": None,
+    "looking": None,
     "checking": None,
     "running": ("pause", False, "pause"),
     "pausing": ("proceed", True, "go on"),
@@ -56,7 +57,7 @@ pytestmark = pytest.mark.usefixtures("outside")
 def allowed(state: str) -> set[str]:
     """Return the actions that a state allows on the run's screen."""
     found = {"history", "theme", "help", "quit", "find"}
-    if state not in ("idle", "unreadable"):
+    if state not in ("idle", "unreadable", "looking"):
         found |= {"alarms", "plots", "interlocks", "log", "report"}
         found |= {"bad", "sort", "retake"}
     if SPACE[state] is not None:
@@ -266,7 +267,8 @@ def test_escape_stops_over_a_prompt() -> None:
 @pytest.mark.parametrize("state", STATES)
 def test_a_live_run_is_stopped_at_once_and_aborted_after_a_question(state: str) -> None:
     live, heard = state in LIVE, state in HEARD
-    refused = "the engine does not answer" if state == "silent" else "no run is live"
+    why = {"silent": "the engine does not answer", "looking": "the run is being read"}
+    refused = why.get(state, "no run is live")
 
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, "escape")

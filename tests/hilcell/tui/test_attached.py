@@ -26,7 +26,7 @@ def test_an_ended_run_that_is_left_is_let_go() -> None:
     attached.show(first)
     attached.show(second)
     assert (first.closed, second.closed) == ([True], [])
-    assert first not in attached
+    assert attached.all == [second]
     assert attached.live == []
 
 
@@ -34,12 +34,11 @@ def test_a_live_run_that_is_left_keeps_its_line_until_it_ends() -> None:
     attached, live, past = Attached(), session("a", live=True), session("b", live=False)
     attached.show(live)
     attached.show(past)
-    assert (live.closed, attached.live, attached.behind) == ([], [live], [live])
-    assert attached.of(live.folder) is live
-    assert attached.drop_ended() == []
+    assert (live.closed, attached.live, attached.behind) == ([], [live], live)
+    assert attached.drop_ended() is None
     end(live)
-    assert attached.drop_ended() == [live]
-    assert (live.closed, attached.live) == ([True], [])
+    assert attached.drop_ended() is live
+    assert (live.closed, attached.live, attached.behind) == ([True], [], None)
 
 
 def test_going_back_takes_the_same_line() -> None:
@@ -47,7 +46,7 @@ def test_going_back_takes_the_same_line() -> None:
     attached.show(live)
     attached.show(past)
     attached.show(live)
-    assert (attached.shown, attached.behind) == (live, [])
+    assert (attached.shown, attached.behind) == (live, None)
     assert (live.closed, past.closed) == ([], [True])
 
 
@@ -55,8 +54,18 @@ def test_a_resumed_run_is_not_behind_itself() -> None:
     attached, live, again = Attached(), session("a", live=True), session("a", live=True)
     attached.show(live)
     attached.show(again)
-    assert attached.behind == []
+    assert attached.behind is None
     assert live.closed == [True]
+
+
+def test_another_live_run_is_visited_only() -> None:
+    attached, own = Attached(), session("a", live=True)
+    first, second = session("b", live=True), session("c", live=True)
+    for each in (own, first, second):
+        attached.show(each)
+    assert (attached.behind, first.closed) == (own, [True])
+    attached.show(own)
+    assert (attached.all, second.closed, own.closed) == ([own], [True], [])
 
 
 def test_a_stop_reaches_every_live_run() -> None:
@@ -77,4 +86,4 @@ def test_leaving_lets_go_of_all() -> None:
     attached.show(second)
     attached.leave()
     assert (first.closed, second.closed) == ([True], [True])
-    assert (attached.shown, attached.behind) == (None, [])
+    assert (attached.shown, attached.behind) == (None, None)

@@ -182,7 +182,8 @@ def test_nothing_is_said_of_a_run_behind_whose_engine_has_ended(tmp_path: Path) 
         terminal.shows("behind: RUNNING")
         (tmp_path / NAME / "engine.json").unlink()
         peer.hang_up()
-        terminal.shows("which went on behind this run, has ended")
+        terminal.shows("the run behind,")
+        terminal.shows("has ended: ENGINE GONE")
         terminal.shows("software stop; not the E-stop")
 
 
@@ -213,7 +214,7 @@ def test_esc_with_the_next_key_in_one_breath_stops(tmp_path: Path) -> None:
 def test_arrows_and_other_sequences_do_not_stop(tmp_path: Path) -> None:
     with live(tmp_path / NAME, "suspended") as (terminal, peer):
         terminal.press("\x1b[A\x1b[B\x1bOA\x1b[5~\x1b[6~\x1b[1;5C\x1b[I\x1b[200~x\x1b[201~")
-        terminal.press(ENTER)
+        terminal.answer(ENTER)
         peer.until(lambda: "answer" in peer.commands)
         assert set(peer.commands) == {"attend", "answer"}
 

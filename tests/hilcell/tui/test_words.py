@@ -130,9 +130,25 @@ def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
 def test_the_banner_names_the_state_and_says_what_the_stop_is_not(name: str) -> None:
     line = words.banner(scene_of(name), UNICODE, 80).plain
     assert f"{UNICODE.states[name]} {words.STATES[name][0]}" in line
-    assert ("LIVE" in line) != ("HISTORIC" in line)
+    assert ("LIVE" in line) + ("HISTORIC" in line) == (name != "looking")
     assert ("use the E-stop" if name == "silent" else words.NOT_E_STOP) in line
-    assert ("SIMULATION" in line) == (name not in ("idle", "unreadable"))
+    assert ("SIMULATION" in line) == (name not in ("looking", "idle", "unreadable"))
+
+
+@pytest.mark.parametrize("name", stories())
+@pytest.mark.parametrize("behind", ["running", "suspended", "silent"])
+def test_a_run_behind_is_told_of_in_every_state(name: str, behind: str) -> None:
+    for width in (80, 120):
+        line = words.banner(scene_of(name), UNICODE, width, scene_of(behind)).plain
+        assert f"behind: {words.STATES[behind][0]}" in line
+        assert "Esc stops" in line
+    assert len(words.banner(scene_of(name), UNICODE, 40, scene_of(behind)).plain) <= 60
+
+
+def test_the_end_of_a_run_behind_names_its_worst_alarm() -> None:
+    told = words.end_of(scene_of("fault"))
+    assert told.endswith("made-up, has ended: FAULT: HC-T99 Tracker fault")
+    assert words.end_of(scene_of("done")).endswith("has ended: DONE")
 
 
 def test_a_real_run_is_not_called_a_simulation() -> None:
