@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from textual.app import App
-from textual.binding import Binding, BindingType
 from textual.driver import Driver
 from textual.events import Event, Key, Paste
 from textual.message import Message
@@ -28,13 +27,14 @@ from hilcell.tui import engine
 from hilcell.tui.aside import aside
 from hilcell.tui.attached import Attached
 from hilcell.tui.bars import WholeBar
+from hilcell.tui.bindings import BINDINGS
 from hilcell.tui.choice import Choice
 from hilcell.tui.contents import PAGES, page_of
 from hilcell.tui.desk import Options
 from hilcell.tui.driver import StopDriver
 from hilcell.tui.garbage import Collector
-from hilcell.tui.keys import ACTIONS, BY_NAME, shown
-from hilcell.tui.palette import Actions
+from hilcell.tui.keys import BY_NAME, shown
+from hilcell.tui.palette import Actions, Palette
 from hilcell.tui.refusals import ELSEWHERE, pause_command, refusal, unheard
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
@@ -69,21 +69,7 @@ class HilcellApp(App[int]):
     CSS_PATH = Path(__file__).with_name("style.tcss")
     COMMANDS: ClassVar = {Actions}
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - as Textual has it
-    BINDINGS: ClassVar[list[BindingType]] = [  # priority: in the order typed, also typed ahead
-        Binding("tab", "focus_next", show=False, priority=True),
-        Binding("shift+tab", "focus_previous", show=False, priority=True),
-        *(
-            Binding(
-                ",".join(action.keys),
-                f"do('{action.name}')",
-                action.label,
-                show=False,
-                id=action.name,
-                priority=True,
-            )
-            for action in ACTIONS
-        ),
-    ]
+    BINDINGS = BINDINGS
 
     def __init__(self, options: Options) -> None:
         self.attached = Attached()  # first: the terminal's driver wants its stop
@@ -150,6 +136,8 @@ class HilcellApp(App[int]):
         self.say("")  # what was said has been read
         await super().on_event(event)
         await settled(node for node in told if node is not self)
+        if isinstance(self.screen, Palette):  # its parts tell one another
+            await settled([*self.screen.query("*"), self.screen])
         if isinstance(self.screen, SceneScreen):
             await self.screen.stands.wait()
 
@@ -361,15 +349,13 @@ class HilcellApp(App[int]):
         elif command == "resume":
             from hilcell.tui.words import prospect
 
-            text = prospect(self.scene)
-            self.ask("Resume this run?", text, "resume", self.start_resume, moves=True)
+            self.ask("Resume this run?", prospect(self.scene), "resume", self.start_resume)
         else:
             self.ask(
                 "Go on?",
                 "The robot and the rail may move at once.",
                 "go on",
                 lambda: self.command("proceed"),
-                moves=True,
             )
 
     def do_abort(self) -> None:
@@ -422,7 +408,6 @@ class HilcellApp(App[int]):
                 f"{key}: at the next point of the robot.",
                 "re-measure",
                 lambda: self.command("retake", key=key),
-                moves=True,
             )
         else:
             self.ask(
@@ -430,7 +415,6 @@ class HilcellApp(App[int]):
                 f"{key}: the devices are connected, the control points proved, the robot moves.",
                 "re-measure",
                 lambda: self.start_resume("--retake", key),
-                moves=True,
             )
 
     def start_resume(self, *words: str) -> None:
@@ -450,11 +434,8 @@ class HilcellApp(App[int]):
         if told := await aside(started.end):
             raise HilcellError(told)
 
-    def ask(self, title: str, text: str, yes: str, act: Any, *, moves: bool = False) -> None:
-        """Ask before an act; only a yes does it, and what hinders it is said.
-
-        ``moves``: the machine may move, so a yes in one burst with other keys is none.
-        """
+    def ask(self, title: str, text: str, yes: str, act: Any) -> None:
+        """Ask before an act; only a yes does it, and what hinders it is said."""
 
         def replied(reply: str | None) -> None:
             try:
@@ -463,7 +444,7 @@ class HilcellApp(App[int]):
             except HilcellError as error:
                 self.say(str(error))
 
-        self.push_screen(Confirm(title, text, yes, moves=moves), replied)
+        self.push_screen(Confirm(title, text, yes), replied)
 
     def _turn_to(self, page: SceneScreen) -> None:
         """Show a page; one of its kind that is open is gone back to: keys may be held down."""
@@ -472,6 +453,11 @@ class HilcellApp(App[int]):
                 self.pop_screen()
         else:
             self.push_screen(page)
+
+    def action_command_palette(self) -> None:
+        """Show the palette."""
+        if not isinstance(self.screen, Palette):
+            self.push_screen(Palette(id="--command-palette"))
 
     def do_acknowledge(self) -> None:
         """Acknowledge every alarm."""

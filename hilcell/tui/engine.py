@@ -84,7 +84,7 @@ def start(runs: Path, run: str, words: Sequence[str]) -> Started:
         folder.mkdir(parents=True, exist_ok=True)
         with _new_file(folder) as said:
             process = subprocess.Popen(  # noqa: S603 - our own interpreter, words reach no shell
-                [*HILCELL, *words],
+                [*HILCELL, *words, "--screen"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=said,

@@ -16,7 +16,7 @@ from typing import Any, Self
 import msgspec
 
 from hilcell.errors import HilcellError
-from hilcell.run.control import ENGINE, EngineFile
+from hilcell.run.control import ENGINE, EngineFile, in_time
 
 ANSWER_S = 2.0
 LONGEST = 1 << 16
@@ -28,9 +28,9 @@ class Link:
 
     def __init__(self, path: str, patience_s: float | None = None) -> None:
         self._lock = threading.Lock()
+        self._patience_s = ANSWER_S if patience_s is None else patience_s
         self._asking = _connect(path)
-        if patience_s is not None:
-            self._asking.settimeout(patience_s)
+        self._asking.settimeout(self._patience_s)
         try:
             self._stopping = _connect(path)
             self._stopping.setblocking(False)  # a stop waits for nothing
@@ -81,16 +81,16 @@ class Link:
         Raises `HilcellError` with the refusal, `LinkSilentError` where none comes in time,
         `LinkLostError` where none can come any more.
         """
-        question = msgspec.json.encode({"command": command} | facts) + b"\n"
         with self._lock:
             try:
                 while self._owed:
                     self._line()
-                self._asking.sendall(question)
+                words = {"command": command} | in_time(command, self._patience_s) | facts
+                self._asking.sendall(msgspec.json.encode(words) + b"\n")
                 self._owed += 1
                 answer: dict[str, Any] = msgspec.json.decode(self._line(), type=dict[str, Any])
             except TimeoutError as error:
-                raise LinkSilentError(f"engine: {command}: no answer: {error}") from error
+                raise LinkSilentError(f"{command}: the engine does not answer") from error
             except (OSError, msgspec.DecodeError) as error:
                 self.close()
                 raise LinkLostError(f"engine: {command}: no answer: {error}") from error

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
-from typing import cast
+from typing import ClassVar, cast
 
-from textual.command import DiscoveryHit, Hit, Hits, Provider
+from textual.binding import Binding, BindingType
+from textual.command import CommandPalette, DiscoveryHit, Hit, Hits, Provider
+from textual.widgets import Input
 
 from hilcell.tui.desk import Desk
 from hilcell.tui.keys import ACTIONS, Action
+
+
+class Palette(CommandPalette):
+    """Textual's own, but its Enter acts at once: a second one in a burst finds it closed."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "enter", show=False, priority=True)]
+
+    async def action_enter(self) -> None:
+        """Choose what is highlighted."""
+        await self.query_one(Input).action_submit()
 
 
 class Actions(Provider):

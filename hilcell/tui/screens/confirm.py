@@ -61,9 +61,9 @@ class Confirm(Dialog[str]):
         Binding("n,q,backspace", "reply('no')", show=False, priority=True),
     ]
 
-    def __init__(self, title: str, text: str, yes: str, *, moves: bool) -> None:
+    def __init__(self, title: str, text: str, yes: str) -> None:
         super().__init__()
-        self._title, self._text, self._yes, self._moves = title, text, yes, moves
+        self._title, self._text, self._yes = title, text, yes
 
     def on_mount(self) -> None:
         """Show the question."""
@@ -72,5 +72,5 @@ class Confirm(Dialog[str]):
 
     def action_reply(self, word: str) -> None:
         """Close with the answer."""
-        if word != "yes" or self.deliberate or not self._moves:
+        if word != "yes" or self.deliberate:
             self.dismiss(word)

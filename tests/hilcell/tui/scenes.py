@@ -182,16 +182,11 @@ PROMPT = Prompt(
 
 def fresh(name: str) -> Fresh:
     """Return what one look at a run in a state brings."""
-    live = name in LIVE
     unheard = {"silent": Engine.SILENT, "looking": Engine.UNKNOWN}
     engine = Engine.HEARD if name in HEARD else unheard.get(name, Engine.NONE)
+    told = status(name) if engine in (Engine.HEARD, Engine.SILENT) else None
     trouble = "journal: damaged or not a journal" if name == "unreadable" else ""
-    return Fresh(
-        stories()[name].records,
-        engine,
-        status(name) if live and name != "looking" else None,
-        trouble,
-    )
+    return Fresh(stories()[name].records, engine, told, trouble)
 
 
 def status(name: str) -> Status:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import msgspec
@@ -317,6 +318,7 @@ def test_quitting_over_a_live_run_offers_to_detach(key: str, place: tuple[str, .
         await press(pilot, "n")
         assert app.is_running
         await press(pilot, key)
+        app._typed_s = -math.inf  # not in one breath with the key before
         await pilot.press("y")
 
     app = play(act, "running")

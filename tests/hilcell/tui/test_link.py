@@ -102,7 +102,7 @@ def test_a_late_answer_is_never_taken_for_the_next_one_s(tmp_path: Path, beginni
 
     with Peer(tmp_path, slowly) as peer:
         link = linked(tmp_path)
-        with pytest.raises(LinkSilentError, match="engine: status: no answer"):
+        with pytest.raises(LinkSilentError, match="status: the engine does not answer"):
             link.ask("status")
         with pytest.raises(LinkSilentError):  # nothing else is asked while one is owed
             link.ask("pause")

@@ -30,10 +30,10 @@ class Watched(Stage):
 
     questions = 0
 
-    def ask(self, title: str, text: str, yes: str, act: object, *, moves: bool = False) -> None:
+    def ask(self, title: str, text: str, yes: str, act: object) -> None:
         """Count a question."""
         self.questions += 1
-        super().ask(title, text, yes, act, moves=moves)
+        super().ask(title, text, yes, act)
 
 
 @pytest.mark.usefixtures("outside")

@@ -16,6 +16,7 @@ from hilcell.tui.choice import Choice
 from hilcell.tui.engine import Order
 from hilcell.tui.keys import load_keys
 from hilcell.tui.rows import Rows
+from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import InterlockPage
 from hilcell.tui.screens.run import RunScreen
@@ -59,12 +60,32 @@ def test_what_is_typed_ahead_goes_where_it_was_meant_to(first: tuple[str, ...]) 
     assert (app.heard.asked, app.heard.closed) == ([], [])
 
 
-def test_a_question_typed_ahead_is_answered() -> None:
+def test_a_question_typed_ahead_waits_for_a_key_by_itself() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
-        type_ahead(app, "a", "y")
+        type_ahead(app, "a", "y", "enter")
         await settle(pilot)
+        assert isinstance(app.screen, Confirm)
+        assert app.heard.asked == []
+        await press(pilot, "y")
 
     assert play(act, "running").heard.asked == [("abort", {})]
+
+
+@pytest.mark.parametrize("state", ["running", "done"])
+def test_enter_twice_in_the_palette_closes_nothing_else(state: str) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, "ctrl+p", *"theme")
+        for _ in range(50):
+            await pilot.pause()
+            if "the next theme" in text_of(app):
+                break
+        type_ahead(app, "enter", "enter", "enter")
+        await settle(pilot)
+        assert len(app.screen_stack) in (2, 3)  # the run, perhaps with its point
+        assert app.theme == "daylight"
+        await press(pilot, "ctrl+p", "escape")
+
+    play(act, state)
 
 
 def test_one_sees_which_choice_of_the_form_takes_the_keys() -> None:
