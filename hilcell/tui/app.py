@@ -397,9 +397,9 @@ class HilcellApp(App[int]):
         from hilcell.run.retake import retake_refusal
 
         scene = self.scene
-        if scene is None or not key:
+        if scene is None:
             return
-        refusal = retake_refusal(scene.log, key)
+        refusal = retake_refusal(scene.log, key) if key else "no point is chosen"
         if refusal:
             self.say(refusal)
         elif scene.live:

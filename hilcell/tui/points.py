@@ -33,7 +33,7 @@ _TONES = {"out": "bad", "noisy": "warn", "waits": "info", "again": "info"}
 def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
     """Return the columns that a table of this width shows; the first tells which points."""
     columns = _WIDE_COLUMNS if width >= WIDE + 40 else _NARROW_COLUMNS
-    which = ", ".join(["bad only"] * bad_only + ["worst first"] * worst)
+    which = " ".join(["bad only"] * bad_only + ["by |e|" if bad_only else "worst first"] * worst)
     return (replace(columns[0], title=f"point: {which}"), *columns[1:]) if which else columns
 
 

@@ -81,7 +81,8 @@ def _beside(scene: Scene, room: int) -> Content:
 def _told(behind: Scene, room: int) -> Content:
     """Say that a run goes on behind, in as many words as there is room for."""
     word = STATES[behind.key][0]
-    sayings = (f"behind: {word}; q goes back, Esc stops", f"behind: {word}; Esc stops", "1 behind")
+    stop = "use the E-stop" if behind.key == "silent" else "Esc stops"
+    sayings = (f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind")
     said = next((each for each in sayings if len(each) <= room), "")
     return Content.styled(said, "bold $warn")
 

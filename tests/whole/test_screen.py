@@ -222,6 +222,17 @@ def test_a_screen_killed_while_it_shows_another_run_pauses_the_live_one(tmp_path
         wait_for(lambda: read_log(folder).states["run"] == "paused", "the run pauses")
 
 
+def test_a_screen_that_dies_before_its_engine_speaks_leaves_nothing_moving(tmp_path: Path) -> None:
+    with screen(tmp_path) as terminal:
+        start(terminal, UNHURRIED + ENTER)
+        terminal.shows("CHECKING")
+        terminal.process.kill()
+        wait_for(lambda: run_folders(tmp_path), "the run begins")
+        folder = folder_of(tmp_path)
+        wait_for(lambda: read_log(folder).states["run"] == "paused", "the run pauses")
+        assert not read_log(folder).points
+
+
 def test_an_engine_that_stands_still_is_silent_and_not_gone(tmp_path: Path) -> None:
     with screen(tmp_path) as terminal:
         start(terminal, UNHURRIED + ENTER)

@@ -148,7 +148,7 @@ class RunScreen(Finding):
         points = self._table.rows(scene.log)
         found = filtered(points, self.wanted, bad_only=self.bad_only, worst=self.worst_first)
         rows.empty = "no such point" if self.wanted else "no points yet"
-        if self.bad_only:
+        if self.bad_only and scene.log.points:
             all_key = shown(self.cell.keymap["bad"][0])
             rows.empty = f"no such point is bad; {all_key} shows all"
         rows.follow = not self.worst_first

@@ -133,7 +133,7 @@ def test_the_worst_and_the_bad_are_found_with_a_key() -> None:
         assert "point: worst first " in text_of(app)
         await press(pilot, "b")
         assert [row.key for row in rows.rows] == ["validate/S1100/idw/001"]
-        assert "point: bad only, worst" in text_of(app)
+        assert "point: bad only by |e| " in text_of(app)
         await press(pilot, "slash", *"chosen", "enter")
         assert "no such point is bad; b shows all" in text_of(app)
         await press(pilot, "slash", "ctrl+u", "enter", "b", "w")

@@ -141,7 +141,7 @@ def test_a_run_behind_is_told_of_in_every_state(name: str, behind: str) -> None:
     for width in (80, 120):
         line = words.banner(scene_of(name), UNICODE, width, scene_of(behind)).plain
         assert f"behind: {words.STATES[behind][0]}" in line
-        assert "Esc stops" in line
+        assert ("use the E-stop" if behind == "silent" else "Esc stops") in line
     assert len(words.banner(scene_of(name), UNICODE, 40, scene_of(behind)).plain) <= 60
 
 
