@@ -215,7 +215,7 @@ def test_a_screen_killed_while_it_shows_another_run_pauses_the_live_one(tmp_path
         terminal.shows("2 of 2 runs")
         terminal.press("\x1b[F" + ENTER)
         terminal.shows("Esc still stops it")
-        terminal.press(ENTER)
+        terminal.answer(ENTER)
         terminal.shows("behind: RUNNING")
         terminal.process.kill()
         folder = run_folders(tmp_path)[-1]

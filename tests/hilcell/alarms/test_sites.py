@@ -51,7 +51,7 @@ ENGINE = ("hilcell/commands/run.py", "hilcell/run/", "procedures/", "drivers/")
 # These hand on what another error says, or are met by commands on files alone.
 ELSEWHERE = {
     ("hilcell/run/runner.py", "_ask"),
-    ("hilcell/commands/run.py", "_resume_live"),
+    ("hilcell/run/control.py", "order"),
     ("hilcell/commands/run.py", "resume"),
     ("hilcell/calibration_file.py", "compensate_targets"),
     ("hilcell/calibration_file.py", "_refuse_turned"),

@@ -156,7 +156,7 @@ def look_at_another(terminal: Terminal) -> None:
     terminal.shows("2 of 2 runs")
     terminal.press(f"\x1b[B{ENTER}")
     terminal.shows("Esc still stops it")
-    terminal.press(ENTER)
+    terminal.answer(ENTER)
 
 
 def test_esc_stops_the_live_run_from_which_one_looked_at_another(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_leaving_with_a_live_run_behind_asks(tmp_path: Path, key: str) -> None:
         terminal.shows("A run is live.")
         assert not terminal.ended
         assert "leave" not in peer.commands
-        terminal.press("y")
+        terminal.answer("y")
         assert terminal.ends() == 0
         peer.until(lambda: peer.open == 0)
         assert peer.commands == ["attend", "leave"]
@@ -228,7 +228,7 @@ def test_leaving_a_live_run_asks_and_says_so_to_the_engine(tmp_path: Path, key: 
         terminal.press(key)
         terminal.shows("A run is live.")
         assert not terminal.ended
-        terminal.press("y")
+        terminal.answer("y")
         assert terminal.ends() == 0
         peer.until(lambda: peer.open == 0)
         assert peer.commands == ["attend", "leave"]
