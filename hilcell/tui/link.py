@@ -20,7 +20,7 @@ from hilcell.run.control import ENGINE, EngineFile, in_time
 
 ANSWER_S = 2.0
 LONGEST = 1 << 16
-_STOP, _LEAVE = (msgspec.json.encode({"command": word}) + b"\n" for word in ("stop", "leave"))
+_STOP = msgspec.json.encode({"command": "stop"}) + b"\n"
 
 
 class Link:
@@ -65,9 +65,12 @@ class Link:
         return True
 
     def leave(self) -> None:
-        """Say that whoever hangs up now is not lost; wait for nothing."""
-        with suppress(OSError):  # an engine that is gone has nothing to be told
-            self._asking.sendall(_LEAVE)
+        """Say that whoever hangs up next is not lost.
+
+        What is owed is waited for: an engine that answers into a closed line reads no further.
+        """
+        with suppress(HilcellError):  # an engine that is gone has nothing to be told
+            self.ask("leave")
 
     def _forget_answers(self) -> None:
         """Make room: an engine whose answers nobody takes would stand still over the next one."""

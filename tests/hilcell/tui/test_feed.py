@@ -85,6 +85,25 @@ def test_it_attends_asks_and_leaves(tmp_path: Path) -> None:
         assert peer.commands == ["attend", "leave"]
 
 
+def test_leaving_waits_for_the_answer_that_is_owed(tmp_path: Path) -> None:
+    asked, go_on = threading.Event(), threading.Event()
+
+    def slowly(words: dict[str, str]) -> bytes:
+        if words["command"] == "status":
+            asked.set()
+            assert go_on.wait(LIMIT_S)
+        return usual(words)
+
+    with Peer(tmp_path, slowly) as peer:
+        screen = Screen(tmp_path)
+        screen.feed.start()
+        assert asked.wait(LIMIT_S)
+        threading.Timer(0.05, go_on.set).start()
+        screen.close(leave=True)
+        peer.until(lambda: peer.open == 0)
+        assert peer.commands == ["attend", "leave"]
+
+
 def test_a_screen_that_is_lost_does_not_leave(tmp_path: Path) -> None:
     with Peer(tmp_path) as peer:
         screen = Screen(tmp_path)
