@@ -39,7 +39,7 @@ from hilcell.tui.refusals import ELSEWHERE, pause_command, refusal, unheard
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.opening import Opening
-from hilcell.tui.settled import settled
+from hilcell.tui.settled import built, settled
 from hilcell.tui.themes import NAMES, PALETTES
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ class HilcellApp(App[int]):
         if isinstance(self.screen, Palette):  # its parts tell one another
             await settled([*self.screen.query("*"), self.screen])
         if isinstance(self.screen, SceneScreen):
-            await self.screen.stands.wait()
+            await built(self.screen.stands)
 
     def on_mount(self) -> None:
         """Paint first, then import what reads journals."""

@@ -13,6 +13,7 @@ from contextlib import suppress
 from textual.message_pump import MessagePump
 
 LONGEST_S = 0.2  # a widget that is being removed may take nothing any more
+BUILT_S = 2.0  # a screen that is left before it was built never is
 
 
 async def settled(nodes: Iterable[MessagePump]) -> None:
@@ -20,5 +21,14 @@ async def settled(nodes: Iterable[MessagePump]) -> None:
     for node in nodes:
         taken = asyncio.Event()
         if node.call_later(taken.set):
-            with suppress(TimeoutError):
-                await asyncio.wait_for(taken.wait(), LONGEST_S)
+            await _soon(taken, LONGEST_S)
+
+
+async def built(stands: asyncio.Event) -> None:
+    """Wait until a screen stands; never for long, or no key would be taken any more."""
+    await _soon(stands, BUILT_S)
+
+
+async def _soon(event: asyncio.Event, limit_s: float) -> None:
+    with suppress(TimeoutError):
+        await asyncio.wait_for(event.wait(), limit_s)
