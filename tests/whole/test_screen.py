@@ -100,7 +100,9 @@ def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the
         terminal.shows("report written", LIMIT_S)
         assert (folder_of(tmp_path) / "report.html").stat().st_size > 100_000
         terminal.shows("chosen:")
-        terminal.press("q\x11")
+        terminal.press("q")
+        terminal.until(lambda text: "report written" not in text and "? help" in text)
+        terminal.press("\x11")
         assert terminal.ends() == 0
     assert judged(folder_of(tmp_path)) == []
 
