@@ -315,7 +315,7 @@ class HilcellApp(App[int]):
                 self.say(f"{BY_NAME[name].label}: {refused}")
                 return
             if name == "detach" and not self.unhurried:
-                return  # no scanned code leaves an attended run alone
+                name = "quit"  # which asks: no scanned code leaves an attended run alone
             if name in PAGES:
                 self._turn_to(page_of(name, self.session))
             else:
@@ -376,6 +376,8 @@ class HilcellApp(App[int]):
             elif scene.prompt.ready or not scene.prompt.check:
                 if self.unhurried:
                     self.background(self._answer())
+                else:
+                    self.say("Enter in one burst with other keys is no answer: press it by itself")
             else:
                 self.say(
                     "Enter works when the tracker sees the reflector in its place", for_now=True

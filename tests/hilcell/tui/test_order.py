@@ -73,6 +73,27 @@ def test_a_second_code_from_a_scanner_starts_nothing() -> None:
     play(act)
 
 
+def test_a_detach_in_a_burst_asks() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        type_ahead(app, "w", "d")
+        await settle(pilot)
+        assert isinstance(app.screen, Confirm)
+        assert "detach" in text_of(app)
+
+    assert play(act, "running").detached == []
+
+
+def test_an_enter_in_a_burst_is_no_answer_to_a_prompt() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        type_ahead(app, "w", "enter")
+        await settle(pilot)
+        assert "press it by itself" in text_of(app)
+        assert app.heard.asked == []
+        await press(pilot, "enter")
+
+    assert play(act, "suspended").heard.asked == [("answer", {})]
+
+
 @pytest.mark.parametrize("state", ["paused", "fault", "running"])
 def test_a_scanned_code_moves_nothing_and_leaves_nothing(state: str) -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
