@@ -73,6 +73,7 @@ class KrlController:
             self._mode, self._program = "#EX", "#P_ACTIVE"
             self._emergency, self._message = False, False
             self._in_stop, self._running = False, None
+            self._keeps_acknowledge = self._frozen = False
             self._acknowledged, self._error = self._integers["HC_SEQ"], OK
             self._set_override(100)
 

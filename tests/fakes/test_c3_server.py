@@ -200,6 +200,17 @@ def test_motion_faults(robot: Robot) -> None:
     assert {robot.client.read("HC_ACK") for _ in range(10)} == {"3"}
 
 
+@pytest.mark.parametrize("fault", ["robot.ack_previous", "robot.frozen"])
+def test_a_restored_program_keeps_nothing_of_a_fault(robot: Robot, fault: str) -> None:
+    robot.faults.set(fault)
+    robot.client.start(1, FAR)
+    robot.client.read("HC_ACK")
+    robot.controller.restore()
+    robot.faults.set("robot.softlimit")
+    robot.client.go(2, NEAR)
+    assert robot.client.read("HC_ERR") == "2"
+
+
 def test_position_faults(robot: Robot) -> None:
     before = robot.client.read("$AXIS_ACT")
     robot.faults.set("robot.stale_position", count=0)
