@@ -23,7 +23,7 @@ from textual.widgets import Input
 
 from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
-from hilcell.tui import engine
+from hilcell.tui.acts import Acts
 from hilcell.tui.aside import aside
 from hilcell.tui.attached import Attached
 from hilcell.tui.bars import WholeBar
@@ -35,7 +35,7 @@ from hilcell.tui.driver import StopDriver
 from hilcell.tui.garbage import Collector
 from hilcell.tui.keys import BY_NAME, shown
 from hilcell.tui.palette import Actions, Palette
-from hilcell.tui.refusals import ELSEWHERE, pause_command, refusal, unheard
+from hilcell.tui.refusals import ELSEWHERE, refusal
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.opening import Opening
@@ -77,6 +77,7 @@ class HilcellApp(App[int]):
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
         self.detached: list[str] = []  # the runs that go on without this screen
         self.refused: HilcellError | None = None  # why nothing could be opened
+        self.acts = Acts(self)
         self.unhurried = True
         self._typed_s = -math.inf  # when the last key came
         self._collector: Collector | None = None
@@ -273,12 +274,6 @@ class HilcellApp(App[int]):
 
         self.run_worker(guarded(), exit_on_error=True)
 
-    def command(self, command: str, **facts: str) -> None:
-        """Send a command to the engine, off the thread that takes keys."""
-        session = self.session
-        if session is not None:
-            self.background(aside(session.ask, command, **facts))
-
     # -- keys ---------------------------------------------------------------------------------
 
     def allowed(self, name: str) -> bool:
@@ -319,8 +314,8 @@ class HilcellApp(App[int]):
             if name in PAGES:
                 self._turn_to(page_of(name, self.session))
             else:
-                act = getattr(self.screen, f"do_{name}", None) or getattr(self, f"do_{name}")
-                act()
+                makers = (self.screen, self.acts, self)
+                next(filter(None, (getattr(each, f"do_{name}", None) for each in makers)))()
 
     def do_stop(self) -> None:
         """Stop everything; where nothing runs, go back."""
@@ -340,101 +335,6 @@ class HilcellApp(App[int]):
         """Go back to the screen under whatever is asked, or under the palette."""
         while not isinstance(self.screen, SceneScreen):
             self.pop_screen()
-
-    def do_pause(self) -> None:
-        """Pause, go on, or resume: whichever the state allows."""
-        command = pause_command(self.scene)
-        if command == "pause":
-            self.command("pause")
-        elif command == "resume":
-            from hilcell.tui.words import prospect
-
-            self.ask("Resume this run?", prospect(self.scene), "resume", self.start_resume)
-        else:
-            self.ask(
-                "Go on?",
-                "The robot and the rail may move at once.",
-                "go on",
-                lambda: self.command("proceed"),
-            )
-
-    def do_abort(self) -> None:
-        """End the run after the point in flight."""
-        self.ask(
-            "Abort this run?",
-            "The point in flight is finished, then the run ends. It can be resumed later.",
-            "abort",
-            lambda: self.command("abort"),
-        )
-
-    def enter(self, key: str) -> None:
-        """Answer the prompt that is asked, or open a point."""
-        scene = self.scene
-        if scene is not None and scene.prompt is not None:
-            if refused := unheard(scene):
-                self.say(refused)
-            elif scene.prompt.ready or not scene.prompt.check:
-                if self.unhurried:
-                    self.background(self._answer())
-                else:
-                    self.say("Enter in one burst with other keys is no answer: press it by itself")
-            else:
-                self.say(
-                    "Enter works when the tracker sees the reflector in its place", for_now=True
-                )
-        elif key:
-            from hilcell.tui.screens.pages import DetailPage
-
-            self.push_screen(DetailPage(key))
-
-    async def _answer(self) -> None:
-        session = self.session
-        if session is not None:
-            self.say("the tracker looks once more ...")
-            await aside(session.ask, "answer")
-            self.say("")
-
-    def retake(self, key: str) -> None:
-        """Measure a point anew: in the live run, or by opening a finished one again."""
-        from hilcell.run.retake import retake_refusal
-
-        scene = self.scene
-        if scene is None:
-            return
-        refusal = retake_refusal(scene.log, key) if key else "no point is chosen"
-        if refusal:
-            self.say(refusal)
-        elif scene.live:
-            self.ask(
-                "Measure this point anew?",
-                f"{key}: at the next point of the robot.",
-                "re-measure",
-                lambda: self.command("retake", key=key),
-            )
-        else:
-            self.ask(
-                "Open this run again and measure the point anew?",
-                f"{key}: the devices are connected, the control points proved, the robot moves.",
-                "re-measure",
-                lambda: self.start_resume("--retake", key),
-            )
-
-    def start_resume(self, *words: str) -> None:
-        """Start an engine that goes on with this run."""
-        session = self.session
-        if session is None:
-            return
-        folder = session.folder
-        attended = [] if not session.scene.log.inputs.unattended else ["--unattended"]
-        order = ["resume", folder.name, "--runs", str(folder.parent), *attended, *words]
-        started = engine.start(folder.parent, folder.name, order)
-        self.attach(folder, started.process)
-        self.background(self.watch_engine(started))
-
-    async def watch_engine(self, started: engine.Started) -> None:
-        """Wait for an engine's end; one that leaves no word in the journal says it here."""
-        if told := await aside(started.end):
-            raise HilcellError(told)
 
     def ask(self, title: str, text: str, yes: str, act: Any) -> None:
         """Ask before an act; only a yes does it, and what hinders it is said."""

@@ -13,8 +13,8 @@ from hilcell.tui.themes import NAMES
 
 if TYPE_CHECKING:
     from hilcell.alarms import Latch
+    from hilcell.tui.acts import Acts
     from hilcell.tui.attached import Attached
-    from hilcell.tui.engine import Started
     from hilcell.tui.scene import Scene
 
 
@@ -39,6 +39,7 @@ class Desk(Protocol):
     glyphs: Glyphs
     keymap: Keymap
     attached: Attached
+    acts: Acts
     unhurried: bool  # whether the key under way came by itself, not in a burst
 
     @property
@@ -66,12 +67,3 @@ class Desk(Protocol):
 
     def open_run(self, folder: Path) -> None:
         """Show another run; leaving a live one asks."""
-
-    def watch_engine(self, started: Started) -> Coroutine[Any, Any, None]:
-        """Wait for an engine's end, and say what it said where no journal tells."""
-
-    def enter(self, key: str) -> None:
-        """Answer the prompt that is asked, or open a point."""
-
-    def retake(self, key: str) -> None:
-        """Measure a point anew."""

@@ -85,7 +85,7 @@ class DetailPage(TextPage):
 
     def do_retake(self) -> None:
         """Measure this point anew."""
-        self.cell.retake(self._key)
+        self.cell.acts.retake(self._key)
 
 
 def interlock_page(scene: Scene, glyphs: Glyphs) -> Content:

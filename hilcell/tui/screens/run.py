@@ -184,11 +184,11 @@ class RunScreen(Finding):
 
     def action_enter(self) -> None:
         """Answer the prompt, or open the chosen point."""
-        self.cell.enter(self.query_one(Rows).key)
+        self.cell.acts.enter(self.query_one(Rows).key)
 
     def on_rows_chosen(self, message: Rows.Chosen) -> None:
         """Answer the prompt, or open the chosen point."""
-        self.cell.enter(message.key)
+        self.cell.acts.enter(message.key)
 
     # -- keys of this screen ------------------------------------------------------------------
 
@@ -219,4 +219,4 @@ class RunScreen(Finding):
 
     def do_retake(self) -> None:
         """Measure the chosen point anew."""
-        self.cell.retake(self.query_one(Rows).key)
+        self.cell.acts.retake(self.query_one(Rows).key)

@@ -149,9 +149,7 @@ class StartScreen(SceneScreen):
         runs = self.cell.options.runs
         run = new_run(order.procedure)
         words = [*order.words(), "--runs", str(runs), "--name", run]
-        started = engine.start(runs, run, words)
-        self.cell.attach(runs / run, started.process)
-        self.cell.background(self.cell.watch_engine(started))
+        self.cell.acts.start(runs / run, words)
 
 
 class PlanSummary(Dialog[bool]):

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import math
-from collections.abc import Sequence
 from contextlib import suppress
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 
 from textual.app import App
@@ -14,6 +13,7 @@ from textual.events import Key
 from textual.pilot import Pilot
 from textual.worker import WorkerCancelled
 
+from hilcell.tui.acts import Acts, Host
 from hilcell.tui.app import HilcellApp
 from hilcell.tui.desk import Options
 from hilcell.tui.feed import Fresh
@@ -27,6 +27,7 @@ from tests.hilcell.tui.scenes import BEGAN, RUN, fresh, stories
 DEFAULT_KEYS = {action.name: action.keys for action in ACTIONS}
 SIZE = (80, 24)
 ROUNDS = 3  # a key opens a screen, the screen begins its work, the work is shown
+BURSTS = count(1)  # each comes at a second of its own
 LETTERS = {"space": " ", "slash": "/", "question_mark": "?"}
 
 
@@ -54,6 +55,18 @@ class Listener(Session):
         super().close(leave=leave)
 
 
+class Unstarted(Acts):
+    """Writes down what an engine would have been started with."""
+
+    def __init__(self, host: Host) -> None:
+        super().__init__(host)
+        self.engines: list[tuple[Path, list[str]]] = []
+
+    def start(self, folder: Path, words: list[str]) -> None:
+        """Write it down."""
+        self.engines.append((folder, words))
+
+
 class Stage(HilcellApp):
     """Opens a made-up run in place of looking for one; without a run, the form."""
 
@@ -61,7 +74,7 @@ class Stage(HilcellApp):
         super().__init__(options)
         self.heard = Listener(options.runs / (options.run or RUN))
         self.story, self.brought = name, brought
-        self.engines: list[tuple[Path, Sequence[str]]] = []
+        self.acts: Unstarted = Unstarted(self)
 
     async def _open(self) -> None:
         while len(self.screen_stack) > 1:
@@ -78,10 +91,6 @@ class Stage(HilcellApp):
 
     def _tick(self) -> None:
         """Time stands still on this stage."""
-
-    def start_resume(self, *words: str) -> None:
-        """Write down what an engine would have been started with."""
-        self.engines.append((self.heard.folder, words))
 
 
 def options(
@@ -114,16 +123,17 @@ async def _round(pilot: Pilot[int]) -> None:
 async def press(pilot: Pilot[int], *keys: str) -> None:
     """Press keys as a person does, and wait until what each began is done and painted."""
     for key in keys:
-        if isinstance(pilot.app, HilcellApp):
-            pilot.app._typed_s = -math.inf
         type_ahead(pilot.app, key)
         await settle(pilot)
 
 
 def type_ahead(app: App[int], *keys: str) -> None:
-    """Press keys and wait for nothing."""
+    """Press keys in one burst, long after the last, and wait for nothing."""
+    at_s = float(next(BURSTS))
     for key in keys:
-        app.post_message(Key(key, key if len(key) == 1 else LETTERS.get(key)))
+        event = Key(key, key if len(key) == 1 else LETTERS.get(key))
+        event.time = at_s
+        app.post_message(event)
 
 
 def text_of(app: HilcellApp) -> str:

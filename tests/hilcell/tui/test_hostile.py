@@ -85,7 +85,7 @@ def test_every_screen_shows_hostile_words_and_does_nothing_by_them(text: str) ->
         async with app.run_test(size=SIZE) as pilot:
             seen = await screens_of(app, pilot)
             assert app.is_running
-        assert (app.heard.stops, app.engines) == (0, [])
+        assert (app.heard.stops, app.acts.engines) == (0, [])
         assert {command for command, _ in app.heard.asked} <= {"answer"}
         return seen
 

@@ -105,7 +105,7 @@ def test_a_scanned_code_moves_nothing_and_leaves_nothing(state: str) -> None:
         assert app.detached == []
 
     app = play(act, state)
-    assert app.engines == []
+    assert app.acts.engines == []
     assert [word for word, _ in app.heard.asked if word != "pause"] == []
 
 
