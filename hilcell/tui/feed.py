@@ -18,7 +18,7 @@ from hilcell.errors import HilcellError
 from hilcell.run.journal import Record, StorageError, read_journal
 from hilcell.runs import JOURNAL
 from hilcell.tui.link import Link, LinkLostError, LinkSilentError
-from hilcell.tui.scene import Engine, Status
+from hilcell.tui.scene import EngineState, Status
 
 QUIET_S = 0.5  # where no engine is at work, little happens
 ANEW_S = 10.0  # a line that was silent for so long is opened anew
@@ -29,7 +29,7 @@ class Fresh:
     """What one look has brought."""
 
     records: list[Record] = field(default_factory=list)
-    engine: Engine = Engine.NONE
+    engine: EngineState = EngineState.NONE
     status: Status | None = None
     trouble: str = ""
 
@@ -76,7 +76,7 @@ class Feed:
             fresh = self._look()
             if not self._ended.is_set():
                 self._deliver(fresh)
-                quiet = fresh.engine is Engine.NONE
+                quiet = fresh.engine is EngineState.NONE
                 period_s = max(self._period_s, QUIET_S) if quiet else self._period_s
                 self._soon.wait(max(period_s - (time.monotonic() - began_s), 0.02))
                 self._soon.clear()
@@ -87,29 +87,29 @@ class Feed:
         try:
             records = read_journal(self.folder / JOURNAL, after=self._seen)
         except StorageError as error:
-            waits = engine is not Engine.NONE or not (self.folder / JOURNAL).is_file()
+            waits = engine is not EngineState.NONE or not (self.folder / JOURNAL).is_file()
             return Fresh([], engine, status, "" if waits and not self._seen else str(error))
         self._seen += len(records)
         return Fresh(records, engine, status)
 
-    def _hear(self) -> tuple[Engine, Status | None]:
+    def _hear(self) -> tuple[EngineState, Status | None]:
         """Ask the engine how it is; what makes no sense leaves the lamps to grow stale."""
         try:
             link = self._line()
             if link is None:
-                return Engine.NONE, None
+                return EngineState.NONE, None
             answer = link.ask("status")
             self._heard_s = time.monotonic()
-            return Engine.HEARD, msgspec.convert(answer, Status)
+            return EngineState.HEARD, msgspec.convert(answer, Status)
         except LinkSilentError:
             if time.monotonic() - self._heard_s > ANEW_S:
                 self._let_go()
-            return Engine.SILENT, None
+            return EngineState.SILENT, None
         except LinkLostError:
             self.link = None
-            return Engine.NONE, None
+            return EngineState.NONE, None
         except (HilcellError, msgspec.ValidationError):
-            return Engine.HEARD, None
+            return EngineState.HEARD, None
 
     def _line(self) -> Link | None:
         """Return the line to the engine, opened where it was not."""

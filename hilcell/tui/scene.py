@@ -68,7 +68,7 @@ class Status(msgspec.Struct, frozen=True):
     retakes: list[str] = []
 
 
-class Engine(Enum):
+class EngineState(Enum):
     """What is known of the process at work on a run: one that was heard never starts again."""
 
     UNKNOWN = "unknown"  # nobody has looked yet
@@ -85,7 +85,7 @@ class Scene:
     run: str
     log: Log = field(default_factory=Log)
     trouble: str = ""  # why the journal cannot be read
-    engine: Engine = Engine.NONE
+    engine: EngineState = EngineState.NONE
     status: Status | None = None
     heard_s: float = 0.0  # how old the status is
     now: datetime | None = None
@@ -127,16 +127,16 @@ class Scene:
     def key(self) -> str:
         """Return the state in one word, as the state block names it."""
         state = self.log.states["run"]
-        if self.engine is Engine.UNKNOWN:
+        if self.engine is EngineState.UNKNOWN:
             return "looking"
-        if self.engine is Engine.STARTING:
+        if self.engine is EngineState.STARTING:
             return "checking"
-        if self.engine is Engine.NONE and not self.over:
+        if self.engine is EngineState.NONE and not self.over:
             if self.trouble and self.log.plan is None:
                 return "unreadable"
             begun = self.log.plan is not None and self.log.end is None  # else it was refused
             return "gone" if begun else "idle"
-        if self.engine is Engine.SILENT and not self.over:
+        if self.engine is EngineState.SILENT and not self.over:
             return "silent"
         if state == "finished":
             return "intolerant" if self.log.end and self.log.end["exit"] else "done"
@@ -150,12 +150,12 @@ class Scene:
     def live(self) -> bool:
         """Whether an engine is at work on this run."""
         ended = self.key in ("done", "intolerant", "aborted", "fault")
-        return self.engine is not Engine.NONE and not ended
+        return self.engine is not EngineState.NONE and not ended
 
     @property
     def heard(self) -> bool:
         """Whether an engine takes commands."""
-        return self.engine is Engine.HEARD
+        return self.engine is EngineState.HEARD
 
     @property
     def at_rest(self) -> bool:

@@ -16,7 +16,7 @@ from hilcell.errors import HilcellError
 from hilcell.run.forecast import Forecast
 from hilcell.tui.feed import Feed, Fresh
 from hilcell.tui.link import Link, stop_engine
-from hilcell.tui.scene import Engine, Scene
+from hilcell.tui.scene import EngineState, Scene
 
 if TYPE_CHECKING:
     from hilcell.run.journal import Record
@@ -36,7 +36,9 @@ class Session:
         go_on: str = GO_ON,
     ) -> None:
         self.folder = folder
-        self.scene = Scene(folder.name, engine=Engine.STARTING if process else Engine.UNKNOWN)
+        self.scene = Scene(
+            folder.name, engine=EngineState.STARTING if process else EngineState.UNKNOWN
+        )
         self.latch = Latch()
         self.process = process  # the engine, where this screen has started it
         self._go_on = go_on
@@ -56,17 +58,17 @@ class Session:
         before, scene.engine = scene.engine, self._engine(fresh.engine)
         news = scene.engine is not before or (fresh.records and not self._foreign)
         if news and scene.log.plan is not None:
-            present = scene.engine is not Engine.NONE
+            present = scene.engine is not EngineState.NONE
             scene.alarms = alarms_of(scene.log, scene.run, live=present, go_on=self._go_on)
             self.latch.take(scene.alarms)
         self.tick(now)
 
-    def _engine(self, found: Engine) -> Engine:
-        if found is not Engine.NONE:
+    def _engine(self, found: EngineState) -> EngineState:
+        if found is not EngineState.NONE:
             return found
-        begins = self.scene.engine is Engine.STARTING
+        begins = self.scene.engine is EngineState.STARTING
         running = self.process is not None and self.process.poll() is None
-        return Engine.STARTING if begins and running else Engine.NONE
+        return EngineState.STARTING if begins and running else EngineState.NONE
 
     def _take_records(self, records: Sequence[Record]) -> None:
         scene = self.scene
@@ -100,7 +102,7 @@ class Session:
         link = self.feed.link
         if (link is not None and link.stop()) or stop_engine(self.folder):
             return True
-        if self.process is None or self.scene.engine is not Engine.STARTING:
+        if self.process is None or self.scene.engine is not EngineState.STARTING:
             return False
         self.process.terminate()  # does nothing where it has ended
         return True

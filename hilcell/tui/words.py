@@ -12,7 +12,7 @@ from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.tui.deviation import Deviation
 from hilcell.tui.digits import large
 from hilcell.tui.glyphs import Glyphs
-from hilcell.tui.scene import DeviceStatus, Engine, Scene
+from hilcell.tui.scene import DeviceStatus, EngineState, Scene
 
 STATES = {
     "looking": ("LOOKING", "quiet"),
@@ -33,11 +33,11 @@ STATES = {
 }
 NOT_E_STOP = "software stop; not the E-stop"
 NOTHING = {  # where there is no plan in the journal
-    Engine.UNKNOWN: "reading ...",
-    Engine.NONE: "nothing was recorded",
-    Engine.STARTING: "the engine starts ...",
-    Engine.HEARD: "nothing to see yet",
-    Engine.SILENT: "nothing to see yet",
+    EngineState.UNKNOWN: "reading ...",
+    EngineState.NONE: "nothing was recorded",
+    EngineState.STARTING: "the engine starts ...",
+    EngineState.HEARD: "nothing to see yet",
+    EngineState.SILENT: "nothing to see yet",
 }
 SHORT = 4
 MOST_OF_A_NAME = 20
@@ -61,7 +61,7 @@ def banner(scene: Scene, glyphs: Glyphs, width: int, behind: Scene | None = None
     ``behind``: the live run that was left to look at this one.
     """
     parts = [state_block(scene, glyphs)]
-    if scene.engine is not Engine.UNKNOWN:
+    if scene.engine is not EngineState.UNKNOWN:
         word, tone = ("LIVE", "info") if scene.live else ("HISTORIC", "quiet")
         parts += [Content(" "), inverse(word, tone)]
     if scene.log.plan is not None and scene.log.plan.simulated:

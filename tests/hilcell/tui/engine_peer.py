@@ -15,6 +15,7 @@ from typing import Any, Self
 import msgspec
 
 from hilcell.run.control import EngineFile
+from tests.hilcell.tui.lines import LIMIT_S
 
 STATUS: dict[str, Any] = {
     "ok": True, "run": "r", "state": "running", "calibration": "grid", "points": 3,
@@ -131,3 +132,18 @@ class Peer:
         with self._changed:
             self.heard.append((number, command))
             self._changed.notify_all()
+
+
+class Gate:
+    """Answers as usual, but holds answers up, all or those to one command, until it is opened."""
+
+    def __init__(self, held: str = "") -> None:
+        self.held = held
+        self.asked, self.open = threading.Event(), threading.Event()
+
+    def answer(self, words: dict[str, str]) -> bytes:
+        """Give an answer, when it may go."""
+        if self.held in ("", words["command"]):
+            self.asked.set()
+            assert self.open.wait(LIMIT_S)
+        return usual(words)

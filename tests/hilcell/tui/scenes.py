@@ -13,7 +13,7 @@ from hilcell.cell import load_cell
 from hilcell.run.journal import Kind, Record
 from hilcell.run.seat import seat_prompt
 from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import DeviceStatus, Engine, Interlock, Prompt, Status
+from hilcell.tui.scene import DeviceStatus, EngineState, Interlock, Prompt, Status
 
 BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
 RUN = "20260304-080000-calibrate-ab12"
@@ -182,9 +182,9 @@ PROMPT = Prompt(
 
 def fresh(name: str) -> Fresh:
     """Return what one look at a run in a state brings."""
-    unheard = {"silent": Engine.SILENT, "looking": Engine.UNKNOWN}
-    engine = Engine.HEARD if name in HEARD else unheard.get(name, Engine.NONE)
-    told = status(name) if engine in (Engine.HEARD, Engine.SILENT) else None
+    unheard = {"silent": EngineState.SILENT, "looking": EngineState.UNKNOWN}
+    engine = EngineState.HEARD if name in HEARD else unheard.get(name, EngineState.NONE)
+    told = status(name) if engine in (EngineState.HEARD, EngineState.SILENT) else None
     trouble = "journal: damaged or not a journal" if name == "unreadable" else ""
     return Fresh(stories()[name].records, engine, told, trouble)
 

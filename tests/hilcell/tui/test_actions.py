@@ -12,7 +12,7 @@ from hilcell.tui.app import Delivered
 from hilcell.tui.feed import Fresh
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.rows import Rows
-from hilcell.tui.scene import Engine
+from hilcell.tui.scene import EngineState
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.history import HistoryPage
@@ -176,10 +176,10 @@ def test_a_question_about_a_run_ends_with_it(key: str) -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, key)
         assert isinstance(app.screen, Confirm)
-        app.post_message(Delivered(app.heard, Fresh([], engine=Engine.HEARD)))
+        app.post_message(Delivered(app.heard, Fresh([], engine=EngineState.HEARD)))
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
-        app.post_message(Delivered(app.heard, Fresh([], engine=Engine.NONE)))
+        app.post_message(Delivered(app.heard, Fresh([], engine=EngineState.NONE)))
         await settle(pilot)
         assert isinstance(app.screen, RunScreen)
 
@@ -191,15 +191,15 @@ def test_what_was_said_about_a_moment_goes_with_it() -> None:
         waiting = msgspec.structs.replace(PROMPT, ready=False, seen_mm=9.0)
         asked = msgspec.structs.replace(status("suspended"), prompt=waiting)
         app.heard.take(
-            Fresh([], engine=Engine.HEARD, status=asked), app.heard.scene.now or utc_now()
+            Fresh([], engine=EngineState.HEARD, status=asked), app.heard.scene.now or utc_now()
         )
         app._show()
         await press(pilot, "enter")
         assert "Enter works when" in text_of(app)
-        app.heard.take(Fresh([], engine=Engine.HEARD, status=asked), utc_now())
+        app.heard.take(Fresh([], engine=EngineState.HEARD, status=asked), utc_now())
         app._show()
         assert "Enter works when" in text_of(app)
-        app.heard.take(Fresh([], engine=Engine.HEARD, status=status("suspended")), utc_now())
+        app.heard.take(Fresh([], engine=EngineState.HEARD, status=status("suspended")), utc_now())
         app._show()
         await settle(pilot)
         assert "Enter works when" not in text_of(app)

@@ -6,19 +6,19 @@ from pathlib import Path
 
 from hilcell.tui.attached import Attached
 from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import Engine
+from hilcell.tui.scene import EngineState
 from hilcell.tui.session import utc_now
 from tests.hilcell.tui.stage import Listener
 
 
 def session(name: str, *, live: bool) -> Listener:
     found = Listener(Path("/runs") / name)
-    found.take(Fresh([], Engine.HEARD if live else Engine.NONE), utc_now())
+    found.take(Fresh([], EngineState.HEARD if live else EngineState.NONE), utc_now())
     return found
 
 
 def end(listener: Listener) -> None:
-    listener.take(Fresh([], Engine.NONE), utc_now())
+    listener.take(Fresh([], EngineState.NONE), utc_now())
 
 
 def test_an_ended_run_that_is_left_is_let_go() -> None:

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from hilcell.tui.feed import Feed, Fresh
-from hilcell.tui.scene import Engine
+from hilcell.tui.scene import EngineState
 from tests.hilcell.report.journals import Writer
-from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
+from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Gate, Peer, says, usual
 from tests.hilcell.tui.lines import LIMIT_S, PERIOD_S, nothing_left_open, short
 
 __all__ = ["nothing_left_open", "short"]
@@ -63,7 +63,7 @@ def test_it_brings_the_journal_and_then_what_is_new(tmp_path: Path) -> None:
     screen.feed.start()
     first = screen.until(lambda fresh: bool(fresh.records))
     assert [record.kind for record in first.records][:2] == ["plan", "state"]
-    assert (first.engine, first.status) == (Engine.NONE, None)
+    assert (first.engine, first.status) == (EngineState.NONE, None)
     writer.point("grid/0", "grid", (1.0, 2.0, 3.0))
     second = screen.until(lambda fresh: bool(fresh.records))
     assert [record.key for record in second.records] == ["grid/0"]
@@ -76,7 +76,7 @@ def test_it_attends_asks_and_leaves(tmp_path: Path) -> None:
         screen = Screen(tmp_path)
         screen.feed.start()
         fresh = screen.until(lambda fresh: fresh.status is not None)
-        assert fresh.engine is Engine.HEARD
+        assert fresh.engine is EngineState.HEARD
         assert fresh.status is not None
         assert fresh.status.devices["rail"].text == "1100.20 mm"
         assert peer.commands == ["attend"]
@@ -86,19 +86,12 @@ def test_it_attends_asks_and_leaves(tmp_path: Path) -> None:
 
 
 def test_leaving_waits_for_the_answer_that_is_owed(tmp_path: Path) -> None:
-    asked, go_on = threading.Event(), threading.Event()
-
-    def slowly(words: dict[str, str]) -> bytes:
-        if words["command"] == "status":
-            asked.set()
-            assert go_on.wait(LIMIT_S)
-        return usual(words)
-
-    with Peer(tmp_path, slowly) as peer:
+    gate = Gate("status")
+    with Peer(tmp_path, gate.answer) as peer:
         screen = Screen(tmp_path)
         screen.feed.start()
-        assert asked.wait(LIMIT_S)
-        threading.Timer(0.05, go_on.set).start()
+        assert gate.asked.wait(LIMIT_S)
+        threading.Timer(0.05, gate.open.set).start()
         screen.close(leave=True)
         peer.until(lambda: peer.open == 0)
         assert peer.commands == ["attend", "leave"]
@@ -136,7 +129,7 @@ def test_a_line_that_ends_is_opened_again(tmp_path: Path) -> None:
         peer.hang_up()
         screen.until(lambda fresh: fresh.status is None)
         peer.until(lambda: peer.commands.count("attend") == 2)
-        assert screen.until(lambda fresh: fresh.status is not None).engine is Engine.HEARD
+        assert screen.until(lambda fresh: fresh.status is not None).engine is EngineState.HEARD
         screen.close()
         peer.until(lambda: peer.open == 0)
 
@@ -156,9 +149,9 @@ def test_an_engine_gone_mad_is_asked_anew_until_it_is_well(
         screen.until(lambda fresh: fresh.status is not None)
         mad.set()
         lost = screen.until(lambda fresh: fresh.status is None)
-        assert lost.engine is (Engine.SILENT if answer == SILENCE else Engine.NONE)
+        assert lost.engine is (EngineState.SILENT if answer == SILENCE else EngineState.NONE)
         mad.clear()
-        assert screen.until(lambda fresh: fresh.status is not None).engine is Engine.HEARD
+        assert screen.until(lambda fresh: fresh.status is not None).engine is EngineState.HEARD
         screen.close()
         peer.until(lambda: peer.open == 0)
 
@@ -186,28 +179,23 @@ def test_a_status_that_makes_no_sense_leaves_the_last_to_grow_stale(
         screen.feed.start()
         screen.until(lambda fresh: fresh.status is not None)
         odd.set()
-        assert screen.until(lambda fresh: fresh.status is None).engine is Engine.HEARD
+        assert screen.until(lambda fresh: fresh.status is None).engine is EngineState.HEARD
         odd.clear()
         screen.until(lambda fresh: fresh.status is not None)
         screen.close()
 
 
 def test_an_engine_that_only_stood_still_is_heard_on_the_same_line(tmp_path: Path) -> None:
-    goes = threading.Event()
-    goes.set()
-
-    def answer(words: dict[str, str]) -> bytes:
-        assert goes.wait(LIMIT_S)
-        return usual(words)
-
-    with Peer(tmp_path, answer) as peer:
+    gate = Gate()
+    gate.open.set()
+    with Peer(tmp_path, gate.answer) as peer:
         screen = Screen(tmp_path)
         screen.feed.start()
         screen.until(lambda fresh: fresh.status is not None)
-        goes.clear()
-        assert screen.until(lambda fresh: fresh.status is None).engine is Engine.SILENT
-        goes.set()
-        assert screen.until(lambda fresh: fresh.status is not None).engine is Engine.HEARD
+        gate.open.clear()
+        assert screen.until(lambda fresh: fresh.status is None).engine is EngineState.SILENT
+        gate.open.set()
+        assert screen.until(lambda fresh: fresh.status is not None).engine is EngineState.HEARD
         assert peer.commands == ["attend"]
         screen.close()
 
@@ -224,18 +212,12 @@ def test_what_is_asked_for_is_looked_at_soon(tmp_path: Path) -> None:
 
 
 def test_closing_while_a_line_is_being_opened_leaves_nothing_open(tmp_path: Path) -> None:
-    begun, go_on = threading.Event(), threading.Event()
-
-    def slowly(words: dict[str, str]) -> bytes:
-        begun.set()
-        assert go_on.wait(LIMIT_S)
-        return usual(words)
-
-    with Peer(tmp_path, slowly) as peer:
+    gate = Gate()
+    with Peer(tmp_path, gate.answer) as peer:
         screen = Screen(tmp_path)
         screen.feed.start()
-        assert begun.wait(LIMIT_S)
-        go_on.set()
+        assert gate.asked.wait(LIMIT_S)
+        gate.open.set()
         screen.close()
         peer.until(lambda: peer.open == 0)
 

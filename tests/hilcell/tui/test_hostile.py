@@ -14,7 +14,7 @@ from textual.widgets import Input
 from hilcell.errors import HilcellError
 from hilcell.tui import engine
 from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import Engine
+from hilcell.tui.scene import EngineState
 from hilcell.tui.screens import start
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
@@ -231,7 +231,9 @@ def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -
 @pytest.mark.parametrize("state", sorted(LIVE))
 def test_an_engine_whose_journal_cannot_be_read_yet_breaks_nothing(state: str) -> None:
     async def play() -> str:
-        app = Stage(options(RUNS), brought=Fresh([], engine=Engine.HEARD, status=status(state)))
+        app = Stage(
+            options(RUNS), brought=Fresh([], engine=EngineState.HEARD, status=status(state))
+        )
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             for page in ("e", "i", "l", "p", "question_mark"):

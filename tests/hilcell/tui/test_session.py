@@ -15,7 +15,7 @@ import pytest
 from hilcell.errors import HilcellError
 from hilcell.tui import link as links
 from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import Engine
+from hilcell.tui.scene import EngineState
 from hilcell.tui.session import Session, utc_now
 from tests.hilcell.tui.engine_peer import Peer, usual
 from tests.hilcell.tui.lines import LIMIT_S, PERIOD_S, nothing_left_open, short
@@ -81,7 +81,7 @@ def test_a_stop_ends_an_engine_that_hears_nobody_yet(tmp_path: Path) -> None:
 def test_an_engine_that_was_heard_once_is_never_killed(tmp_path: Path) -> None:
     with child() as process:
         session = Session(tmp_path, lambda _: None, PERIOD_S, process)
-        session.take(Fresh([], engine=Engine.HEARD), utc_now())
-        session.take(Fresh([], engine=Engine.NONE), utc_now())
+        session.take(Fresh([], engine=EngineState.HEARD), utc_now())
+        session.take(Fresh([], engine=EngineState.NONE), utc_now())
         assert not session.stop()
         assert process.poll() is None

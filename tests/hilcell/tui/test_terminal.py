@@ -17,7 +17,7 @@ import pytest
 
 from hilcell.run.journal import Journal, Record
 from hilcell.runs import JOURNAL
-from hilcell.tui.scene import Engine, Status
+from hilcell.tui.scene import EngineState, Status
 from tests.hilcell.tui.engine_peer import STATUS, Peer, says
 from tests.hilcell.tui.hostile import NASTY, poisoned
 from tests.hilcell.tui.scenes import fresh, status, stories
@@ -97,7 +97,7 @@ def test_no_hostile_byte_reaches_the_terminal(tmp_path: Path, state: str) -> Non
     write(Path(os.fsdecode(named)), fresh("done").records)
     words = ["tui", NAME, "--runs", str(folder.parent)]
     with Peer(folder, lambda _: says(told(found.status))) as peer, Terminal(words) as terminal:
-        if found.engine is Engine.NONE:
+        if found.engine is EngineState.NONE:
             peer.hang_up()
             (folder / "engine.json").unlink()
         terminal.shows("PWNED")
