@@ -429,6 +429,19 @@ def test_a_point_is_measured_anew_after_a_question(state: str) -> None:
         assert [words[-2:] for _, words in app.acts.engines] == [["--retake", "grid/0-0-4"]]
 
 
+@pytest.mark.parametrize("unattended", [True, False])
+def test_a_run_is_resumed_as_it_was_begun(unattended: bool) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        log = app.heard.scene.log
+        log.plan = msgspec.structs.replace(log.inputs, unattended=unattended)
+        await press(pilot, "space", "enter")
+
+    app = play(act, "gone")
+    [(folder, words)] = app.acts.engines
+    assert words[:4] == ["resume", folder.name, "--runs", str(folder.parent)]
+    assert ("--unattended" in words) == unattended
+
+
 def test_a_point_that_may_not_be_measured_anew_says_why() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, "home", "r")
