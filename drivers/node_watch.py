@@ -1,7 +1,7 @@
 """What one CANopen node says unasked: heartbeat, boot-up, emergencies (CiA 301, 7.2.8 and 7.2.7).
 
 The trap: a node that was reset is back within a second with its settings lost. Its boot-up frame
-is the only witness, so one that comes after `arm` is a failure like any other.
+is the only witness, so one that comes once the node is being set up is a failure.
 """
 
 from __future__ import annotations
@@ -20,31 +20,29 @@ _EMCY = struct.Struct("<HB5s")
 
 
 class NodeWatch:
-    """Listens to one node; ``check`` raises the first thing that went wrong since ``arm``."""
+    """Listens to one node; ``check`` raises the first thing that went wrong."""
 
     def __init__(self, device: str, link: CanLink, node: int) -> None:
         self.state: int | None = None
         self._device, self._node = device, node
         self._heard_s = 0.0
-        self._armed = False
+        self._set_up = self._armed = False
         self._failure = ""
         link.subscribe(0x700 + node, self._on_heartbeat)
         link.subscribe(0x080 + node, self._on_emergency)
 
+    def begin_set_up(self) -> None:
+        """Take a boot-up from now on as a failure: what has been set would be lost."""
+        self._set_up = True
+
     def arm(self) -> None:
-        """Take everything that comes from now on as a failure."""
-        self._failure = ""
+        """Take emergencies and silence from now on as failures, too."""
         self._armed = True
 
     def check(self, operation: str) -> None:
         """Raise `DeviceError` for an emergency, a boot-up, or a heartbeat that is too old."""
-        if not self._armed:
-            return
-        age_s = time.monotonic() - self._heard_s
-        if not self._failure and not age_s <= HEARTBEAT_AGE_S:
-            self._failure = f"no heartbeat for {age_s:.1f} s"
-        if not self._failure and self.state != OPERATIONAL:
-            self._failure = f"NMT state 0x{self.state or 0:02X}, not operational"
+        if self._armed and not self._failure:
+            self._failure = self._missing()
         if self._failure:
             raise DeviceError(
                 self._device,
@@ -53,10 +51,18 @@ class NodeWatch:
                 act="put the cause right, then resume; home the rail after a reset of its drive",
             )
 
+    def _missing(self) -> str:
+        age_s = time.monotonic() - self._heard_s
+        if not age_s <= HEARTBEAT_AGE_S:
+            return f"no heartbeat for {age_s:.1f} s"
+        if self.state != OPERATIONAL:
+            return f"NMT state 0x{self.state or 0:02X}, not operational"
+        return ""
+
     def _on_heartbeat(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         self.state = data[0] & 0x7F
         self._heard_s = time.monotonic()
-        if self._armed and self.state == BOOT_UP:
+        if self._set_up and self.state == BOOT_UP:
             self._fail("unexpected boot-up: the node was reset")
 
     def _on_emergency(self, _cob_id: int, data: bytearray, _at_s: float) -> None:

@@ -181,6 +181,26 @@ class CanopenRail:
         )
         image = ProcessImage(link, options.drive_node, options.strip_node)
         identities = self._identify(drive_sdo, strip_sdo)
+        for watch in self._watches:
+            watch.begin_set_up()
+        try:
+            self._configure(link, drive_sdo, strip_sdo, image)
+        except DeviceError:
+            self._check_nodes("connect")  # one that was reset meanwhile is the cause
+            raise
+        drive = Drive(image, drive_sdo, self._clock, self._limits(), self._check_nodes)
+        drive.reset_fault()
+        for watch in self._watches:
+            watch.arm()
+        drive.disable("connect")
+        self._image, self._drive, self._drive_sdo = image, drive, drive_sdo
+        return identities
+
+    def _configure(
+        self, link: CanLink, drive_sdo: SdoChannel, strip_sdo: SdoChannel, image: ProcessImage
+    ) -> None:
+        """Set both nodes up and start them; raises `DeviceError`."""
+        options = self._options
         for node in (options.drive_node, options.strip_node):
             link.send(NMT, bytes((NMT_PRE_OPERATIONAL, node)))
         link.start_heartbeat(options.heartbeat_node)
@@ -200,13 +220,7 @@ class CanopenRail:
         for node in (options.drive_node, options.strip_node):
             link.send(NMT, bytes((NMT_START, node)))
         self._await_operational(link)
-        drive = Drive(image, drive_sdo, self._clock, self._limits(), self._check_nodes)
-        drive.reset_fault()
-        for watch in self._watches:
-            watch.arm()
-        drive.disable("connect")
-        self._image, self._drive, self._drive_sdo = image, drive, drive_sdo
-        return identities
+        self._check_nodes("connect")
 
     def _channel(self, link: CanLink, node: int, eds: str) -> SdoChannel:
         with resources.as_file(resources.files("drivers") / "eds" / eds) as path:

@@ -14,7 +14,7 @@ from drivers.rail_canopen import CanopenRail
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError, DeviceRefused, Rail, Stopped
 from tests.drivers import can_peer
-from tests.drivers.can_peer import DRIVE, ENABLED, FAULT, STRIP, CanPeer, u16, u32
+from tests.drivers.can_peer import DRIVE, ENABLED, FAULT, STRIP, CanPeer, drive_objects, u16, u32
 from tests.drivers.peers import wall_clock
 
 
@@ -153,6 +153,24 @@ def test_a_setting_that_does_not_hold_is_refused(peer: CanPeer) -> None:
 
     peer.objects[DRIVE] = Stubborn(peer.objects[DRIVE])
     with pytest.raises(DeviceError, match=r"write 605Ah:00: reads back as 1, wanted 2"):
+        rail_for(peer).connect()
+
+
+@pytest.mark.parametrize(
+    ("node", "written"), [(DRIVE, (0x1016, 1)), (DRIVE, (0x1A00, 0)), (STRIP, (0x1A00, 0))]
+)
+def test_a_drive_that_is_reset_while_nodes_are_set_up_is_named(
+    peer: CanPeer, node: int, written: tuple[int, int]
+) -> None:
+    class Watched(dict[tuple[int, int], bytes]):
+        def __setitem__(self, key: tuple[int, int], value: bytes) -> None:
+            super().__setitem__(key, value)
+            if key == written:
+                peer.objects[DRIVE].update(drive_objects())  # its self-stop is gone, too
+                peer.send(0x705, b"\0")
+
+    peer.objects[node] = Watched(peer.objects[node])
+    with pytest.raises(DeviceError, match="node 5: unexpected boot-up: the node was reset"):
         rail_for(peer).connect()
 
 
