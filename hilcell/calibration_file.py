@@ -28,7 +28,6 @@ from hilcell.writing import write_whole
 SCHEMA = 2  # 2: sealed
 SEAL = "seal"
 ORIENTATION_TOLERANCE_DEG = 2.0
-NAME = "calibration.json"
 
 
 def calibration_of(log: Log, run: str) -> Calibration:

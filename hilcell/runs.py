@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hilcell.run.log import Log
 
 JOURNAL = "journal.sqlite"
+CALIBRATION = "calibration.json"
 
 
 def new_run(procedure: str) -> str:

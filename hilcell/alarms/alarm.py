@@ -51,10 +51,13 @@ class _Moment:
     severity: Severity | None = None
 
 
-def alarms_of(log: Log, run: str, *, live: bool, go_on: str = GO_ON) -> list[Alarm]:
+def alarms_of(
+    log: Log, run: str, *, live: bool, go_on: str = GO_ON, lost: bool = False
+) -> list[Alarm]:
     """Return the alarms of a run, newest last; ``live`` tells whether its engine is at work.
 
-    ``go_on`` is the key that lets a run continue, as the screen has it.
+    ``go_on`` is the key that lets a run continue, as the screen has it; ``lost`` tells that the
+    calibration's file is not there.
 
     What no record dates (verdicts, temperature) stands first.
     """
@@ -64,6 +67,7 @@ def alarms_of(log: Log, run: str, *, live: bool, go_on: str = GO_ON) -> list[Ala
     session = [record for record in log.events if record.seq > began]
     moments = [*_temperature(log), *_verdicts(log), *_events(session), *_strip(log, session)]
     moments += _end(log, session, live=live)
+    moments += _lost(log) if lost and not live else []
     moments.sort(key=lambda moment: moment.seq)
     over = not live or log.states["run"] in OVER
     return [_alarm(moment, run, go_on, over=over) for moment in moments]
@@ -203,6 +207,13 @@ def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
         t, seq = (final.t, final.seq) if final is not None else (t, seq)
         yield _Moment(Finding("Cell", "crash", found), t, seq)
     yield from _refused(end, told, t, seq)
+
+
+def _lost(log: Log) -> Iterator[_Moment]:
+    """Yield that the calibration's file is not there, where the run has ended with one."""
+    if log.calibrates:
+        final = log.life[-1]
+        yield _Moment(Finding("Cell", "calibration", "it has no file"), final.t, final.seq)
 
 
 def _causes(reason: str, body: dict[str, Any], *, broken: bool) -> list[Finding]:

@@ -7,13 +7,13 @@ import os
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hilcell.calibration_file import NAME, compensate_targets, read_calibration
+from hilcell.calibration_file import compensate_targets, read_calibration
 from hilcell.calibration_form import Calibration
 from hilcell.cell import Cell, load_cell
 from hilcell.commands.common import say
 from hilcell.faces import print_table
 from hilcell.programs import is_program, load_program, write_program
-from hilcell.runs import find_run
+from hilcell.runs import CALIBRATION, find_run
 from hilcell.targets import read_targets, write_targets
 from hilcell.telling import tell
 from hilcell.turns import check_turns
@@ -45,7 +45,7 @@ def compensate(args: argparse.Namespace) -> int:
     """Write corrected targets, or a corrected program, for one station."""
     where = Path(args.calibration)
     is_file = os.path.isfile(where)  # noqa: PTH113 - Path.is_file raises for a name too long
-    path = where if is_file else find_run(args.runs, args.calibration) / NAME
+    path = where if is_file else find_run(args.runs, args.calibration) / CALIBRATION
     calibration = read_calibration(path)
     cell = load_cell(args.cell, dict(args.set)) if args.cell else None
     check_fitness(

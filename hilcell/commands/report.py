@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from hilcell.calibration_file import NAME
 from hilcell.report.facts import read_facts
-from hilcell.runs import JOURNAL, find_run
+from hilcell.runs import CALIBRATION, JOURNAL, find_run
 from hilcell.telling import tell
 from hilcell.writing import write_whole
 
@@ -37,4 +36,4 @@ def export(args: argparse.Namespace) -> int:
 
 def _files(folder: Path) -> list[Path]:
     """Return what a run is made of: none of it can be made again from the others."""
-    return [*folder.glob(f"{JOURNAL}*"), folder / NAME]
+    return [*folder.glob(f"{JOURNAL}*"), folder / CALIBRATION]

@@ -15,7 +15,6 @@ from typing import Any
 import msgspec
 
 from hilcell import __version__
-from hilcell.calibration_file import NAME as CALIBRATION_NAME
 from hilcell.calibration_file import calibration_of, write_calibration
 from hilcell.cell import Cell, load_cell
 from hilcell.clock import WallClock
@@ -32,7 +31,7 @@ from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
 from hilcell.run.signals import stopped_by_signals
-from hilcell.runs import JOURNAL, find_run, make_folder, new_run, read_log
+from hilcell.runs import CALIBRATION, JOURNAL, find_run, make_folder, new_run, read_log
 from hilcell.telling import tell
 from hilcell.writing import NotWritten
 
@@ -73,7 +72,8 @@ def resume(args: argparse.Namespace) -> int:
     anew = [key for key in args.retake if key not in log.retakes]
     if refusals := [why for key in anew if (why := retake_refusal(log, key))]:
         raise HilcellError("\n".join(refusals))
-    over = log.states["run"] == "finished" and log.end is not None and _calibrated(log, folder)
+    written = not log.calibrates or (folder / CALIBRATION).is_file()
+    over = log.states["run"] == "finished" and log.end is not None and written
     if over and not (anew or log.retakes):
         raise HilcellError(f"run {folder.name} is finished; start a new one with `hilcell run`")
     check_attended(cell, unattended=args.unattended)
@@ -105,10 +105,6 @@ def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
     return 0
 
 
-def _calibrated(log: Log, folder: Path) -> bool:
-    return "fit" not in log.verdicts or (folder / CALIBRATION_NAME).is_file()
-
-
 def _perform(
     cell: Cell,
     procedure: Procedure,
@@ -123,14 +119,10 @@ def _perform(
         stack.callback(journal.close)
         stack.enter_context(face)
         if log.states["run"] == "finished" and not log.retakes:
-            code, fault = finish(procedure, journal, log), None
+            code = finish(procedure, journal, log)
+            code, fault = _with_calibration(code, None, log, journal.run, folder)
         else:
             code, fault = _run(cell, procedure, journal, log, folder, args)
-        if log.states["run"] == "finished" and "fit" in log.verdicts:
-            try:
-                write_calibration(calibration_of(log, journal.run), folder / CALIBRATION_NAME)
-            except NotWritten as error:
-                code, fault = EXIT_STORAGE, error
     face.close(code, log, fault)
     print_end(folder, log, procedure, face, fault)
     if code in RESUMABLE:
@@ -172,7 +164,8 @@ def _run(
                 ordered=args.screen,
             )
             stack.callback(Control(folder, runner).close)
-            return runner.run(), runner.fault
+            # While its engine is there: afterwards a file that is missing is a lost one.
+            return _with_calibration(runner.run(), runner.fault, log, journal.run, folder)
     except (HilcellError, Stopped) as error:
         code, state = exit_code(error), log.states["run"]
         body = {"state": state, "exit": code, "result": {}, "reason": str(error)}
@@ -181,6 +174,18 @@ def _run(
         except StorageError as unwritten:  # a disk that takes no engine takes no end either
             return EXIT_STORAGE, unwritten
         return code, error
+
+
+def _with_calibration(
+    code: int, fault: Exception | None, log: Log, run: str, folder: Path
+) -> tuple[int, Exception | None]:
+    """Write the calibration that a run has ended with; a file that cannot be written is told."""
+    if log.calibrates:
+        try:
+            write_calibration(calibration_of(log, run), folder / CALIBRATION)
+        except NotWritten as error:
+            return EXIT_STORAGE, error
+    return code, fault
 
 
 def _face(as_json: bool, run: str, points: int, journal: Journal) -> Face:

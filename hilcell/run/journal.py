@@ -148,7 +148,7 @@ def _plain(value: Any) -> Any:
 
 
 def is_there(path: Path) -> bool:
-    """Whether a journal is at a path; raises `OSError` where that cannot be told."""
+    """Whether a file is at a path; raises `OSError` where that cannot be told."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError as error:

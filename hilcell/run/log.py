@@ -146,6 +146,11 @@ class Log:
             self.fault = str(body.get("reason", ""))
 
     @property
+    def calibrates(self) -> bool:
+        """Whether the run has ended with a calibration, which has a file of its own."""
+        return self.states["run"] == "finished" and "fit" in self.verdicts
+
+    @property
     def cell(self) -> Cell:
         """Return the cell as it was frozen when the run began."""
         if self._cell is None:

@@ -15,8 +15,8 @@ from pathlib import Path
 import msgspec
 
 from hilcell.errors import HilcellError
-from hilcell.run.journal import Record, StorageError, read_journal
-from hilcell.runs import JOURNAL
+from hilcell.run.journal import Record, StorageError, is_there, read_journal
+from hilcell.runs import CALIBRATION, JOURNAL
 from hilcell.tui.link import Link, LinkLostError, LinkSilentError
 from hilcell.tui.scene import EngineState, Status
 
@@ -32,6 +32,7 @@ class Fresh:
     engine: EngineState = EngineState.NONE
     status: Status | None = None
     trouble: str = ""
+    calibrated: bool = True  # whether a calibration has its file; looked at after the engine's end
 
 
 class Feed:
@@ -87,10 +88,18 @@ class Feed:
         try:
             records = read_journal(self.folder / JOURNAL, after=self._seen)
         except StorageError as error:
-            waits = engine is not EngineState.NONE or not (self.folder / JOURNAL).is_file()
+            waits = engine is not EngineState.NONE or self._lacks(JOURNAL)
             return Fresh([], engine, status, "" if waits and not self._seen else str(error))
         self._seen += len(records)
-        return Fresh(records, engine, status)
+        calibrated = engine is not EngineState.NONE or not self._lacks(CALIBRATION)
+        return Fresh(records, engine, status, calibrated=calibrated)
+
+    def _lacks(self, name: str) -> bool:
+        """Whether a file is not there, as far as that can be told."""
+        try:
+            return not is_there(self.folder / name)
+        except OSError:
+            return False
 
     def _hear(self) -> tuple[EngineState, Status | None]:
         """Ask the engine how it is; what makes no sense leaves the lamps to grow stale."""

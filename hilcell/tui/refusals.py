@@ -39,7 +39,8 @@ def pause_command(scene: Scene | None) -> str:
     if scene is None or scene.key in ("looking", "silent"):
         return ""
     if not scene.live:
-        return "" if scene.key in ("done", "intolerant", "idle") else "resume"
+        over = scene.key in ("done", "intolerant", "idle") and not scene.lost
+        return "" if over else "resume"
     if scene.allows("pause") and scene.key != "pausing":
         return "pause"
     return "proceed" if scene.allows("proceed") or scene.key == "pausing" else ""

@@ -85,6 +85,7 @@ class Scene:
     run: str
     log: Log = field(default_factory=Log)
     trouble: str = ""  # why the journal cannot be read
+    calibrated: bool = True  # whether a calibration has its file
     engine: EngineState = EngineState.NONE
     status: Status | None = None
     heard_s: float = 0.0  # how old the status is
@@ -122,6 +123,11 @@ class Scene:
     def over(self) -> bool:
         """Whether the run has ended, by its journal."""
         return self.log.states["run"] in OVER and self.log.end is not None
+
+    @property
+    def lost(self) -> bool:
+        """Whether the run has ended with a calibration that has no file."""
+        return not self.calibrated and self.log.calibrates
 
     @property
     def key(self) -> str:

@@ -55,11 +55,15 @@ class Session:
         scene.trouble = self._foreign or fresh.trouble
         if fresh.status is not None:
             scene.status, self._heard = fresh.status, now
-        before, scene.engine = scene.engine, self._engine(fresh.engine)
-        news = scene.engine is not before or (fresh.records and not self._foreign)
+        before = scene.engine, scene.calibrated
+        scene.engine, scene.calibrated = self._engine(fresh.engine), fresh.calibrated
+        changed = (scene.engine, scene.calibrated) != before
+        news = changed or (fresh.records and not self._foreign)
         if news and scene.log.plan is not None:
             present = scene.engine is not EngineState.NONE
-            scene.alarms = alarms_of(scene.log, scene.run, live=present, go_on=self._go_on)
+            scene.alarms = alarms_of(
+                scene.log, scene.run, live=present, go_on=self._go_on, lost=scene.lost
+            )
             self.latch.take(scene.alarms)
         self.tick(now)
 

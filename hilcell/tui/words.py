@@ -333,6 +333,8 @@ def tolerance_line(found: Deviation, glyphs: Glyphs, width: int) -> Content:
 
 def prospect(scene: Scene | None) -> str:
     """Return what a resumed run will meet."""
+    if scene is not None and scene.lost:
+        return "Its calibration file is written; nothing moves."
     if scene is not None and any(alarm.anew for alarm in scene.alarms):
         return "Its fault wants a new run: resumed, it will most likely fault again."
     return (

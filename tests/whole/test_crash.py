@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from hilcell.exits import EXIT_STORAGE
 from tests.whole.bench import (
     SMALL,
     Engine,
@@ -193,3 +194,16 @@ def test_a_connection_that_breaks_is_resumed(tmp_path: Path, fault: str) -> None
     assert end_of(done)["state"] == "finished", done.stderr
     journal = events(hilcell("watch", engine.run, "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []
+
+
+def test_a_calibration_file_that_cannot_be_written_is_owed(tmp_path: Path) -> None:
+    file = tmp_path / "owing" / "calibration.json"
+    file.mkdir(parents=True)  # in the file's way
+    done = hilcell("run", "--name", "owing", "--json", "--runs", tmp_path, *sets(SMALL))
+    assert done.returncode == EXIT_STORAGE
+    assert str(file) in done.stderr
+    file.rmdir()
+    resumed = hilcell("resume", "owing", "--runs", tmp_path, "--json")
+    assert resumed.returncode == 0, resumed.stderr
+    assert events(resumed.stdout) == []  # nothing is measured, nothing moves
+    assert file.is_file()

@@ -55,5 +55,5 @@ def log_of(*rows: Row) -> Log:
     )
 
 
-def alarms(*rows: Row, live: bool = False) -> list[Alarm]:
-    return alarms_of(log_of(*rows), RUN, live=live)
+def alarms(*rows: Row, live: bool = False, lost: bool = False) -> list[Alarm]:
+    return alarms_of(log_of(*rows), RUN, live=live, lost=lost)

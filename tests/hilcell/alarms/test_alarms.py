@@ -37,6 +37,8 @@ HELD = {"station": "S1100", "tries": 2, "rail_mm": 1100.0, "strip_mm": 1100.0}
 DONE = (CLOSED, state("finished"), ended("", 0, "finished"))
 OVER = (*BEGUN, *DONE)
 
+NO_FILE = "HC-J11"  # no record tells of it, but the run's folder
+
 # What each of these records becomes; the sites that raise errors are another test's.
 BY_EVENTS: dict[str, tuple[Row, ...]] = {
     "HC-C02": (*BEGUN, event("safe stop", problems={"Robot": "Robot: write HC_STOP: gone"}), *DONE),
@@ -333,6 +335,27 @@ def test_a_device_s_hostile_words_stay_words() -> None:
 def test_a_reason_that_names_no_device_has_its_alarm(reason: str, code: str) -> None:
     (alarm,) = alarms(*BEGUN, state("faulted", reason=reason))
     assert alarm.code == code
+
+
+FITTED: Row = ("verdict", "fit", {"holds": True, "method": "idw"})
+
+
+def test_a_calibration_without_a_file_is_told_and_how_to_get_it() -> None:
+    (alarm,) = alarms(*BEGUN, FITTED, *DONE, lost=True)
+    assert (alarm.code, alarm.severity) == (NO_FILE, "warning")
+    assert alarm.do[-1] == f"Continue: space, or `hilcell resume {RUN}`."
+
+
+@pytest.mark.parametrize(
+    ("rows", "live"),
+    [
+        ((*BEGUN, FITTED, *DONE), True),  # its engine is just writing it
+        ((*BEGUN, *DONE), False),  # a procedure that calibrates nothing
+        ((*BEGUN, FITTED, state("aborted")), False),
+    ],
+)
+def test_a_run_that_owes_no_file_has_lost_none(rows: tuple[Row, ...], live: bool) -> None:
+    assert NO_FILE not in [alarm.code for alarm in alarms(*rows, live=live, lost=True)]
 
 
 def test_the_key_that_goes_on_is_the_screen_s_own() -> None:

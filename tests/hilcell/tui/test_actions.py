@@ -411,6 +411,23 @@ def test_enter_in_the_filter_answers_no_prompt() -> None:
     assert play(act, "suspended").heard.asked == []
 
 
+def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, "space")
+        assert isinstance(app.screen, RunScreen)
+        assert "the run is over" in text_of(app)
+        app.post_message(Delivered(app.heard, Fresh([], calibrated=False)))
+        await settle(pilot)
+        assert "HC-J11  Calibration without a file" in text_of(app)
+        assert "space resume" in text_of(app)
+        await press(pilot, "space")
+        assert "nothing moves" in text_of(app)
+        assert app.acts.engines == []
+        await press(pilot, "enter")
+
+    assert len(play(act, "done").acts.engines) == 1
+
+
 # -- measuring again -------------------------------------------------------------------------------
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.runs import CALIBRATION
 from hilcell.tui.feed import Feed, Fresh
 from hilcell.tui.scene import EngineState
 from tests.hilcell.report.journals import Writer
@@ -220,6 +222,39 @@ def test_closing_while_a_line_is_being_opened_leaves_nothing_open(tmp_path: Path
         gate.open.set()
         screen.close()
         peer.until(lambda: peer.open == 0)
+
+
+LOCKED = """
+import os, queue, sys
+from pathlib import Path
+from hilcell.tui.feed import Feed
+os.getuid() or os.setuid(65534)  # root may look everywhere
+looks = queue.Queue()
+Feed(Path(sys.argv[1]), looks.put, 0.02).start()
+print(looks.get(timeout=10).trouble, looks.get(timeout=10).trouble, sep="\\n")
+"""
+
+
+def test_a_folder_that_must_not_be_looked_into_is_told_at_each_look() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0)
+        done = subprocess.run(
+            [sys.executable, "-c", LOCKED, name], capture_output=True, text=True, check=False
+        )
+        Path(name).chmod(0o755)
+    why = f"journal {name}/journal.sqlite: cannot be read: Permission denied"
+    assert (done.stdout.splitlines(), done.stderr) == ([why, why], "")
+
+
+@pytest.mark.parametrize("written", [True, False])
+def test_it_tells_whether_a_calibration_has_its_file(tmp_path: Path, written: bool) -> None:
+    journal(tmp_path)
+    if written:
+        (tmp_path / CALIBRATION).write_text("{}")
+    screen = Screen(tmp_path)
+    screen.feed.start()
+    assert screen.until(lambda fresh: bool(fresh.records)).calibrated == written
+    screen.close()
 
 
 def test_a_journal_that_is_damaged_is_told(tmp_path: Path) -> None:
