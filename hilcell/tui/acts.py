@@ -36,9 +36,6 @@ class Host(Protocol):
     def attach(self, folder: Path, process: Any = None) -> None:
         """Show a run in place of the one shown."""
 
-    def push_screen(self, screen: Any) -> Any:
-        """Put a screen on top."""
-
 
 class Acts:
     """Turns what is pressed into commands to the engine, or into an engine's start."""
@@ -75,15 +72,21 @@ class Acts:
             lambda: self._command("abort"),
         )
 
-    def enter(self, key: str) -> None:
-        """Answer the prompt that is asked, or open the point with this key."""
+    def answer(self) -> None:
+        """Answer the prompt, where the engine hears it and the tracker sees the reflector."""
         session = self._host.session
-        if session is not None and session.scene.prompt is not None:
-            self._answer(session)
-        elif key:
-            from hilcell.tui.screens.pages import DetailPage
-
-            self._host.push_screen(DetailPage(key))
+        if session is None or session.scene.prompt is None:
+            return
+        if refused := unheard(session.scene):
+            self._host.say(refused)
+        elif session.scene.prompt.check and not session.scene.prompt.ready:
+            self._host.say(
+                "Enter works when the tracker sees the reflector in its place", for_now=True
+            )
+        elif not self._host.unhurried:
+            self._host.say("Enter in one burst with other keys is no answer: press it by itself")
+        else:
+            self._host.background(self._look_once_more(session))
 
     def retake(self, key: str) -> None:
         """Measure a point anew: in the live run, or by opening a finished one again."""
@@ -125,20 +128,6 @@ class Acts:
         started = engine.start(folder.parent, folder.name, words)
         self._host.attach(folder, started.process)
         self._host.background(_watch(started))
-
-    def _answer(self, session: Session) -> None:
-        """Answer the prompt, where the engine hears it and the tracker sees the reflector."""
-        scene = session.scene
-        if refused := unheard(scene):
-            self._host.say(refused)
-        elif scene.prompt is not None and scene.prompt.check and not scene.prompt.ready:
-            self._host.say(
-                "Enter works when the tracker sees the reflector in its place", for_now=True
-            )
-        elif not self._host.unhurried:
-            self._host.say("Enter in one burst with other keys is no answer: press it by itself")
-        else:
-            self._host.background(self._look_once_more(session))
 
     async def _look_once_more(self, session: Session) -> None:
         self._host.say("the tracker looks once more ...")

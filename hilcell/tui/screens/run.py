@@ -184,11 +184,20 @@ class RunScreen(Finding):
 
     def action_enter(self) -> None:
         """Answer the prompt, or open the chosen point."""
-        self.cell.acts.enter(self.query_one(Rows).key)
+        self._enter(self.query_one(Rows).key)
 
     def on_rows_chosen(self, message: Rows.Chosen) -> None:
         """Answer the prompt, or open the chosen point."""
-        self.cell.acts.enter(message.key)
+        self._enter(message.key)
+
+    def _enter(self, key: str) -> None:
+        scene = self.cell.scene
+        if scene is not None and scene.prompt is not None:
+            self.cell.acts.answer()
+        elif key:
+            from hilcell.tui.screens.pages import DetailPage
+
+            self.app.push_screen(DetailPage(key))
 
     # -- keys of this screen ------------------------------------------------------------------
 
