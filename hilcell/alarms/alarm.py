@@ -39,6 +39,7 @@ class Alarm:
     t: str
     seq: int
     anew: bool = False  # the run cannot go on: a new one is needed
+    passes: bool = False  # it goes when its cause has gone
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +92,7 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         moment.t,
         moment.seq,
         entry.then == "anew",
+        entry.passes,
     )
 
 

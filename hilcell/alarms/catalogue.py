@@ -47,6 +47,7 @@ class Entry:
     when: tuple[When, ...]
     severity: Severity = "fault"
     then: Literal["resume", "anew", "nothing"] = "resume"
+    passes: bool = False  # it tells how something stands, and goes when that is put right
 
     @property
     def specific(self) -> bool:

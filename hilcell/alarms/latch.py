@@ -1,8 +1,9 @@
 """Alarms latch at their highest severity until somebody has acknowledged them.
 
-A notice latches too, but is let go when the journal tells it no more: the screen that was lost is
-back, the run that was stopped goes on. No clock: what is new is told by the records that alarms
-come from, so the same journal, read again, counts nothing twice.
+A notice latches too, but is let go when it is told no more: the screen that was lost is back, the
+run that was stopped goes on. So is an alarm of how something stands (`Entry.passes`), and that one
+latches anew when it is told again. No clock: what is new is told by the records that alarms come
+from, so the same journal, read again, counts nothing twice.
 """
 
 from __future__ import annotations
@@ -35,20 +36,27 @@ class Latch:
 
     def __init__(self) -> None:
         self._latched: dict[str, Latched] = {}
-        self._seen: set[Mark] = set()
+        self._seen: dict[Mark, Alarm] = {}
 
     def take(self, alarms: Iterable[Alarm]) -> None:
         """Latch those that were not seen before; ``alarms`` are all that the journal tells now."""
         told = {_mark(alarm): alarm for alarm in alarms}
-        for each in self.standing():
-            mark = _mark(each.alarm)
-            if each.severity == "notice" and mark not in told:
-                del self._latched[each.alarm.code]
-                self._seen.discard(mark)
+        for mark, alarm in [*self._seen.items()]:
+            if mark not in told:
+                self._let_go(mark, alarm)
         for mark, alarm in told.items():
             if mark not in self._seen:
-                self._seen.add(mark)
+                self._seen[mark] = alarm
                 self._add(alarm)
+
+    def _let_go(self, mark: Mark, alarm: Alarm) -> None:
+        """Let go of what is told no more, where it is of a kind that goes by itself."""
+        latched = self._latched.get(alarm.code)
+        stands = latched is not None and _mark(latched.alarm) == mark
+        if alarm.passes or (stands and latched is not None and latched.severity == "notice"):
+            del self._seen[mark]
+            if stands:
+                del self._latched[alarm.code]
 
     def _add(self, alarm: Alarm) -> None:
         before = self._latched.pop(alarm.code, None)

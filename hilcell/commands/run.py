@@ -31,7 +31,7 @@ from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
 from hilcell.run.signals import stopped_by_signals
-from hilcell.runs import CALIBRATION, JOURNAL, find_run, make_folder, new_run, read_log
+from hilcell.runs import CALIBRATION, JOURNAL, find_run, is_run, make_folder, new_run, read_log
 from hilcell.telling import tell
 from hilcell.writing import NotWritten
 
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     name = args.name or new_run(procedure.name)
     folder: Path = args.runs / name
     with locked(lock_of_name(args.runs, cell.name), f"cell {cell.name}", name):
-        if (folder / JOURNAL).exists():
+        if is_run(folder):
             raise HilcellError(f"run {name} exists already in {args.runs}; choose another --name")
         make_folder(folder)
         journal = Journal(folder / JOURNAL, name, create=True)

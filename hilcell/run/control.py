@@ -26,7 +26,7 @@ from typing import Protocol
 import msgspec
 
 from hilcell.ports import HilcellError
-from hilcell.run.journal import StorageError
+from hilcell.run.journal import StorageError, is_there
 from hilcell.writing import NotWritten, write_whole
 
 ENGINE = "engine.json"  # in the run's folder, while its engine lives
@@ -251,9 +251,7 @@ def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
     """
     engine = live_engine(folder)
     if engine is None:
-        raise HilcellError(
-            f"run {folder.name}: no engine is running; `hilcell show` tells how it ended"
-        )
+        raise HilcellError(f"run {folder.name}: {_missing(folder)}")
     words = {"command": command} | in_time(command, ANSWER_S) | facts
     with socket.socket(socket.AF_UNIX) as link:
         link.settimeout(ANSWER_S)
@@ -270,6 +268,15 @@ def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
     if not answer:
         raise HilcellError(f"run {folder.name}: the engine has just ended; `hilcell show` tells")
     return msgspec.json.decode(answer, type=dict[str, object])
+
+
+def _missing(folder: Path) -> str:
+    """Return why no engine was found."""
+    try:
+        is_there(folder / ENGINE)
+    except OSError as error:
+        return f"whether its engine is running cannot be told: {error.strerror}"
+    return "no engine is running; `hilcell show` tells how it ended"
 
 
 def live_engine(folder: Path) -> EngineFile | None:

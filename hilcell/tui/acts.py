@@ -44,12 +44,14 @@ class Acts:
         self._host = host
 
     def do_pause(self) -> None:
-        """Pause, go on, or resume: whichever the state allows."""
+        """Pause, go on, answer what is asked, or resume: whichever the state allows."""
         session = self._host.session
         if session is None:
             return
         command = pause_command(session.scene)
-        if command == "pause":
+        if session.scene.prompt is not None:
+            self.answer()
+        elif command == "pause":
             self._command("pause")
         elif command == "resume":
             from hilcell.tui.words import prospect

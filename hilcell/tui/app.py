@@ -225,7 +225,8 @@ class HilcellApp(App[int]):
         session = message.session
         if session not in self.attached.all:
             return
-        was_live = session.scene.live
+        scene = session.scene
+        was_live, was_lost, trouble = scene.live, scene.lost, scene.trouble
         session.take(message.fresh, utc_now())
         if session is self.session and was_live and not self.live:
             self._close_questions()  # they were about a run that goes on
@@ -234,8 +235,17 @@ class HilcellApp(App[int]):
             from hilcell.tui.words import end_of
 
             self.say(end_of(ended.scene))
-        if session is self.session and session.scene.trouble:
-            self.say(session.scene.trouble, over=False)
+        if session is self.session:
+            self._tell(session.scene, was_lost=was_lost, trouble=trouble)
+
+    def _tell(self, scene: Scene, *, was_lost: bool, trouble: str) -> None:
+        """Say why the journal cannot be read, as long as it cannot, and what has come right."""
+        if scene.trouble:
+            self.say(scene.trouble, over=False)
+        elif trouble and isinstance(self.page, SceneScreen):
+            self.page.take_back(trouble)
+        if was_lost and not scene.lost:
+            self.say("the calibration has its file, calibration.json")
 
     def _tick(self) -> None:
         from hilcell.tui.session import utc_now
@@ -254,9 +264,8 @@ class HilcellApp(App[int]):
             self._collector.end()
 
     def _show(self) -> None:
-        top = self.screen
-        if isinstance(top, SceneScreen):
-            top.show_again()
+        if isinstance(self.page, SceneScreen):  # also under a question: nothing may seem fresh
+            self.page.show_again()
 
     def say(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
         """Say something on the line above the keys, as `SceneScreen.notice` does."""
@@ -286,6 +295,10 @@ class HilcellApp(App[int]):
             return ELSEWHERE[name]
         standing = self.session is not None and bool(self.latch.standing())
         return refusal(name, self.scene, behind=self.attached.behind is not None, standing=standing)
+
+    def label(self, name: str) -> str:
+        """Return what an action is called now, on the page that is shown."""
+        return self.page.label(name) if isinstance(self.page, SceneScreen) else BY_NAME[name].label
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Leave letters to a text box or a question, and the space bar to a choice."""
@@ -330,6 +343,8 @@ class HilcellApp(App[int]):
             self.say(said, for_now=sent)
         elif len(self.screen_stack) > 2:
             self.pop_screen()
+        elif self.session is not None:
+            self.say("STOP: nothing runs here; if anything moves, use the E-stop")
 
     def _close_questions(self) -> None:
         """Go back to the screen under whatever is asked, or under the palette."""
@@ -357,9 +372,11 @@ class HilcellApp(App[int]):
             self.push_screen(page)
 
     def action_command_palette(self) -> None:
-        """Show the palette."""
-        if not isinstance(self.screen, Palette):
-            self.push_screen(Palette(id="--command-palette"))
+        """Show the palette, or go back from it."""
+        if isinstance(self.screen, Palette):
+            self.pop_screen()
+        else:
+            self.push_screen(Palette())
 
     def do_acknowledge(self) -> None:
         """Acknowledge every alarm."""

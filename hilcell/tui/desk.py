@@ -53,6 +53,9 @@ class Desk(Protocol):
     def allowed(self, name: str) -> bool:
         """Whether an action does something now."""
 
+    def label(self, name: str) -> str:
+        """Return what an action is called now."""
+
     def do(self, name: str) -> None:
         """Do an action, where it is allowed."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hilcell.run.log import Log, Point
 
-CORRECTED = ("validate_idw", "validate_chosen")
+JUDGED = "validate_chosen"  # the paper's method is measured beside it, to be compared
 BAD_STATES = ("out", "noisy")
 
 
@@ -39,7 +39,7 @@ def deviation_of(log: Log, point: Point) -> Deviation | None:
     x, y, z = point.xyz_mm
     actual = [row[0] * x + row[1] * y + row[2] * z + row[3] for row in rows[:3]]
     error = [a - n for a, n in zip(actual, point.nominal_mm, strict=True)]
-    limit = log.cell.validation.max_tolerance_mm if point.group in CORRECTED else None
+    limit = log.cell.validation.max_tolerance_mm if point.group == JUDGED else None
     return Deviation(
         point.key, (error[0], error[1], error[2]), (actual[0], actual[1], actual[2]), limit
     )

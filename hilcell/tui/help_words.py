@@ -17,9 +17,14 @@ LINES = (
     ("lamps", "each device's last reading and its age; grey is too old to be trusted"),
     ("air", "temperature at the tracker, and its change since the first point"),
     ("interlocks", "the first reason why something may not move"),
-    ("dx dy dz |e|", "the newest point: actual - nominal in {W}, and |e| against its limit"),
+    ("dx dy dz |e|", "actual - nominal in the world {W}, and |e| against its limit"),
+    ("", "of the newest point while the run goes on, else of the chosen one"),
     ("alarm", "what it means and what to do; it stays until it is acknowledged"),
     ("points", "all points; up and down choose, Enter opens one"),
+    ("validate/...", "before: uncorrected; idw: by the paper's correction; chosen: by the"),
+    ("", "correction that is used, which alone is held against the tolerance"),
+    ("point's state", "ok; out: over its limit; noisy: its readings scatter too much"),
+    ("", "waits: to be measured anew; again: measured anew"),
 )
 STORY = (
     "A first calibration: choose `calibrate`, type your name, Enter shows the plan, Enter starts.",

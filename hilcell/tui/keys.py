@@ -91,11 +91,11 @@ def load_keys(path: Path | None) -> Keymap:
     """
     file = path or default_file()
     defaults = {action.name: action.keys for action in ACTIONS}
-    if path is None and not file.is_file():
-        return defaults
     try:
         table = tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
+        if path is None and isinstance(error, FileNotFoundError | NotADirectoryError):
+            return defaults
         raise SettingsError(str(file), [f"cannot be read: {error.strerror}"]) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise SettingsError(str(file), [f"cannot be read as TOML: {error}"]) from error

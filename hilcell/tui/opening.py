@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
-from hilcell.run.control import ENGINE, live_engine
+from hilcell.run.control import live_engine
 from hilcell.runs import find_run, run_folders
 
 LATER = (
@@ -29,6 +29,5 @@ def run_to_open(runs: Path, name: str) -> Path | None:
         importlib.import_module(module)
     if name:
         return find_run(runs, name)
-    with_engine = [folder for folder in run_folders(runs) if (folder / ENGINE).is_file()]
-    live = [folder for folder in with_engine if live_engine(folder) is not None]
+    live = [folder for folder in run_folders(runs) if live_engine(folder) is not None]
     return live[-1] if live else None

@@ -23,8 +23,8 @@ def point_page(scene: Scene, key: str) -> Content:
     if row.deviation is not None:
         found = row.deviation
         facts += [
-            ("nominal in {W}, mm", _numbers(point.nominal_mm or (), 3)),
-            ("measured in {W}, mm", _numbers(found.actual_mm, 3)),
+            ("nominal, world {W}, mm", _numbers(point.nominal_mm or (), 3)),
+            ("measured, world {W}, mm", _numbers(found.actual_mm, 3)),
             ("e = actual - nominal, mm", _numbers(found.error_mm, 4, sign="+")),
             ("|e|, mm", f"{found.norm_mm:.4f}"),
         ]
@@ -38,7 +38,7 @@ def point_page(scene: Scene, key: str) -> Content:
 
 def _measured(point: Point) -> list[tuple[str, str]]:
     facts = [
-        ("reading in {L}, mm", _numbers(point.xyz_mm, 4)),
+        ("reading, tracker {L}, mm", _numbers(point.xyz_mm, 4)),
         ("standard deviation, mm", f"{_numbers(point.std_mm, 4)}   rms {rms_of(point):.4f}"),
         ("samples", str(point.samples)),
         ("reflector", point.reflector),

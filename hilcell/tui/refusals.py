@@ -24,6 +24,7 @@ OF_A_RUN = frozenset(
     + ("alarms", "plots", "interlocks", "log", "report")
 )
 ONE_AT_A_TIME = "a run is live: stop, abort or detach from it first"
+NO_POINTS = "no point is measured yet"
 NO_RUN = "there is no run here to act on"
 NOT_LIVE = "no run is live"
 UNHEARD = {
@@ -85,6 +86,8 @@ def _abort_refusal(scene: Scene | None, *, behind: bool) -> str:
 
 
 def _retake_refusal(scene: Scene, *, behind: bool) -> str:
+    if not scene.log.points:
+        return NO_POINTS
     return unheard(scene) if scene.live else ONE_AT_A_TIME if behind else ""
 
 

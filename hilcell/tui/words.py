@@ -32,6 +32,7 @@ STATES = {
     "gone": ("ENGINE GONE", "bad"),
 }
 NOT_E_STOP = "software stop; not the E-stop"
+MOVES = "The robot and the rail will move"
 NOTHING = {  # where there is no plan in the journal
     EngineState.UNKNOWN: "reading ...",
     EngineState.NONE: "nothing was recorded",
@@ -144,7 +145,7 @@ def step(scene: Scene, width: int) -> Content:
 def progress(scene: Scene, glyphs: Glyphs, width: int) -> Content:
     """Return element 4: bar, elapsed, remaining."""
     share = share_done(scene)
-    left_s = scene.remaining_s if scene.live else None
+    left_s = scene.remaining_s if scene.live and scene.key != "checking" else None
     left = "" if left_s is None else f"  left {duration(left_s)}"
     tail = f" {math.floor(100 * share):3d} %  elapsed {duration(scene.elapsed_s)}{left}"
     room = max(width - len(tail), 1)
@@ -336,8 +337,8 @@ def prospect(scene: Scene | None) -> str:
     if scene is not None and scene.lost:
         return "Its calibration file is written; nothing moves."
     if scene is not None and any(alarm.anew for alarm in scene.alarms):
-        return "Its fault wants a new run: resumed, it will most likely fault again."
+        return f"{MOVES}. Its fault wants a new run: resumed, it will most likely fault again."
     return (
-        "The devices are connected again; the tracker's control points are proved "
+        f"{MOVES}: the devices are connected again, and the tracker's control points proved "
         "before anything counts."
     )

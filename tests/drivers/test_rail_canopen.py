@@ -156,20 +156,18 @@ def test_a_setting_that_does_not_hold_is_refused(peer: CanPeer) -> None:
         rail_for(peer).connect()
 
 
-@pytest.mark.parametrize(
-    ("node", "written"), [(DRIVE, (0x1016, 1)), (DRIVE, (0x1A00, 0)), (STRIP, (0x1A00, 0))]
-)
+@pytest.mark.parametrize("at", [(DRIVE, 0x1016, 1), (DRIVE, 0x1A00, 0), (STRIP, 0x1A00, 0)])
 def test_a_drive_that_is_reset_while_nodes_are_set_up_is_named(
-    peer: CanPeer, node: int, written: tuple[int, int]
+    peer: CanPeer, at: tuple[int, int, int]
 ) -> None:
     class Watched(dict[tuple[int, int], bytes]):
         def __setitem__(self, key: tuple[int, int], value: bytes) -> None:
             super().__setitem__(key, value)
-            if key == written:
+            if key == at[1:]:
                 peer.objects[DRIVE].update(drive_objects())  # its self-stop is gone, too
                 peer.send(0x705, b"\0")
 
-    peer.objects[node] = Watched(peer.objects[node])
+    peer.objects[at[0]] = Watched(peer.objects[at[0]])
     with pytest.raises(DeviceError, match="node 5: unexpected boot-up: the node was reset"):
         rail_for(peer).connect()
 

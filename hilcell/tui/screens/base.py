@@ -25,6 +25,7 @@ class SceneScreen(Screen[None]):
 
     footer: ClassVar[tuple[str, ...]] = ()  # actions, in the order of their weight
     fixed: ClassVar[tuple[tuple[str, str], ...]] = ()  # keys that cannot be rebound
+    in_box: ClassVar[tuple[tuple[str, str], ...]] = ()  # those of a text box
 
     def __init__(self) -> None:
         super().__init__()
@@ -64,6 +65,11 @@ class SceneScreen(Screen[None]):
         """Show what came while another screen was on top."""
         self.show_again()
 
+    def on_descendant_focus(self) -> None:
+        """Show the keys that do something there."""
+        if self.here:
+            self.panel("keys").show(self.key_line())
+
     def show_again(self) -> None:
         """Show the scene as it is now; before this screen is built, or after it, nothing."""
         if self.here:
@@ -96,13 +102,19 @@ class SceneScreen(Screen[None]):
         panel.display = bool(text)
         panel.show(Content.styled(text, "$warn"))
 
+    def take_back(self, text: str) -> None:
+        """Say no longer what is true no longer."""
+        if self._said == text:
+            self.notice("")
+
     def key_line(self) -> Content:
         """Return element 10: the keys that do something now."""
-        parts: list[tuple[str, str]] = list(self.fixed)
+        typing = isinstance(self.focused, Input)
+        parts: list[tuple[str, str]] = list(self.in_box if typing else self.fixed)
         parts += [
             (shown(self.cell.keymap[name][0]), self.label(name))
             for name in self.footer
-            if self.cell.allowed(name)
+            if self.cell.allowed(name) and (BY_NAME[name].everywhere or not typing)
         ]
         line = Content("")
         for key, label in parts:
@@ -113,6 +125,13 @@ class SceneScreen(Screen[None]):
 
     def label(self, name: str) -> str:
         """Return what an action is called now."""
+        scene = self.cell.scene
+        if name == "pause" and scene is not None:
+            if not scene.live:
+                return "resume"
+            if scene.prompt is not None:
+                return "answer"
+            return "pause" if scene.key == "running" else "go on"
         return BY_NAME[name].label
 
 

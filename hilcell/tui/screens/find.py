@@ -14,6 +14,7 @@ from hilcell.tui.screens.base import SceneScreen
 class Finding(SceneScreen):
     """A screen with rows and a filter; ``wanted`` is what was typed."""
 
+    in_box = (("Enter", "to the rows"),)
     wanted = ""
 
     def find_box(self, hint: str) -> Input:

@@ -19,6 +19,8 @@ from hilcell.tui.screens.base import Page
 class TextPage(Page):
     """A page of text that scrolls."""
 
+    fixed = (*Page.fixed, ("up down", "scroll"))
+
     def body(self) -> ComposeResult:
         """Build one text that scrolls."""
         with VerticalScroll(classes="scroll", id="body", can_focus=True):
@@ -73,7 +75,7 @@ class DetailPage(TextPage):
     """One point, with everything that is known of it."""
 
     title_text = "One point"
-    footer = ("stop", "retake", "quit")
+    footer = ("stop", "pause", "alarms", "retake", "quit")
 
     def __init__(self, key: str) -> None:
         super().__init__()

@@ -19,8 +19,8 @@ REDRAW_S = 0.5
 class PlotPage(Page):
     """Element 11. Drawn twice a second at most: a drawing costs as much as twenty lines."""
 
-    footer = ("stop", "pause", "quit")
-    fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("</>", "other plot"))
+    footer = ("stop", "pause", "alarms", "quit")
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("left right", "other plot"))
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("left", "turn(-1)", show=False),
         Binding("right", "turn(1)", show=False),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from textual.content import Content
 
+from hilcell.errors import HilcellError
 from hilcell.tui import engine
 from hilcell.tui.scene import Scene
 from hilcell.tui.screens.pages import TextPage
@@ -39,8 +40,13 @@ class ReportPage(TextPage):
 
     async def _show_figures(self) -> None:
         runs = str(self._folder.parent)
-        self._figures = await engine.ask_hilcell("show", self._folder.name, "--runs", runs)
-        self.show_again()
+        try:
+            self._figures = await engine.ask_hilcell("show", self._folder.name, "--runs", runs)
+        except HilcellError:
+            self._figures = "the figures could not be computed"
+            raise
+        finally:
+            self.show_again()
 
     async def _write(self) -> None:
         path = (self._folder / FILE).resolve()

@@ -171,11 +171,6 @@ class RunScreen(Finding):
 
     def label(self, name: str) -> str:
         """Return what a key does now."""
-        scene = self.cell.scene
-        if name == "pause" and scene is not None:
-            if not scene.live:
-                return "resume"
-            return "pause" if scene.key == "running" else "go on"
         if name == "sort":
             return "as measured" if self.worst_first else "worst first"
         if name == "bad":

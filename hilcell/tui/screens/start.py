@@ -21,7 +21,7 @@ from hilcell.tui.rows import Column, Row, Rows
 from hilcell.tui.scene import Scene
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Dialog, answer_keys
-from hilcell.tui.words import NOT_E_STOP, duration
+from hilcell.tui.words import MOVES, NOT_E_STOP, duration
 
 FIELDS = (
     ("cell", "paper", "a built-in cell, or a path to a TOML file"),
@@ -37,7 +37,7 @@ class StartScreen(SceneScreen):
     """The form. Enter checks the plan; nothing moves before the plan was shown."""
 
     footer = ("history", "help", "theme", "quit")
-    fixed = (("Enter", "check the plan"), ("Tab", "next field"))
+    fixed = in_box = (("Enter", "check the plan"), ("Tab", "next field"))
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("down", "turn(1)", show=False, priority=True),  # in the order typed
         Binding("up", "turn(-1)", show=False, priority=True),
@@ -195,7 +195,7 @@ def warning(plan: dict[str, Any]) -> Content:
     """Return what will happen, and the keys."""
     simulated = bool(plan.get("simulated"))
     return Content.assemble(
-        "The robot and the rail will move",
+        MOVES,
         (", in simulation only: ", "bold") if simulated else "",
         (" SIMULATION ", "bold $on-sim on $sim") if simulated else "",
         ".\n",

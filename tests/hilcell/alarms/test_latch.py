@@ -81,6 +81,21 @@ def test_a_notice_that_is_let_go_and_told_again_stands_again() -> None:
     assert standing(latch) == []
 
 
+def test_an_alarm_of_how_something_stands_goes_with_it_and_comes_back_with_it() -> None:
+    latch = Latch()
+    passing = replace(ONE, passes=True)
+    latch.take([passing])
+    latch.take([])
+    assert standing(latch) == []
+    latch.take([passing])
+    latch.acknowledge()
+    latch.take([passing])
+    assert standing(latch) == []
+    latch.take([])
+    latch.take([passing])
+    assert standing(latch) == [("HC-T10", "warning", 1)]
+
+
 def test_the_worst_stands_first_and_of_these_the_newest() -> None:
     latch = Latch()
     codes: dict[str, Severity] = {"a": "notice", "b": "fault", "c": "warning", "d": "fault"}

@@ -117,7 +117,8 @@ async def _round(pilot: Pilot[int]) -> None:
     await pilot._wait_for_screen()
     await asyncio.sleep(0)
     if pilot.app.screen_stack:
-        pilot.app.screen._on_timer_update()
+        for screen in (*pilot.app._background_screens, pilot.app.screen):
+            screen._on_timer_update()
 
 
 async def press(pilot: Pilot[int], *keys: str) -> None:

@@ -38,7 +38,7 @@ SPACE = {
     "running": ("pause", False, "pause"),
     "pausing": ("proceed", True, "go on"),
     "paused": ("proceed", True, "go on"),
-    "suspended": ("proceed", True, "go on"),
+    "suspended": ("answer", False, "answer"),
     "stopping": None,
     "silent": None,
     "done": None,
@@ -64,7 +64,7 @@ def allowed(state: str) -> set[str]:
         found.add("pause")
     found |= {"stop", "detach"} if state in LIVE else {"new"}
     found |= {"abort"} if state in HEARD else set()
-    found -= {"retake"} if state == "silent" else set()
+    found -= {"retake"} if state in ("silent", "checking") else set()
     if state in ("suspended", "aborted", "fault", "gone", "intolerant"):
         found.add("acknowledge")
     return found
@@ -409,23 +409,6 @@ def test_enter_in_the_filter_answers_no_prompt() -> None:
         await press(pilot, "slash", "g", "enter")
 
     assert play(act, "suspended").heard.asked == []
-
-
-def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        await press(pilot, "space")
-        assert isinstance(app.screen, RunScreen)
-        assert "the run is over" in text_of(app)
-        app.post_message(Delivered(app.heard, Fresh([], calibrated=False)))
-        await settle(pilot)
-        assert "HC-J11  Calibration without a file" in text_of(app)
-        assert "space resume" in text_of(app)
-        await press(pilot, "space")
-        assert "nothing moves" in text_of(app)
-        assert app.acts.engines == []
-        await press(pilot, "enter")
-
-    assert len(play(act, "done").acts.engines) == 1
 
 
 # -- measuring again -------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.runs import CALIBRATION
 from tests.hilcell.tui.scenes import fresh
 from tests.hilcell.tui.sgr import colours_of
 from tests.hilcell.tui.test_terminal import NAME, write
@@ -22,6 +23,7 @@ COLOURLESS = ({"NO_COLOR": "1"}, {"TERM": "vt100"}, {"TERM": "dumb"})
 def shown(runs: Path, *words: str, **environment: str) -> Iterator[Terminal]:
     """Show a run that is done."""
     write(runs / NAME, fresh("done").records)
+    (runs / NAME / CALIBRATION).write_text("{}", encoding="utf-8")
     order = ["tui", "last", "--runs", str(runs), *words]
     with Terminal(order, columns=80, rows=24, **environment) as terminal:
         terminal.shows("worst first")

@@ -152,14 +152,14 @@ def test_points_stand_in_the_order_in_which_they_were_measured() -> None:
 
 
 def test_worst_first_puts_points_with_a_tolerance_before_raw_ones() -> None:
-    log = log_of(validated())
+    log = log_of(validated(worst_mm=1.2))
     rows = filtered(PointTable().rows(log), "", bad_only=False, worst=True)
     toleranced = [row.deviation is not None and row.deviation.limit_mm is not None for row in rows]
     assert toleranced == sorted(toleranced, reverse=True)
     for group in (True, False):
         norms = [row.norm_mm for row, has in zip(rows, toleranced, strict=True) if has == group]
         assert norms == sorted(norms, reverse=True)
-    assert rows[0].point.key == "validate/S1100/idw/001"
+    assert rows[0].point.key == "validate/S1100/chosen/001"
     assert {row.point.group for row in rows[-3:]} == {"world"}
 
 
@@ -179,11 +179,11 @@ def test_filters(wanted: str, found: int) -> None:
 
 
 def test_only_bad_ones() -> None:
-    log = log_of(validated())
-    assert keys_of(log, bad=True) == ["validate/S1100/idw/001"]
+    log = log_of(validated(worst_mm=1.2))
+    assert keys_of(log, bad=True) == ["validate/S1100/chosen/001"]
     changed(log, "grid/0-0-0", retaken=True)
     changed(log, "grid/0-0-1", std_mm=(9.0, 0.0, 0.0))
-    assert keys_of(log, bad=True) == ["grid/0-0-0", "grid/0-0-1", "validate/S1100/idw/001"]
+    assert keys_of(log, bad=True) == ["grid/0-0-0", "grid/0-0-1", "validate/S1100/chosen/001"]
 
 
 @pytest.mark.parametrize("width", [40, 80, WIDE + 40, 300])
@@ -197,10 +197,10 @@ def test_rows_fit_their_columns(width: int) -> None:
 
 
 def test_a_row_tells_the_deviation_and_its_state() -> None:
-    log = log_of(validated())
-    point = log.points["validate/S1100/idw/001"]
+    log = log_of(validated(worst_mm=1.2))
+    point = log.points["validate/S1100/chosen/001"]
     row = to_row(row_of(log, point), (), 80)
-    assert row.cells == (point.key, "+1.200", "+0.000", "+0.000", "1.200", "0.010", "out")
+    assert row.cells == (point.key, "+0.000", "+1.200", "+0.010", "1.200", "0.010", "out")
     assert row.tone == "bad"
     assert to_row(row_of(log, point), [point.key], 80).cells[-1] == "waits"
 

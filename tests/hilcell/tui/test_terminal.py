@@ -131,7 +131,7 @@ def test_every_esc_reaches_the_engine_wherever_it_is_pressed(tmp_path: Path) -> 
         ("l", "Event log", "q"),
         ("p", "Plot 1", "q"),
         ("a", "Abort this run?", ""),
-        (CTRL_P, "Search", ""),
+        (CTRL_P, "what to do?", ""),
         (CTRL_Q, "detach", ""),
         ("?", "Help", "q"),
     )

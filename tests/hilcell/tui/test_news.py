@@ -1,0 +1,102 @@
+"""What comes in while one looks, and what the screen says then of itself."""
+
+from __future__ import annotations
+
+import pytest
+from textual.pilot import Pilot
+
+from hilcell.tui.app import Delivered
+from hilcell.tui.feed import Fresh
+from hilcell.tui.scene import EngineState
+from hilcell.tui.screens.run import RunScreen
+from tests.hilcell.tui.playing import play
+from tests.hilcell.tui.scenes import status
+from tests.hilcell.tui.stage import Stage, press, settle, text_of
+from tests.hilcell.tui.walk import outside
+
+__all__ = ["outside"]
+
+pytestmark = pytest.mark.usefixtures("outside")
+
+
+def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, "space")
+        assert isinstance(app.screen, RunScreen)
+        assert "the run is over" in text_of(app)
+        app.post_message(Delivered(app.heard, Fresh([], calibrated=False)))
+        await settle(pilot)
+        assert "HC-J11  Calibration without a file" in text_of(app)
+        assert "space resume" in text_of(app)
+        await press(pilot, "space")
+        assert "nothing moves" in text_of(app)
+        assert app.acts.engines == []
+        await press(pilot, "enter")
+
+    assert len(play(act, "done").acts.engines) == 1
+
+
+@pytest.mark.parametrize("over", ["a", "ctrl+p"])
+def test_what_comes_in_is_shown_under_a_question_and_under_the_palette(over: str) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, over)
+        for engine, word in ((EngineState.SILENT, "NO ANSWER"), (EngineState.HEARD, "PAUSED")):
+            app.post_message(Delivered(app.heard, Fresh([], engine, status("paused"))))
+            await settle(pilot)
+            assert word in text_of(app)
+
+    play(act, "paused")
+
+
+def test_a_calibration_that_has_its_file_again_is_told() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        for calibrated in (False, True):
+            app.post_message(Delivered(app.heard, Fresh([], calibrated=calibrated)))
+            await settle(pilot)
+        assert "the calibration has its file" in text_of(app)
+        assert "HC-J11" not in text_of(app)
+
+    play(act, "done")
+
+
+def test_what_could_not_be_read_is_told_only_as_long_as_it_cannot() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        app.post_message(Delivered(app.heard, Fresh([], trouble="journal: cannot be read")))
+        await settle(pilot)
+        assert "cannot be read" in text_of(app)
+        app.post_message(Delivered(app.heard, Fresh([])))
+        await settle(pilot)
+        assert "cannot be read" not in text_of(app)
+
+    play(act, "done")
+
+
+@pytest.mark.parametrize("state", ["done", "gone"])
+def test_a_stop_where_nothing_runs_says_so(state: str) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, "escape")
+        assert "nothing runs here; if anything moves, use the E-stop" in text_of(app)
+
+    assert play(act, state).heard.stops == 0
+
+
+@pytest.mark.parametrize("keys", [("ctrl+p",), ("backspace",), ("x", "backspace", "backspace")])
+def test_the_palette_says_how_to_go_back_and_does(keys: tuple[str, ...]) -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, "ctrl+p")
+        assert "^p or Backspace: back   Esc: STOP" in text_of(app)
+        await press(pilot, *keys)
+        assert isinstance(app.screen, RunScreen)
+
+    assert play(act, "running").heard.stops == 0
+
+
+def test_in_a_text_box_only_its_own_keys_are_shown() -> None:
+    async def act(app: Stage, pilot: Pilot[int]) -> None:
+        await press(pilot, "slash")
+        keys = text_of(app).splitlines()[-1]
+        assert keys.split("  ") == ["Enter to the rows", "Esc STOP", "^q quit"]
+        await press(pilot, "tab")
+        assert "space pause" in text_of(app).splitlines()[-1]
+
+    play(act, "running")
