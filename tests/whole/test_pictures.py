@@ -11,7 +11,7 @@ import os
 import re
 import subprocess
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from hilcell.tui.app import HilcellApp
 from hilcell.tui.desk import Options
 from hilcell.tui.glyphs import UNICODE
 from hilcell.tui.keys import load_keys
-from tests.whole.bench import HILCELL, LIMIT_S, SMALL, hilcell, sets, simulation
+from tests.whole.bench import HILCELL, LIMIT_S, SMALL, Simulation, hilcell, sets, simulation
 
 ROOT = Path(__file__).parents[2]
 WANTED = os.environ.get("HILCELL_PICTURES", "")
@@ -95,6 +95,19 @@ def engine(runs: Path, *words: str) -> Iterator[None]:
         process.wait(LIMIT_S)
 
 
+@asynccontextmanager
+async def cell_and_screen(
+    runs: Path, cell_words: Sequence[str], words: Sequence[str]
+) -> AsyncIterator[tuple[Simulation, Pilot[int]]]:
+    """Run an engine against a cell that stands beside it, and look at it."""
+    with (
+        simulation("--speed", "60", *cell_words) as cell,
+        engine(runs, *words, "--set", f"simulation.address={cell.control}"),
+    ):
+        async with screen(runs, "last", (80, 24)) as pilot:
+            yield cell, pilot
+
+
 @pytest.mark.timeout(180)
 def test_a_live_run(tmp_path: Path) -> None:
     asyncio.run(a_live_run(tmp_path))
@@ -114,16 +127,12 @@ def test_a_fault(tmp_path: Path) -> None:
 
 
 async def a_fault(tmp_path: Path) -> None:
-    with (
-        simulation("--speed", "60", *WORDS[4:]) as cell,
-        engine(tmp_path, "--set", f"simulation.address={cell.control}", *WORDS),
-    ):
-        async with screen(tmp_path, "last", (80, 24)) as pilot:
-            await until(pilot, r"/10 robot-grid: ([2-9]|\d\d)/")
-            assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
-            await until(pilot, "space resume")
-            await until(pilot, r"HC-B10(.*\n)*>")
-            keep(app_of(pilot), "screen-fault")
+    async with cell_and_screen(tmp_path, WORDS[4:], WORDS) as (cell, pilot):
+        await until(pilot, r"/10 robot-grid: ([2-9]|\d\d)/")
+        assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
+        await until(pilot, "space resume")
+        await until(pilot, r"HC-B10(.*\n)*>")
+        keep(app_of(pilot), "screen-fault")
 
 
 @pytest.mark.timeout(180)
@@ -132,21 +141,12 @@ def test_a_prompt(tmp_path: Path) -> None:
 
 
 async def a_prompt(tmp_path: Path) -> None:
-    with (
-        simulation("--speed", "60", *BY_HAND) as cell,
-        engine(
-            tmp_path,
-            "world-frame",
-            *("--set", f"simulation.address={cell.control}"),
-            *BY_HAND,
-            *WORDS,
-        ),
-    ):
-        async with screen(tmp_path, "last", (80, 24)) as pilot:
-            await until(pilot, "Enter waits")
-            assert cell.ask(do="seat", place="F1")["ok"]
-            await until(pilot, "press Enter")
-            keep(app_of(pilot), "screen-prompt")
+    words = ("world-frame", *BY_HAND, *WORDS)
+    async with cell_and_screen(tmp_path, BY_HAND, words) as (cell, pilot):
+        await until(pilot, "Enter waits")
+        assert cell.ask(do="seat", place="F1")["ok"]
+        await until(pilot, "press Enter")
+        keep(app_of(pilot), "screen-prompt")
 
 
 @pytest.mark.timeout(180)
