@@ -52,10 +52,11 @@ class Latch:
     def _let_go(self, mark: Mark, alarm: Alarm) -> None:
         """Let go of what is told no more, where it is of a kind that goes by itself."""
         latched = self._latched.get(alarm.code)
-        stands = latched is not None and _mark(latched.alarm) == mark
-        if alarm.passes or (stands and latched is not None and latched.severity == "notice"):
+        if latched is not None and _mark(latched.alarm) != mark:
+            latched = None  # a newer one of its code stands
+        if alarm.passes or (latched is not None and latched.severity == "notice"):
             del self._seen[mark]
-            if stands:
+            if latched is not None:
                 del self._latched[alarm.code]
 
     def _add(self, alarm: Alarm) -> None:

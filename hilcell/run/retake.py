@@ -32,10 +32,7 @@ def _bound(log: Log, point: Point) -> str:
     if point.group.startswith(ALWAYS) and _repeatable(point):
         return ""
     if not (point.group.startswith(UNTIL_FITTED) and _repeatable(point)):
-        return (
-            f"{point.key}: only points of the grid, of repeatability and of validation are "
-            "measured anew one by one; start a new run"
-        )
+        return f"{point.key}: only points of grid, repeatability and validation are measured anew"
     if log.states["calibration"] in CALIBRATION.states[CALIBRATION.states.index("fitted") :]:
         return f"{point.key}: the correction was built with it; start a new run"
     return ""

@@ -103,7 +103,7 @@ class Acts:
         elif session.scene.live:
             self._host.ask(
                 "Measure this point anew?",
-                f"{key}: at the next point of the robot.",
+                f"{key}: before the robot's next point; it moves there.",
                 "re-measure",
                 lambda: self._command("retake", key=key),
             )
