@@ -32,7 +32,7 @@ def _bound(log: Log, point: Point) -> str:
     if point.group.startswith(ALWAYS) and _repeatable(point):
         return ""
     if not (point.group.startswith(UNTIL_FITTED) and _repeatable(point)):
-        return f"{point.key}: only points of grid, repeatability and validation are measured anew"
+        return f"{point.key}: only grid, repeatability, validation are retaken; start a new run"
     if log.states["calibration"] in CALIBRATION.states[CALIBRATION.states.index("fitted") :]:
         return f"{point.key}: the correction was built with it; start a new run"
     return ""

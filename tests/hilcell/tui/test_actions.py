@@ -446,7 +446,7 @@ def test_a_point_that_may_not_be_measured_anew_says_why() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, "home", "r")
         assert isinstance(app.screen, RunScreen)
-        assert "world/F1: only points of grid" in text_of(app)
+        assert "world/F1: only grid, repeatability, validation" in text_of(app)
 
     assert play(act, "running").heard.asked == []
 
