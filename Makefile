@@ -9,7 +9,7 @@ run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
 test: lint  ## lint, then every test, in random order on all cores
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 lint: $(VENV)/ready  ## style, types and the import contract
 	$(BIN)/ruff check .
