@@ -57,8 +57,8 @@ def alarms_of(
 ) -> list[Alarm]:
     """Return the alarms of a run, newest last; ``live`` tells whether its engine is at work.
 
-    ``go_on`` is the key that lets a run continue, as the screen has it; ``lost`` tells that the
-    calibration's file is not there.
+    ``go_on`` is the key that lets a run continue, as the screen has it; ``lost`` tells that no
+    calibration's file is there, which matters where the run has ended with one.
 
     What no record dates (verdicts, temperature) stands first.
     """

@@ -61,8 +61,9 @@ class Session:
         news = changed or (fresh.records and not self._foreign)
         if news and scene.log.plan is not None:
             present = scene.engine is not EngineState.NONE
+            lost = not scene.calibrated
             scene.alarms = alarms_of(
-                scene.log, scene.run, live=present, go_on=self._go_on, lost=scene.lost
+                scene.log, scene.run, live=present, go_on=self._go_on, lost=lost
             )
             self.latch.take(scene.alarms)
         self.tick(now)
