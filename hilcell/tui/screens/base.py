@@ -36,7 +36,8 @@ class SceneScreen(Screen[None]):
     @property
     def here(self) -> bool:
         """Whether every part stands and the screen was not left: messages come before and after."""
-        return self.stands.is_set() and self in self.app.screen_stack
+        built = self.stands.is_set() and bool(self.query("#keys"))  # parts are taken down first
+        return built and self in self.app.screen_stack
 
     @property
     def cell(self) -> Desk:

@@ -10,6 +10,7 @@ import pytest
 
 from hilcell import index
 from hilcell.tui import engine
+from hilcell.tui.screens.run import RunScreen
 from tests.hilcell.tui.stage import Stage, options, settle
 
 LIMIT_S = 10.0
@@ -51,3 +52,18 @@ def test_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(engine, "ask_hilcell", late)
     assert leave(tmp_path, "o", answer) == "RunScreen"
+
+
+def test_news_that_come_while_the_screen_is_taken_down(tmp_path: Path) -> None:
+    """The parts of a screen go before the screen does; a message may come in between."""
+
+    async def play() -> None:
+        app = Stage(options(tmp_path), "done")
+        async with app.run_test(size=(80, 24)) as pilot:
+            await settle(pilot)
+            page = app.page
+            assert isinstance(page, RunScreen)
+            await page.query("*").remove()
+            page.show_again()
+
+    asyncio.run(play())
