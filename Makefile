@@ -3,13 +3,16 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test lint bench lock clean
+.PHONY: run test nightly lint bench lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
 test: lint  ## lint, then every test, in random order on all cores
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+nightly: lint  ## every test and every long sweep, property tests with fresh seeds
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "" --timeout 1200 --hypothesis-profile nightly
 
 lint: $(VENV)/ready  ## style, types and the import contract
 	$(BIN)/ruff check .

@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fakes.canopen_slave import SYNC_COB_ID
@@ -99,7 +99,6 @@ FRAMES = st.tuples(
 )
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.lists(FRAMES, max_size=60))
 def test_no_frame_upsets_the_nodes(frames: list[tuple[int, bytes]]) -> None:
     time, cell, faults = PlantTime(), load_cell("paper"), Faults()

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from hilcell.cli import main
 from hilcell.exits import EXIT_STORAGE
 from tests.whole.bench import (
     SMALL,
@@ -22,8 +23,6 @@ from tests.whole.bench import (
     wait_gone,
 )
 from tests.whole.trace import judge
-
-KILLS = 20
 
 
 def figures(result: dict[str, Any]) -> dict[str, float]:
@@ -42,14 +41,15 @@ def reaching(seq: int) -> Callable[[dict[str, Any]], bool]:
     return lambda event: bool(event["seq"] >= seq)
 
 
-@pytest.mark.timeout(400)
-def test_twenty_kills_change_nothing(tmp_path: Path) -> None:
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("kills", [5, pytest.param(20, marks=pytest.mark.nightly)])
+def test_kills_change_nothing(tmp_path: Path, kills: int) -> None:
     whole = hilcell("run", "--json", "--runs", tmp_path / "whole", *sets(SMALL))
     wanted = end_of(whole)["result"]
     # Where to die: after so many records, spread over the whole run but not by a pattern.
     total = len(events(whole.stdout))
     rng = random.Random(2014)
-    moments = sorted(rng.sample(range(5, total - 5), KILLS))
+    moments = sorted(rng.sample(range(5, total - 5), kills))
 
     with simulation("--speed", "max") as cell:
         words = sets(SMALL | {"simulation.address": cell.control})
@@ -109,18 +109,23 @@ def after_every_kind(printed: list[dict[str, Any]]) -> list[int]:
     return [e["seq"] for e in printed if e["kind"] == "state" or e.get("key") in (*frames, "fit")]
 
 
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.nightly)])
 def test_a_run_resumes_from_between_any_two_records(
-    tmp_path: Path, whole: tuple[Path, list[dict[str, Any]]]
+    tmp_path: Path,
+    whole: tuple[Path, list[dict[str, Any]]],
+    capsys: pytest.CaptureFixture[str],
+    every: int,
 ) -> None:
     run, printed = whole
     wanted = figures(printed[-1]["result"])
-    for seq in after_every_kind(printed):
+    for seq in after_every_kind(printed)[::every]:
         folder = tmp_path / f"cut-{seq}"
         cut(run, folder, seq)
-        done = hilcell("resume", folder.name, "--runs", tmp_path, "--json")
-        end = end_of(done)
-        assert end["state"] == "finished", (seq, done.stderr)
+        main(["resume", folder.name, "--runs", str(tmp_path), "--json"])
+        out, told = capsys.readouterr()
+        end = events(out)[-1]
+        assert end["state"] == "finished", (seq, told)
         assert (folder / "calibration.json").is_file(), seq
         for key, value in figures(end["result"]).items():
             limit_mm = 0.06 if key.endswith(".idw") else 0.03

@@ -1,0 +1,37 @@
+"""What holds for every test: the seeds of property tests, the number of workers, the browser.
+
+Property tests judge results, not seconds: wall time says nothing on a busy machine. `make test`
+draws the same examples every time, `make nightly` fresh ones and more of them.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from tests.hilcell.report.browser import NAMES, found
+
+settings.register_profile(
+    "suite",
+    max_examples=50,
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile(
+    "nightly", settings.get_profile("suite"), derandomize=False, max_examples=1000
+)
+settings.load_profile("suite")
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Return one worker more than processors: many tests wait for a process of their own."""
+    return (os.cpu_count() or 1) + 1
+
+
+def pytest_report_header() -> str:
+    """Name the browser in which the report is looked at."""
+    none = f"none of {', '.join(NAMES)} is installed: its tests are skipped"
+    return f"browser for the report: {found() or none}"
