@@ -37,7 +37,7 @@ class SceneScreen(Screen[None]):
     def here(self) -> bool:
         """Whether every part stands and the screen was not left: messages come before and after."""
         built = self.stands.is_set() and bool(self.query("#keys"))  # parts are taken down first
-        return built and self in self.app.screen_stack
+        return built and self.app.is_running and self in self.app.screen_stack
 
     @property
     def cell(self) -> Desk:
