@@ -93,7 +93,11 @@ class CanLink:
             )
 
     def start_heartbeat(self, node: int) -> None:
-        """Produce the heartbeat of ``node`` (CiA 301, 7.2.8.3.2.2) until the link closes."""
+        """Produce the heartbeat of ``node`` (CiA 301, 7.2.8.3.2.2) until the link closes.
+
+        The first beat has gone out on return: a node that lost the last one starts only after it.
+        """
+        self.send(0x700 + node, OPERATIONAL)
         beat = threading.Thread(target=self._beat, args=(0x700 + node,), daemon=True)
         self._threads.append(beat)
         beat.start()

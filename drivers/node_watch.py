@@ -9,13 +9,12 @@ from __future__ import annotations
 import struct
 import time
 
-from drivers import emcy
+from drivers import emcy, nmt
 from drivers.can_link import CanLink
 from hilcell.ports import DeviceError
 
 HEARTBEAT_PERIOD_MS = 200
 HEARTBEAT_AGE_S = 1.0
-BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 _EMCY = struct.Struct("<HB5s")
 
 
@@ -24,7 +23,8 @@ class NodeWatch:
 
     def __init__(self, device: str, link: CanLink, node: int) -> None:
         self.state: int | None = None
-        self._device, self._node = device, node
+        self.node = node
+        self._device = device
         self._heard_s = 0.0
         self._set_up = self._armed = False
         self._failure = ""
@@ -34,6 +34,10 @@ class NodeWatch:
     def begin_set_up(self) -> None:
         """Take a boot-up from now on as a failure: what has been set would be lost."""
         self._set_up = True
+
+    def forget_state(self) -> None:
+        """Wait for the next heartbeat to say the NMT state."""
+        self.state = None
 
     def arm(self) -> None:
         """Take emergencies and silence from now on as failures, too."""
@@ -47,7 +51,7 @@ class NodeWatch:
             raise DeviceError(
                 self._device,
                 operation,
-                f"node {self._node}: {self._failure}",
+                f"node {self.node}: {self._failure}",
                 act="put the cause right, then resume; home the rail after a reset of its drive",
             )
 
@@ -55,14 +59,14 @@ class NodeWatch:
         age_s = time.monotonic() - self._heard_s
         if not age_s <= HEARTBEAT_AGE_S:
             return f"no heartbeat for {age_s:.1f} s"
-        if self.state != OPERATIONAL:
-            return f"NMT state 0x{self.state or 0:02X}, not operational"
+        if self.state != nmt.OPERATIONAL:
+            return f"NMT state {nmt.state_text(self.state)}, not operational"
         return ""
 
     def _on_heartbeat(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         self.state = data[0] & 0x7F
         self._heard_s = time.monotonic()
-        if self._set_up and self.state == BOOT_UP:
+        if self._set_up and self.state == nmt.BOOT_UP:
             self._fail("unexpected boot-up: the node was reset")
 
     def _on_emergency(self, _cob_id: int, data: bytearray, _at_s: float) -> None:

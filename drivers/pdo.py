@@ -20,7 +20,7 @@ SYNC = 0x080
 REPLY_S = 0.3
 SYNCS = 3
 POLL_S = 0.02
-DISABLED = 1 << 31
+DISABLED, NO_RTR = 1 << 31, 1 << 30
 EVERY_SYNC, ON_EVENT = 1, 255
 
 
@@ -37,14 +37,18 @@ class Mapping:
 
 
 def configure(sdo: SdoChannel, pdo: Mapping) -> None:
-    """Write a mapping in the order that the standard wants (7.5.2.36): off, emptied, filled, on."""
-    sdo.write(pdo.communication, 1, DISABLED | pdo.cob_id)
+    """Write a mapping in the order that the standard wants (7.5.2.36): off, emptied, filled, on.
+
+    Bit 30 (no remote frames) stays as found: devices that know none refuse to have it cleared.
+    """
+    cob_id = sdo.read(pdo.communication, 1) & NO_RTR | pdo.cob_id
+    sdo.write(pdo.communication, 1, DISABLED | cob_id)
     sdo.write(pdo.mapping, 0, 0)
     for sub, (index, bits) in enumerate(pdo.entries, start=1):
         sdo.write(pdo.mapping, sub, index << 16 | bits)
     sdo.write(pdo.mapping, 0, len(pdo.entries))
     sdo.write(pdo.communication, 2, pdo.transmission)
-    sdo.write(pdo.communication, 1, pdo.cob_id)
+    sdo.write(pdo.communication, 1, cob_id)
 
 
 class Inbox:

@@ -17,19 +17,16 @@ import canopen
 import msgspec
 from msgspec import Meta
 
-from drivers import cia402, cia406, rail_setup
+from drivers import cia402, cia406, nmt, rail_setup
 from drivers.can_link import CanLink, open_bus
 from drivers.drive import Drive, Limits
-from drivers.node_watch import OPERATIONAL, NodeWatch
+from drivers.node_watch import NodeWatch
 from drivers.pdo import configure
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.rail_setup import Expected
 from drivers.sdo import SdoChannel
 from hilcell.ports import Clock, DeviceError, Identity, RailReading
 
-NMT = 0x000
-NMT_START, NMT_PRE_OPERATIONAL = 0x01, 0x80
-OPERATIONAL_S = 3.0  # wire deadline
 SETTLE_S = 10.0  # wire deadline
 SETTLE_READINGS = 5
 RELEASE_S = 5.0  # wire deadline
@@ -202,7 +199,7 @@ class CanopenRail:
         """Set both nodes up and start them; raises `DeviceError`."""
         options = self._options
         for node in (options.drive_node, options.strip_node):
-            link.send(NMT, bytes((NMT_PRE_OPERATIONAL, node)))
+            link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, node)))
         link.start_heartbeat(options.heartbeat_node)
         rail_setup.apply(
             drive_sdo,
@@ -217,9 +214,7 @@ class CanopenRail:
         for pdo in (image.status, image.motion, image.command):
             configure(drive_sdo, pdo)
         configure(strip_sdo, image.strip)
-        for node in (options.drive_node, options.strip_node):
-            link.send(NMT, bytes((NMT_START, node)))
-        self._await_operational(link)
+        rail_setup.start_nodes(link, self._watches, self._clock)
         self._check_nodes("connect")
 
     def _channel(self, link: CanLink, node: int, eds: str) -> SdoChannel:
@@ -242,21 +237,6 @@ class CanopenRail:
             found.append(rail_setup.identify(sdo, expected, device_type, o.channel))
         rail_setup.check_strip_step(strip_sdo, o.strip_counts_per_mm)
         return found
-
-    def _await_operational(self, link: CanLink) -> None:
-        deadline_s = time.monotonic() + OPERATIONAL_S
-        while any(watch.state != OPERATIONAL for watch in self._watches):
-            link.check()
-            if time.monotonic() > deadline_s:
-                states = ", ".join(f"{watch.state}" for watch in self._watches)
-                raise DeviceError(
-                    DEVICE,
-                    "connect",
-                    f"NMT states {states} of drive and strip, by heartbeat",
-                    wanted=f"{OPERATIONAL} (operational) within {OPERATIONAL_S:.0f} s",
-                    act="switch the nodes off and on, then resume",
-                )
-            self._clock.wait(POLL_S)
 
     def _limits(self) -> Limits:
         options, scale = self._options, self._options.counts_per_mm

@@ -7,12 +7,12 @@ ones that stop the slide when the PC dies (1016h, 6007h, 605Ah) matter most.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers import cia402, cia406
-from drivers.can_link import LinkLost
-from drivers.node_watch import HEARTBEAT_PERIOD_MS
+from drivers import cia402, cia406, nmt
+from drivers.can_link import CanLink, LinkLost
+from drivers.node_watch import HEARTBEAT_PERIOD_MS, NodeWatch
 from drivers.sdo import ABSENT, Aborted, SdoChannel
 from hilcell.clean import clean
 from hilcell.ports import Clock, DeviceError, DeviceRefused, Identity
@@ -22,6 +22,9 @@ CONSUMER_HEARTBEAT = 0x1016
 PRODUCER_HEARTBEAT = 0x1017
 IDENTITY = 0x1018
 FIND_S = 5.0
+OPERATIONAL_S = 3.0  # wire deadline
+START_PERIOD_S = 0.5
+POLL_S = 0.02
 PC_HEARTBEAT_LIMIT_MS = 500
 HOMING_MM_S = 100.0
 HOMING_SLOW_MM_S = 5.0
@@ -151,3 +154,32 @@ def apply(sdo: SdoChannel, settings: Mapping[tuple[int, int], int]) -> None:
     """Write settings and read each back; raises `DeviceError`."""
     for (index, sub), value in settings.items():
         sdo.write(index, sub, value)
+
+
+def start_nodes(link: CanLink, watches: Sequence[NodeWatch], clock: Clock) -> None:
+    """Send NMT START until every node is operational; raises `DeviceError` after `OPERATIONAL_S`.
+
+    Repeated, because a node that has lost a heartbeat takes the first one for too early. For
+    set-up only: a node that leaves operational later is at fault and is not started again.
+    """
+    deadline_s = time.monotonic() + OPERATIONAL_S
+    next_s = 0.0
+    for watch in watches:
+        watch.forget_state()
+    while waiting := [watch for watch in watches if watch.state != nmt.OPERATIONAL]:
+        link.check()
+        now_s = time.monotonic()
+        if now_s > deadline_s:
+            states = ", ".join(f"node {w.node} is {nmt.state_text(w.state)}" for w in waiting)
+            raise DeviceError(
+                "Rail",
+                "connect",
+                f"not started: {states}",
+                wanted=f"{nmt.state_text(nmt.OPERATIONAL)} within {OPERATIONAL_S:.0f} s",
+                act="switch the nodes off and on, then resume",
+            )
+        if now_s >= next_s:
+            next_s = now_s + START_PERIOD_S
+            for watch in waiting:
+                link.send(nmt.COMMAND, bytes((nmt.START, watch.node)))
+        clock.wait(POLL_S)

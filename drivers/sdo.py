@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 
 from canopen import RemoteNode
-from canopen.objectdictionary import ObjectDictionary, ODVariable
+from canopen.objectdictionary import SIGNED_TYPES, ObjectDictionary, ODVariable
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
@@ -58,7 +58,7 @@ class _Client(SdoClient):
                 response: bytes = self.responses.get(timeout=POLL_S)
             except queue.Empty:
                 if time.monotonic() > deadline_s:
-                    raise SdoCommunicationError("no answer") from None
+                    raise SdoCommunicationError(f"no answer within {REPLY_S:.1f} s") from None
                 continue
             if len(response) != 8:
                 raise SdoCommunicationError(f"an answer of {len(response)} bytes")
@@ -87,8 +87,18 @@ class SdoChannel:
         node.sdo = self._client
 
     def read(self, index: int, sub: int = 0) -> int:
-        """Return the value as the EDS types it; raises `Aborted` or `DeviceError`."""
-        return self._typed(index, sub, self.read_bytes(index, sub))
+        """Return the value as the EDS types it; raises `Aborted` or `DeviceError`.
+
+        A shorter integer is the same number; one that does not fit the type is no answer.
+        """
+        variable = self._object(index, sub)
+
+        def upload() -> bytes:
+            data = self._upload(index, sub, unsized=len(variable) // 8)
+            _number(data, variable)
+            return data
+
+        return _number(self._retried(f"read {_name(index, sub)}", upload), variable)
 
     def read_bytes(self, index: int, sub: int = 0) -> bytes:
         """Return the value's bytes; retried, because reading changes nothing."""
@@ -123,7 +133,7 @@ class SdoChannel:
         raise DeviceError(
             self._device,
             operation,
-            f"node {self._number}: {reason} within {REPLY_S:.1f} s, {TRIES} times",
+            f"node {self._number}: {reason}, {TRIES} times",
             act=f"check node {self._number}: power, cable, bit rate, node number",
         )
 
@@ -147,9 +157,11 @@ class SdoChannel:
             time.sleep(POLL_S)
         self._upload(0x1018, 0)
 
-    def _upload(self, index: int, sub: int) -> bytes:
+    def _upload(self, index: int, sub: int, *, unsized: int = 4) -> bytes:
+        """Return an object's bytes; ``unsized`` of them count where the answer states no size."""
         with self._client.open(index, sub, buffering=0) as stream:  # type: ignore[no-untyped-call] # canopen's
-            return bytes(stream.read())
+            data = bytes(stream.read())
+            return data if stream.size is not None else data[:unsized]
 
     def _download(self, index: int, sub: int, data: bytes) -> bytes:
         self._client.download(index, sub, data)
@@ -161,10 +173,19 @@ class SdoChannel:
             raise LookupError(f"{_name(index, sub)} is missing in the EDS of node {self._number}")
         return variable
 
-    def _typed(self, index: int, sub: int, data: bytes) -> int:
-        variable = self._object(index, sub)
-        # Some devices answer an I32 where the EDS says less; only the low bytes count.
-        return int(variable.decode_raw(data[: len(variable) // 8]))
+
+def _number(data: bytes, variable: ODVariable) -> int:
+    """Return an integer of CiA 301, 7.1.4; raises `SdoCommunicationError` where it is none."""
+    signed = variable.data_type in SIGNED_TYPES
+    value = int.from_bytes(data, "little", signed=signed)
+    bits = len(variable)
+    lowest = -(1 << bits - 1) if signed else 0
+    if not data or not lowest <= value < lowest + (1 << bits):
+        raise SdoCommunicationError(
+            f"an answer of {len(data)} bytes ({data.hex(' ') or 'none'}), "
+            f"wanted a number of {bits // 8} bytes"
+        )
+    return value
 
 
 def _name(index: int, sub: int) -> str:

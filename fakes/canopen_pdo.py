@@ -1,7 +1,8 @@
 """Process data of a simulated CANopen node (CiA 301, clauses 7.2.2 and 7.5.2.35-38).
 
 The trap: a mapping may be changed only while the PDO is switched off (bit 31 of its COB-ID) and
-its count is 0; the count is written last and is where the node judges the whole mapping.
+its count is 0; the count is written last and is where the node judges the whole mapping. Remote
+frames are not answered, so bit 30 of a COB-ID must stay set.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from fakes.canopen_dictionary import (
     SdoAbortError,
 )
 
-INVALID = 1 << 31
+INVALID, NO_RTR = 1 << 31, 1 << 30
 SYNC_TYPES = range(241)
 EVENT_TYPES = range(254, 256)
 Mapping = tuple[tuple[int, int], ...]
@@ -42,7 +43,7 @@ class Pdo:
         types = (*SYNC_TYPES, *EVENT_TYPES)
         dictionary.add_array(
             communication,
-            Entry("I", cob_id, write=self._change_cob_id),
+            Entry("I", NO_RTR | cob_id, write=self._change_cob_id),
             Entry("B", transmission, allowed=types),
             Entry("H", 0, write=self._while_invalid),
             Entry("B", 0),
@@ -102,7 +103,7 @@ class Pdo:
         old = self._dictionary.number(self._communication, 1)
         if self.valid and (value ^ old) & 0x3FFFFFFF:
             raise SdoAbortError(DEVICE_STATE)
-        if not 0x180 < value & 0x3FFFFFFF < 0x580:
+        if not value & NO_RTR or not 0x180 < value & 0x3FFFFFFF < 0x580:
             raise SdoAbortError(VALUE_RANGE)
 
     def _while_invalid(self, _value: int) -> None:

@@ -3,7 +3,8 @@
 A device is a subclass that fills the object dictionary and overrides the four hooks `written`,
 `switched_off`, `connection_lost` and `restarted`. One thread calls everything. Heartbeats and
 event timers run in real time, whatever the plant's clock does. The trap: a lost heartbeat takes
-the node out of OPERATIONAL by itself (1029:01 = 0), so a new master must start it again.
+the node out of OPERATIONAL by itself (1029:01 = 0) and is latched: a new master must start it
+again, and a START that comes before the master's first new heartbeat does not hold.
 """
 
 from __future__ import annotations
@@ -161,6 +162,9 @@ class CanopenSlave:
         if len(data) != 2 or data[1] not in {0, self.node}:
             return
         match data[0]:
+            case 1 if self._heartbeat_lost:
+                self.nmt = Nmt.PRE_OPERATIONAL
+                self.emergency(HEARTBEAT_LOST, COMMUNICATION)
             case 1:
                 self.nmt = Nmt.OPERATIONAL
                 for pdo in self.transmit_pdos:
@@ -246,8 +250,10 @@ class CanopenSlave:
     def _change_producer(self, period_ms: int) -> None:
         self._next_heartbeat_s = 0.0 if period_ms else math.inf
 
-    def _change_consumer(self, _watched: int) -> None:
-        self._heard_by_s, self._heartbeat_lost = math.inf, False
+    def _change_consumer(self, watched: int) -> None:
+        self._heard_by_s = math.inf
+        if not watched & 0xFFFF:  # nobody is watched any more; else the next heartbeat clears it
+            self._heartbeat_lost = False
 
     def _clear_errors(self, _count: int) -> None:
         for sub in range(1, KEPT_ERRORS + 1):

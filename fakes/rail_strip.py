@@ -65,7 +65,7 @@ class RailStrip(CanopenSlave):
         record(0x6030, Entry("h", 0, "ro", mappable=True, read=self._speed))
         add(0x6200, 0, Entry("H", 0, write=self._change_cycle))
         add(0x6500, 0, Entry("H", 0, "ro", mappable=True))
-        add(0x6501, 0, Entry("I", STEP_NM, "ro"))
+        add(0x6501, 0, Entry("H", STEP_NM, "ro"))  # shorter than the profile's U32, as sold
         add(0x6503, 0, Entry("H", 0, "ro", mappable=True, read=lambda: self._alarms))
         add(0x6504, 0, Entry("H", POSITION_ERROR, "ro"))
         add(0x6505, 0, Entry("H", 0, "ro", mappable=True))

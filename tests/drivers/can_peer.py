@@ -15,6 +15,7 @@ from tests.drivers.peers import Server
 
 DRIVE, STRIP = 5, 6
 HEARTBEAT_S = 0.05
+NO_RTR = 1 << 30  # of a PDO's COB-ID: its maker's devices answer no remote frame
 DISABLED, READY, SWITCHED_ON, ENABLED, QUICK, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
 
 
@@ -35,7 +36,7 @@ def i32(value: int) -> bytes:
 
 
 def pdo_objects(communication: int, mapping: int) -> dict[tuple[int, int], bytes]:
-    objects = {(communication, 1): u32(0), (communication, 2): u8(0), (mapping, 0): u8(0)}
+    objects = {(communication, 1): u32(NO_RTR), (communication, 2): u8(0), (mapping, 0): u8(0)}
     return objects | {(mapping, sub): u32(0) for sub in (1, 2)}
 
 
@@ -137,6 +138,8 @@ class CanPeer:
         self.on_sync: Callable[[], None] = lambda: None
         self.abort: dict[tuple[int, int], int] = {}
         self.ignore: set[tuple[int, int]] = set()
+        self.demands_no_rtr = True
+        self.lost_heartbeat: set[int] = set()  # nodes that latch it, until the next beat
         self._lock = threading.RLock()
         self._connection: socket.socket | None = None
         self._syncs = 0
@@ -202,7 +205,8 @@ class CanPeer:
     def _frame(self, cob_id: int, data: bytes) -> None:
         self.heard.append((cob_id, data))
         if cob_id == 0x000:
-            self.nmt[data[1]] = {1: 0x05, 0x80: 0x7F}[data[0]]
+            state = {1: 0x05, 0x80: 0x7F}[data[0]]
+            self.nmt[data[1]] = 0x7F if data[1] in self.lost_heartbeat else state
             self.send(0x700 + data[1], u8(self.nmt[data[1]]))
         elif cob_id == 0x080:
             self._sync()
@@ -214,6 +218,7 @@ class CanPeer:
         elif cob_id in (0x600 + DRIVE, 0x600 + STRIP):
             self._sdo(cob_id - 0x600, data)
         elif cob_id == 0x77F:
+            self.lost_heartbeat.clear()
             self.beating.set()
 
     def _sync(self) -> None:
@@ -226,6 +231,9 @@ class CanPeer:
         self.send(0x180 + DRIVE, struct.pack("<Hi", status, axis.position))
         self.send(0x280 + DRIVE, struct.pack("<ib", axis.velocity, axis.mode))
         self.send(0x180 + STRIP, struct.pack("<iH", strip, self.alarms))
+
+    def _insists(self, request: bytes) -> bool:
+        return self.demands_no_rtr and not request[7] & 0x40
 
     # -- SDO ----------------------------------------------------------------------------------
 
@@ -241,6 +249,8 @@ class CanPeer:
         elif command == 0x40:
             value = objects[key]
             self.send(0x580 + node, u8(0x43 | (4 - len(value)) << 2) + head + value.ljust(4, b"\0"))
+        elif key[0] >> 8 in (0x14, 0x18) and sub == 1 and self._insists(request):
+            self.send(0x580 + node, b"\x80" + head + u32(0x06090030))
         else:
             objects[key] = request[4 : 8 - (command >> 2 & 3)]
             if key == (0x6060, 0):

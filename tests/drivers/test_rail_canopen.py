@@ -14,7 +14,17 @@ from drivers.rail_canopen import CanopenRail
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError, DeviceRefused, Rail, Stopped
 from tests.drivers import can_peer
-from tests.drivers.can_peer import DRIVE, ENABLED, FAULT, STRIP, CanPeer, drive_objects, u16, u32
+from tests.drivers.can_peer import (
+    DRIVE,
+    ENABLED,
+    FAULT,
+    NO_RTR,
+    STRIP,
+    CanPeer,
+    drive_objects,
+    u16,
+    u32,
+)
 from tests.drivers.peers import wall_clock
 
 
@@ -25,7 +35,8 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
         (drive, "POLL_S", 0.002),
         (rail_canopen, "POLL_S", 0.002),
         (rail_canopen, "SETTLE_S", 0.3),
-        (rail_canopen, "OPERATIONAL_S", 0.5),
+        (rail_setup, "OPERATIONAL_S", 0.5),
+        (rail_setup, "START_PERIOD_S", 0.1),
         (rail_canopen, "RELEASE_S", 0.5),
         (rail_setup, "FIND_S", 0.5),
         (pdo, "REPLY_S", 0.1),
@@ -45,6 +56,9 @@ def rail_for(peer: CanPeer, clock: WallClock | None = None, **options: Any) -> C
         "acceleration_mm_s2": 200.0,
     }
     return CanopenRail(CanopenRail.Options(**(values | options)), clock or wall_clock())
+
+
+BEAT, START = (0x77F, b"\x05"), (0x000, b"\x01")
 
 
 @pytest.fixture
@@ -86,7 +100,8 @@ def test_connect_writes_the_self_stop_and_the_mappings(rail: CanopenRail, peer: 
     assert (objects[0x1A00, 1], objects[0x1A00, 2]) == (u32(0x60410010), u32(0x60640020))
     assert (objects[0x1A01, 1], objects[0x1A01, 2]) == (u32(0x606C0020), u32(0x60610008))
     assert (objects[0x1600, 1], objects[0x1600, 2]) == (u32(0x60400010), u32(0x607A0020))
-    assert objects[0x1800, 1] == u32(0x185)
+    assert objects[0x1800, 1] == u32(NO_RTR | 0x185)
+    assert objects[0x1400, 1] == u32(NO_RTR | 0x205)
     assert objects[0x1800, 2] == objects[0x1801, 2] == b"\x01"
     strip = peer.objects[STRIP]
     assert (strip[0x1A00, 1], strip[0x1A00, 2]) == (u32(0x60040020), u32(0x65030010))
@@ -101,7 +116,7 @@ def test_connect_writes_the_self_stop_and_the_mappings(rail: CanopenRail, peer: 
         (DRIVE, (0x1018, 1), u32(1), r"vendor \(1018h:01\) is 0x1, wanted 0x484"),
         (STRIP, (0x1018, 2), u32(1), r"node 6 \(strip\): product"),
         (STRIP, (0x6005, 1), u32(5000), r"strip step \(6005h\) is 5000 nm, wanted 10000 nm"),
-        (STRIP, (0x6501, 0), u32(1), r"strip step \(6501h\) is 1 nm"),
+        (STRIP, (0x6501, 0), u16(5000), r"strip step \(6501h\) is 5000 nm"),
     ],
 )
 def test_another_device_is_refused(
@@ -182,8 +197,58 @@ def test_a_node_that_stays_pre_operational_is_refused(
             original(cob_id, data)
 
     monkeypatch.setattr(peer, "_frame", frame)
-    with pytest.raises(DeviceError, match="NMT states 127, 127 of drive and strip"):
+    with pytest.raises(
+        DeviceError, match=r"node 5 is pre-operational \(0x7F\), node 6 is .*wanted operational"
+    ):
         rail_for(peer).connect()
+
+
+def test_the_first_heartbeat_goes_before_the_first_start(peer: CanPeer) -> None:
+    """A node that lost the last one goes back to pre-operational when START comes first."""
+    peer.lost_heartbeat.update((DRIVE, STRIP))
+    rail = rail_for(peer)
+    rail.connect()
+    services = [cob_id for cob_id, data in peer.heard if (cob_id, data[:1]) in (BEAT, START)]
+    assert services[0] == 0x77F
+    assert services.count(0x000) == 2  # one START a node was enough
+    rail.close()
+
+
+def test_start_is_repeated_while_a_node_is_set_up(
+    peer: CanPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deaf = iter((DRIVE, STRIP, DRIVE))
+    original = peer._frame
+
+    def frame(cob_id: int, data: bytes) -> None:
+        if (cob_id, data[:1]) != START or data[1] != next(deaf, None):
+            original(cob_id, data)
+
+    monkeypatch.setattr(peer, "_frame", frame)
+    rail = rail_for(peer)
+    rail.connect()
+    assert rail.read().still
+    rail.close()
+
+
+def test_a_node_that_leaves_operational_later_is_never_started_again(
+    rail: CanopenRail, peer: CanPeer
+) -> None:
+    peer.heard.clear()
+    peer.nmt[DRIVE] = 0x7F
+    assert _soon(lambda: rail._watches[0].state == 0x7F)
+    with pytest.raises(DeviceError, match=r"node 5: NMT state pre-operational \(0x7F\)"):
+        rail.move_to(600.0)
+    assert peer.frames(0x000) == []
+
+
+def test_a_node_without_bit_30_keeps_it_cleared(peer: CanPeer) -> None:
+    peer.demands_no_rtr = False
+    peer.objects[STRIP][0x1800, 1] = u32(0x80000186)
+    rail = rail_for(peer)
+    rail.connect()
+    assert peer.objects[STRIP][0x1800, 1] == u32(0x186)
+    rail.close()
 
 
 def test_an_old_fault_is_reset_and_nothing_enabled(peer: CanPeer) -> None:
@@ -292,7 +357,7 @@ MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], None], str]] = {
     "strip emcy": (lambda p: p.send(0x086, struct.pack("<HB5x", 0x5000, 1)), "node 6: EMCY"),
     "reset": (lambda p: p.send(0x705, b"\0"), "node 5: unexpected boot-up"),
     "heartbeat": (lambda p: p.silent.update((DRIVE, STRIP)), "node [56]: no heartbeat for"),
-    "nmt stop": (lambda p: p.nmt.update({DRIVE: 0x04}), "NMT state 0x04"),
+    "nmt stop": (lambda p: p.nmt.update({DRIVE: 0x04}), r"NMT state stopped \(0x04\)"),
     "freeze": (lambda p: setattr(p.axis, "frozen", True), "no progress for"),
     "early": (lambda p: setattr(p.axis, "lies", True), "no progress for .* wanted target reached"),
     "end of stream": (lambda p: p.server.drop(), "link lost"),

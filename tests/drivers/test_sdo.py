@@ -51,6 +51,43 @@ def test_a_value_is_typed_by_the_eds(peer: CanPeer) -> None:
         assert channel.read(*PROFILE_VELOCITY) == 111
 
 
+@pytest.mark.parametrize(
+    ("index", "answer", "value"),
+    [
+        (0x6081, "10 27", 10_000),  # a 32-bit object given in two bytes
+        (0x607C, "fb ff", -5),
+        (0x6007, "03 00 00 00", 3),  # a 16-bit object given in four
+    ],
+)
+def test_an_integer_of_another_size_is_the_same_number(
+    peer: CanPeer, index: int, answer: str, value: int
+) -> None:
+    peer.objects[DRIVE][index, 0] = bytes.fromhex(answer)
+    with channel_to(peer) as channel:
+        assert channel.read(index) == value
+
+
+def test_an_answer_without_a_size_counts_by_its_type(peer: CanPeer) -> None:
+    peer.tamper = lambda line: [line.replace(b"t585843076000", b"t585842076000")]
+    peer.objects[DRIVE][0x6007, 0] = bytes.fromhex("03 00 ff ff")
+    with channel_to(peer) as channel:
+        assert channel.read(0x6007) == 3
+
+
+def test_a_number_beyond_its_type_is_an_error_after_the_retry(peer: CanPeer) -> None:
+    peer.objects[DRIVE][0x6007, 0] = u32(0x10003)
+    with (
+        channel_to(peer) as channel,
+        pytest.raises(
+            DeviceError,
+            match=r"Rail: read 6007h:00: node 5: an answer of 4 bytes \(03 00 01 00\), "
+            "wanted a number of 2 bytes, 3 times; check node 5",
+        ),
+    ):
+        channel.read(0x6007)
+    assert len(peer.frames(0x605)) > 3
+
+
 def test_the_request_is_as_published(peer: CanPeer) -> None:
     with channel_to(peer) as channel, pytest.raises(Aborted):
         channel.read(0x6064)

@@ -85,7 +85,7 @@ def remap(
     master: Master, number: int, entries: tuple[int, ...], node: int = DRIVE, kind: int = 1
 ) -> None:
     """Map objects into a TPDO the way the standard asks for."""
-    cob_id = 0x180 + 0x100 * number + node
+    cob_id = 1 << 30 | 0x180 + 0x100 * number + node
     master.write(0x1800 + number, 1, cob_id | 1 << 31, "I", node)
     master.write(0x1800 + number, 2, kind, "B", node)
     master.write(0x1A00 + number, 0, 0, "B", node)
@@ -106,7 +106,7 @@ def test_identities() -> None:
         assert strip == [0x484, 0x406, 1, 2014002]
         assert master.drive.sdo.upload(0x1008, 0) == b"hilcell rail drive"
         assert master.strip.sdo.upload(0x1008, 0) == b"hilcell strip sensor"
-        assert master.read(0x6501, 0, "I", STRIP) == master.read(0x6005, 1, "I", STRIP) == 10_000
+        assert master.read(0x6501, 0, "H", STRIP) == master.read(0x6005, 1, "I", STRIP) == 10_000
         assert master.read(0x650B, 0, "I", STRIP) == 2014002
 
 
@@ -123,9 +123,10 @@ def test_wrong_identity() -> None:
 def test_mapping_needs_the_pdo_off_and_the_count_zero() -> None:
     with served() as bench, Master(bench.server.port) as master:
         assert aborted(master.write, 0x1A00, 0, 0, "B") == 0x08000022
-        assert aborted(master.write, 0x1800, 1, 0x80000385, "I") == 0x08000022
-        assert aborted(master.write, 0x1801, 1, 0x80000605, "I") == 0x06090030
-        master.write(0x1800, 1, 0x80000185, "I")
+        assert aborted(master.write, 0x1800, 1, 0xC0000385, "I") == 0x08000022
+        assert aborted(master.write, 0x1801, 1, 0xC0000605, "I") == 0x06090030
+        assert aborted(master.write, 0x1801, 1, 0x80000285, "I") == 0x06090030, "bit 30"
+        master.write(0x1800, 1, 0xC0000185, "I")
         assert aborted(master.write, 0x1A00, 1, 0x60640020, "I") == 0x08000022
         master.write(0x1A00, 0, 0, "B")
         master.write(0x1A00, 1, 0x60640020, "I")
@@ -235,6 +236,23 @@ def test_lost_heartbeat_is_an_emergency_and_ends_when_it_returns() -> None:
         until(lambda: not master.drive.emcy.active, "error reset")
         assert master.read(0x1001, 0, "B") == 0
         beats.stop()
+
+
+def test_start_before_the_first_new_heartbeat_does_not_hold() -> None:
+    with served() as bench, Master(bench.server.port) as master:
+        master.write(0x1016, 1, 127 << 16 | 50, "I")
+        master.network.nmt.send_command(1)
+        master.network.send_message(0x77F, b"\x05")
+        until(lambda: [e.code for e in master.drive.emcy.active] == [0x8130], "EMCY 8130")
+        master.write(0x1016, 1, 127 << 16 | 50, "I")  # set anew, and still latched
+        master.network.nmt.send_command(1)
+        until(lambda: [e.code for e in master.drive.emcy.log] == [0x8130] * 2, "EMCY again")
+        master.network.send_message(0x205, b"\x06\x00")
+        assert master.status() & 0x6F == 0x40, "no PDOs in PRE-OPERATIONAL"
+        master.network.send_message(0x77F, b"\x05")
+        master.network.nmt.send_command(1)
+        master.network.send_message(0x205, b"\x06\x00")
+        until(lambda: master.status() & 0x6F == 0x21, "OPERATIONAL")
 
 
 def test_rewritten_consumer_waits_for_the_first_heartbeat() -> None:

@@ -201,12 +201,12 @@ def test_both_objects_of_a_frame_are_in_place_before_the_set_point() -> None:
     """RPDO 6040 + 607A: the controlword stands first, the target still belongs to it."""
     with served() as bench, Master(bench.server.port) as master:
         master.home()
-        master.write(0x1400, 1, 0x80000205, "I")
+        master.write(0x1400, 1, 0xC0000205, "I")
         master.write(0x1600, 0, 0, "B")
         for sub, entry in enumerate((0x60400010, 0x607A0020), start=1):
             master.write(0x1600, sub, entry, "I")
         master.write(0x1600, 0, 2, "B")
-        master.write(0x1400, 1, 0x205, "I")
+        master.write(0x1400, 1, 0x40000205, "I")
         master.network.nmt.send_command(1)
         master.network.send_message(0x205, bytes.fromhex("1F00") + (5000).to_bytes(4, "little"))
         until(master.arrived, "arrived")

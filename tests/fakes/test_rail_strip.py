@@ -15,13 +15,13 @@ from tests.fakes.rail_bench import STRIP, Bench, Master, served, until
 def synchronised() -> Iterator[tuple[Bench, Master]]:
     """Serve with 6004 + 6503 in the sensor's first TPDO, on every SYNC."""
     with served() as bench, Master(bench.server.port) as master:
-        master.write(0x1800, 1, 0x80000186, "I", STRIP)
+        master.write(0x1800, 1, 0xC0000186, "I", STRIP)
         master.write(0x1800, 2, 1, "B", STRIP)
         master.write(0x1A00, 0, 0, "B", STRIP)
         for sub, entry in enumerate((0x60040020, 0x65030010), start=1):
             master.write(0x1A00, sub, entry, "I", STRIP)
         master.write(0x1A00, 0, 2, "B", STRIP)
-        master.write(0x1800, 1, 0x186, "I", STRIP)
+        master.write(0x1800, 1, 0x40000186, "I", STRIP)
         master.network.nmt.send_command(1)
         yield bench, master
 
