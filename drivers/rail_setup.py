@@ -174,7 +174,7 @@ def start_nodes(link: CanLink, watches: Sequence[NodeWatch], clock: Clock) -> No
             raise DeviceError(
                 "Rail",
                 "connect",
-                f"not started: {states}",
+                f"nodes do not start: {states}",
                 wanted=f"{nmt.state_text(nmt.OPERATIONAL)} within {OPERATIONAL_S:.0f} s",
                 act="switch the nodes off and on, then resume",
             )
