@@ -36,6 +36,8 @@ TEMPERATURE_C = (-20.0, 60.0)
 PRESSURE_MBAR = (500.0, 1200.0)
 HUMIDITY_PERCENT = (0.0, 100.0)
 BUSY_PAUSE_S = 0.1
+SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
+SETTING_SHARE = 1e-6
 
 T = TypeVar("T")
 Positive = Annotated[float, Meta(gt=0)]
@@ -167,6 +169,13 @@ class LeicaEmsconTracker:
             stationary,
             (self._options.stationary_ms, 1),
         )
+        self._set(
+            "search",
+            Command.SET_SEARCH,
+            Command.GET_SEARCH,
+            emscon.SEARCH,
+            (self._options.find_radius_mm, SEARCH_MS),
+        )
         air = self._numbers_of(Command.GET_ENVIRONMENT, emscon.ENVIRONMENT)
         if problem := _air_problem(*air):
             raise DeviceRefused(
@@ -182,12 +191,15 @@ class LeicaEmsconTracker:
         write: Command,
         read: Command,
         layout: Struct,
-        wanted: tuple[int, ...],
+        wanted: tuple[float, ...],
     ) -> None:
-        """Write a setting and believe it only when it reads back."""
+        """Write a setting and believe it only when it reads back.
+
+        Lengths are converted from and to the tracker's own unit, so their last digits may differ.
+        """
         self._ask(write, layout.pack(*wanted))
         found = self._numbers_of(read, layout)
-        if found != wanted:
+        if not np.allclose(found, wanted, rtol=SETTING_SHARE, atol=SETTING_SHARE):
             raise DeviceRefused(
                 DEVICE,
                 f"set {what}",

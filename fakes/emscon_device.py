@@ -84,7 +84,7 @@ class _Settings:
     axes: int = 0
     mode: int = 0
     stationary: tuple[int, int] = (1000, 1)
-    search: tuple[float, int] = (50.0, 30_000)  # mm, ms
+    search: tuple[float, int] = (12.0, 30_000)  # mm, ms
     environment: tuple[float, ...] = (20.0, 1013.3, 60.0)
     refraction: tuple[float, ...] = (1.000275, 1.000279)
     system: tuple[int, ...] = (2, 0, 0, 0, 1, 0, 0, 0, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 
@@ -41,6 +42,13 @@ def parse_integer(text: str) -> int:
         return int(text.strip())
     except ValueError:
         raise KrlError(text) from None
+
+
+def parse_rounded(text: str) -> int:
+    """Return a number for an INT to which a REAL may be assigned; raises `KrlError`."""
+    if not _NUMBER.match(text.strip()) or not math.isfinite(float(text)):
+        raise KrlError(text)
+    return math.floor(float(text) + 0.5)
 
 
 def parse_aggregate(text: str, kind: str) -> dict[str, float]:

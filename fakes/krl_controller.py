@@ -20,6 +20,7 @@ from fakes.krl import (
     parse_aggregate,
     parse_boolean,
     parse_integer,
+    parse_rounded,
 )
 from fakes.robot_motion import RobotMotion
 from hilcell.cell import Cell
@@ -99,7 +100,7 @@ class KrlController:
             elif name == "HC_STOP":
                 self._stop(parse_boolean(text))
             elif name == "$OV_PRO":
-                self._set_override(parse_integer(text))
+                self._set_override(parse_rounded(text))
             else:
                 raise KrlError(name)
             self._run_program()

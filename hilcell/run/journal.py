@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import math
 import sqlite3
 import stat
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -43,6 +44,10 @@ BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
 
 class StorageError(HilcellError):
     """The journal cannot be written or read."""
+
+
+class NotFinite(HilcellError):
+    """A record holds a NaN or an infinity, which JSON cannot state; nothing was written."""
 
 
 class Record(msgspec.Struct, frozen=True):
@@ -98,10 +103,19 @@ class Journal:
         self._listeners.append(listener)
 
     def append(self, kind: Kind, key: str, body: dict[str, Any]) -> Record:
-        """Write one record and return it when it is durable; raises `StorageError`."""
+        """Write one record and return it when it is durable.
+
+        Raises `StorageError`, and `NotFinite` before anything is written.
+        """
+        plain = msgspec.to_builtins(body, enc_hook=_plain)
         with self._lock:
             moment = datetime.now(UTC).isoformat(timespec="milliseconds")
-            plain = msgspec.to_builtins(body, enc_hook=_plain)
+            if bad := _not_finite(plain):
+                raise NotFinite(
+                    f"journal {self.path}: record {self._seq + 1} ({kind} {key or '-'}): {bad}, "
+                    f"wanted a finite number; nothing was written; check the device that it came "
+                    f"from, then `hilcell resume {self.run}`"
+                )
             record = Record(self._seq + 1, moment, kind, key, plain)
             digest = chain(self._hash, record)
             text = msgspec.json.encode(plain).decode()
@@ -145,6 +159,18 @@ def _place(path: Path) -> tuple[int, int] | None:
 def _plain(value: Any) -> Any:
     """Turn numpy arrays and scalars into plain numbers."""
     return value.tolist()
+
+
+def _not_finite(value: Any, name: str = "") -> str:
+    """Return the first number below ``value`` that is not finite, by its place; "" for none."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"{name} is {value}"
+    parts: Iterable[tuple[str, Any]] = ()
+    if isinstance(value, dict):
+        parts = ((f"{name}.{key}" if name else str(key), part) for key, part in value.items())
+    elif isinstance(value, list | tuple):
+        parts = ((f"{name}[{number}]", part) for number, part in enumerate(value))
+    return next((bad for where, part in parts if (bad := _not_finite(part, where))), "")
 
 
 def is_there(path: Path) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 
 from tests.drivers.peers import Server, exactly
 
-READS = {6: 5, 25: 24, 27: 26, 29: 28, 41: 40}
+READS = {6: 5, 25: 24, 27: 26, 29: 28, 41: 40, 44: 43}
 
 
 class CesapiServer(Server):
@@ -43,7 +43,13 @@ class CesapiServer(Server):
 
     def _complete(self, number: int, answer: Any) -> None:
         written: Any = self._written.get(READS.get(number, -1))
-        for name in ("unitsSettings", "measMode", "coordSysType", "stationaryModeData"):
+        for name in (
+            "unitsSettings",
+            "measMode",
+            "coordSysType",
+            "stationaryModeData",
+            "searchParams",
+        ):
             if hasattr(written, name):
                 setattr(answer, name, getattr(written, name))
         if hasattr(written, "iInternalReflectorId"):

@@ -84,7 +84,7 @@ class EmsconPeer:
 
     def _set(self, command: int) -> Answer:
         """Keep a setting under the number of its reading command."""
-        pairs = {5: 6, 24: 25, 26: 27, 28: 29, 40: 41}
+        pairs = {5: 6, 24: 25, 26: 27, 28: 29, 40: 41, 43: 44}
 
         def keep(body: bytes) -> list[bytes]:
             self.settings[pairs[command]] = body

@@ -86,6 +86,29 @@ def test_connecting_sets_everything_and_tells_who_answered(peer: EmsconPeer) -> 
     assert peer.settings[41] == struct.pack("<i", 9)
 
 
+def test_the_cells_search_radius_is_set(peer: EmsconPeer) -> None:
+    tracker = tracker_at(peer.server.port, find_radius_mm=50.0)
+    tracker.connect()
+    tracker.close()
+    assert peer.settings[44].hex() == "000000000000494010270000"  # 50 mm, 10 s
+
+
+@pytest.mark.parametrize("found", [5.001, np.nan, np.inf])
+def test_a_search_radius_that_reads_back_differently_is_refused(
+    peer: EmsconPeer, found: float
+) -> None:
+    peer.answers[44] = lambda _: [reply(44, struct.pack("<di", found, 10_000))]
+    with pytest.raises(DeviceRefused, match=r"set search: reads back as .* wanted \(5\.0, 10000\)"):
+        tracker_at(peer.server.port).connect()
+
+
+def test_a_search_radius_that_the_tracker_keeps_in_metres_is_the_same(peer: EmsconPeer) -> None:
+    peer.answers[44] = lambda _: [reply(44, struct.pack("<di", 0.0499 / 3 * 3 * 1000, 10_000))]
+    tracker = tracker_at(peer.server.port, find_radius_mm=49.9)
+    tracker.connect()
+    tracker.close()
+
+
 def test_one_measurement(tracker: Quick, peer: EmsconPeer) -> None:
     before = len(peer.commands)
     reading = tracker.measure(POINT, SMR, 1)

@@ -92,6 +92,14 @@ def test_independent_client_reads_and_writes(robot: Robot) -> None:
         peer.close()
 
 
+@pytest.mark.parametrize(("text", "found"), [("35.0", "35"), ("3.5E1", "35"), (" 35.4 ", "35")])
+def test_a_real_written_to_the_override_reads_as_an_int(
+    robot: Robot, text: str, found: str
+) -> None:
+    robot.client.write("$OV_PRO", text)
+    assert robot.client.read("$OV_PRO") == found
+
+
 def test_unknown_variables_and_bad_values_fail(robot: Robot) -> None:
     assert robot.client.request(0, "$NO_SUCH")[1] == b"\x00\x01\x00"
     for name, text in (
@@ -99,6 +107,8 @@ def test_unknown_variables_and_bad_values_fail(robot: Robot) -> None:
         ("HC_VEL", "fast"),
         ("$MODE_OP", "#T1"),
         ("$OV_PRO", "101"),
+        ("$OV_PRO", "1e400"),
+        ("$OV_PRO", "nan"),
     ):
         assert robot.client.request(1, name, text)[1] == b"\x00\x01\x00"
 

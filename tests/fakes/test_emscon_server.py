@@ -121,6 +121,17 @@ def test_left_handed_axes_flip_both_ways(ready: Tracker) -> None:
     np.testing.assert_allclose(values[:3], at * [1, -1, 1], atol=0.06)
 
 
+@pytest.mark.parametrize(("radius_mm", "found"), [(None, False), (19.0, False), (21.0, True)])
+def test_it_searches_within_the_radius_that_was_set(
+    ready: Tracker, radius_mm: float | None, found: bool
+) -> None:
+    if radius_mm is not None:
+        assert ready.client.ask(43, "di", radius_mm, 10_000)[0] == OK
+    beside = ready.at("F1") + [0.0, 0.0, 20.0]
+    status, _ = ready.client.ask(55, "3di", *beside, 1)
+    assert status == (OK if found else NO_DISTANCE)
+
+
 def test_settings_are_read_back(ready: Tracker) -> None:
     client = ready.client
     for put, get, form, values in (

@@ -5,12 +5,14 @@ import signal
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hilcell.run.journal import Journal, StorageError, read_journal
+from hilcell.run.journal import Journal, Kind, NotFinite, StorageError, read_journal
 
 
 @pytest.fixture
@@ -31,6 +33,32 @@ def test_records_come_back_as_written(path: Path) -> None:
     assert [record.key for record in records] == [f"p/{n}" for n in range(5)]
     assert records[2].body == {"xyz_mm": [2.0, 3.0, 4.0], "ok": True}
     assert [r.seq for r in read_journal(path, after=3)] == [4, 5]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(
+    ("kind", "where", "body"),
+    [
+        ("point", "std_mm[1]", lambda value: {"std_mm": np.array([0.1, value, 0.1])}),
+        ("frame", "matrix[3][3]", lambda value: {"matrix": np.diag([1.0, 1.0, 1.0, value])}),
+        (
+            "event",
+            "facts.age_s",
+            lambda value: {"facts": {"age_s": np.float64(value)}},
+        ),
+        ("verdict", "off_mm", lambda value: {"holds": False, "off_mm": value}),
+    ],
+)
+def test_what_is_not_finite_is_refused_before_it_is_written(
+    path: Path, kind: Kind, where: str, body: Callable[[float], dict[str, Any]], value: float
+) -> None:
+    journal = Journal(filled(path), "r", create=False)
+    with pytest.raises(NotFinite) as caught:
+        journal.append(kind, "p/9", body(value))
+    assert f"record 6 ({kind} p/9): {where} is {value}, wanted a finite number" in str(caught.value)
+    assert journal.append("event", "", {"what": "goes on"}).seq == 6
+    journal.close()
+    assert [record.kind for record in read_journal(path)][5:] == ["event"]
 
 
 def test_events_carry_the_record(path: Path) -> None:
@@ -121,7 +149,9 @@ def append_many(journal: Journal) -> None:
 
 WRITER = """
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from hilcell.run.journal import Journal
 journal = Journal(Path(sys.argv[1]), "r", create=True)
 journal.listen(lambda record: print(record.seq, flush=True))
