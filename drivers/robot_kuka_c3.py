@@ -14,12 +14,12 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
-from scipy.spatial.transform import Rotation
 
 from drivers import krl
 from drivers.c3 import C3Connection
 from drivers.keep_alive import KeepAlive
 from hilcell.clean import clean
+from hilcell.geometry.rotations import from_zyx
 from hilcell.ports import Array, Clock, DeviceError, DeviceRefused, Identity, RobotReading
 
 DEVICE = "Robot"
@@ -334,7 +334,7 @@ class KukaC3Robot:
         """Return {T} in {B} (4, 4), mm, from X, Y, Z and KUKA's Z-Y-X angles A, B, C."""
         values = self._numbers("$POS_ACT", FRAME)
         pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_euler("ZYX", values[3:], degrees=True).as_matrix()
+        pose[:3, :3] = from_zyx(values[3:])
         pose[:3, 3] = values[:3]
         return pose
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hilcell.compensation.interpolation import inverse_distance_weights
 from hilcell.geometry.frames import apply, cross_matrix, matrix, rigid_fit
 from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import HilcellError
 from hilcell.robotfile import Measurements, RobotModel
 
@@ -243,7 +243,7 @@ def _improved(
     rows = (weight[:, None, None] * J).reshape(-1, J.shape[2])
     # With one tool orientation base and reflector shift each other: the least step is taken.
     step = np.linalg.lstsq(rows, (weight[:, None] * left).ravel(), rcond=1e-10)[0]
-    R = Rotation.from_rotvec(step[3:6]).as_matrix()
+    R = from_rotvec(step[3:6])
     moved = matrix(R, middle + step[:3] - R @ middle) @ T
     return moved, smr + step[6:].reshape(-1, 3), float(np.abs(step).max())
 

@@ -10,9 +10,9 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
-from scipy.spatial.transform import Rotation
 
 from hilcell.geometry.kinematics import Array
+from hilcell.geometry.rotations import from_zyx
 
 Length = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Size = Annotated[float, Meta(gt=0, le=1e6)]
@@ -53,8 +53,6 @@ class Pose(Frozen, frozen=True, kw_only=True):
     def matrix(self) -> Array:
         """Return the homogeneous matrix (4, 4)."""
         T = np.eye(4)
-        T[:3, :3] = Rotation.from_euler(
-            "ZYX", (self.a_deg, self.b_deg, self.c_deg), degrees=True
-        ).as_matrix()
+        T[:3, :3] = from_zyx((self.a_deg, self.b_deg, self.c_deg))
         T[:3, 3] = (self.x_mm, self.y_mm, self.z_mm)
         return T

@@ -8,6 +8,7 @@ import numpy as np
 
 from hilcell.cell import Cell
 from hilcell.geometry.frames import apply, rigid_fit, unit
+from hilcell.geometry.rotations import to_rotvec
 from hilcell.ports import Array
 from hilcell.run.bench import FLANGE, Bench
 from hilcell.run.log import Log, positions_mm
@@ -134,10 +135,7 @@ def angles_mrad(log: Log, along: Array) -> dict[str, list[float]]:
 
 def turn_rad(before_mm: Array, after_mm: Array) -> Array:
     """Return the rotation vector (3,) between two sightings of the same points (N, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    turn: Array = Rotation.from_matrix(rigid_fit(before_mm, after_mm).T[:3, :3]).as_rotvec()
-    return turn
+    return to_rotvec(rigid_fit(before_mm, after_mm).T[:3, :3])
 
 
 def survey_table(result: dict[str, Any]) -> Table:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from hilcell.geometry.kinematics import Array
+from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.ports import HilcellError
 
 LEAST_SPREAD = 0.02  # across over along: below this the points count as one line
@@ -109,7 +109,7 @@ def pose_from_zyx(
     x_mm: float, y_mm: float, z_mm: float, a_deg: float, b_deg: float, c_deg: float
 ) -> Array:
     """Return the frame (4, 4) of X, Y, Z, A, B, C: Rz(A) Ry(B) Rx(C)."""
-    R = Rotation.from_euler("ZYX", (a_deg, b_deg, c_deg), degrees=True).as_matrix()
+    R = from_zyx((a_deg, b_deg, c_deg))
     return matrix(R, np.array([x_mm, y_mm, z_mm]))
 
 
@@ -207,7 +207,7 @@ def _refined(T: Array, a: Array, b: Array, W: Array) -> Array:
         J = _jacobian(moved - centroid)
         gradient = np.einsum("nij,nik,nk->j", J, W, b - moved)
         step = np.linalg.solve(_normal_matrix(moved - centroid, W), gradient)
-        R = Rotation.from_rotvec(step[3:]).as_matrix()
+        R = from_rotvec(step[3:])
         T = matrix(R, centroid + step[:3] - R @ centroid) @ T
         if np.linalg.norm(step) <= CONVERGED * (1.0 + np.linalg.norm(centroid)):
             break

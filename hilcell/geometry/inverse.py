@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
+from hilcell.geometry.rotations import to_rotvec
 from hilcell.ports import HilcellError
 
 Bools = NDArray[np.bool_]
@@ -237,9 +237,8 @@ def _check_family(arm: Arm) -> None:
 def _pose_error(wanted: Array, found: Array) -> Array:
     """Return (shift in mm, rotation vector in rad) from found to wanted, (..., 6)."""
     turn = wanted[..., :3, :3] @ np.swapaxes(found[..., :3, :3], -1, -2)
-    vector = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec()
     shift = wanted[..., :3, 3] - found[..., :3, 3]
-    return np.concatenate([shift, vector.reshape(shift.shape)], axis=-1)
+    return np.concatenate([shift, to_rotvec(turn)], axis=-1)
 
 
 def _arrived(error: Array) -> Bools:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hilcell.geometry.kinematics import Array
+from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.settings import SettingsError
 from hilcell.targets import HEADER, read_named_rows
 
@@ -59,13 +59,13 @@ def tools_against(normals: Array) -> Array:
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     first = np.stack([x, np.cross(z, x), z], axis=-1)
     angles_rad = np.arange(TURNS) * 2 * np.pi / TURNS
-    turns = Rotation.from_rotvec(angles_rad[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    turns = from_rotvec(angles_rad[:, None] * [0.0, 0.0, 1.0])
     tools: Array = np.einsum("nij,kjl->nkil", first, turns)
     return tools
 
 
 def _tools_of(angles_deg: Array) -> Array:
-    return Rotation.from_euler("ZYX", angles_deg, degrees=True).as_matrix()[:, None]
+    return from_zyx(angles_deg)[:, None]
 
 
 def _fault_of(header: list[str], values: list[float]) -> str:

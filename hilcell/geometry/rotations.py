@@ -1,0 +1,61 @@
+"""Rotations of frames, as matrices: from Z-Y-X angles, from and to rotation vectors.
+
+scipy has these too, but its import takes longer than all else that starts an engine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hilcell.geometry.kinematics import Array
+
+SMALL_RAD = 1e-4  # below, series in the angle: their next term is beyond a double
+
+
+def from_zyx(angles_deg: ArrayLike) -> Array:
+    """Return Rz(A) Ry(B) Rx(C) (..., 3, 3) of angles A, B, C (..., 3)."""
+    angles_rad = np.radians(np.asarray(angles_deg, dtype=float))
+    (sa, sb, sc), (ca, cb, cc) = (np.moveaxis(f(angles_rad), -1, 0) for f in (np.sin, np.cos))
+    rows = [
+        [ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc],
+        [sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc],
+        [-sb, cb * sc, cb * cc],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_rotvec(vectors_rad: ArrayLike) -> Array:
+    """Return the rotations (..., 3, 3) about vectors (..., 3) by their lengths, by Rodrigues."""
+    v = np.asarray(vectors_rad, dtype=float)
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
+    K = np.cross(np.eye(3), v[..., None, :])
+    safe = np.where(angle < SMALL_RAD, 1.0, angle)
+    first = np.where(angle < SMALL_RAD, 1.0 - angle**2 / 6.0, np.sin(angle) / safe)
+    half = np.where(angle < SMALL_RAD, 0.5 - angle**2 / 48.0, np.sin(0.5 * angle) / safe)
+    rotation: Array = np.eye(3) + first * K + 2.0 * half**2 * (K @ K)
+    return rotation
+
+
+def to_rotvec(rotations: Array) -> Array:
+    """Return the rotation vectors (..., 3), of at most pi, of rotations (..., 3, 3).
+
+    By the quaternion of its largest component, so that it is exact near 0 and near pi.
+    """
+    R = np.asarray(rotations, dtype=float)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(R, (-2, -1), (0, 1))
+    rows = [  # 4 q q^T, q = (x, y, z, w)
+        [1 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
+        [xy + yx, 1 - xx + yy - zz, yz + zy, xz - zx],
+        [xz + zx, yz + zy, 1 - xx - yy + zz, yx - xy],
+        [zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz],
+    ]
+    Q = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    largest = np.argmax(np.diagonal(Q, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(Q, largest[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True) * np.where(q[..., 3:] < 0.0, -1.0, 1.0)
+    sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., 3:])
+    scale = np.divide(angle, sine, out=np.full_like(angle, 2.0), where=sine > 0.0)
+    vector: Array = q[..., :3] * scale
+    return vector
