@@ -1,102 +1,84 @@
-"""The robot as it really is: link errors, gravity, joint harmonics, gear ripple, lost motion.
+"""The robot as it really is: axes that lie askew, joints that do not turn as told.
 
-All but ripple and lost motion are scaled together, so that the mean position error over the
-grid's cube is the paper's 1.2092 mm. That error is taken as the paper takes it: against the base
-frame built from the circles of axes 1 and 6 (section 4.2), here from the noise-free truth. The
-trap: this ideal {B} is not the frame in which the link errors are drawn; `ideal_base` relates them.
+All but ripple, lost motion, repeatability and growth are scaled together, over the machine's own
+reference cube. The error is taken as the paper takes it: against the base frame built from the
+circles of axes 1 and 6 (section 4.2), here from the noise-free truth. The trap: this ideal {B} is
+not the frame in which the axes are drawn; `ideal_base` relates them.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hilcell.cell import Cell
-from hilcell.geometry.inverse import posture
-from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
+from fakes.joint_errors import URAD, Deflection, Loads, Ripple, slopes
+from fakes.machine import Errors, Machine, mounted
+from fakes.repeatability import unit_rp_mm
+from fakes.screws import Chain
+from fakes.transforms import Array, carried, frame, rigid, rotation
 from hilcell.ports import HilcellError
+from hilcell.tables import Point
 
-MEAN_ERROR_MM = 1.2092
-MAX_ERROR_MM = 1.9  # "nearly 2" before calibration; robots beyond it are not the paper's
 DRAWS = 100
-RIPPLE_RAD = 45e-6 / np.sqrt(2.0)  # RMS of each joint
-HALF_GAP_RAD = 15e-6
-PINS, RATIOS = (30, 51), (150, 250)  # gear pins and reducer ratios, cycles a revolution
-OFFSET_RAD, LENGTH_MM, TWIST_RAD, TOOL_MM = 3e-4, 0.4, 2e-4, 0.5  # 1 sigma before scaling
-GRAVITY_RAD, GRAVITY_SIDE_RAD = 1.5e-4, 3e-5
-FIRST_RAD, SECOND_RAD = 4e-5, 2e-5  # joint harmonics, one and two cycles a revolution
-CUBE_POINTS = 6  # a side of the cube over which the mean error is taken
+SOLVED_MM = 1e-10
+GAP_SPREAD = 0.2  # of the half-gaps, over and under the machine's
 
 
 @dataclass(frozen=True, slots=True)
 class _Errors:
-    """Deviations from nominal, to be scaled: links (6,) each, gravity (6,), harmonics (6, 4)."""
+    """Deviations to be scaled: of axes 2 to 6 and of the reflector; the joints' own."""
 
-    a_mm: Array
-    alpha_rad: Array
-    d_mm: Array
-    offset_rad: Array
-    beta_rad: Array
-    tool_mm: Array
-    gravity_rad: Array
-    harmonics_rad: Array
+    shift_mm: Array  # (5, 3) of everything from this axis on
+    tilt_rad: Array  # (5, 3) about a point on it
+    zero_rad: Array  # (6,)
+    tool_mm: Array  # (3,)
+    deflection: Deflection
 
     def scaled(self, factor: float) -> _Errors:
-        return _Errors(*(getattr(self, name) * factor for name in self.__slots__))
+        return _Errors(
+            self.shift_mm * factor,
+            self.tilt_rad * factor,
+            self.zero_rad * factor,
+            self.tool_mm * factor,
+            self.deflection.scaled(factor),
+        )
 
 
 class ArmTruth:
-    """One robot's true geometry; its poses are stated in its own base frame {R}."""
+    """One robot's true geometry; its poses are stated in its own base frame {R}.
 
-    def __init__(self, cell: Cell, rng: np.random.Generator) -> None:
-        self._nominal = cell.robot.arm()
-        self._ripple = _draw_ripple(rng)
-        self._half_gap_rad = HALF_GAP_RAD * rng.uniform(0.8, 1.2, 6)
-        targets_mm, commands_rad = _cube(cell)
-        axis_6_rad = np.radians(cell.base_frame.axis_6_deg)
-        for _ in range(DRAWS):
-            drawn = _draw_errors(rng)
+    ``smr_mm`` (3,) is where the reflector is mounted on the flange. Raises `HilcellError` where
+    no robot of such sizes is found.
+    """
 
-            def norms_mm(factor: float, drawn: _Errors = drawn) -> Array:
-                self._take(drawn.scaled(factor), axis_6_rad)
-                norms: Array = np.linalg.norm(self.errors_mm(commands_rad, targets_mm), axis=1)
-                return norms
-
-            factor = _solved(lambda factor: float(norms_mm(factor).mean()), MEAN_ERROR_MM)
-            if norms_mm(factor).max() <= MAX_ERROR_MM:
-                return
-        raise HilcellError(
-            f"simulated robot: none of {DRAWS} draws keeps every error below {MAX_ERROR_MM} mm"
+    def __init__(self, machine: Machine, smr_mm: Point, rng: np.random.Generator) -> None:
+        self._machine, self._smr_mm = machine, smr_mm
+        self.design = machine.chain(smr_mm)
+        self._slopes = slopes(self.design)
+        sizes = machine.transmission
+        self.ripple = Ripple(sizes, rng)
+        self._half_gap_rad = (
+            sizes.half_gap_urad * URAD * rng.uniform(1.0 - GAP_SPREAD, 1.0 + GAP_SPREAD, 6)
         )
-
-    def _take(self, errors: _Errors, axis_6_rad: Array) -> None:
-        nominal = self._nominal
-        tool = nominal.tool.copy()
-        tool[:3, 3] += errors.tool_mm
-        self._errors = errors
-        self._arm = replace(
-            nominal,
-            a_mm=nominal.a_mm + errors.a_mm,
-            alpha_rad=nominal.alpha_rad + errors.alpha_rad,
-            d_mm=nominal.d_mm + errors.d_mm,
-            offset_rad=nominal.offset_rad + errors.offset_rad,
-            beta_rad=errors.beta_rad,
-            tool=tool,
+        self.targets_mm, self.commands_rad = reference_cube(machine, self.design)
+        self._loads = Loads(self.design, self.commands_rad)
+        self.joint_sigma_rad = sizes.rp_mm / float(
+            unit_rp_mm(self.design.jacobian(self.commands_rad)[:, :3]).mean()
         )
-        self.ideal_base = self._base_from_axes(axis_6_rad)
+        self._settle(machine.errors, rng)
 
-    def pose(self, joints_rad: Array, side: Array, landing_rad: Array) -> Array:
+    def pose(self, joints_rad: Array, side: Array, landing_rad: Array, warm_k: float = 0) -> Array:
         """Return the reflector's frame in {R}, (..., 4, 4).
 
         ``joints_rad`` (..., 6) are the controller's, ``side`` (..., 6) the sign of each joint's
-        last motion, ``landing_rad`` (..., 6) this motion's repeatability error.
+        last motion, ``landing_rad`` (..., 6) this motion's repeatability error, ``warm_k`` how
+        much warmer the arm is than the room's mean.
         """
+        strain = self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
+        chain = self._chain.grown(strain) if strain else self._chain
         lost = side * self._half_gap_rad + landing_rad
-        pose: Array = forward(self._arm, self._true_joints(joints_rad) + lost)
-        return pose
+        return chain.pose(self._true_joints(joints_rad) + lost)
 
     def errors_mm(self, commands_rad: Array, targets_mm: Array) -> Array:
         """Return e = actual - nominal (N, 3) in the ideal {B}, without noise, from below."""
@@ -106,19 +88,51 @@ class ArmTruth:
         errors: Array = (at_mm - origin_mm) @ R - targets_mm
         return errors
 
+    def _settle(self, sizes: Errors, rng: np.random.Generator) -> None:
+        """Draw until one draw, brought to its size, has no error that is too large."""
+        for _ in range(DRAWS):
+            drawn = _draw_errors(sizes, self.design, rng)
+            self._scale(sizes, drawn)
+            errors_mm = self.errors_mm(self.commands_rad, self.targets_mm)
+            if np.linalg.norm(errors_mm, axis=1).max() <= sizes.largest_mm:
+                return
+        raise HilcellError(
+            f"simulated robot: none of {DRAWS} draws keeps every error below {sizes.largest_mm} mm"
+        )
+
+    def _scale(self, sizes: Errors, drawn: _Errors) -> None:
+        """Take the draw at the factor that gives the wanted size, by the secant method."""
+        factor, before = 1.0, 0.5
+        value, value_before = self._size_mm(drawn, factor), self._size_mm(drawn, before)
+        for _ in range(50):
+            if abs(value - sizes.size_mm) < SOLVED_MM:
+                return
+            slope = (value - value_before) / (factor - before)
+            before, value_before = factor, value
+            factor += (sizes.size_mm - value) / slope
+            value = self._size_mm(drawn, factor)
+        raise HilcellError(f"simulated robot: no errors of size {sizes.size_mm} mm are found")
+
+    def _size_mm(self, drawn: _Errors, factor: float) -> float:
+        self._take(drawn.scaled(factor))
+        errors_mm = self.errors_mm(self.commands_rad, self.targets_mm)
+        if self._machine.errors.scaled_by == "mean":
+            return float(np.linalg.norm(errors_mm, axis=1).mean())
+        return varying_rms_mm(self.targets_mm, errors_mm)
+
+    def _take(self, errors: _Errors) -> None:
+        self._errors = errors
+        self._chain = _displaced(self.design, errors, self._machine, self._smr_mm)
+        self.ideal_base = self._base_from_axes(np.radians(self._machine.reference.axis_6_deg))
+
     def _true_joints(self, joints_rad: Array) -> Array:
         """Return joint angles (..., 6) with everything that depends on the angles alone."""
-        q = joints_rad[..., None]
-        amplitude, cycles, phase = self._ripple
-        ripple = (amplitude * np.sin(cycles * q + phase)).sum(axis=-1)
-        waves = np.concatenate([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)], axis=-1)
-        harmonics = (self._errors.harmonics_rad * waves).sum(axis=-1)
-        true: Array = joints_rad + ripple + harmonics
-        g = self._errors.gravity_rad
-        upper, fore = joints_rad[..., 1], joints_rad[..., 1] + joints_rad[..., 2]
-        true[..., 1] += g[0] * np.cos(upper) + g[1] * np.sin(upper)
-        true[..., 1] += g[2] * np.cos(fore) + g[3] * np.sin(fore)
-        true[..., 2] += g[4] * np.cos(fore) + g[5] * np.sin(fore)
+        ripple = self.ripple(joints_rad)
+        share = self._machine.transmission.load_share
+        if share:
+            ripple *= 1.0 + share * self._loads(joints_rad)
+        bent = self._errors.deflection(joints_rad, self._slopes)
+        true: Array = joints_rad + self._errors.zero_rad + bent + ripple
         return true
 
     def _base_from_axes(self, axis_6_rad: Array) -> Array:
@@ -128,79 +142,70 @@ class ArmTruth:
         the height, which is nominal by definition.
         """
         joints = self._true_joints(axis_6_rad) + self._half_gap_rad
-        axis, centre_mm = _axis_6(self._arm, joints)
-        nominal_height_mm = _axis_6(self._nominal, axis_6_rad)[1][2]
+        axis, centre_mm = _axis_6(self._chain, joints)
+        nominal_height_mm = _axis_6(self.design, axis_6_rad)[1][2]
         x = np.array([axis[0], axis[1], 0.0]) * np.sign(centre_mm[:2] @ axis[:2])
         x /= np.linalg.norm(x)
-        T = np.eye(4)
-        T[:3, 0], T[:3, 1] = x, np.cross(T[:3, 2], x)
-        T[2, 3] = centre_mm[2] - nominal_height_mm
-        return T
+        z = np.array([0.0, 0.0, 1.0])
+        height_mm = centre_mm[2] - nominal_height_mm
+        return rigid(np.column_stack([x, np.cross(z, x), z]), height_mm * z)
 
 
-def _axis_6(arm: Arm, joints: Array) -> tuple[Array, Array]:
-    """Return axis 6 (3,) and the centre (3,) of the reflector's circle about it."""
-    links = link_transforms(arm, joints)
-    before = np.linalg.multi_dot(list(links[:5]))
-    axis, on_axis_mm = before[:3, 2], before[:3, 3]
-    reflector_mm = (before @ links[5] @ arm.tool)[:3, 3]
-    return axis, on_axis_mm + ((reflector_mm - on_axis_mm) @ axis) * axis
-
-
-def _draw_errors(rng: np.random.Generator) -> _Errors:
-    normal = rng.standard_normal
-    hayati = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # only axes 2 and 3 are parallel
-    main = np.array([1.0, 0.0, 1.0, 0.0, 1.0, 0.0])
-    gravity = main * rng.uniform(0.5, 1.5, 6) * GRAVITY_RAD
-    gravity += (1.0 - main) * normal(6) * GRAVITY_SIDE_RAD
-    return _Errors(
-        a_mm=LENGTH_MM * normal(6),
-        alpha_rad=TWIST_RAD * normal(6),
-        d_mm=LENGTH_MM * normal(6),
-        offset_rad=OFFSET_RAD * normal(6),
-        beta_rad=TWIST_RAD * normal(6) * hayati,
-        tool_mm=TOOL_MM * normal(3),
-        gravity_rad=gravity,
-        harmonics_rad=normal((6, 4)) * np.array([FIRST_RAD, FIRST_RAD, SECOND_RAD, SECOND_RAD]),
-    )
-
-
-def _draw_ripple(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return amplitude, cycles a revolution and phase (6, 3) of one to three harmonics a joint."""
-    amplitude, cycles = np.zeros((6, 3)), np.ones((6, 3))
-    for joint in range(6):
-        pins, ratio = rng.integers(*PINS, endpoint=True), rng.integers(*RATIOS, endpoint=True)
-        count = int(rng.integers(1, 4))
-        cycles[joint, :count] = rng.permutation([pins, 2 * pins, ratio, 2 * ratio])[:count]
-        share = rng.uniform(0.3, 1.0, count)
-        amplitude[joint, :count] = share * RIPPLE_RAD * np.sqrt(2.0) / np.linalg.norm(share)
-    return amplitude, cycles, rng.uniform(0.0, 2 * np.pi, (6, 3))
-
-
-def _cube(cell: Cell) -> tuple[Array, Array]:
-    """Return targets (N, 3) in {B} through the grid's cube, and the joints (N, 6) to command."""
-    centre = cell.grid.centre.matrix()
+def reference_cube(machine: Machine, design: Chain) -> tuple[Array, Array]:
+    """Return targets (N, 3) in {B} through the machine's cube, and joints (N, 6) to command."""
+    reference = machine.reference
+    centre = frame(reference.centre)
     axes = [
-        centre[axis, 3] + size_mm * np.linspace(-0.5, 0.5, CUBE_POINTS)
-        for axis, size_mm in enumerate(cell.grid.size_mm)
+        middle_mm + size_mm * np.linspace(-0.5, 0.5, reference.points)
+        for middle_mm, size_mm in zip(centre[:3, 3], reference.size_mm, strict=True)
     ]
     targets_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     poses = np.tile(centre, (len(targets_mm), 1, 1))
     poses[:, :3, 3] = targets_mm
-    robot = cell.robot
-    home_rad = np.radians(robot.home_deg)
-    return targets_mm, posture(robot.arm(), poses, robot.status, robot.margin_limits_rad, home_rad)
+    return targets_mm, design.solve(poses, np.radians(reference.start_deg))
 
 
-def _solved(function: Callable[[float], float], wanted: float) -> float:
-    """Return the factor that brings a rising function to ``wanted``, by the secant method."""
-    factor, before = 1.0, 0.5
-    value, value_before = function(factor), function(before)
-    for _ in range(50):
-        if abs(value - wanted) < 1e-10:
-            return factor
-        slope = (value - value_before) / (factor - before)
-        before, value_before = factor, value
-        factor += (wanted - value) / slope
-        value = function(factor)
-    return math.nan
+def varying_rms_mm(targets_mm: Array, errors_mm: Array) -> float:
+    """Return the RMS of |e| that the best small rigid motion leaves, for points (N, 3)."""
+    levers_mm = targets_mm - targets_mm.mean(axis=0)
+    turns = [np.cross(axis, levers_mm).ravel() for axis in np.eye(3)]
+    shifts = [np.tile(axis, len(levers_mm)) for axis in np.eye(3)]
+    motion = np.column_stack([*shifts, *turns])
+    left = errors_mm.ravel() - motion @ np.linalg.lstsq(motion, errors_mm.ravel(), rcond=None)[0]
+    return float(np.sqrt((left**2).sum() / len(errors_mm)))
+
+
+def _axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:
+    """Return axis 6 (3,) and the centre (3,) of the reflector's circle about it."""
+    axis, on_axis_mm = chain.axis(5, joints_rad)
+    reflector_mm = chain.pose(joints_rad)[:3, 3]
+    return axis, on_axis_mm + ((reflector_mm - on_axis_mm) @ axis) * axis
+
+
+def _displaced(design: Chain, errors: _Errors, machine: Machine, smr_mm: Point) -> Chain:
+    """Return the design with each axis from the second on displaced, and all behind it with it."""
+    axes, points_mm = design.axes.copy(), design.points_mm.copy()
+    moved = np.eye(4)
+    displacements = zip(errors.shift_mm, errors.tilt_rad, strict=True)
+    for joint, (shift_mm, tilt_rad) in enumerate(displacements, 1):
+        R, at_mm = rotation(tilt_rad), design.points_mm[joint]
+        moved = moved @ rigid(R, at_mm - R @ at_mm + shift_mm)
+        axes[joint] = moved[:3, :3] @ design.axes[joint]
+        points_mm[joint] = carried(moved, at_mm)
+    tool_mm = np.array(smr_mm) + errors.tool_mm
+    last = mounted(frame(machine.flange), (tool_mm[0], tool_mm[1], tool_mm[2]))
+    return replace(design, axes=axes, points_mm=points_mm, last=moved @ last)
+
+
+def _draw_errors(sizes: Errors, design: Chain, rng: np.random.Generator) -> _Errors:
+    normal = rng.standard_normal
+    axes = design.axes[1:]
+    tilt_rad = sizes.twist_urad * URAD * normal((5, 3))
+    along = (tilt_rad * axes).sum(axis=1, keepdims=True)  # that is the joint's zero
+    return _Errors(
+        shift_mm=sizes.length_mm * normal((5, 3)),
+        tilt_rad=tilt_rad - along * axes,
+        zero_rad=sizes.zero_urad * URAD * normal(6),
+        tool_mm=sizes.tool_mm * normal(3),
+        deflection=Deflection.drawn(sizes, rng),
+    )

@@ -20,7 +20,6 @@ from fakes.faults import Faults
 from fakes.listener import Listener
 from fakes.plant import FLANGE, Plant
 from fakes.time import PlantTime
-from hilcell.geometry.kinematics import forward
 from hilcell.ports import HilcellError
 
 LONGEST = 1 << 20
@@ -132,6 +131,6 @@ def truth_of(plant: Plant, order: Answer) -> Answer:
     }
     if "joints_deg" in order:
         joints_rad = np.radians(np.array(order["joints_deg"], dtype=float).reshape(-1, 6))
-        nominal_mm = forward(plant.cell.robot.arm(), joints_rad)[:, :3, 3]
+        nominal_mm = plant.arm.design.pose(joints_rad)[:, :3, 3]
         answer["errors_mm"] = plant.arm.errors_mm(joints_rad, nominal_mm).tolist()
     return answer

@@ -29,8 +29,8 @@ from fakes.emscon_packets import (
 )
 from fakes.faults import Faults, Vanished
 from fakes.tracker_truth import Air, Measurement
+from fakes.transforms import Array
 from hilcell.cell import Cell
-from hilcell.geometry.kinematics import Array
 
 METRE, MILLIMETRE = 0, 1
 MM_PER_UNIT = {METRE: 1000.0, MILLIMETRE: 1.0}

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fakes.controller_arm import controller_arm
 from fakes.faults import Faults, Vanished
 from fakes.krl import (
     KrlError,
@@ -23,17 +24,14 @@ from fakes.krl import (
     parse_rounded,
 )
 from fakes.robot_motion import RobotMotion
+from fakes.transforms import Array
 from hilcell.cell import Cell
-from hilcell.geometry.frames import zyx_from_pose
-from hilcell.geometry.inverse import ReachError, status_of, turn_of
-from hilcell.geometry.kinematics import Array, forward
 
 MOVE_PTP = 1
 OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, STOPPED = 0, 1, 2, 9
 AXES = tuple(f"A{n}" for n in range(1, 7))
 EXTERNAL = {f"E{n}": 0.0 for n in range(1, 7)}
 FRAME = ("X", "Y", "Z", "A", "B", "C")
-SERIAL = 860112
 TOOL, BASE = 1, 0
 
 
@@ -49,12 +47,10 @@ class KrlController:
     ) -> None:
         self._lock = threading.RLock()
         self._motion, self._faults, self._lose_zero = motion, faults, lose_zero
-        self._arm = cell.robot.arm()
+        self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
-        model = cell.robot.name.replace(" ", "").replace("-", "_")
-        self._name = f"#{model} C4 FLR"
-        self._tool = dict(zip(FRAME, zyx_from_pose(self._arm.tool).tolist(), strict=True))
+        self._tool = dict(zip(FRAME, (*cell.robot.smr_mm, 0.0, 0.0, 0.0), strict=True))
         self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
         self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0}
         self._acknowledged = self._error = 0
@@ -123,7 +119,7 @@ class KrlController:
             "$BASE": lambda: aggregate("FRAME", dict.fromkeys(FRAME, 0.0)),
             "$ACCU_STATE": lambda: "#CHARGE_OK",
             "$TRAFONAME[]": self._identity,
-            "$KR_SERIALNO": lambda: str(SERIAL),
+            "$KR_SERIALNO": lambda: str(self._arm.serial),
             "$ROBNAME[]": lambda: '"HILCELL"',
             "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
             "$POS_ACT": lambda: self._position("$POS_ACT"),
@@ -143,7 +139,7 @@ class KrlController:
 
     def _identity(self) -> str:
         other = self._faults.take("robot.wrong_identity")
-        name = self._name if other is None else "#KR6R900" if other is True else str(other)
+        name = self._arm.model if other is None else "#KR6R900" if other is True else str(other)
         return f'"{name}"'
 
     def _number(self, fault: str, value: int) -> int:
@@ -170,19 +166,13 @@ class KrlController:
 
     def _position_texts(self, joints_rad: Array) -> dict[str, str]:
         axes = dict(zip(AXES, np.degrees(joints_rad).tolist(), strict=True))
-        pose = zyx_from_pose(forward(self._arm, joints_rad)).tolist()
-        turns = {"S": self._status(joints_rad), "T": int(turn_of(joints_rad))}
+        pose = self._arm.components(joints_rad).tolist()
+        turns = {"S": self._arm.status(joints_rad), "T": self._arm.turn(joints_rad)}
         frame: dict[str, float | int] = dict(zip(FRAME, pose, strict=True)) | turns
         return {
             "$AXIS_ACT": aggregate("E6AXIS", axes | EXTERNAL),
             "$POS_ACT": aggregate("E6POS", frame | EXTERNAL),
         }
-
-    def _status(self, joints_rad: Array) -> int:
-        try:
-            return int(status_of(self._arm, joints_rad))
-        except ReachError:  # an arm of another build has no such status
-            return 0
 
     # -- the resident program -------------------------------------------------------------------
 

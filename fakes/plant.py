@@ -1,31 +1,27 @@
-"""The one physical truth of a simulated cell: rail, robot, tracker, nests, and how they stand.
+"""The one physical truth of a simulated cell: a machine's rail, robot, tracker and nests.
 
 Frames: {W} world, {S} the slide as the cell file thinks it (nominal {B}), {R} the robot's own
-base frame, which is bolted a little askew on the slide, {T} the reflector on the flange. The
-seed fixes the truth and the noise; a cell that is started anew draws it anew from its
-beginning. The trap: nominal {B} is not {R} and neither
-is what a calibration finds; that is `base_in_world`.
+base frame, which is bolted a little askew on the slide, {T} the reflector on the flange. Machine
+and seed fix the truth and the noise, whatever the cell's plan measures; a cell that is started
+again draws the same again from its beginning. The trap: nominal {B} is not {R} and neither is what
+a calibration finds; that is `base_in_world`.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fakes.arm_truth import ArmTruth
 from fakes.faults import Faults
+from fakes.machine import machine_of
 from fakes.noise import KeyedNoise
 from fakes.rail_truth import RailTruth
 from fakes.robot_motion import RobotMotion
 from fakes.time import PlantTime
 from fakes.tracker_truth import TrackerTruth
+from fakes.transforms import Array, carried, rigid, rotation
 from hilcell.cell import Cell, Nest
-from hilcell.geometry.frames import apply
-from hilcell.geometry.kinematics import Array
 
-AXIS_REPEATABILITY_RAD = 16.6e-6  # RP 0.06 mm
-BOLTED_MM, BOLTED_RAD = 1.2, 5e-4  # 1 sigma of the robot on the slide
-FLOOR_NEST_MM, SLIDE_NEST_MM = 1.0, 1.2  # 1 sigma of each coordinate
 FARTHEST_SIGMA = 2.0
 FLANGE = "flange"
 
@@ -35,24 +31,26 @@ class Plant:
 
     def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
         fixed, landing = KeyedNoise(seed), KeyedNoise(seed, "robot")
+        machine = machine_of(cell)
+        mounting = machine.mounting
         self.cell, self.time = cell, time
         self.rail = RailTruth(cell, seed, time, faults)
+        arm = self.arm = ArmTruth(machine, cell.robot.smr_mm, fixed.generator("arm"))
         self.robot = RobotMotion(
-            cell, time, lambda key: AXIS_REPEATABILITY_RAD * landing.normal(key, 6)
+            cell, time, lambda key: arm.joint_sigma_rad * landing.normal(key, 6)
         )
-        self.arm = ArmTruth(cell, fixed.generator("arm"))
-        self._bolted = _bolted(fixed.generator("base"))
-        self._floor = _placed(cell.layout.floor, FLOOR_NEST_MM, fixed.generator("floor"))
-        self._slide = _placed(cell.layout.slide, SLIDE_NEST_MM, fixed.generator("slide"))
+        rng = fixed.generator("base")
+        turn = mounting.bolted_urad * 1e-6 * _limited(rng, 3)
+        self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
+        self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
+        self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
         self.seated = ""  # where the one reflector is that is carried by hand; "": out of sight
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
 
     def lose_zero(self, axis_1_rad: float) -> None:
         """Turn the robot's axis 1 against its encoder for good, by turning its base."""
-        turn = np.eye(4)
-        angle = self.cell.robot.joint[0].sign * axis_1_rad
-        turn[:3, :3] = Rotation.from_euler("z", angle).as_matrix()
-        self._bolted = self._bolted @ turn
+        turn = rotation(axis_1_rad * self.arm.design.axes[0])
+        self._bolted = self._bolted @ rigid(turn, np.zeros(3))
 
     def seat(self, place: str) -> None:
         """Carry the reflector to a nest, the flange, or (empty) away; raises `ValueError`."""
@@ -75,7 +73,7 @@ class Plant:
         """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
         T_W_S = self.rail.slide_pose()
         found = dict(self._floor)
-        found |= {name: apply(T_W_S, at_mm[None])[0] for name, at_mm in self._slide.items()}
+        found |= {name: carried(T_W_S, at_mm) for name, at_mm in self._slide.items()}
         found[FLANGE] = (T_W_S @ self._bolted @ self._tool())[:3, 3]
         return found
 
@@ -86,14 +84,8 @@ class Plant:
 
     def _tool(self) -> Array:
         state = self.robot.state()
-        return self.arm.pose(state.joints_rad, state.side, state.landing_rad)
-
-
-def _bolted(rng: np.random.Generator) -> Array:
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec(BOLTED_RAD * _limited(rng, 3)).as_matrix()
-    T[:3, 3] = BOLTED_MM * _limited(rng, 3)
-    return T
+        warm_k = self.tracker.warm_k
+        return self.arm.pose(state.joints_rad, state.side, state.landing_rad, warm_k)
 
 
 def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:

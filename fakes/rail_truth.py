@@ -12,23 +12,19 @@ import threading
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fakes.faults import Faults
+from fakes.machine import Machine, machine_of
 from fakes.motion import Path
 from fakes.noise import KeyedNoise
 from fakes.smooth import SmoothCurve
 from fakes.time import PlantTime
+from fakes.transforms import Array, frame, rotation
 from hilcell.cell import Cell
-from hilcell.geometry.kinematics import Array, forward
 
-BACKLASH_MM = 0.2
-CURVE_MM = 0.4  # largest error of Fig 1 on the way up; the way down adds the backlash
-CURVE_SPAN_MM = 2000.0  # over this much travel from 0
-WAYS_MM = 0.01  # how much the curves up and down differ beside the backlash, 1 sigma
-LANDING_MM, SHORT_LANDING_MM, LONG_MOVE_MM = 0.01, 0.0015, 100.0
-STRAIGHTNESS_MM, LEAN_RAD, RAIL_TILT_RAD = 0.06, 1e-4, 3e-4  # 1 sigma
-STRIP_LONG_MM, STRIP_POLE_MM, POLE_PITCH_MM = 0.004, 0.002, 5.0
+LONG_MOVE_MM = 100.0  # from which on the landing noise is that of a long move
+POLE_PITCH_MM = 5.0
+BACKLASH_SPREAD = 0.02
 SWITCH_MM = 1.0  # limit switches lie this far outside the travel
 STOP_MM = 0.5  # and the slide stops this far behind them
 POWER_ON_MM = 640.0
@@ -58,7 +54,9 @@ class RailTruth:
         self._lock = threading.RLock()
         self._time, self._faults = time, faults
         self._noise = KeyedNoise(seed, "rail")
-        self._shape = _Shape(cell, KeyedNoise(seed).generator("rail"))
+        machine = machine_of(cell)
+        self._sizes = machine.rail
+        self._shape = _Shape(cell, machine, KeyedNoise(seed).generator("rail"))
         self._low_mm = cell.rail.travel_min_mm - SWITCH_MM
         self._high_mm = cell.rail.travel_max_mm + SWITCH_MM
         self._acceleration_mm_s2 = cell.rail.acceleration_mm_s2
@@ -161,7 +159,8 @@ class RailTruth:
         self._backlash_mm += self._faults.number("rail.backlash") or 0.0
         self._slip_mm += self._faults.number("rail.slip") or 0.0
         share = min(1.0, distance_mm / LONG_MOVE_MM)
-        sigma_mm = SHORT_LANDING_MM + share * (LANDING_MM - SHORT_LANDING_MM)
+        long_mm, short_mm = self._sizes.landing_mm, self._sizes.short_landing_mm
+        sigma_mm = short_mm + share * (long_mm - short_mm)
         lands_mm = sigma_mm * float(self._noise.normal(key, 1)[0])
         self._landing_mm = (self._landing(path.start_s), lands_mm)
         self._path = path
@@ -192,22 +191,24 @@ class RailTruth:
 class _Shape:
     """What the seed fixes for good: error curves, straightness, leaning, strip."""
 
-    def __init__(self, cell: Cell, rng: np.random.Generator) -> None:
-        self.backlash_mm = BACKLASH_MM * (1.0 + 0.02 * float(rng.standard_normal()))
-        self._curve = SmoothCurve(rng, 1.0, 2 * CURVE_SPAN_MM, 3)
-        self._ways = SmoothCurve(rng, WAYS_MM, 1500.0, 2)
-        self._strip_long = SmoothCurve(rng, STRIP_LONG_MM, 4000.0, 3)
+    def __init__(self, cell: Cell, machine: Machine, rng: np.random.Generator) -> None:
+        sizes = self._sizes = machine.rail
+        spread = 1.0 + BACKLASH_SPREAD * float(rng.standard_normal())
+        self.backlash_mm = sizes.backlash_mm * spread
+        self._curve = SmoothCurve(rng, 1.0, 2 * sizes.curve_span_mm, 3)
+        self._ways = SmoothCurve(rng, sizes.ways_mm, 1500.0, 2)
+        self._strip_long = SmoothCurve(rng, sizes.strip_long_mm, 4000.0, 3)
         self._pole_phase = float(rng.uniform(0.0, 2 * math.pi))
-        self._straight = [SmoothCurve(rng, STRAIGHTNESS_MM, 3500.0) for _ in range(2)]
-        self._lean = [SmoothCurve(rng, LEAN_RAD, 3500.0) for _ in range(3)]
-        base = cell.layout.base.matrix()
-        tilt = Rotation.from_rotvec(RAIL_TILT_RAD * rng.standard_normal(3)).as_matrix()
-        self._base, self._tilt = base, tilt
-        self._along = tilt @ np.array(cell.layout.rail_direction)
+        self._straight = [SmoothCurve(rng, sizes.straightness_mm, 3500.0) for _ in range(2)]
+        self._lean = [SmoothCurve(rng, sizes.lean_urad * 1e-6, 3500.0) for _ in range(3)]
+        self._base = frame(cell.layout.base)
+        self._tilt = rotation(sizes.tilt_urad * 1e-6 * rng.standard_normal(3))
+        self._along = self._tilt @ np.array(cell.layout.rail_direction)
         self._across = np.linalg.svd(self._along[None])[2][1:]
         self._share = 1.0
-        flange = forward(cell.robot.arm(), np.radians(cell.robot.safe_deg))[:3, 3]
-        self._share = self._share_as_surveyed(base[:3, :3] @ flange)
+        parked_rad = np.radians(machine.reference.parked_deg)
+        flange_mm = machine.chain(cell.robot.smr_mm).pose(parked_rad)[:3, 3]
+        self._share = self._share_as_surveyed(self._base[:3, :3] @ flange_mm)
 
     def _share_as_surveyed(self, lever_mm: Array) -> float:
         """Return what brings the survey of Fig 1 to its largest error.
@@ -215,31 +216,31 @@ class _Shape:
         It was made at the flange of a parked robot, so it shows the slide's leaning times the
         lever arm (3,) as well as the rail's own error.
         """
-        positions_mm = [float(s) for s in np.linspace(0.0, CURVE_SPAN_MM, 201)]
+        largest_mm = self._sizes.curve_mm
+        positions_mm = [float(s) for s in np.linspace(0.0, self._sizes.curve_span_mm, 201)]
         seen_mm = [
-            self._curve(s) * CURVE_MM + float(np.cross(self._lean_rad(s), lever_mm) @ self._along)
+            self._curve(s) * largest_mm + float(np.cross(self._lean_rad(s), lever_mm) @ self._along)
             for s in positions_mm
         ]
-        return CURVE_MM / float(np.abs(seen_mm).max())
+        return largest_mm / float(np.abs(seen_mm).max())
 
     def _lean_rad(self, slide_mm: float) -> Array:
         return self._share * np.array([curve(slide_mm) for curve in self._lean])
 
     def error_mm(self, play_mm: float, behind: float) -> float:
         """Return Fig 1's error; ``behind`` is 0 on the way up, 1 on the way down."""
-        along_mm = self._share * CURVE_MM * self._curve(play_mm)
+        along_mm = self._share * self._sizes.curve_mm * self._curve(play_mm)
         return along_mm + behind * self._ways(play_mm)
 
     def strip_mm(self, slide_mm: float) -> float:
         """Return what the strip reads, unquantised."""
         pole = math.sin(2 * math.pi * slide_mm / POLE_PITCH_MM + self._pole_phase)
-        return slide_mm + self._strip_long(slide_mm) + STRIP_POLE_MM * pole
+        return slide_mm + self._strip_long(slide_mm) + self._sizes.strip_pole_mm * pole
 
     def pose(self, slide_mm: float) -> Array:
         """Return the slide in {W}, (4, 4)."""
         T = self._base.copy()
-        lean = Rotation.from_rotvec(self._lean_rad(slide_mm)).as_matrix()
-        T[:3, :3] = lean @ self._tilt @ T[:3, :3]
+        T[:3, :3] = rotation(self._lean_rad(slide_mm)) @ self._tilt @ T[:3, :3]
         T[:3, 3] += slide_mm * self._along
         for curve, direction in zip(self._straight, self._across, strict=True):
             T[:3, 3] += curve(slide_mm) * direction

@@ -16,8 +16,8 @@ from fakes.rail_truth import RailTruth
 from fakes.robot_motion import RobotMotion
 from fakes.time import PlantTime
 from fakes.tracker_truth import Air, Measurement
+from fakes.transforms import Array
 from hilcell.cell import Cell
-from hilcell.geometry.kinematics import Array
 from hilcell.robotfile import read_measurements
 
 SAME_POSE_RAD = 2e-5  # joints travel as decimals

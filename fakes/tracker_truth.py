@@ -1,8 +1,8 @@
 """The truth of the tracker: where it stands, what it finds, what it reads, and the air.
 
-Noise is 7.5 um along the beam and 2.5 um/m across it (1 sigma). All positions are in the tracker's
-frame, mm. The trap: how much plant time passes between two measurements depends a little on the
-machine's speed, so slow drift and air follow the number of measurements, each counted as 5 s.
+Noise along the beam is a length, across it an angle. All positions are in the tracker's frame, mm.
+The trap: how much plant time passes between two measurements depends a little on the machine's
+speed, so slow drift and air follow the number of measurements, each counted as 5 s.
 """
 
 from __future__ import annotations
@@ -12,17 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fakes.faults import Faults
+from fakes.machine import machine_of
 from fakes.noise import KeyedNoise
+from fakes.transforms import Array, carried, frame, inverse, rigid, rotation
 from hilcell.cell import Cell
-from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.kinematics import Array
 
-RADIAL_MM, ACROSS = 0.0075, 2.5e-6
-PLACED_MM, TURNED_RAD = 3.0, 1e-3  # 1 sigma of nominal against true pose
-DRIFT_MM, DRIFT_PERIOD_S = 0.002, 4 * 3600.0
+DRIFT_PERIOD_S = 4 * 3600.0
 AIR_PERIOD_S = 3 * 3600.0
 MEASUREMENT_S = 5.0
 
@@ -65,21 +62,20 @@ class TrackerTruth:
         self._faults, self._reflectors = faults, reflectors_in_world
         self._measured = 0
         self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)
-        placed = np.eye(4)
-        turn = TURNED_RAD * rng.standard_normal(3)
-        placed[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
-        placed[:3, 3] = PLACED_MM * rng.standard_normal(3)
-        self.pose_in_world = cell.tracker.pose.matrix() @ placed
+        machine = machine_of(cell)
+        self._sizes = machine.tracker
+        turn = machine.mounting.tracker_urad * 1e-6 * rng.standard_normal(3)
+        placed = rigid(rotation(turn), machine.mounting.tracker_mm * rng.standard_normal(3))
+        self.pose_in_world = frame(cell.tracker.pose) @ placed
         self._from_world = inverse(self.pose_in_world)
-        self._drift = rng.standard_normal((2, 3)) * DRIFT_MM
+        self._drift = rng.standard_normal((2, 3)) * self._sizes.drift_mm
         self._air_phases = rng.uniform(0.0, 2 * math.pi, 3)
         self._bump_mm = np.zeros(3)
 
     def reflectors(self) -> dict[str, Array]:
         """Return where every reflector is."""
         return {
-            name: apply(self._from_world, at_mm[None])[0]
-            for name, at_mm in self._reflectors().items()
+            name: carried(self._from_world, at_mm) for name, at_mm in self._reflectors().items()
         }
 
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
@@ -111,21 +107,27 @@ class TrackerTruth:
         key = ",".join(f"{value / 10.0:.0f}" for value in xyz_mm)
         draws = self._noise.normal(key, 6)
         radial = (draws[:3] @ along) * along
-        across_mm = ACROSS * range_mm
-        noise_mm = RADIAL_MM * radial + across_mm * (draws[:3] - radial)
-        sigma_mm = np.sqrt((RADIAL_MM * along) ** 2 + across_mm**2 * (1 - along**2))
+        radial_mm = self._sizes.radial_um * 1e-3
+        across_mm = self._sizes.across_um_m * 1e-6 * range_mm
+        noise_mm = radial_mm * radial + across_mm * (draws[:3] - radial)
+        sigma_mm = np.sqrt((radial_mm * along) ** 2 + across_mm**2 * (1 - along**2))
         if std_mm is not None:
             noise_mm, sigma_mm = std_mm * draws[:3], np.full(3, std_mm / math.sqrt(3.0))
         xyz_mm = xyz_mm + noise_mm
         xyz_mm[2] += self._faults.number("tracker.spike") or 0.0
         return Measurement(xyz_mm, sigma_mm * (1.0 + 0.1 * np.tanh(draws[3:])))
 
+    @property
+    def warm_k(self) -> float:
+        """How much warmer the room is now than its mean."""
+        return self.air().temperature_c - self._sizes.room_c
+
     def air(self) -> Air:
-        """Return the air now: 22-24 C as in the paper's laboratory."""
+        """Return the air now."""
         age = self._measured * MEASUREMENT_S / AIR_PERIOD_S
         waves = np.sin(2 * math.pi * age + self._air_phases)
         return Air(
-            temperature_c=float(23.0 + 0.8 * waves[0]),
+            temperature_c=float(self._sizes.room_c + self._sizes.room_swing_k * waves[0]),
             pressure_mbar=float(1009.0 + 2.0 * waves[1]),
             humidity_percent=float(45.0 + 4.0 * waves[2]),
         )

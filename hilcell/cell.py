@@ -263,6 +263,7 @@ class SimulationTable(Frozen, frozen=True, kw_only=True):
     simulator: Name
     address: str = ""
     data: str = ""
+    machine: str = "paper"
 
 
 class Cell(Frozen, frozen=True, kw_only=True):

@@ -2,46 +2,48 @@ from __future__ import annotations
 
 from functools import partial
 
+import msgspec
 import numpy as np
 import pytest
 
-from fakes.arm_truth import (
-    HALF_GAP_RAD,
-    MAX_ERROR_MM,
-    MEAN_ERROR_MM,
-    RIPPLE_RAD,
-    ArmTruth,
-    _cube,
-    _draw_ripple,
-)
+from fakes.arm_truth import ArmTruth, reference_cube, varying_rms_mm
+from fakes.joint_errors import Ripple
+from fakes.machine import Machine, load_machine
+from fakes.noise import KeyedNoise
+from fakes.repeatability import unit_rp_mm
 from hilcell.calibration import grid_of
 from hilcell.cell import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import METHODS
 from hilcell.geometry.circles import base_frame, fit_circle
-from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.frames import apply, inverse, rigid_fit
 from hilcell.geometry.kinematics import Array, forward
+from hilcell.ports import HilcellError
 from procedures.base_frame import axis_6_height_mm, sweep
 from procedures.plan import joints_for
 
 SEEDS = range(10)
 UP = np.ones(6)
+URAD = 1e-6
+
+
+def arm_of(cell: Cell, seed: int, machine: str = "paper") -> ArmTruth:
+    return ArmTruth(load_machine(machine), cell.robot.smr_mm, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_mean_error_over_the_cube_is_the_papers(cell: Cell, seed: int) -> None:
-    arm = ArmTruth(cell, np.random.default_rng(seed))
-    targets_mm, commands_rad = _cube(cell)
-    nominal_mm = forward(cell.robot.arm(), commands_rad)[:, :3, 3]
-    np.testing.assert_allclose(nominal_mm, targets_mm, atol=1e-6)
-    errors = np.linalg.norm(arm.errors_mm(commands_rad, targets_mm), axis=1)
+    arm = arm_of(cell, seed)
+    nominal_mm = forward(cell.robot.arm(), arm.commands_rad)[:, :3, 3]
+    np.testing.assert_allclose(nominal_mm, arm.targets_mm, atol=1e-6)
+    errors = np.linalg.norm(arm.errors_mm(arm.commands_rad, arm.targets_mm), axis=1)
     assert len(errors) == 216
-    assert errors.mean() == pytest.approx(MEAN_ERROR_MM, abs=1e-9)
-    assert 1.3 < errors.max() <= MAX_ERROR_MM
+    assert errors.mean() == pytest.approx(1.2092, abs=1e-9)
+    assert 1.3 < errors.max() <= 1.9
 
 
 def test_ideal_base_is_what_noise_free_circles_find(cell: Cell) -> None:
-    arm = ArmTruth(cell, np.random.default_rng(4))
+    arm = arm_of(cell, 4)
     axis_1, axis_6 = (
         fit_circle(arm.pose(joints, np.ones_like(joints), np.zeros(6))[:, :3, 3], turn=-1.0)
         for joints in (sweep(cell, 1), sweep(cell, 6))
@@ -53,29 +55,28 @@ def test_ideal_base_is_what_noise_free_circles_find(cell: Cell) -> None:
 
 def test_ripple_has_the_wanted_rms() -> None:
     turn = np.linspace(0.0, 2 * np.pi, 20_000, endpoint=False)
+    sizes = load_machine("paper").transmission
     for seed in SEEDS:
-        amplitude, cycles, phase = _draw_ripple(np.random.default_rng(seed))
-        ripple = (
-            amplitude[:, None] * np.sin(cycles[:, None] * turn[:, None] + phase[:, None])
-        ).sum(axis=-1)
-        np.testing.assert_allclose(np.sqrt((ripple**2).mean(axis=1)), RIPPLE_RAD, rtol=1e-6)
-        used = cycles[amplitude > 0]
+        ripple = Ripple(sizes, np.random.default_rng(seed))
+        rms_rad = np.sqrt((ripple(np.tile(turn[:, None], 6)) ** 2).mean(axis=0))
+        np.testing.assert_allclose(rms_rad, 45 * URAD / np.sqrt(2), rtol=1e-6)
+        used = ripple.cycles[ripple.amplitude_rad > 0]
         assert used.min() >= 30
         assert used.max() <= 500
 
 
 def test_side_of_approach_shows_as_lost_motion(cell: Cell) -> None:
-    arm = ArmTruth(cell, np.random.default_rng(1))
+    arm = arm_of(cell, 1)
     joints = np.radians(cell.base_frame.axis_1_deg)
     up, down = (arm.pose(joints, side * UP, np.zeros(6))[:3, 3] for side in (1, -1))
     reach_mm = float(np.hypot(*up[:2]))
-    assert 0.3 < np.linalg.norm(up - down) / (2 * HALF_GAP_RAD * reach_mm) < 3.0
+    assert 0.3 < np.linalg.norm(up - down) / (2 * 15 * URAD * reach_mm) < 3.0
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_paper_methods_leave_what_the_study_says(cell: Cell, seed: int) -> None:
     """The paper's IDW leaves about a tenth of the error; trilinear less; ripple is the rest."""
-    arm = ArmTruth(cell, np.random.default_rng(seed))
+    arm = arm_of(cell, seed)
     rng = np.random.default_rng([seed, 1])
     grid = grid_of(cell)
     index = np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), axis=-1)
@@ -83,7 +84,7 @@ def test_paper_methods_leave_what_the_study_says(cell: Cell, seed: int) -> None:
 
     def measured_mm(targets_mm: Array, commands_mm: Array) -> Array:
         joints = joints_for(cell, commands_mm)
-        landing = 16.6e-6 * rng.standard_normal(joints.shape)
+        landing = arm.joint_sigma_rad * rng.standard_normal(joints.shape)
         at_mm = arm.pose(joints, np.ones_like(joints), landing)[:, :3, 3]
         noise_mm = 0.01 * rng.standard_normal(at_mm.shape)
         return apply(inverse(arm.ideal_base), at_mm) - targets_mm + noise_mm
@@ -102,9 +103,64 @@ def test_paper_methods_leave_what_the_study_says(cell: Cell, seed: int) -> None:
 
 def test_same_seed_same_arm(cell: Cell) -> None:
     joints = np.radians(cell.robot.home_deg)
-    poses = [
-        ArmTruth(cell, np.random.default_rng(seed)).pose(joints, UP, np.zeros(6))
-        for seed in (5, 5, 6)
-    ]
+    poses = [arm_of(cell, seed).pose(joints, UP, np.zeros(6)) for seed in (5, 5, 6)]
     assert np.array_equal(poses[0], poses[1])
     assert not np.allclose(poses[0], poses[2], atol=0.01)
+
+
+def test_unit_rp_is_what_draws_give() -> None:
+    J = np.random.default_rng(3).standard_normal((3, 3, 6)) * [5.0, 3.0, 3.0, 0.5, 1.0, 0.1]
+    draws = np.random.default_rng(4).standard_normal((200_000, 6))
+    for each, rp in zip(J, unit_rp_mm(J), strict=True):
+        distances = np.linalg.norm(draws @ each.T, axis=1)
+        assert rp == pytest.approx(distances.mean() + 3 * distances.std(), rel=0.01)
+
+
+def test_rp_over_the_cube_is_the_data_sheets(cell: Cell) -> None:
+    """ISO 9283: 30 visits of each place, RP = mean + 3 s of the distances from their mean."""
+    rps_mm = []
+    for seed in range(10):
+        arm, noise = arm_of(cell, seed), KeyedNoise(seed, "robot").generator("RP")
+        visits = np.repeat(arm.commands_rad[::5, None], 30, axis=1)
+        landing = arm.joint_sigma_rad * noise.standard_normal(visits.shape)
+        at_mm = arm.pose(visits, UP, landing)[..., :3, 3]
+        distances = np.linalg.norm(at_mm - at_mm.mean(axis=1, keepdims=True), axis=-1)
+        rps_mm.append((distances.mean(axis=1) + 3 * distances.std(axis=1, ddof=1)).mean())
+    assert np.mean(rps_mm) == pytest.approx(0.06, abs=0.004)
+    assert 8.5e-6 < arm.joint_sigma_rad < 10.5e-6
+
+
+def test_varying_rms_is_what_a_rigid_fit_leaves(cell: Cell) -> None:
+    arm = arm_of(cell, 2)
+    errors_mm = arm.errors_mm(arm.commands_rad, arm.targets_mm)
+    fit = rigid_fit(arm.targets_mm, arm.targets_mm + errors_mm)
+    assert varying_rms_mm(arm.targets_mm, errors_mm) == pytest.approx(fit.rms_mm, rel=1e-3)
+
+
+def test_most_of_the_papers_error_is_one_rigid_motion(cell: Cell) -> None:
+    shares = []
+    for seed in range(20):
+        arm = arm_of(cell, seed)
+        errors_mm = arm.errors_mm(arm.commands_rad, arm.targets_mm)
+        left = varying_rms_mm(arm.targets_mm, errors_mm) ** 2
+        shares.append(1.0 - left / (errors_mm**2).sum(axis=1).mean())
+    assert 0.9 < np.mean(shares) < 0.99
+
+
+def changed(machine: Machine, table: str, **values: object) -> Machine:
+    inner = msgspec.structs.replace(getattr(machine, table), **values)
+    return msgspec.structs.replace(machine, **{table: inner})
+
+
+def test_sizes_that_no_robot_has_are_refused(cell: Cell) -> None:
+    small = changed(load_machine("paper"), "reference", points=2)
+    machine = changed(small, "errors", largest_mm=1.0)
+    with pytest.raises(HilcellError, match=r"none of 100 draws keeps every error below 1.0 mm"):
+        ArmTruth(machine, cell.robot.smr_mm, np.random.default_rng(1))
+
+
+def test_the_reference_cube_is_the_machines_own(cell: Cell) -> None:
+    machine = load_machine("paper")
+    smaller = changed(machine, "reference", size_mm=(300.0, 300.0, 300.0))
+    targets_mm, _ = reference_cube(smaller, smaller.chain(cell.robot.smr_mm))
+    np.testing.assert_allclose(np.ptp(targets_mm, axis=0), 300.0)

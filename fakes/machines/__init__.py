@@ -1,0 +1,1 @@
+"""Machines that come with the fakes, one TOML file each."""

@@ -1,0 +1,71 @@
+"""Rotations and frames of the simulated cell, by its own mathematics.
+
+Nothing here comes from `hilcell.geometry`: a calibration is worth something only if truth and
+controller do not share its code. Frames are (4, 4), lengths mm, angles rad unless named.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilcell.tables import Pose
+
+Array = NDArray[np.float64]
+GIMBAL = 1e-9  # cosine of B below which A and C turn about one line
+
+
+def turned(axes: Array, angles_rad: Array) -> Array:
+    """Return rotations (..., 3, 3) by angles (...) about unit axes (..., 3), after Rodrigues."""
+    K = np.zeros((*axes.shape, 3))
+    x, y, z = axes[..., 0], axes[..., 1], axes[..., 2]
+    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -z, y, -x
+    K[..., 1, 0], K[..., 2, 0], K[..., 2, 1] = z, -y, x
+    sine = np.sin(angles_rad)[..., None, None]
+    versine = (1.0 - np.cos(angles_rad))[..., None, None]
+    R: Array = np.eye(3) + sine * K + versine * (K @ K)
+    return R
+
+
+def rotation(vector_rad: Array) -> Array:
+    """Return the rotation (3, 3) of a rotation vector (3,)."""
+    angle = float(np.linalg.norm(vector_rad))
+    axis = vector_rad / angle if angle > 0 else np.array([0.0, 0.0, 1.0])
+    return turned(axis, np.array(angle))
+
+
+def rigid(R: Array, shift_mm: Array) -> Array:
+    """Return the frame (4, 4) of a rotation and a shift (3,)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, shift_mm
+    return T
+
+
+def frame(pose: Pose) -> Array:
+    """Return the matrix (4, 4) of a stated frame: Rz(A) Ry(B) Rx(C)."""
+    angles = np.radians([pose.a_deg, pose.b_deg, pose.c_deg])
+    Rz, Ry, Rx = turned(np.eye(3)[::-1], angles)
+    return rigid(Rz @ Ry @ Rx, np.array([pose.x_mm, pose.y_mm, pose.z_mm]))
+
+
+def components(T: Array) -> Array:
+    """Return X, Y, Z in mm and A, B, C in deg (6,) of a frame (4, 4); A = 0 at B = +-90."""
+    R = T[:3, :3]
+    cos_b = float(np.hypot(R[0, 0], R[1, 0]))
+    b = np.arctan2(-R[2, 0], cos_b)
+    if cos_b > GIMBAL:
+        a, c = np.arctan2(R[1, 0], R[0, 0]), np.arctan2(R[2, 1], R[2, 2])
+    else:
+        a, c = 0.0, np.arctan2(-R[1, 2], R[1, 1])
+    return np.array([*T[:3, 3], *np.degrees([a, b, c])])
+
+
+def inverse(T: Array) -> Array:
+    """Return the inverse of a rigid motion (4, 4)."""
+    return rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
+
+
+def carried(T: Array, point_mm: Array) -> Array:
+    """Return a point (3,) carried by a rigid motion (4, 4)."""
+    at_mm: Array = T[:3, :3] @ point_mm + T[:3, 3]
+    return at_mm
