@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from drivers.supervision import Patience
 from drivers.tcp import TcpLink
 from hilcell.ports import DeviceError
 
@@ -143,19 +144,19 @@ class C3Connection:
         return reply
 
     def _receive(self, operation: str, tag: int) -> Reply:
-        deadline_s = time.monotonic() + REPLY_S
+        patience = Patience(REPLY_S)
         try:
-            found, length = decode_header(self._exactly(_HEADER.size, operation, deadline_s))
+            found, length = decode_header(self._exactly(_HEADER.size, operation, patience))
             check_tag(found, tag)
-            return decode_body(found, self._exactly(length, operation, deadline_s))
+            return decode_body(found, self._exactly(length, operation, patience))
         except C3Error as error:
             self._dead = str(error)
             raise self._link.broken(operation, str(error)) from error
 
-    def _exactly(self, size: int, operation: str, deadline_s: float) -> bytes:
+    def _exactly(self, size: int, operation: str, patience: Patience) -> bytes:
         data = b""
         while len(data) < size:
-            piece = self._link.receive(size - len(data), deadline_s)
+            piece = self._link.receive(size - len(data), patience)
             if not piece:
                 raise self._link.broken(operation, f"no answer within {REPLY_S:.1f} s")
             data += piece

@@ -1,16 +1,17 @@
 """One TCP connection to a device, whose every wait ends within 20 ms of a stop.
 
 The trap: keepalive alone notices a dead peer after two hours. So the probe times are set, unsent
-bytes expire by TCP_USER_TIMEOUT where the system has it, and every read has a deadline.
+bytes expire by TCP_USER_TIMEOUT where the system has it, and every read has a deadline. It counts
+from bytes that are not there, never from the clock of a thread that did not run.
 """
 
 from __future__ import annotations
 
 import select
 import socket
-import time
 from collections.abc import Callable
 
+from drivers.supervision import Patience
 from hilcell.ports import DeviceError
 
 POLL_S = 0.02
@@ -41,30 +42,34 @@ class TcpLink:
 
     def send(self, data: bytes, operation: str) -> None:
         """Send all of ``data``; raises `DeviceError` when it does not leave in time."""
-        deadline_s = time.monotonic() + SEND_S
+        patience = Patience(SEND_S)
         rest = memoryview(data)
         while rest:
+            over = patience.over()
             try:
                 rest = rest[self._socket.send(rest) :]
             except TimeoutError:
-                if time.monotonic() > deadline_s:
+                if over:
                     raise self.broken(operation, "the device takes no bytes") from None
             except OSError as error:
                 raise self.broken(operation, str(error)) from error
 
-    def receive(self, size: int, deadline_s: float) -> bytes:
-        """Return 1 to ``size`` bytes, or none at ``deadline_s``; raises when the stream ends."""
+    def receive(self, size: int, patience: Patience) -> bytes:
+        """Return 1 to ``size`` bytes, or none when ``patience`` is over.
+
+        Raises `DeviceError` when the stream ends.
+        """
         while True:
             self._check()
-            left_s = max(0.0, deadline_s - time.monotonic())
+            over = patience.over()
             try:
-                ready, _, _ = select.select([self._socket], [], [], min(POLL_S, left_s))
+                ready, _, _ = select.select([self._socket], [], [], 0.0 if over else POLL_S)
                 data = self._socket.recv(size) if ready else b""
             except OSError as error:
                 raise self.broken("receive", str(error)) from error
             if ready and not data:
                 raise self.broken("receive", "the device closed the connection")
-            if data or not left_s:
+            if data or over:
                 return data
 
     def broken(self, operation: str, found: str) -> DeviceError:

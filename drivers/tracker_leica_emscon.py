@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from drivers import emscon
 from drivers.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
+from drivers.supervision import Patience
 from drivers.tcp import TcpLink
 from hilcell.clean import clean
 from hilcell.ports import (
@@ -212,9 +213,9 @@ class LeicaEmsconTracker:
         """Return the tracker's reflectors: name to number. One reply comes for each of them."""
         first = self._decoded(emscon.decode_reflector, self._ask(Command.GET_REFLECTORS))
         found = {clean(first.name): first.number}
-        deadline_s = time.monotonic() + self.REPLY_S
+        patience = Patience(self.REPLY_S)
         for _ in range(first.total - 1):
-            body = self._status(Command.GET_REFLECTORS, deadline_s).body
+            body = self._status(Command.GET_REFLECTORS, patience).body
             reflector = self._decoded(emscon.decode_reflector, body)
             found[clean(reflector.name)] = reflector.number
         return found
@@ -247,8 +248,15 @@ class LeicaEmsconTracker:
         body = emscon.POSITION.pack(*near_mm, 1)
         try:
             self._ask(Command.GO_POSITION, body, limit_s=self.MOVE_S)
-        except NoReading:
+        except NoReading as first:
+            self._search(near_mm, first)
+
+    def _search(self, near_mm: Array, first: NoReading) -> None:
+        try:
             self._find(near_mm)
+        except NoReading as second:
+            found = f"{second.found}, after go position: {first.found}"
+            raise NoReading(DEVICE, "find reflector", found, act=second.act) from second
 
     def _find(self, near_mm: Array) -> None:
         body = emscon.DISTANCE.pack(float(np.linalg.norm(near_mm)))
@@ -258,9 +266,12 @@ class LeicaEmsconTracker:
         try:
             self._start(near_mm)
             result = self._await_result()
-        except NoReading:
+        except NoReading as error:
             # Only a stop that was answered proves that nothing of this try can still come.
-            self._request(Command.STOP_MEASUREMENT)
+            status = self._request(Command.STOP_MEASUREMENT).status
+            if status != 0:
+                found = f"{error.found}, and it was not stopped: {emscon.status_text(status)}"
+                raise NoReading(DEVICE, error.operation, found, act=error.act) from error
             raise
         self._check(result, near_mm)
         return result
@@ -275,8 +286,8 @@ class LeicaEmsconTracker:
 
     def _await_result(self) -> Single:
         limit_s = self._options.stationary_ms / 1000.0 + self.RESULT_S
-        deadline_s = time.monotonic() + limit_s
-        while (packet := self._next(deadline_s)) is not None:
+        patience = Patience(limit_s)
+        while (packet := self._next(patience)) is not None:
             if isinstance(packet, Single):
                 if packet.status != 0:
                     raise self._failed(Command.START_MEASUREMENT, packet.status)
@@ -299,7 +310,7 @@ class LeicaEmsconTracker:
         radius_mm = self._options.find_radius_mm
         if not off_mm <= radius_mm:
             raise self._misplaced(result, near_mm, off_mm)
-        if not result.std_total <= self._options.max_std_mm:
+        if not 0.0 <= result.std_total <= self._options.max_std_mm:
             raise NoReading(
                 DEVICE,
                 "measure",
@@ -364,17 +375,17 @@ class LeicaEmsconTracker:
     def _request(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> Reply:
         """Send a command, again while the server is busy, and return its reply."""
         limit_s = limit_s or self.REPLY_S
-        patience_s = time.monotonic() + limit_s
+        patience = Patience(limit_s, limit_s)
         while True:
             self._wire().send(emscon.encode(command, body), _spoken(command))
-            reply = self._status(command, time.monotonic() + limit_s)
-            if reply.status != emscon.BUSY or time.monotonic() > patience_s:
+            reply = self._status(command, Patience(limit_s))
+            if reply.status != emscon.BUSY or patience.over():
                 return reply
             self._clock.wait(BUSY_PAUSE_S)
 
-    def _status(self, command: Command, deadline_s: float) -> Reply:
+    def _status(self, command: Command, patience: Patience) -> Reply:
         """Return the reply to ``command``, refused or not; older results on the way are dropped."""
-        while (packet := self._next(deadline_s)) is not None:
+        while (packet := self._next(patience)) is not None:
             if isinstance(packet, Reply | Failure) and packet.command == command:
                 return Reply(command, packet.status, getattr(packet, "body", b""))
             if isinstance(packet, Reply) and packet.command != Command.STOP_MEASUREMENT:
@@ -397,10 +408,10 @@ class LeicaEmsconTracker:
             DEVICE, _spoken(command), emscon.status_text(status), act="look at the tracker, resume"
         )
 
-    def _next(self, deadline_s: float) -> Packet | None:
-        """Return the next packet, or nothing at ``deadline_s``."""
+    def _next(self, patience: Patience) -> Packet | None:
+        """Return the next packet, or nothing when ``patience`` is over."""
         while not self._packets:
-            data = self._wire().receive(emscon.LARGEST, deadline_s)
+            data = self._wire().receive(emscon.LARGEST, patience)
             if not data:
                 return None
             self._arrived_s = time.monotonic()
@@ -414,7 +425,7 @@ class LeicaEmsconTracker:
         return packet
 
     def _drop_pending(self) -> None:
-        while self._next(0.0) is not None:
+        while self._next(Patience(0.0)) is not None:
             pass
 
     def _lost(self, found: str, operation: str) -> DeviceError:

@@ -390,3 +390,23 @@ def test_cesapis_simulator_acknowledges_and_never_sends_a_result() -> None:
         with pytest.raises(NoReading, match="acknowledged, but no result came"):
             tracker.measure(POINT, SMR, 1)
         tracker.close()
+
+
+def test_a_search_that_fails_tells_what_was_tried_before(tracker: Quick, peer: EmsconPeer) -> None:
+    peer.answers[55] = lambda _: [failure(55, 37)]
+    peer.answers[63] = lambda _: [failure(63, 10004)]
+    with pytest.raises(NoReading, match=r"status 10004 .*, after go position: status 37 "):
+        tracker.measure(POINT, SMR, 1)
+
+
+def test_a_stop_that_is_refused_is_told_beside_the_cause(tracker: Quick, peer: EmsconPeer) -> None:
+    peer.answers[49] = lambda _: [reply(49), NOT_READY]
+    peer.answers[52] = lambda _: [failure(52, 10014)]
+    with pytest.raises(NoReading, match=r"beam broke, and it was not stopped: status 10014 "):
+        tracker.measure(POINT, SMR, 1)
+
+
+def test_a_negative_deviation_is_no_deviation(tracker: Quick, peer: EmsconPeer) -> None:
+    peer.answers[49] = lambda _: [reply(49), result(POINT, std=-0.001)]
+    with pytest.raises(NoReading, match="standard deviation"):
+        tracker.measure(POINT, SMR, 1)

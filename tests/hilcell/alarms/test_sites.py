@@ -21,6 +21,7 @@ from tests.hilcell.alarms.test_alarms import BY_EVENTS, NO_FILE
 CODES = [*emcy.CODES, *(family << 8 for family in emcy.FAMILIES if family >= 0x10), 0x1234, 0x0000]
 SAMPLES = {
     "drivers/tcp.py": {"device": ["Robot", "Tracker"], "self.device": ["Robot", "Tracker"]},
+    "drivers/supervision.py": {"self._device": ["Rail", "Robot"]},
     "drivers/c3.py": {"self._device": ["Robot"]},
     "drivers/can_link.py": {"device": ["Rail"], "self.device": ["Rail"]},
     "drivers/pdo.py": {"self._device": ["Rail"]},

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from drivers import supervision
+from drivers.supervision import LATE_S, Patience, Supervision
+from hilcell.ports import DeviceError
+
+
+class Time:
+    """A clock that a test puts on."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 100.0
+        monkeypatch.setattr(supervision, "time", SimpleNamespace(monotonic=lambda: self.now_s))
+
+    def looks(self, patience: Patience, every_s: float) -> int:
+        """Return how many looks it takes until patience is over."""
+        for count in range(1, 10_000):
+            self.now_s += every_s
+            if patience.over():
+                return count
+        raise AssertionError("it never ends")
+
+
+@pytest.fixture
+def time(monkeypatch: pytest.MonkeyPatch) -> Time:
+    return Time(monkeypatch)
+
+
+def test_a_pc_that_looks_often_waits_as_long_as_it_says(time: Time) -> None:
+    assert time.looks(Patience(2.0), every_s=0.02) in (100, 101)
+
+
+@pytest.mark.parametrize("gap_s", [0.2, 2.0, 60.0])
+def test_a_gap_of_the_pc_counts_as_one_look(time: Time, gap_s: float) -> None:
+    assert time.looks(Patience(2.0), every_s=gap_s) in (20, 21)
+
+
+def test_no_patience_is_over_at_once(time: Time) -> None:
+    assert Patience(0.0).over()
+
+
+def test_a_limit_that_is_no_number_is_over_at_once(time: Time) -> None:
+    assert Patience(float("nan")).over()
+
+
+def test_a_motion_without_a_look_stops(time: Time) -> None:
+    watch = Supervision("Robot")
+    watch.begin()
+    time.now_s += LATE_S - 0.01
+    watch.look()
+    time.now_s += LATE_S + 0.5
+    with pytest.raises(DeviceError, match=r"PC late: 1\.50 s without a look .* <= 1\.00 s; give"):
+        watch.look()
+
+
+def test_nobody_needs_to_look_at_what_stands(time: Time) -> None:
+    watch = Supervision("Robot")
+    watch.look()
+    watch.begin()
+    watch.end()
+    time.now_s += 60.0
+    watch.look()

@@ -1,0 +1,86 @@
+"""A PC that did not run is no reason to call a device silent."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+from drivers import supervision
+from drivers.supervision import Patience
+from drivers.tcp import TcpLink
+from hilcell.ports import DeviceError
+from tests.drivers.peers import Server
+
+
+def keep_silent(connection: socket.socket) -> None:
+    connection.recv(1)
+
+
+@pytest.fixture
+def starved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every look comes five seconds after the one before."""
+    now_s = iter(range(0, 100_000, 5))
+    monkeypatch.setattr(supervision, "time", SimpleNamespace(monotonic=lambda: float(next(now_s))))
+
+
+@pytest.mark.usefixtures("starved")
+def test_an_answer_that_comes_before_the_next_look_is_taken() -> None:
+    looks = 0
+    asked = threading.Event()
+
+    def answer(connection: socket.socket) -> None:
+        assert asked.wait(5)
+        connection.sendall(b"here")
+        connection.recv(1)
+
+    def check() -> None:
+        nonlocal looks
+        looks += 1
+        if looks == 4:
+            asked.set()
+
+    with Server(answer) as server:
+        link = TcpLink("Robot", "127.0.0.1", server.port, check)
+        assert link.receive(10, Patience(2.0)) == b"here"
+        link.close()
+
+
+@pytest.mark.usefixtures("starved")
+def test_a_silent_device_is_silent_all_the_same() -> None:
+    with Server(keep_silent) as server:
+        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None)
+        assert link.receive(10, Patience(0.3)) == b""
+        link.close()
+
+
+def test_what_has_arrived_is_taken_though_the_time_is_up() -> None:
+    sent = threading.Event()
+
+    def speak(connection: socket.socket) -> None:
+        connection.sendall(b"here")
+        sent.set()
+        connection.recv(1)
+
+    with Server(speak) as server:
+        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None)
+        assert sent.wait(5)
+        assert link.receive(10, Patience(0.0)) == b"here"
+        link.close()
+
+
+def test_a_device_that_takes_no_bytes_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.tcp.SEND_S", 0.05)
+    end = threading.Event()
+
+    def take_nothing(_: socket.socket) -> None:
+        end.wait(5)
+
+    with Server(take_nothing) as server:
+        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None)
+        with pytest.raises(DeviceError, match="takes no bytes"):
+            link.send(bytes(64_000_000), "write HC_TGT")
+        end.set()
+        link.close()
