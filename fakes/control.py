@@ -2,8 +2,8 @@
 
 ``{"do": "addresses" | "now" | "wait" | "fault" | "clear" | "truth" | "seat" | "quit", ...}`` is
 answered by ``{"ok": true, ...}`` or ``{"ok": false, "error": ...}``. The engine uses it for time
-alone; faults and truth are for tests, ``seat`` is the person who carries the reflector, and nothing
-of this reaches a device's wire.
+alone; faults and truth are for tests, and truth is answered only by a cell that was started with
+it; ``seat`` is the person who carries the reflector. Nothing of this reaches a device's wire.
 """
 
 from __future__ import annotations

@@ -22,16 +22,18 @@ from fakes.rail_server import RailServer
 from fakes.replay_plant import ReplayPlant
 from fakes.time import PlantTime
 from hilcell.cell import Cell
+from hilcell.ports import HilcellError
 from hilcell.settings import convert
 
 
 class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What to simulate; ``speed`` None is stepped time."""
+    """What to simulate; ``seed`` is the machine's, ``speed`` None is stepped time."""
 
     cell: dict[str, Any]
     seed: int = 1
     speed: float | None = None
     faults: str = ""
+    truth: bool = False
 
 
 class Host:
@@ -53,7 +55,7 @@ class Host:
             time,
             faults,
             addresses=self.addresses,
-            truth=lambda asked: truth_of(plant, asked) if isinstance(plant, Plant) else {},
+            truth=lambda asked: _truth(plant, asked, order),
             seat=plant.seat,
             restore=controller.restore,
             quit_=self.end,
@@ -80,6 +82,14 @@ class Host:
     def end(self) -> None:
         """End the simulated cell; may come from any thread."""
         self._ended.set()
+
+
+def _truth(plant: Plant | ReplayPlant, asked: dict[str, Any], order: Order) -> dict[str, Any]:
+    if not order.truth:
+        raise HilcellError(
+            "this simulated cell keeps its truth: start it with `hilcell sim --truth`"
+        )
+    return truth_of(plant, asked) if isinstance(plant, Plant) else {}
 
 
 def _plant(cell: Cell, order: Order, time: PlantTime, faults: Faults) -> Plant | ReplayPlant:

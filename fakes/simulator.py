@@ -31,7 +31,15 @@ DEVICES = ("rail", "robot", "tracker")
 class PaperCell:
     """The paper's cell, or any other, on simulated hardware."""
 
-    def __init__(self, cell: Cell, *, seed: int, speed: float = math.inf, faults: str = "") -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        *,
+        seed: int,
+        speed: float = math.inf,
+        faults: str = "",
+        truth: bool = False,
+    ) -> None:
         load_faults(faults)  # so that a wrong file is refused here, in full
         self._process: subprocess.Popen[bytes] | None = None
         attach = cell.simulation.address if cell.simulation is not None else ""
@@ -44,6 +52,7 @@ class PaperCell:
                 "seed": seed,
                 "speed": None if math.isinf(speed) else speed,
                 "faults": faults,
+                "truth": truth,
             }
             self._process, answer = _start(msgspec.json.encode(order) + b"\n")
             self._control = Control(answer["control"])
@@ -71,10 +80,18 @@ class PaperCell:
 class ReplayCell(PaperCell):
     """Measured data in place of a plant: ``simulation.data`` names the CSV."""
 
-    def __init__(self, cell: Cell, *, seed: int, speed: float = math.inf, faults: str = "") -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        *,
+        seed: int,
+        speed: float = math.inf,
+        faults: str = "",
+        truth: bool = False,
+    ) -> None:
         if cell.simulation is None or not (cell.simulation.data or cell.simulation.address):
             raise SettingsError(cell.name, ["simulation.data: missing; it names the CSV to replay"])
-        super().__init__(cell, seed=seed, speed=speed, faults=faults)
+        super().__init__(cell, seed=seed, speed=speed, faults=faults, truth=truth)
 
 
 class SimulatedClock:

@@ -57,8 +57,9 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         type=_seed,
         default=1,
         metavar="N",
-        help="of random targets; of the simulated cell's truth (default: 1)",
+        help="of random targets; of the simulated machine, too, unless it has its own (default: 1)",
     )
+    _machine_seed_option(run)
     _runs_option(run)
     run.add_argument(
         "--speed",
@@ -185,7 +186,13 @@ def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _json_option(check, "one object")
     sim = _command(commands, "sim", "commands.cell:sim", "run the simulated cell by itself")
     _cell_options(sim)
-    sim.add_argument("--seed", type=_seed, default=1, metavar="N", help="of the truth (default: 1)")
+    sim.add_argument(
+        "--seed", type=_seed, default=1, metavar="N", help="of the machine (default: 1)"
+    )
+    _machine_seed_option(sim)
+    sim.add_argument(
+        "--truth", action="store_true", help="the control channel answers what is true; for tests"
+    )
     sim.add_argument("--speed", type=_speed, default=1.0, metavar="X|max", help="default: 1")
     sim.add_argument("--faults", default="", metavar="FILE", help="faults to inject, TOML")
     _command(commands, "diagram", "commands.cell:diagram", "print the state machines as Mermaid")
@@ -296,6 +303,16 @@ def _watch_options(parser: argparse.ArgumentParser) -> None:
 
 def _json_option(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("--json", action="store_true", help=f"print JSON: {text}")
+
+
+def _machine_seed_option(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--machine-seed",
+        type=_seed,
+        default=None,
+        metavar="N",
+        help="of the simulated machine: robot, rail, tracker (default: the seed)",
+    )
 
 
 def _number(text: str) -> float:

@@ -171,8 +171,8 @@ def _unfinished(first: Log, second: Log, live: tuple[bool, bool]) -> Iterator[st
 
 def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
     yield "the tracker's place in {W} is of its set-up and is not compared"
-    if first.inputs.simulated and first.inputs.seed != second.inputs.seed:
-        yield "the seeds differ: these are two simulated cells, not one that drifted"
+    if first.inputs.simulated and first.inputs.truth_seed != second.inputs.truth_seed:
+        yield "the machines' seeds differ: these are two simulated cells, not one that drifted"
     if not grids and all(log.group("grid") for log in (first, second)):
         yield "the grids differ: their vertices are not compared"
     methods = [str(log.verdicts.get("fit", {}).get("method", "")) for log in (first, second)]
@@ -192,8 +192,9 @@ def _inputs(log: Log) -> dict[str, str]:
     inputs = log.inputs
     cell = {key: value for key, value in inputs.cell.items() if key != "simulation"}
     run = {"procedure": inputs.procedure, "seed": inputs.seed, "unattended": inputs.unattended}
+    machine = {"machine_seed": inputs.truth_seed} if inputs.simulated else {}
     versions = {"versions": {"hilcell": inputs.versions.get("hilcell", "")}}
-    return dict(_leaves(run | versions | cell, ""))
+    return dict(_leaves(run | machine | versions | cell, ""))
 
 
 def _leaves(value: object, path: str) -> Iterator[tuple[str, str]]:

@@ -88,13 +88,16 @@ def check_options(cell: Cell) -> None:
 
 
 def start_simulation(
-    cell: Cell, *, seed: int, speed: float, faults: str = ""
+    cell: Cell, *, seed: int, speed: float, faults: str = "", truth: bool = False
 ) -> SimulatedCell | None:
-    """Start the simulated cell beside the engine, where the cell file asks for one."""
+    """Start the simulated cell beside the engine, where the cell file asks for one.
+
+    ``seed`` is its machine's. No run sets ``truth``: whoever asks for it starts the cell himself.
+    """
     if cell.simulation is None:
         return None
     simulator = load_entry("simulators", cell.simulation.simulator)
-    simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, faults=faults)
+    simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, faults=faults, truth=truth)
     return simulated
 
 

@@ -11,6 +11,7 @@ import msgspec
 
 from hilcell.cell import load_cell
 from hilcell.commands.common import say
+from hilcell.commands.run import machine_seed
 from hilcell.devices import check_options, load_entry, start_simulation
 from hilcell.ports import HilcellError
 from hilcell.run.machine import CALIBRATION, RUN, mermaid
@@ -43,7 +44,9 @@ def check(args: argparse.Namespace) -> int:
 def sim(args: argparse.Namespace) -> int:
     """Run the simulated cell by itself and print where its devices listen."""
     cell = load_cell(args.cell, dict(args.set))
-    simulated = start_simulation(cell, seed=args.seed, speed=args.speed, faults=args.faults)
+    simulated = start_simulation(
+        cell, seed=machine_seed(args), speed=args.speed, faults=args.faults, truth=args.truth
+    )
     if simulated is None:
         raise HilcellError(f"cell {cell.name} is real: it names no simulator")
     ended = threading.Event()

@@ -63,6 +63,7 @@ def show(args: argparse.Namespace) -> int:
     summary = _summary(row_of(folder)) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
+        "machine_seed": inputs.truth_seed if inputs.simulated else None,
         "calibration": log.states["calibration"],
         "fault": log.fault,
         "sessions": log.session,
@@ -81,6 +82,6 @@ def show(args: argparse.Namespace) -> int:
 
 
 _SHOWN = (
-    "procedure", "cell", "simulated", "operator", "job", "seed", "points",
+    "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
     "calibration", "sessions", "fault", "exit",
 )  # fmt: skip

@@ -41,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
     cell = load_cell(args.cell, dict(args.set))
     if args.speed is not None and cell.simulation is None:
         raise HilcellError(f"--speed is for simulated cells; cell {cell.name} is real")
+    _check_machine_seed(cell, args)
     check_attended(cell, unattended=args.unattended)
     procedure: Procedure = load_entry("procedures", args.procedure)
     plan = procedure.plan(cell, args.seed)
@@ -86,6 +87,23 @@ def resume(args: argparse.Namespace) -> int:
             journal.append("event", "", {"what": "retake asked", "key": key})
         face.already(sum(point.group != "control" for point in log.points.values()))
         return _perform(cell, procedure, journal, log, face, folder, args)
+
+
+def machine_seed(args: argparse.Namespace) -> int:
+    """Return the seed of a simulated cell's machine: its own, or else the run's."""
+    return int(args.seed if args.machine_seed is None else args.machine_seed)
+
+
+def _check_machine_seed(cell: Cell, args: argparse.Namespace) -> None:
+    if args.machine_seed is None:
+        return
+    if cell.simulation is None:
+        raise HilcellError(f"--machine-seed is for simulated cells; cell {cell.name} is real")
+    if cell.simulation.address:
+        raise HilcellError(
+            f"--machine-seed: the simulated cell at {cell.simulation.address} runs already; "
+            "give the seed to its `hilcell sim`"
+        )
 
 
 def check_attended(cell: Cell, *, unattended: bool) -> None:
@@ -144,7 +162,7 @@ def _run(
     try:
         with ExitStack() as stack, stopped_by_signals():
             speed = inputs.speed or math.inf
-            simulated = start_simulation(cell, seed=inputs.seed, speed=speed)
+            simulated = start_simulation(cell, seed=inputs.truth_seed, speed=speed)
             if simulated is not None:
                 stack.callback(simulated.close)
             addresses = simulated.options if simulated is not None else {}
@@ -215,6 +233,7 @@ def _plan_record(
         "cell": msgspec.to_builtins(cell),
         "digest": cell.digest,
         "seed": args.seed,
+        "machine_seed": machine_seed(args),
         "speed": speed,
         "unattended": args.unattended,
         "operator": args.operator,

@@ -47,9 +47,12 @@ def accuracy(facts: Facts) -> Sheet | None:
     headers = ["station", "error", "targets", "mean mm", "p95 mm", "max mm",
                "removed by means %", "removed by maxima %"]  # fmt: skip
     floor = facts.result.get("repeatability", {}).get("floor_mm")
+    rp_robot = facts.result.get("repeatability", {}).get("rp_robot_mm")
     note = "Removed: 1 − after / before. Every figure is of targets really sent and measured."
     if floor is not None:
         note += f" Repeatability and tracker noise alone would leave {floor:.4f} mm (mean)."
+    if rp_robot is not None:
+        note += f" RP of the robot (ISO 9283), tracker noise taken off: {rp_robot:.3f} mm."
     return Sheet("Before and after", headers, rows, 2, note)
 
 

@@ -72,6 +72,12 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     steps: list[dict[str, Any]]
     points: int
     duration_s: float
+    machine_seed: int | None = None
+
+    @property
+    def truth_seed(self) -> int:
+        """The seed of a simulated cell's machine; runs of old had one seed for both."""
+        return self.seed if self.machine_seed is None else self.machine_seed
 
 
 class Log:

@@ -25,12 +25,18 @@ def record_row(record: Record) -> Row:
     return Row(str(record.seq), cells, tone)
 
 
+def _plan_words(body: dict[str, Any]) -> str:
+    seed, machine = body.get("seed"), body.get("machine_seed")
+    own = f", machine {machine}" if machine not in (None, seed) else ""
+    return f"{body.get('procedure')}, {body.get('points')} points, seed {seed}{own}"
+
+
 def record_words(record: Record) -> str:
     """Return what a record says, shortly."""
     body = record.body
     match record.kind:
         case "plan":
-            return f"{body.get('procedure')}, {body.get('points')} points, seed {body.get('seed')}"
+            return _plan_words(body)
         case "state":
             reason = f": {body['reason']}" if body.get("reason") else ""
             return f"{body.get('machine')} is {body.get('to')}{reason}".replace("\n", " ")

@@ -91,7 +91,7 @@ def test_carried_away_the_beam_breaks(plant: Plant, when: str) -> None:
 
 def test_the_control_channel_seats_it() -> None:
     words = [f"--set={key}={value}" for key, value in BY_HAND.items()]
-    with simulation("--speed", "max", *words) as cell, Control(cell.control) as control:
+    with simulation("--speed", "max", "--truth", *words) as cell, Control(cell.control) as control:
         assert control.ask("truth")["reflectors_mm"] == {}
         control.ask("seat", place="F2")
         (seen,) = control.ask("truth")["reflectors_mm"].values()

@@ -38,7 +38,7 @@ time.sleep(60)
 
 @pytest.fixture
 def simulated(cell: Cell) -> Iterator[PaperCell]:
-    simulated = PaperCell(cell, seed=3)
+    simulated = PaperCell(cell, seed=3, truth=True)
     yield simulated
     simulated.close()
 
@@ -91,7 +91,7 @@ POSES = [[0.0, -75.0, 100.0, 0.0, -40.0, 0.0], [20.0, -60.0, 90.0, 10.0, -50.0, 
 
 def test_same_seed_gives_the_same_figures(cell: Cell, simulated: PaperCell) -> None:
     first = points_of(simulated, POSES)
-    again = PaperCell(cell, seed=3)
+    again = PaperCell(cell, seed=3, truth=True)
     try:
         second = points_of(again, POSES)
     finally:
@@ -116,6 +116,17 @@ def test_truth_is_the_papers(simulated: PaperCell, cell: Cell) -> None:
     nominal = forward(cell.robot.arm(), np.radians(cell.robot.home_deg))
     at_mm = np.array(truth["T_W_B"]) @ np.append(nominal[:3, 3], 1.0)
     assert 0.05 < np.linalg.norm(at_mm[:3] - truth["flange_mm"]) < 4.0
+
+
+def test_truth_is_kept_unless_the_cell_was_started_for_it(cell: Cell) -> None:
+    simulated = PaperCell(cell, seed=1)
+    try:
+        with Control(simulated.address) as control:
+            with pytest.raises(DeviceError, match=r"keeps its truth.*sim --truth"):
+                control.ask("truth")
+            assert control.ask("now")["now_s"] >= 0.0
+    finally:
+        simulated.close()
 
 
 def test_stepped_clock_waits_at_once(simulated: PaperCell) -> None:

@@ -89,7 +89,7 @@ def of(found: Comparison, group: str, what: str = "", place: str = "") -> list[C
 
 def test_two_simulated_cells(seeds: Comparison) -> None:
     """Different seeds are different floors, rails and arms: the comparison sees it all."""
-    assert seeds.settings == [Setting("seed", "1", "2")]
+    assert seeds.settings == [Setting("seed", "1", "2"), Setting("machine_seed", "1", "2")]
     assert any("two simulated cells" in note for note in seeds.notes)
     frames = of(seeds, "frames")
     assert {each.place for each in frames} == {

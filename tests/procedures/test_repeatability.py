@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hilcell.cell import Cell, load_cell
+from hilcell.run.log import Log, Point
+from procedures.repeatability import VISITS, floor, rp_mm, rp_robot_mm
+
+PLACES = 3
+TRACKER_MM = (0.0075, 0.0105, 0.0105)
+
+
+class Visits(Log):
+    """Visits of three places: each coordinate's noise of robot and tracker in mm, 1 sigma."""
+
+    def __init__(self, cell: Cell, robot_mm: float, seed: int) -> None:
+        super().__init__()
+        self._cell = cell
+        rng = np.random.default_rng(seed)
+        for place in range(PLACES):
+            for visit in range(VISITS):
+                noise_mm = rng.standard_normal(3) * robot_mm
+                noise_mm += rng.standard_normal(3) * np.array(TRACKER_MM)
+                point = _point(f"repeatability_{place}", 1000.0 * place + noise_mm)
+                self.points[f"repeatability/{place}/{visit}"] = point
+
+    @property
+    def cell(self) -> Cell:
+        assert self._cell is not None
+        return self._cell
+
+
+def _point(group: str, xyz_mm: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Point:
+    x, y, z = xyz_mm.tolist()
+    return Point(
+        key="", group=group, station="S1100", reflector="", xyz_mm=(x, y, z), std_mm=TRACKER_MM,
+        samples=1, temperature_c=23.0, pressure_mbar=1009.0, humidity_percent=45.0, session=1,
+        frame="tracker",
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[Visits]:
+    cell = load_cell("paper")
+    return [Visits(cell, 0.0166, seed) for seed in range(200)]
+
+
+def test_the_robots_rp_has_the_trackers_noise_taken_off(logs: list[Visits]) -> None:
+    """16.6 um on each Cartesian axis is RP .06 (the distances are Maxwell's)."""
+    assert np.mean([rp_robot_mm(log) for log in logs]) == pytest.approx(0.060, abs=0.002)
+    whole_mm = float(np.sqrt(3 * 0.0166**2 + np.square(TRACKER_MM).sum()))
+    assert np.mean([rp_mm(log) for log in logs]) == pytest.approx(
+        0.060 * whole_mm / (0.0166 * np.sqrt(3)), abs=0.002
+    )
+
+
+def test_the_floor_does_not_depend_on_few_visits(logs: list[Visits]) -> None:
+    sigma_mm = np.sqrt((0.0166**2 * 3 + np.square(TRACKER_MM).sum()) / 3)
+    mean_mm = 2 * sigma_mm * np.sqrt(2 / np.pi)  # of a Maxwell distribution
+    assert np.mean([floor(log)["mean"] for log in logs]) == pytest.approx(mean_mm, rel=0.02)
+
+
+def test_a_robot_that_is_better_than_the_tracker_has_no_rp_of_its_own() -> None:
+    found = [rp_robot_mm(Visits(load_cell("paper"), 0.0, seed)) for seed in range(20)]
+    assert min(found) == 0.0
+    assert max(found) < 0.03
