@@ -1,7 +1,8 @@
 """CiA 402 drives: states, status and control words, modes of operation. Nothing here does I/O.
 
 The trap: bit 10 "target reached" and bit 12 keep their value from the motion before, so a motion
-has ended only when the set-point was acknowledged in between and the velocity is zero.
+has ended only when the set-point was acknowledged in between and the slide stands. Nor does "the
+velocity is zero" say that: a servo that holds a position dithers (`drivers.standstill`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,11 @@ QUICK_STOP_OPTION = 0x605A
 MODES_OF_OPERATION = 0x6060
 MODE_DISPLAY = 0x6061
 POSITION_ACTUAL = 0x6064
+POSITION_WINDOW = 0x6067
+POSITION_WINDOW_TIME = 0x6068
 VELOCITY_ACTUAL = 0x606C
+VELOCITY_THRESHOLD = 0x606F
+VELOCITY_THRESHOLD_TIME = 0x6070
 TARGET_POSITION = 0x607A
 HOME_OFFSET = 0x607C
 PROFILE_VELOCITY = 0x6081

@@ -2,12 +2,13 @@
 
 canopen's BaseNode402 is not used: it drops the drive to "no mode" by its empty RPDO buffer,
 re-enables it behind a fault reset, and takes bits left by the last motion for this one's.
-The trap of time: a simulated cell may run faster than any clock, so a motion's deadline is never
-computed from distance and speed; what counts is that the position changes.
+The trap of time: a simulated cell may run faster than any clock. So a motion's planned duration is
+counted on the cell's clock, and the wire's own deadline must have passed as well.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,26 +17,40 @@ from drivers import cia402, cia406, emcy
 from drivers.cia402 import State
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.sdo import SdoChannel
+from drivers.standstill import READINGS, Rest, Standstill, Windows
 from hilcell.ports import Clock, DeviceError
 
 POLL_S = 0.02
 STALL_S = 3.0  # wire deadline: neither the wanted state nor progress
+PLANNED_TIMES, EXTRA_S = 2.0, 10.0  # cell time that a motion may take: planned, times and plus
 OVERSPEED = 1.2
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a healthy slide never exceeds, in counts and counts/s, and the scale to tell it in."""
+    """What a healthy slide never exceeds, in counts and seconds, and the scale to tell it in."""
 
     counts_per_mm: float
     lowest: int
     highest: int
     speed: float
+    acceleration: float
+    homing_s: float  # planned, from the far end of the travel
     window: int  # arrived, or progress
+    windows: Windows  # at rest
 
     def mm(self, counts: float) -> str:
         """Return a position, or a speed a second, in words."""
         return f"{counts / self.counts_per_mm:.3f} mm"
+
+    def travel_s(self, distance: float) -> float:
+        """Return how long a motion over ``distance`` is planned to take, from rest to rest."""
+        return abs(distance) / self.speed + 2.0 * self.ramp_s
+
+    @property
+    def ramp_s(self) -> float:
+        """Return how long the slide takes from full speed to rest."""
+        return self.speed / self.acceleration
 
 
 class Drive:
@@ -51,6 +66,13 @@ class Drive:
     ) -> None:
         self._image, self._sdo, self._clock = image, sdo, clock
         self._limits, self._watch = limits, watch
+        self._standstill = Standstill(limits.windows)
+        self._now_s = 0.0  # of the cell, at the last poll
+
+    @property
+    def rest(self) -> Rest | None:
+        """Return where the slide stands by the last polls; None while it is not known to stand."""
+        return self._standstill.rest
 
     def poll(self, operation: str) -> Snapshot:
         """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
@@ -62,6 +84,8 @@ class Drive:
         look()
         now = self._image.refresh(look)
         look()
+        self._now_s = self._clock.now_s()
+        self._standstill.take(now, self._now_s)
         if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
             code = self._sdo.read(cia402.ERROR_CODE)
             raise DeviceError(
@@ -77,6 +101,17 @@ class Drive:
                 f"strip sensor: {cia406.alarm_text(now.alarms)}",
                 act="check the strip and its head, then resume",
             )
+        return now
+
+    def confirm(self, operation: str) -> Snapshot:
+        """Poll once, or for a dwell where older polls do not prove that the slide stands."""
+        now = self.poll(operation)
+        windows = self._limits.windows
+        for _ in range(max(READINGS, math.ceil(windows.dwell_s / POLL_S) + 1)):
+            if self.rest is not None or not abs(now.velocity) <= windows.speed:
+                break
+            self._clock.wait(POLL_S)
+            now = self.poll(operation)
         return now
 
     def reset_fault(self) -> None:
@@ -101,10 +136,14 @@ class Drive:
 
     def disable(self, operation: str = "hold") -> None:
         """Take the power away; the brake closes. A moving slide is stopped on its ramp first."""
-        now = self.poll(operation)
-        if now.powered and now.velocity != 0:
+        if not self.poll(operation).powered:
+            return
+        now = self.confirm(operation)
+        if now.powered and self.rest is None:
             self._image.quick_stop()
-            now = self._until(operation, "standstill", lambda s: s.velocity == 0)
+            now = self._until(
+                operation, "standstill", lambda _: self.rest is not None, self._limits.ramp_s
+            )
         if not now.powered:
             return
         quick = now.state is State.QUICK_STOP_ACTIVE
@@ -114,13 +153,16 @@ class Drive:
     def home(self, tolerance: int) -> None:
         """Home by the method set in 6098h; raises `DeviceError`."""
         operation = "home"
-        self._prepare(operation, cia402.HOMING)
+        before = self._prepare(operation, cia402.HOMING)
+        self._standstill.forget()
         self._image.control(cia402.START)
-        # Attained may still be set from an earlier homing: it must be seen to go.
-        self._moving(operation, "homing started", lambda s: not s.has(cia402.ACKNOWLEDGED))
+        self._moving(operation, "homing started", lambda now: self._homes(before, now))
         attained = cia402.ACKNOWLEDGED | cia402.TARGET_REACHED
         now = self._moving(
-            operation, "homing attained at standstill", lambda s: s.has(attained) and not s.velocity
+            operation,
+            "homing attained at standstill",
+            lambda s: s.has(attained) and self.rest is not None,
+            self._limits.homing_s,
         )
         self._image.control(cia402.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
@@ -135,23 +177,35 @@ class Drive:
     def move(self, target: int) -> None:
         """Go to ``target`` counts in profile position; return at standstill, still enabled."""
         operation = f"move to {self._limits.mm(target)}"
-        self._prepare(operation, cia402.PROFILE_POSITION)
+        before = self._prepare(operation, cia402.PROFILE_POSITION)
         self._image.control(cia402.ENABLE_OPERATION, target)
         self._moving(operation, "last set-point released", lambda s: not s.has(cia402.ACKNOWLEDGED))
+        self._standstill.forget()
         self._image.control(cia402.START, target)
         self._moving(operation, "set-point acknowledged", lambda s: s.has(cia402.ACKNOWLEDGED))
         self._image.control(cia402.ENABLE_OPERATION, target)
         wanted = f"target reached at {self._limits.mm(target)}, at standstill"
-        self._moving(operation, wanted, lambda now: self._arrived(now, target))
+        planned_s = self._limits.travel_s(target - before.position)
+        self._moving(operation, wanted, lambda now: self._arrived(now, target), planned_s)
+
+    def _homes(self, before: Snapshot, now: Snapshot) -> bool:
+        """Whether homing has begun, or has ended already within one poll.
+
+        The bit that says "attained" may still be set from an earlier homing. Then it must be seen
+        to go, or the position to change.
+        """
+        stale = before.has(cia402.ACKNOWLEDGED) and now.has(cia402.ACKNOWLEDGED)
+        return not stale or abs(now.position - before.position) > self._limits.window
 
     def _arrived(self, now: Snapshot, target: int) -> bool:
         """Whether a motion has ended; the drive's bit alone may be the last motion's, or a lie."""
         reached = now.has(cia402.TARGET_REACHED) and not now.has(cia402.ACKNOWLEDGED)
-        return reached and now.velocity == 0 and abs(now.position - target) <= self._limits.window
+        at_rest = self.rest is not None
+        return reached and at_rest and abs(now.position - target) <= self._limits.window
 
     # -- steps --------------------------------------------------------------------------------
 
-    def _prepare(self, operation: str, mode: int) -> None:
+    def _prepare(self, operation: str, mode: int) -> Snapshot:
         """Set the mode and go up to OPERATION ENABLED, one acknowledged transition at a time."""
         now = self.poll(operation)
         if now.mode != mode:
@@ -161,27 +215,49 @@ class Drive:
             if word is not None:
                 self._image.control(word, now.position)
             self._until(operation, f"drive to leave {now.state.value!r}", _left(now.state))
-        self._until(operation, f"mode {mode}", lambda s: s.mode == mode)
+        return self._until(operation, f"mode {mode}", lambda s: s.mode == mode)
 
-    def _moving(self, operation: str, wanted: str, done: Callable[[Snapshot], bool]) -> Snapshot:
-        return self._until(operation, wanted, done, moving=True)
+    def _moving(
+        self,
+        operation: str,
+        wanted: str,
+        done: Callable[[Snapshot], bool],
+        planned_s: float = 0.0,
+    ) -> Snapshot:
+        return self._until(operation, wanted, done, planned_s, moving=True)
 
     def _until(
-        self, operation: str, wanted: str, done: Callable[[Snapshot], bool], *, moving: bool = False
+        self,
+        operation: str,
+        wanted: str,
+        done: Callable[[Snapshot], bool],
+        planned_s: float = 0.0,
+        *,
+        moving: bool = False,
     ) -> Snapshot:
-        """Poll by SYNC until ``done``; raises when neither that nor progress comes in time."""
+        """Poll by SYNC until ``done``; raises when neither that nor progress comes in time.
+
+        Progress alone does not go on for ever: ``planned_s`` of the cell bounds it.
+        """
         position: int | None = None
-        changed_s = time.monotonic()
+        allowed_s = PLANNED_TIMES * planned_s + EXTRA_S
+        began_s = changed_s = time.monotonic()
+        end_s = math.inf
         while True:
             now = self.poll(operation)
             if moving:
                 self._check_motion(operation, now)
             if done(now):
                 return now
-            if position is None or abs(now.position - position) > self._limits.window:
-                position, changed_s = now.position, time.monotonic()
-            elif time.monotonic() - changed_s > STALL_S:
-                raise self._stalled(operation, wanted, now)
+            wire_s = time.monotonic()
+            if position is None:
+                position, end_s = now.position, self._now_s + allowed_s
+            elif abs(now.position - position) > self._limits.window:
+                position, changed_s = now.position, wire_s
+            elif wire_s - changed_s > STALL_S:
+                raise self._stalled(operation, f"no progress for {STALL_S:.0f} s", wanted, now)
+            if not self._now_s <= end_s and wire_s - began_s > STALL_S:
+                raise self._stalled(operation, f"not done after {allowed_s:.0f} s", wanted, now)
             self._clock.wait(POLL_S)
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:
@@ -202,11 +278,11 @@ class Drive:
         if found:
             raise DeviceError(DEVICE, operation, found, act="put the cause right, then resume")
 
-    def _stalled(self, operation: str, wanted: str, now: Snapshot) -> DeviceError:
+    def _stalled(self, operation: str, what: str, wanted: str, now: Snapshot) -> DeviceError:
         return DeviceError(
             DEVICE,
             operation,
-            f"no progress for {STALL_S:.0f} s at {self._limits.mm(now.position)}, "
+            f"{what} at {self._limits.mm(now.position)}, "
             f"{self._limits.mm(now.velocity)}/s, "
             f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}",
             wanted=wanted,

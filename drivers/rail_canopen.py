@@ -8,9 +8,7 @@ both, and the closed loop above it decides.
 from __future__ import annotations
 
 import time
-from collections import deque
 from importlib import resources
-from statistics import median
 from typing import Annotated, Literal
 
 import canopen
@@ -25,13 +23,14 @@ from drivers.pdo import configure
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.rail_setup import Expected
 from drivers.sdo import SdoChannel
+from drivers.standstill import READINGS, Standstill, Windows
 from hilcell.ports import Clock, DeviceError, Identity, RailReading
 
 SETTLE_S = 10.0  # wire deadline
-SETTLE_READINGS = 5
 RELEASE_S = 5.0  # wire deadline
 POLL_S = 0.02
 WINDOW_MM = 0.05
+STRIP_SPREAD_COUNTS, STRIP_SPREAD_MM = 2, 0.02  # at rest: one count about the middle
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
 LARGEST_COUNT = 2**31 - 1
 
@@ -64,6 +63,9 @@ class CanopenRail:
         strip_vendor: U32 = 0x484
         strip_product: U32 = 0x406
         strip_serial: U32 = 0
+        standstill_speed_mm_s: Positive = 0.5
+        standstill_window_mm: Positive = 0.01
+        standstill_dwell_s: Annotated[float, Meta(gt=0, le=5)] = 0.25
 
         def __post_init__(self) -> None:
             if len({self.drive_node, self.strip_node, self.heartbeat_node}) < 3:
@@ -123,32 +125,29 @@ class CanopenRail:
             raise
 
     def settle(self) -> RailReading:
-        """Return a reading at rest: five in a row with the strip within one count of its middle."""
-        drive = self._used()
+        """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
+        options, drive = self._options, self._used()
         deadline_s = time.monotonic() + SETTLE_S
-        strip: deque[int] = deque(maxlen=SETTLE_READINGS)
         while True:
             now = drive.poll("settle")
-            strip.append(now.strip)
-            if now.velocity != 0:
-                strip.clear()
-            if len(strip) == SETTLE_READINGS and max(strip) - min(strip) <= 2:
-                return self._reading(now, median(strip))
+            if drive.rest is not None:
+                return self._reading(now)
             if time.monotonic() > deadline_s:
                 raise DeviceError(
                     DEVICE,
                     "settle",
-                    f"strip {now.strip / self._options.strip_counts_per_mm:.2f} mm, "
-                    f"speed {now.velocity / self._options.counts_per_mm:.3f} mm/s",
-                    wanted=f"{SETTLE_READINGS} readings within +-1 count within {SETTLE_S:.0f} s",
+                    f"strip {now.strip / options.strip_counts_per_mm:.2f} mm, "
+                    f"speed {now.velocity / options.counts_per_mm:.3f} mm/s",
+                    wanted=f"{READINGS} readings within +-1 count, the drive's within "
+                    f"{options.standstill_window_mm:.3f} mm, over "
+                    f"{options.standstill_dwell_s:.2f} s, within {SETTLE_S:.0f} s",
                     act="the slide creeps or the strip's head is loose; check, then resume",
                 )
             self._clock.wait(POLL_S)
 
     def read(self) -> RailReading:
         """Return a reading asked for after this call began."""
-        now = self._used().poll("read")
-        return self._reading(now, now.strip)
+        return self._reading(self._used().confirm("read"))
 
     def hold(self) -> None:
         """Take the power to move away; the brake closes."""
@@ -210,6 +209,11 @@ class CanopenRail:
                 acceleration_mm_s2=options.acceleration_mm_s2,
             ),
         )
+        limits = self._limits()
+        windows = rail_setup.window_settings(
+            arrived=limits.window, speed=limits.windows.speed, dwell_s=limits.windows.dwell_s
+        )
+        rail_setup.apply_where_present(drive_sdo, windows)
         rail_setup.apply(strip_sdo, rail_setup.STRIP_SETTINGS)
         for pdo in (image.status, image.motion, image.command):
             configure(drive_sdo, pdo)
@@ -245,7 +249,20 @@ class CanopenRail:
             lowest=round((options.travel_min_mm - SLACK_MM) * scale),
             highest=round((options.travel_max_mm + SLACK_MM) * scale),
             speed=options.speed_mm_s * scale,
+            acceleration=options.acceleration_mm_s2 * scale,
+            homing_s=rail_setup.homing_s(
+                travel_mm=options.travel_max_mm - options.travel_min_mm,
+                speed_mm_s=options.speed_mm_s,
+            ),
             window=max(1, round(WINDOW_MM * scale)),
+            windows=Windows(
+                speed=max(1.0, options.standstill_speed_mm_s * scale),
+                spread=max(2, round(options.standstill_window_mm * scale)),
+                strip_spread=max(
+                    STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * options.strip_counts_per_mm)
+                ),
+                dwell_s=options.standstill_dwell_s,
+            ),
         )
 
     # -- helpers ------------------------------------------------------------------------------
@@ -259,14 +276,17 @@ class CanopenRail:
             raise DeviceError(DEVICE, "use", "not connected", act="connect first")
         return self._drive
 
-    def _reading(self, now: Snapshot, strip: float) -> RailReading:
-        options = self._options
+    def _reading(self, now: Snapshot) -> RailReading:
+        """Return the poll ``now``, or the medians of which it is the newest part."""
+        options, rest = self._options, self._used().rest
+        at = now if rest is None else rest
         return RailReading(
-            now.position / options.counts_per_mm,
-            strip / options.strip_counts_per_mm,
-            now.velocity / options.counts_per_mm,
-            now.powered,
-            now.taken_s,
+            position_mm=at.position / options.counts_per_mm,
+            strip_mm=at.strip / options.strip_counts_per_mm,
+            velocity_mm_s=now.velocity / options.counts_per_mm,
+            still=rest is not None,
+            powered=now.powered,
+            taken_s=now.taken_s,
         )
 
     def _stop_after_failure(self) -> None:
@@ -278,13 +298,19 @@ class CanopenRail:
     def _release(self, link: CanLink, image: ProcessImage) -> None:
         """Disable the drive without the run's clock, which no longer waits after a stop."""
         link.check()
-        deadline_s = time.monotonic() + RELEASE_S
+        windows = self._limits().windows
+        standstill = Standstill(windows)
+        began_s = time.monotonic()
         while (now := image.refresh(_go_on)).powered:
-            if now.velocity == 0:
+            passed_s = time.monotonic() - began_s
+            standstill.take(now, passed_s)
+            if standstill.rest is not None:
                 image.control(cia402.DISABLE_VOLTAGE)
-            elif not image.stopped:
+            elif image.stopped:
+                pass  # it brakes
+            elif not abs(now.velocity) <= windows.speed or passed_s > 2 * windows.dwell_s:
                 image.quick_stop()
-            if time.monotonic() > deadline_s:
+            if passed_s > RELEASE_S:
                 raise DeviceError(
                     DEVICE,
                     "close",

@@ -27,7 +27,8 @@ START_PERIOD_S = 0.5
 POLL_S = 0.02
 PC_HEARTBEAT_LIMIT_MS = 500
 HOMING_MM_S = 100.0
-HOMING_SLOW_MM_S = 5.0
+HOMING_SLOW_MM_S, HOMING_SLOW_MM = 5.0, 20.0  # off the switch, at most so far
+LARGEST_U16 = 0xFFFF
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +149,33 @@ def drive_settings(
 
 
 STRIP_SETTINGS: Mapping[tuple[int, int], int] = {(PRODUCER_HEARTBEAT, 0): HEARTBEAT_PERIOD_MS}
+
+
+def homing_s(*, travel_mm: float, speed_mm_s: float) -> float:
+    """Return how long homing is planned to take from the far end of the travel."""
+    fast_s = travel_mm / min(speed_mm_s, HOMING_MM_S)
+    return fast_s + HOMING_SLOW_MM / min(speed_mm_s, HOMING_SLOW_MM_S)
+
+
+def window_settings(*, arrived: int, speed: float, dwell_s: float) -> Mapping[tuple[int, int], int]:
+    """Return what says to the drive when it has arrived (counts) and stands (counts/s)."""
+    dwell_ms = min(LARGEST_U16, round(dwell_s * 1000))
+    return {
+        (cia402.POSITION_WINDOW, 0): arrived,
+        (cia402.POSITION_WINDOW_TIME, 0): dwell_ms,
+        (cia402.VELOCITY_THRESHOLD, 0): min(LARGEST_U16, round(speed)),
+        (cia402.VELOCITY_THRESHOLD_TIME, 0): dwell_ms,
+    }
+
+
+def apply_where_present(sdo: SdoChannel, settings: Mapping[tuple[int, int], int]) -> None:
+    """Write settings that not every device has, each read back; raises `DeviceError`."""
+    for (index, sub), value in settings.items():
+        try:
+            sdo.write(index, sub, value)
+        except Aborted as error:
+            if error.code not in ABSENT:
+                raise
 
 
 def apply(sdo: SdoChannel, settings: Mapping[tuple[int, int], int]) -> None:

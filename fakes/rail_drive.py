@@ -1,8 +1,9 @@
 """The simulated rail drive: CiA 402 state machine, profile position (1) and homing (6).
 
 1000 counts/mm; speeds in counts/s, accelerations in counts/s^2. The brake is closed whenever the
-drive is not in OPERATION ENABLED and has come to rest. The trap: bit 12 of the statusword says
-"set-point acknowledged" in mode 1 and "homing attained" in mode 6.
+drive is not in OPERATION ENABLED and has come to rest; while it is open, the servo dithers by a few
+counts and its speed is almost never 0. The trap: bit 12 of the statusword says "set-point
+acknowledged" in mode 1 and "homing attained" in mode 6.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from enum import Enum, IntEnum
 from fakes.canopen_dictionary import DEVICE_STATE, Entry, SdoAbortError
 from fakes.canopen_pdo import INVALID, Mapping, ReceivePdo, TransmitPdo
 from fakes.canopen_slave import DEVICE_PROFILE, CanopenSlave, NodeIdentity
+from fakes.dither import Dither
 from fakes.faults import Faults
 from fakes.rail_truth import RailState, RailTruth
 from hilcell.cell import RailTable
@@ -24,6 +26,7 @@ NEGATIVE_LIMIT_SWITCH = 17  # homing method
 FOLLOWING_ERROR, LIMIT_SWITCH_HIT = 0x8611, 0x8612
 INT32 = range(-(1 << 31), 1 << 31)
 ABOVE_ZERO = range(1, 1 << 32)
+DITHER_COUNTS, DITHER_HZ = 2, 50.0
 
 
 class Mode(IntEnum):
@@ -110,6 +113,7 @@ class RailDrive(CanopenSlave):
         super().__init__(NODE, IDENTITY, send)
         self._rail, self._faults = rail, faults
         self._slide = rail.poll()
+        self._dither = Dither(DITHER_COUNTS, NODE)
         self._forget()
         self._add_objects(table)
         self._add_pdos()
@@ -142,6 +146,10 @@ class RailDrive(CanopenSlave):
         """Whether the drive brings the slide to rest by itself."""
         own = (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
         return self._busy and self.state in own
+
+    def dither(self) -> None:
+        """Let the servo hunt on; once a SYNC."""
+        self._dither.step()
 
     def observe(self, slide: RailState) -> None:
         """Take the slide's state of now; end motions, trip limits."""
@@ -366,8 +374,15 @@ class RailDrive(CanopenSlave):
     def _position(self) -> int:
         return round(self._slide.encoder_mm * COUNTS_PER_MM)
 
+    def _dithers(self) -> bool:
+        return self._busy or self.state is State.OPERATION_ENABLED
+
+    def _position_shown(self) -> int:
+        return self._position() + (self._dither.counts if self._dithers() else 0)
+
     def _velocity(self) -> int:
-        return round(self._slide.velocity_mm_s * COUNTS_PER_MM)
+        hunting = DITHER_HZ * self._dither.change if self._dithers() else 0.0
+        return round(self._slide.velocity_mm_s * COUNTS_PER_MM + hunting)
 
     def _inputs(self) -> int:
         negative = self._slide.at_negative_limit or self._open_switch < 0
@@ -414,8 +429,12 @@ class RailDrive(CanopenSlave):
         modes = tuple(Mode)
         add(0x6060, 0, Entry("b", 0, mappable=True, allowed=modes, write=self._change_mode))
         add(0x6061, 0, Entry("b", 0, "ro", mappable=True, read=self._shown_mode))
-        add(0x6064, 0, Entry("i", 0, "ro", mappable=True, read=self._position))
+        add(0x6064, 0, Entry("i", 0, "ro", mappable=True, read=self._position_shown))
+        add(0x6067, 0, Entry("I", 100))
+        add(0x6068, 0, Entry("H", 0))
         add(0x606C, 0, Entry("i", 0, "ro", mappable=True, read=self._velocity))
+        add(0x606F, 0, Entry("H", 100))
+        add(0x6070, 0, Entry("H", 0))
         add(0x607A, 0, Entry("i", 0, mappable=True))
         add(0x607C, 0, Entry("i", 0, allowed=(0,)))
         record(0x607D, Entry("i", INT32[0]), Entry("i", INT32[-1]))

@@ -130,6 +130,7 @@ class RailServer:
         if cob_id == SYNC_COB_ID:
             self._delay_s = self._faults.number("rail.late_tpdo") or 0.0
             self._strip.strike()
+            self._drive.dither()
             self._look(now_s)
         elif cob_id in SDO_REQUESTS:
             if data[:1] == SDO_READ:

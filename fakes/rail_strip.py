@@ -1,7 +1,8 @@
 """The simulated magnetic-strip sensor: CiA 406, absolute linear encoder, 100 counts/mm.
 
-Absolute, so it needs no homing. The trap: a sensor without its magnet goes on answering with the
-last position; only alarm bit 0 (6503h) and an EMCY tell.
+Absolute, so it needs no homing. Its reading flickers by a count to either side. The trap: a sensor
+without its magnet goes on answering with the last position; only alarm bit 0 (6503h) and an EMCY
+tell.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Callable
 from fakes.canopen_dictionary import Entry
 from fakes.canopen_pdo import INVALID, Mapping, TransmitPdo
 from fakes.canopen_slave import DEVICE_PROFILE, CanopenSlave, NodeIdentity
+from fakes.dither import Dither
 from fakes.faults import Faults
 from fakes.rail_truth import RailState
 
@@ -35,6 +37,7 @@ class RailStrip(CanopenSlave):
         self._position = round(slide.strip_mm * COUNTS_PER_MM)
         self._velocity_mm_s = 0.0
         self._frozen = False
+        self._flicker = Dither(1, NODE)
         self._jitter = 0
         self._alarms = 0
         self._add_objects()
@@ -50,8 +53,10 @@ class RailStrip(CanopenSlave):
         """Let the faults of a SYNC come and go."""
         self._frozen = self._faults.take("rail.strip_frozen") is not None
         jitter = self._faults.take("rail.strip_jitter") is not None
-        # It alternates, so that any two looks show both sides.
-        self._jitter = (-1 if self._jitter > 0 else 1) if jitter else 0
+        self._flicker.step()
+        # Under the fault it alternates, so that any two looks show both sides.
+        alternate = -1 if self._jitter > 0 else 1
+        self._jitter = alternate if jitter else self._flicker.counts
         alarms = POSITION_ERROR if self._faults.take("rail.missing_magnet") is not None else 0
         if alarms != self._alarms:
             self.emergency(ENCODER_FAULT if alarms else 0, DEVICE_PROFILE)

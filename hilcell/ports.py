@@ -44,18 +44,21 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class RailReading:
-    """Drive and strip at one SYNC: ``position_mm`` of the encoder, ``strip_mm`` of the strip."""
+    """Drive and strip together: ``position_mm`` of the encoder, ``strip_mm`` of the strip.
+
+    ``still`` is the driver's judgement over a dwell: the speed within a window, and drive and
+    strip each within a window of position. A speed alone does not say it: a servo that holds a
+    position dithers, and a creep is slow. Positions of a slide that stands are medians of at least
+    five readings of the drive and of the same five of the strip; ``taken_s`` is when the newest of
+    them arrived, which agrees with the others. A slide that moves is told by its newest reading.
+    """
 
     position_mm: float
     strip_mm: float
     velocity_mm_s: float
+    still: bool
     powered: bool
     taken_s: float
-
-    @property
-    def still(self) -> bool:
-        """Whether the drive reports standstill (NaN is not still)."""
-        return abs(self.velocity_mm_s) < 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +111,7 @@ class Rail(Protocol):
         """Move by the drive's encoder alone; return at standstill; leave the drive holding."""
 
     def settle(self) -> RailReading:
-        """Return a reading once the strip stands: five fresh ones within one count, velocity 0."""
+        """Return a reading at rest; raise `DeviceError` when the slide does not come to rest."""
 
     def read(self) -> RailReading:
         """Return a reading asked for after this call began."""

@@ -6,6 +6,7 @@ function: these interlocks protect the measurement and the machine's peace, not 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -74,9 +75,10 @@ def robot_may_move(cell: Cell, rail: RailReading, station: Station | None, now_s
 
 def check_held(cell: Cell, rail: RailReading, station: Station | None, operation: str) -> None:
     """Refuse a slide that moves, has power to move, or does not stand at ``station``."""
-    if not rail.still:
+    readings = (rail.position_mm, rail.strip_mm, rail.velocity_mm_s)
+    if not (rail.still and all(map(math.isfinite, readings))):
         raise Blocked(
-            "Rail", operation, f"slide moves at {rail.velocity_mm_s:.3f} mm/s", wanted="0"
+            "Rail", operation, f"slide moves at {rail.velocity_mm_s:.3f} mm/s", wanted="at rest"
         )
     if rail.powered:
         raise Blocked("Rail", operation, "the drive has power to move", wanted="held by the brake")
@@ -86,7 +88,8 @@ def check_held(cell: Cell, rail: RailReading, station: Station | None, operation
 
 def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str) -> None:
     """Refuse a strip reading that is not the station's, to one count beyond the tolerance."""
-    # One count of the strip may flicker at rest; the approach itself was held to the tolerance.
+    # Strip readings at rest are medians, which may still turn over by one count; the approach
+    # itself was held to the tolerance.
     limit_mm = 2.0 * cell.rail.strip_tolerance_mm + 1e-9
     if not abs(rail.strip_mm - station.strip_mm) <= limit_mm:
         raise Blocked(

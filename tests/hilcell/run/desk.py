@@ -36,7 +36,8 @@ class DeskRail:
         return self.read()
 
     def read(self) -> RailReading:
-        return RailReading(self.position_mm, self.position_mm, 0.0, self.powered, time.monotonic())
+        at_mm = self.position_mm
+        return RailReading(at_mm, at_mm, 0.0, True, self.powered, time.monotonic())
 
     def hold(self) -> None:
         self.powered = False

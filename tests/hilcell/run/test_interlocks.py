@@ -35,7 +35,8 @@ def rail(**changes: object) -> RailReading:
     values: dict[str, Any] = {
         "position_mm": 1100.2,
         "strip_mm": 1100.0,
-        "velocity_mm_s": 0.0,
+        "velocity_mm_s": 0.02,
+        "still": True,
         "powered": False,
         "taken_s": 10.0,
     }
@@ -74,11 +75,15 @@ def test_the_rail_stays(changes: dict[str, object], now_s: float, part: str) -> 
     ("changes", "now_s", "part"),
     [
         ({}, 10.51, "510 ms old"),
-        ({"velocity_mm_s": 0.1}, 10.0, "slide moves at 0.100 mm/s"),
+        ({"still": False, "velocity_mm_s": 0.1}, 10.0, "slide moves at 0.100 mm/s, wanted at rest"),
+        ({"still": False, "velocity_mm_s": 0.0}, 10.0, "slide moves at 0.000 mm/s"),
         ({"velocity_mm_s": float("nan")}, 10.0, "slide moves at nan"),
+        ({"velocity_mm_s": float("inf")}, 10.0, "slide moves at inf"),
+        ({"position_mm": float("nan")}, 10.0, "slide moves at"),
         ({"powered": True}, 10.0, "power to move"),
         ({"strip_mm": 1100.03}, 10.0, "station S1100 not held: strip 1100.03 mm, wanted 1100.00"),
-        ({"strip_mm": float("nan")}, 10.0, "not held"),
+        ({"strip_mm": float("nan")}, 10.0, "slide moves at"),
+        ({"strip_mm": float("inf")}, 10.0, "slide moves at"),
     ],
 )
 def test_the_robot_stays(changes: dict[str, object], now_s: float, part: str) -> None:
@@ -134,11 +139,15 @@ NOT_HELD = "station S1100 not held: strip 1100.05 mm, wanted 1100.00 +-0.02 mm"
         ),
         ({"robot": None}, "the robot was not read yet", "", "the robot was not read yet"),
         ({"rail_moves": True}, "", *["the rail is moving, wanted at rest"] * 2),
-        ({"rail": rail(velocity_mm_s=3.2)}, "", *["slide moves at 3.200 mm/s, wanted 0"] * 2),
+        (
+            {"rail": rail(velocity_mm_s=3.2, still=False)},
+            "",
+            *["slide moves at 3.200 mm/s, wanted at rest"] * 2,
+        ),
         (
             {"rail": rail(velocity_mm_s=float("nan"))},
             "",
-            *["slide moves at nan mm/s, wanted 0"] * 2,
+            *["slide moves at nan mm/s, wanted at rest"] * 2,
         ),
         (
             {"rail": rail(powered=True)},

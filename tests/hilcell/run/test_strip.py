@@ -37,7 +37,7 @@ class Slide:
 
     def settle(self) -> RailReading:
         strip_mm = 1098.0 if self.frozen else round(self.true_mm, 2)
-        return RailReading(self.command_mm, strip_mm, 0.0, True, 0.0)
+        return RailReading(self.command_mm, strip_mm, 0.0, True, True, 0.0)
 
     def read(self) -> RailReading:
         return self.settle()

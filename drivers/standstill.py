@@ -1,0 +1,91 @@
+"""Whether a slide stands, judged from polls: a servo that holds a position dithers.
+
+A slide stands when every poll of a dwell shows a speed within a window, and all their positions,
+the drive's and the strip's, lie within windows. The trap: a slow creep passes any window of speed;
+only the spread of the positions shows it. Polls that agree with the newest are kept, so a slide
+that has stood since the last reading is confirmed by one poll and not by one more dwell.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from statistics import median
+
+from drivers.process_image import Snapshot
+
+READINGS = 5  # at least, of one dwell; what they show is told by their median
+HISTORY_S = 60.0  # of the cell; an older poll counts for nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """What a slide at rest does not exceed: counts/s, counts from lowest to highest, seconds."""
+
+    speed: float
+    spread: int
+    strip_spread: int
+    dwell_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """Where a slide stands, in counts: medians of the last `READINGS` polls of drive and strip."""
+
+    position: float
+    strip: float
+
+
+class Standstill:
+    """The polls since the slide last moved, in the cell's time."""
+
+    def __init__(self, windows: Windows) -> None:
+        self._windows = windows
+        self._polls: deque[tuple[float, Snapshot]] = deque()
+
+    def forget(self) -> None:
+        """Begin again: the slide is about to move."""
+        self._polls.clear()
+
+    def take(self, poll: Snapshot, now_s: float) -> None:
+        """Take a poll made at ``now_s``, and drop those that no longer count."""
+        if not abs(poll.velocity) <= self._windows.speed:
+            self._polls.clear()
+            return
+        self._polls.append((now_s, poll))
+        self._drop_moved()
+        self._drop_needless(now_s)
+
+    @property
+    def rest(self) -> Rest | None:
+        """Return where the slide stands; None while it moves or is not known to stand."""
+        polls = self._polls
+        if len(polls) < READINGS or not polls[-1][0] - polls[0][0] >= self._windows.dwell_s:
+            return None
+        last = [poll for _, poll in polls][-READINGS:]
+        return Rest(median(poll.position for poll in last), median(poll.strip for poll in last))
+
+    def _drop_moved(self) -> None:
+        """Keep the newest polls whose positions all lie within the windows."""
+        windows, kept = self._windows, 0
+        positions: list[int] = []
+        strips: list[int] = []
+        for _, poll in reversed(self._polls):
+            positions.append(poll.position)
+            strips.append(poll.strip)
+            if not (
+                max(positions) - min(positions) <= windows.spread
+                and max(strips) - min(strips) <= windows.strip_spread
+            ):
+                break
+            kept += 1
+        while len(self._polls) > kept:
+            self._polls.popleft()
+
+    def _drop_needless(self, now_s: float) -> None:
+        """Drop what is too old, and what the dwell and the medians do not need."""
+        polls = self._polls
+        while not now_s - polls[0][0] <= HISTORY_S:
+            polls.popleft()
+        while len(polls) > READINGS and now_s - polls[1][0] >= self._windows.dwell_s:
+            polls.popleft()
