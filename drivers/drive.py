@@ -45,7 +45,8 @@ class Limits:
 
     def travel_s(self, distance: float) -> float:
         """Return how long a motion over ``distance`` is planned to take, from rest to rest."""
-        return abs(distance) / self.speed + 2.0 * self.ramp_s
+        peak = min(self.speed, math.sqrt(abs(distance) * self.acceleration))
+        return abs(distance) / peak + peak / self.acceleration if peak else 0.0
 
     @property
     def ramp_s(self) -> float:
@@ -255,9 +256,21 @@ class Drive:
             elif abs(now.position - position) > self._limits.window:
                 position, changed_s = now.position, wire_s
             elif wire_s - changed_s > STALL_S:
-                raise self._stalled(operation, f"no progress for {STALL_S:.0f} s", wanted, now)
+                raise DeviceError(
+                    DEVICE,
+                    operation,
+                    f"no progress for {STALL_S:.0f} s at {self._seen(now)}",
+                    wanted=wanted,
+                    act="check the slide for an obstacle and the drive, then resume",
+                )
             if not self._now_s <= end_s and wire_s - began_s > STALL_S:
-                raise self._stalled(operation, f"not done after {allowed_s:.0f} s", wanted, now)
+                raise DeviceError(
+                    DEVICE,
+                    operation,
+                    f"not done after {allowed_s:.0f} s at {self._seen(now)}",
+                    wanted=wanted,
+                    act="check whether the slide creeps, and the drive's speeds, then resume",
+                )
             self._clock.wait(POLL_S)
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:
@@ -278,15 +291,11 @@ class Drive:
         if found:
             raise DeviceError(DEVICE, operation, found, act="put the cause right, then resume")
 
-    def _stalled(self, operation: str, what: str, wanted: str, now: Snapshot) -> DeviceError:
-        return DeviceError(
-            DEVICE,
-            operation,
-            f"{what} at {self._limits.mm(now.position)}, "
-            f"{self._limits.mm(now.velocity)}/s, "
-            f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}",
-            wanted=wanted,
-            act="check the slide for an obstacle and the drive, then resume",
+    def _seen(self, now: Snapshot) -> str:
+        """Return what a poll shows, in words."""
+        return (
+            f"{self._limits.mm(now.position)}, {self._limits.mm(now.velocity)}/s, "
+            f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}"
         )
 
 

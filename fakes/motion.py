@@ -55,7 +55,8 @@ class Path:
         distance = abs(target - self.end)
         if distance:
             sign = math.copysign(1.0, target - self.end)
-            peak = min(speed, math.sqrt(distance * acceleration))
+            # Two roots: the product of a tiny distance and a small acceleration may be 0.
+            peak = min(speed, math.sqrt(distance) * math.sqrt(acceleration))
             cruise_s = max(0.0, distance / peak - peak / acceleration)
             self._append(peak / acceleration, sign * acceleration, end_velocity=sign * peak)
             self._append(cruise_s, 0.0, end_velocity=sign * peak)

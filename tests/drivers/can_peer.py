@@ -16,6 +16,7 @@ from tests.drivers.peers import Server
 DRIVE, STRIP = 5, 6
 HEARTBEAT_S = 0.05
 NO_RTR = 1 << 30  # of a PDO's COB-ID: its maker's devices answer no remote frame
+HUNTING = (2, -1, 0, -3, 1, 2, -2)  # counts
 DISABLED, READY, SWITCHED_ON, ENABLED, QUICK, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
 
 
@@ -78,15 +79,17 @@ class Axis:
         self.state, self.bits = DISABLED, 0x0400
         self.position, self.target, self.steps = 500_000, 500_000, 0
         self.mode, self.homing = 0, False
-        self.frozen = self.deaf = self.lies = False
-        self.speed = 100_000
+        self.frozen = self.deaf = self.lies = self.hunts = self.homes_at_once = False
+        self.speed, self.looks = 100_000, 0
 
     def control(self, word: int, target: int) -> None:
         if word & 0x80 and self.state == FAULT:
             self.state = DISABLED
         elif self.state != FAULT and not self.deaf:
             self._transition(word)
-        if self.state == ENABLED and word & 0x10 and not self.bits & 0x1000:
+        if self.homes_at_once and self.state == ENABLED and self.mode == 6 and word & 0x10:
+            self.position, self.bits = 0, 0x1400
+        elif self.state == ENABLED and word & 0x10 and not self.bits & 0x1000:
             self.target = 0 if self.mode == 6 else target
             self.steps, self.homing = 3, self.mode == 6
             self.bits = 0 if self.homing else 0x1000
@@ -109,6 +112,7 @@ class Axis:
             self.state = ENABLED
 
     def step(self) -> None:
+        self.looks += 1
         if self.lies and self.steps:
             self.steps, self.bits = 0, self.bits | 0x400
         if not self.steps or self.frozen:
@@ -120,7 +124,17 @@ class Axis:
 
     @property
     def velocity(self) -> int:
-        return self.speed if self.steps and not self.frozen else 0
+        moves = self.speed if self.steps and not self.frozen else 0
+        return moves + (60 * (-1) ** self.looks if self._hunting else 0)
+
+    @property
+    def shown(self) -> int:
+        """The position that a servo shows which hunts about it while it has power."""
+        return self.position + (HUNTING[self.looks % len(HUNTING)] if self._hunting else 0)
+
+    @property
+    def _hunting(self) -> bool:
+        return self.hunts and self.state == ENABLED
 
 
 class CanPeer:
@@ -228,7 +242,7 @@ class CanPeer:
         axis.step()
         strip = axis.position // 10 + self.strip_offset + self.jitter * (self._syncs % 2)
         status = axis.state | axis.bits if axis.state != FAULT else FAULT
-        self.send(0x180 + DRIVE, struct.pack("<Hi", status, axis.position))
+        self.send(0x180 + DRIVE, struct.pack("<Hi", status, axis.shown))
         self.send(0x280 + DRIVE, struct.pack("<ib", axis.velocity, axis.mode))
         self.send(0x180 + STRIP, struct.pack("<iH", strip, self.alarms))
 

@@ -22,6 +22,7 @@ from hilcell.cell import load_cell
 
 DEADLINE_S = 5.0
 DRIVE, STRIP, MASTER = 5, 6, 127
+HUNTING = 200  # counts/s
 BIT_10, BIT_11, BIT_12, BIT_13 = 1 << 10, 1 << 11, 1 << 12, 1 << 13
 
 
@@ -217,7 +218,11 @@ class Master:
         self.control(0x1F)
 
     def arrived(self) -> bool:
-        return bool(self.status() & BIT_10) and self.read(0x606C, 0, "i") == 0
+        return bool(self.status() & BIT_10) and self.slow()
+
+    def slow(self) -> bool:
+        """Whether the speed is no more than a servo's that holds a position."""
+        return abs(self.read(0x606C, 0, "i")) <= HUNTING
 
     def move(self, target: int) -> None:
         self.start(target)

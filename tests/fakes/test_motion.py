@@ -3,7 +3,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fakes.motion import Path, travel_s
@@ -34,6 +34,7 @@ def test_brake_in_motion_then_go_back() -> None:
     assert max(path.corners(0.0, path.end_s)) == pytest.approx(20.0)
 
 
+@example(start=0.0, target=5e-324, speed=1000.0, ramp=0.01)
 @given(start=st.floats(-500, 500), target=st.floats(-500, 500), speed=numbers, ramp=numbers)
 def test_position_is_continuous_and_arrives(
     start: float, target: float, speed: float, ramp: float

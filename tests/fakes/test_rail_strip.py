@@ -7,6 +7,7 @@ import struct
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from statistics import median
 
 from tests.fakes.rail_bench import STRIP, Bench, Master, served, until
 
@@ -55,7 +56,10 @@ def test_it_is_absolute_and_follows_the_slide() -> None:
         assert abs(position / 100 - bench.rail.slide_mm()) < 0.02
         assert abs(position - 30_000) < 100
         assert alarms == 0
-        assert len(set(sync(master, 5))) == 1, "at rest it stands"
+        seen = [position for position, _ in sync(master, 40)]
+        assert max(seen) - min(seen) == 2, "at rest it flickers"
+        middles = {median(seen[n : n + 5]) for n in range(36)}
+        assert len(middles) == 1, "about one value, wherever one begins"
 
 
 def test_frozen_strip() -> None:
@@ -86,9 +90,9 @@ def test_missing_magnet_is_alarm_and_emergency() -> None:
 
 def test_jitter_of_one_count() -> None:
     with synchronised() as (bench, master):
-        true = sync(master)[0][0]
+        true = median(position for position, _ in sync(master, 5))
         bench.faults.set("rail.strip_jitter", count=4)
-        assert [p - true for p, _ in sync(master, 5)] == [1, -1, 1, -1, 0]
+        assert [p - true for p, _ in sync(master, 4)] == [-1, 1, -1, 1]
 
 
 def test_late_process_data() -> None:
@@ -103,7 +107,10 @@ def test_late_process_data() -> None:
 
 
 def test_same_moves_give_the_same_figures_however_often_one_looks() -> None:
-    """Stepped time: end of motion, strip and plant time do not depend on polls."""
+    """Stepped time: end of motion, strip and plant time do not depend on polls.
+
+    The strip by its middle of five, wherever in its flicker they begin.
+    """
     found = []
     for looks in (0, 7):
         with synchronised() as (bench, master):
@@ -112,6 +119,7 @@ def test_same_moves_give_the_same_figures_however_often_one_looks() -> None:
                 master.start(target)
                 sync(master, looks)
                 until(master.arrived, "arrived")
-            found.append((sync(master)[0][0], bench.rail.slide_mm(), bench.time.now_s()))
+            strip = median(position for position, _ in sync(master, 5))
+            found.append((strip, bench.rail.slide_mm(), bench.time.now_s()))
     assert found[0][0] == found[1][0]
     assert all(math.isclose(a, b, abs_tol=1e-9) for a, b in zip(*found, strict=True))

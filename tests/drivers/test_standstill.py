@@ -1,0 +1,80 @@
+"""Standstill is judged from polls: speed, spread of both positions, dwell."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from drivers.process_image import Snapshot
+from drivers.standstill import HISTORY_S, Rest, Standstill, Windows
+
+WINDOWS = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.25)
+
+
+def poll(position: int = 1000, strip: int = 100, velocity: Any = 30) -> Snapshot:
+    return Snapshot(0x27, position, velocity, 1, strip, 0, 0.0)
+
+
+def after(*polls: Snapshot, every_s: float = 0.1) -> Standstill:
+    standstill = Standstill(WINDOWS)
+    for n, each in enumerate(polls):
+        standstill.take(each, n * every_s)
+    return standstill
+
+
+DITHER = [poll(1000 + d, 100 + j) for d, j in ((0, 0), (3, 1), (-2, 0), (1, -1), (-3, 0), (2, 1))]
+
+
+def test_a_servo_that_dithers_stands() -> None:
+    assert after(*DITHER).rest == Rest(1001, 100)
+
+
+def test_a_dwell_and_five_readings_are_wanted() -> None:
+    assert after(*DITHER[:4]).rest is None, "four readings"
+    assert after(*DITHER, every_s=0.04).rest is None, "0.2 s"
+    assert after(*DITHER, every_s=0.05).rest is not None
+
+
+@pytest.mark.parametrize("velocity", [501, -501, math.nan, math.inf, -math.inf])
+def test_a_speed_beyond_the_window_is_no_rest(velocity: float) -> None:
+    assert after(*DITHER, poll(velocity=velocity)).rest is None
+    assert after(*DITHER, poll(velocity=velocity), *DITHER[:4]).rest is None
+
+
+@pytest.mark.parametrize(("drive_rate", "strip_rate"), [(5, 0), (-5, 0), (0, 1), (0, -1)])
+def test_a_creep_is_seen_by_drive_or_strip(drive_rate: int, strip_rate: int) -> None:
+    polls = [poll(drive_rate * n, strip_rate * n, velocity=0) for n in range(30)]
+    assert after(*polls).rest is None
+
+
+def test_one_poll_confirms_a_slide_that_has_stood() -> None:
+    standstill = after(*DITHER)
+    standstill.take(poll(1002, 99), 5.0)
+    assert standstill.rest is not None
+
+
+@pytest.mark.parametrize("moved", [poll(position=1014), poll(strip=103), poll(strip=97)])
+def test_one_poll_shows_that_the_slide_has_moved(moved: Snapshot) -> None:
+    standstill = after(*DITHER)
+    standstill.take(moved, 5.0)
+    assert standstill.rest is None
+
+
+def test_an_old_history_counts_for_nothing() -> None:
+    standstill = after(*DITHER)
+    standstill.take(poll(), 0.6 + HISTORY_S)
+    assert standstill.rest is None
+
+
+def test_what_was_before_a_motion_is_forgotten() -> None:
+    standstill = after(*DITHER)
+    standstill.forget()
+    standstill.take(poll(), 5.0)
+    assert standstill.rest is None
+
+
+def test_a_slide_that_came_to_rest_is_told_by_what_came_after() -> None:
+    way = [poll(1000 * n, 100 * n, velocity=400) for n in range(9)]
+    assert after(*way, *[poll(9000, 900)] * 5).rest == Rest(9000, 900)
