@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from hilcell.cell import Cell
+from hilcell.places import places
 from hilcell.ports import Clock, DeviceError, Identity, Rail, Robot, SimulatedCell, Tracker
 from hilcell.settings import SettingsError, convert
 
@@ -57,14 +58,39 @@ def driver_options(
 ) -> tuple[Callable[..., Any], msgspec.Struct]:
     """Return a driver class and its checked options.
 
-    The cell's own values of the same names (travel, speed, tool point, reflector) are handed on,
-    so that they stand in the file once.
+    The cell's own values of the same names (travel, speed, tool point, reflector) are handed on;
+    they stand in the file once. Raises `SettingsError`, also where the options state one again.
     """
     shared = getattr(cell, table)
     kind = load_entry(group, shared.driver)
     wanted = {field.name for field in msgspec.structs.fields(kind.Options)}
-    values = {name: value for name, value in msgspec.to_builtins(shared).items() if name in wanted}
-    return kind, convert(values | shared.options | dict(addresses), kind.Options, table)
+    stated = msgspec.to_builtins(shared)
+    problems = [
+        f"{key}: {value!r} here, but {table}.{key} is {stated[key]!r}; state it in [{table}] only"
+        for key, value in shared.options.items()
+        if key in stated
+    ]
+    own = {key: value for key, value in shared.options.items() if key not in stated}
+    values = {name: value for name, value in stated.items() if name in wanted}
+    try:
+        options = convert(values | own | dict(addresses), kind.Options, table)
+    except SettingsError as error:
+        raise SettingsError(table, problems + error.problems) from None
+    if problems:
+        raise SettingsError(table, problems)
+    return kind, options
+
+
+def device_places(
+    cell: Cell, addresses: Mapping[str, Mapping[str, object]]
+) -> dict[str, list[str]]:
+    """Return where the cell's devices are reached, in one spelling, and which are reached there."""
+    found: dict[str, list[str]] = {}
+    for table, group in TABLES:
+        _, options = driver_options(cell, table, group, addresses.get(table, {}))
+        for place in places(msgspec.to_builtins(options)):
+            found.setdefault(place, []).append(table)
+    return found
 
 
 def check_options(cell: Cell) -> None:
@@ -111,15 +137,21 @@ class ConnectFailed(DeviceError):
         super().__init__("Cell", "connect", f"{names} failed\n{tree}")
 
 
-def connect_all(devices: Devices) -> list[Identity]:
-    """Open every device and return the identities; raises `ConnectFailed` naming all failures."""
+def connect_all(devices: Devices, claim: Callable[[list[Identity]], None]) -> list[Identity]:
+    """Open every device and return the identities; raises `ConnectFailed` naming all failures.
+
+    ``claim`` takes what each device says it is, before the next is opened; what it raises ends.
+    """
     identities: list[Identity] = []
     failures: dict[str, Exception] = {}
     for name, device in devices.named().items():
         try:
-            identities += device.connect()
+            found = device.connect()
         except DeviceError as error:
             failures[name] = error
+        else:
+            claim(found)
+            identities += found
     if failures:
         raise ConnectFailed(failures)
     return identities

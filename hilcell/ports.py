@@ -26,7 +26,7 @@ from hilcell.errors import (
 __all__ = [
     "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity", "NoReading",
     "Rail", "RailReading", "Robot", "RobotReading", "SimulatedCell", "Stopped", "Tracker",
-    "TrackerReading",
+    "TrackerReading", "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -34,12 +34,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who answered: every string was cleaned at the driver's edge."""
+    """Who answered: every string was cleaned at the driver's edge.
+
+    ``simulated`` is what the device says of itself: see `says_simulated`.
+    """
 
     device: str
     model: str
     serial: str
     address: str
+    simulated: bool = False
+
+
+def says_simulated(name: str) -> bool:
+    """Whether a device's own name says that it is no machine: it has the word "simulated"."""
+    return "simulated" in name.casefold()
 
 
 @dataclass(frozen=True, slots=True)

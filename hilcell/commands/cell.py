@@ -12,6 +12,7 @@ import msgspec
 from hilcell.cell import load_cell
 from hilcell.commands.common import say
 from hilcell.commands.run import machine_seed
+from hilcell.copied import check_copied
 from hilcell.devices import check_options, load_entry, start_simulation
 from hilcell.ports import HilcellError
 from hilcell.run.machine import CALIBRATION, RUN, mermaid
@@ -22,6 +23,8 @@ from hilcell.telling import tell
 def check(args: argparse.Namespace) -> int:
     """Check a cell file, the drivers' options and the calibration's plan."""
     cell = load_cell(args.cell, dict(args.set))
+    if warning := check_copied(args.cell, cell):
+        tell(warning)
     check_options(cell)
     procedure: Procedure = load_entry("procedures", "calibrate")
     plan = procedure.plan(cell, seed=1)

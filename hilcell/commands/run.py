@@ -6,7 +6,7 @@ import argparse
 import math
 import platform
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
@@ -18,14 +18,21 @@ from hilcell import __version__
 from hilcell.calibration_file import calibration_of, write_calibration
 from hilcell.cell import Cell, load_cell
 from hilcell.clock import WallClock
-from hilcell.devices import build_devices, check_options, load_entry, start_simulation
+from hilcell.copied import check_copied
+from hilcell.devices import (
+    build_devices,
+    check_options,
+    device_places,
+    load_entry,
+    start_simulation,
+)
 from hilcell.exits import EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.faces import Face, json_face, print_dry_run, print_end, progress_face
 from hilcell.ports import HilcellError, Stopped
 from hilcell.report.words import encodable
 from hilcell.run.control import Control, live_engine, order
 from hilcell.run.journal import Journal, StorageError
-from hilcell.run.lock import lock_of_address, lock_of_name, locked
+from hilcell.run.lock import lock_of_device, lock_of_name, locked
 from hilcell.run.log import Log
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
@@ -43,6 +50,8 @@ def run(args: argparse.Namespace) -> int:
         raise HilcellError(f"--speed is for simulated cells; cell {cell.name} is real")
     _check_machine_seed(cell, args)
     check_attended(cell, unattended=args.unattended)
+    if warning := check_copied(args.cell, cell):
+        tell(warning)
     procedure: Procedure = load_entry("procedures", args.procedure)
     plan = procedure.plan(cell, args.seed)
     check_options(cell)
@@ -166,8 +175,9 @@ def _run(
             if simulated is not None:
                 stack.callback(simulated.close)
             addresses = simulated.options if simulated is not None else {}
-            for each in _addresses(cell, addresses):
-                stack.enter_context(locked(lock_of_address(each), f"device {each}", journal.run))
+            for place, tables in device_places(cell, addresses).items():
+                what = f"device {' and '.join(tables)} at {place}"
+                stack.enter_context(locked(lock_of_device(place), what, journal.run))
             clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
             devices = build_devices(cell, addresses, clock)
             runner = Runner(
@@ -210,16 +220,6 @@ def _face(as_json: bool, run: str, points: int, journal: Journal) -> Face:
     face = json_face(run) if as_json else progress_face(run, points)
     journal.listen(face.take)
     return face
-
-
-def _addresses(cell: Cell, given: Mapping[str, Mapping[str, object]]) -> list[str]:
-    """Return where each device listens, as the words that a lock is named after."""
-    found = []
-    for table in ("rail", "robot", "tracker"):
-        options: dict[str, Any] = getattr(cell, table).options | dict(given.get(table, {}))
-        where = [str(options[key]) for key in ("channel", "host", "port") if key in options]
-        found.append(f"{table} {':'.join(where)}")
-    return found
 
 
 def _plan_record(

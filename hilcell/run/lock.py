@@ -27,9 +27,9 @@ def lock_of_name(runs: Path, cell: str) -> Path:
     return runs / f".{cell}.lock"
 
 
-def lock_of_address(address: str) -> Path:
-    """Return the lock of a device's address on this machine."""
-    return _locks() / hashlib.sha256(address.encode()).hexdigest()
+def lock_of_device(known_by: str) -> Path:
+    """Return the lock, on this machine, of a device known by its place or by its identity."""
+    return _locks() / hashlib.sha256(known_by.encode()).hexdigest()
 
 
 def _locks() -> Path:

@@ -14,6 +14,7 @@ import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 from hilcell.cell import Cell
@@ -26,12 +27,13 @@ from hilcell.exits import (
     EXIT_STORAGE,
     exit_code,
 )
-from hilcell.ports import Clock, DeviceError, HilcellError, Stopped
+from hilcell.ports import Clock, DeviceError, HilcellError, Identity, Stopped
 from hilcell.run.bench import Bench
 from hilcell.run.gate import REST_S, Gate
 from hilcell.run.interlocks import Sight, overview
 from hilcell.run.journal import Journal, StorageError
 from hilcell.run.lamps import Lamps
+from hilcell.run.lock import lock_of_device, locked
 from hilcell.run.log import Log
 from hilcell.run.machine import RUN, StateMachine
 from hilcell.run.procedure import Procedure
@@ -102,12 +104,17 @@ class Runner:
         if unattended or not ordered:
             self._screen_known.set()
         self._fault: Exception | None = None
+        self._locks = ExitStack()
         self._life = StateMachine(
             RUN, log.states["run"], lambda body: journal.append("state", "", body)
         )
 
     def run(self) -> int:
         """Run to the end and return the exit code."""
+        with self._locks:
+            return self._run()
+
+    def _run(self) -> int:
         try:
             begin = {"idle": "check", "finished": "reopen"}.get(self._life.state, "resume")
             self._life.fire(begin)
@@ -201,7 +208,7 @@ class Runner:
     def _work(self) -> None:
         error: Exception | None = None
         try:
-            identities = connect_all(self._devices)
+            identities = connect_all(self._devices, self._claim)
             self._journal.append("event", "", {"what": "connected", "devices": identities})
             self._await_screen()
             self._messages.put("started")
@@ -220,6 +227,19 @@ class Runner:
             error = caught
         self._asking.close(ENDED)
         self._messages.put(Ended(error))
+
+    def _claim(self, identities: list[Identity]) -> None:
+        """Lock what a device says it is: another run may reach it by another address.
+
+        Raises `CellLocked`. A simulated device's numbers are those of many others.
+        """
+        known_by = {
+            f"{each.device}: {each.model}, serial {each.serial}"
+            for each in identities
+            if each.serial.strip("0 ") and not each.simulated
+        }
+        for what in known_by:
+            self._locks.enter_context(locked(lock_of_device(what), what, self._journal.run))
 
     def _await_screen(self) -> None:
         """Wait for the screen that ordered this run; one that does not come was lost."""

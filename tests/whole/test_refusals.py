@@ -68,6 +68,8 @@ def test_a_port_nobody_listens_on(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / built_in).read_text("utf-8")
     cell.write_text(text.split("[simulation]")[0])
     words = {
+        "name": "shop",
+        "serial": "HC-7",
         "rail.options.channel": f"socket://127.0.0.1:{free_port()}",
         "robot.options.port": str(free_port()),
         "tracker.options.port": str(free_port()),
@@ -112,6 +114,22 @@ def test_a_second_run_on_the_same_cell(tmp_path: Path) -> None:
     assert end_of(done)["exit"] == 6
     assert hilcell("stop", engine.run, "--runs", tmp_path).returncode == 0
     assert engine.rest()[-1]["exit"] == 4
+
+
+def test_a_real_cell_copied_from_paper_needs_a_name_and_a_serial_of_its_own(
+    tmp_path: Path,
+) -> None:
+    text = (Path(__file__).parents[2] / "hilcell/cells/paper.toml").read_text("utf-8")
+    cell = tmp_path / "real.toml"
+    cell.write_text(text.split("[simulation]")[0])
+    for words in (["run", "--runs", tmp_path, "--cell", cell], ["check", cell]):
+        done = hilcell(*words)
+        assert done.returncode == 2
+        assert "name: 'paper' is that of the built-in cell paper" in done.stderr
+    cell.write_text(text.replace("speed_mm_s = 250.0", "speed_mm_s = 200.0"))
+    done = hilcell("check", cell)
+    assert done.returncode == 0
+    assert "serial: 'HC-2014' is that of the built-in cell paper" in done.stderr
 
 
 def test_speed_is_for_simulated_cells(tmp_path: Path) -> None:

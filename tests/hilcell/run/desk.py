@@ -22,9 +22,10 @@ class DeskRail:
         self.cell, self.position_mm, self.powered = cell, 1100.0, False
         self.stopped_s: float | None = None
         self.closed = 0
+        self.identity = Identity("Rail", "desk", "1", "memory", simulated=True)
 
     def connect(self) -> list[Identity]:
-        return [Identity("Rail", "desk", "1", "memory")]
+        return [self.identity]
 
     def home(self) -> None:
         self.position_mm = 0.0
@@ -57,7 +58,7 @@ class DeskRobot:
         self.stopped = 0
 
     def connect(self) -> list[Identity]:
-        return [Identity("Robot", "desk", "2", "memory")]
+        return [Identity("Robot", "desk", "2", "memory", simulated=True)]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         self.joints_rad = np.array(joints_rad)
@@ -82,7 +83,7 @@ class DeskTracker:
         self.measured = 0
 
     def connect(self) -> list[Identity]:
-        return [Identity("Tracker", "desk", "3", "memory")]
+        return [Identity("Tracker", "desk", "3", "memory", simulated=True)]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         self.answer()

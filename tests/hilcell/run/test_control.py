@@ -30,7 +30,7 @@ from hilcell.run.control import (
     too_late,
 )
 from hilcell.run.journal import StorageError
-from hilcell.run.lock import CellLocked, lock_of_address, lock_of_name, locked
+from hilcell.run.lock import CellLocked, lock_of_device, lock_of_name, locked
 from hilcell.runs import find_run, run_folders
 from tests.hilcell.run.bed import Screen, until
 from tests.hilcell.run.desk import hang
@@ -343,7 +343,7 @@ def test_another_process_holds_the_cell_until_it_dies(tmp_path: Path) -> None:
 
 
 def test_addresses_have_locks_of_their_own(tmp_path: Path) -> None:
-    assert lock_of_address("robot 10.0.0.1:7000") != lock_of_address("robot 10.0.0.2:7000")
+    assert lock_of_device("10.0.0.1:7000") != lock_of_device("10.0.0.2:7000")
 
 
 @pytest.mark.parametrize("folder", ["/etc/passwd", "/proc/x", "x" * 300])

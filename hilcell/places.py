@@ -1,0 +1,98 @@
+"""Where a device is reached, in one spelling: two spellings of one place must give one lock.
+
+An address is compared by what it resolves to: a host by its addresses, a device file by the file
+behind its links. The trap: a name server may take long to answer; a name that it does not resolve
+in `RESOLVE_S` stands for itself.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import socket
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from urllib.parse import urlsplit
+
+RESOLVE_S = 1.0
+THIS_MACHINE = "this machine"
+
+
+def places(options: Mapping[str, object]) -> list[str]:
+    """Return the places that a driver's options name, each in one spelling.
+
+    ``host`` and ``port``, or a ``channel``: a URL of a network gateway, a serial port with or
+    without its baud rate, a CAN interface. A driver with other words is known by all its options.
+    """
+    host, port, channel = (options.get(key) for key in ("host", "port", "channel"))
+    if host is not None:
+        return _network(str(host), port)
+    if channel is not None:
+        return _channel(str(channel))
+    return [json.dumps(dict(options), sort_keys=True, default=str)]
+
+
+def _channel(channel: str) -> list[str]:
+    if "://" in channel:
+        try:
+            url = urlsplit(channel)
+            return _network(url.hostname or "", url.port)
+        except ValueError:  # no port that could be one: the driver refuses it
+            return [channel]
+    port = channel.partition("@")[0]  # of a serial port, as python-can writes its baud rate
+    if port.startswith("/"):
+        return [str(Path(port).resolve())]
+    return [port.upper() if port.upper().startswith("COM") else port]
+
+
+def _network(host: str, port: object) -> list[str]:
+    return sorted({f"{each}:{port}" for each in _hosts(host)})
+
+
+def _hosts(host: str) -> set[str]:
+    """Return the addresses of a host; all of this machine's own are one."""
+    found = {host} if _is_address(host) else _resolved(host.rstrip("."))
+    return {THIS_MACHINE if _is_ours(each) else each for each in found}
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _resolved(host: str) -> set[str]:
+    found: set[str] = set()
+
+    def ask() -> None:
+        try:
+            answers = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+        except OSError:  # the driver reports it when it connects
+            return
+        found.update(str(answer[4][0]) for answer in answers)
+
+    asking = threading.Thread(target=ask, name="resolve", daemon=True)
+    asking.start()
+    asking.join(RESOLVE_S)
+    return set(found) or {host.casefold()}
+
+
+def _is_ours(address: str) -> bool:
+    """Whether an address is one of this machine's: only to those a socket can be bound."""
+    if not _is_address(address):
+        return False
+    number = ipaddress.ip_address(address)
+    if isinstance(number, ipaddress.IPv6Address) and number.ipv4_mapped is not None:
+        number = number.ipv4_mapped
+    if number.is_loopback or number.is_unspecified:
+        return True
+    family = socket.AF_INET if number.version == 4 else socket.AF_INET6
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.bind((str(number), 0))
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,70 @@
+"""A device is locked by what it says it is, whatever its address."""
+
+from pathlib import Path
+from uuid import uuid4
+
+import pytest
+
+from hilcell.ports import Identity
+from hilcell.run.lock import CellLocked
+from tests.hilcell.run.bed import Bed, Live
+from tests.hilcell.run.desk import Points, procedure
+
+
+def bed_at(folder: Path, identity: Identity) -> Bed:
+    folder.mkdir()
+    bed = Bed(folder)
+    bed.rail.identity = identity
+    return bed
+
+
+def held(tmp_path: Path, first: Identity, second: Identity) -> tuple[int, Bed]:
+    """Return how a second run ends while a first is paused at its first point."""
+    other = bed_at(tmp_path / "first", first)
+    with Live(other, procedure(Points(1))) as live:
+        live.runner.post("pause")
+        live.until("state", "paused")
+        bed = bed_at(tmp_path / "second", second)
+        code = bed.run(procedure(Points(1)))
+        live.runner.post("proceed")
+    assert live.code == 0
+    return code, bed
+
+
+def test_one_device_at_two_addresses_is_locked(tmp_path: Path) -> None:
+    serial = uuid4().hex
+    code, bed = held(
+        tmp_path,
+        Identity("Rail", "drive", serial, "can0 node 5"),
+        Identity("Rail", "drive", serial, "socket://192.0.2.1:3000 node 5"),
+    )
+    assert code == 6
+    assert bed.log().fault.startswith(f"Rail: drive, serial {serial} is locked by run r (pid ")
+    assert bed.robot.moves == 0
+    assert bed.run(procedure(Points(1))) == 0  # free again
+
+
+@pytest.mark.parametrize(
+    ("serial", "other", "simulated"),
+    [("7-a", "7-b", False), ("0", "0", False), ("", "", False), ("7", "7", True)],
+)
+def test_devices_that_may_be_two_are_not(
+    tmp_path: Path, serial: str, other: str, simulated: bool
+) -> None:
+    """A serial number of 0 is none; simulated devices share theirs."""
+    unique = uuid4().hex
+    first = Identity("Rail", unique, serial, "a", simulated=simulated)
+    second = Identity("Rail", unique, other, "b", simulated=simulated)
+    assert held(tmp_path, first, second)[0] == 0
+
+
+def test_two_identities_of_one_run_may_be_equal(tmp_path: Path) -> None:
+    """Two nodes of one maker that were given one number are no other run."""
+    bed = bed_at(tmp_path / "one", Identity("Rail", uuid4().hex, "7", "can0"))
+    runner = bed.runner(procedure(Points(1)))
+    runner._claim([bed.rail.identity, bed.rail.identity])
+    with pytest.raises(CellLocked):
+        bed_at(tmp_path / "two", bed.rail.identity).runner(procedure(Points(1)))._claim(
+            [bed.rail.identity]
+        )
+    runner._locks.close()
