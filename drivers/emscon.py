@@ -17,6 +17,7 @@ _HEADER = struct.Struct("<II")
 _COMMAND = struct.Struct("<III")
 _RESULT = struct.Struct("<Iii17d")
 _SYSTEM_STATUS = struct.Struct("<IIII iii Iii")
+_TRACKER_INFO = struct.Struct("<I64s")
 _REFLECTOR = struct.Struct("<iiId64s")
 UNITS = struct.Struct("<5I")
 ENVIRONMENT = struct.Struct("<3d")
@@ -69,6 +70,7 @@ class Command(IntEnum):
     STOP_MEASUREMENT = 52
     GO_POSITION = 55
     FIND_REFLECTOR = 63
+    GET_TRACKER_INFO = 132
 
 
 class Change(IntEnum):
@@ -238,6 +240,12 @@ def decode_system_status(body: bytes) -> SystemStatus:
     values = _unpack(_SYSTEM_STATUS, body)
     major, minor, build, weather, _flags, serial = values[4:]
     return SystemStatus(values[1], f"{major}.{minor}.{build}", weather, serial)
+
+
+def decode_tracker_name(body: bytes) -> str:
+    """Return the name in the body of the reply to GetTrackerInfo."""
+    _kind, name = _unpack(_TRACKER_INFO, body)
+    return _text(name)
 
 
 def decode_reflector(body: bytes) -> Reflector:

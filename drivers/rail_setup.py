@@ -15,9 +15,10 @@ from drivers.can_link import CanLink, LinkLost
 from drivers.node_watch import HEARTBEAT_PERIOD_MS, NodeWatch
 from drivers.sdo import ABSENT, Aborted, SdoChannel
 from hilcell.clean import clean
-from hilcell.ports import Clock, DeviceError, DeviceRefused, Identity
+from hilcell.ports import Clock, DeviceError, DeviceRefused, Identity, says_simulated
 
 DEVICE_TYPE = 0x1000
+DEVICE_NAME = 0x1008
 CONSUMER_HEARTBEAT = 0x1016
 PRODUCER_HEARTBEAT = 0x1017
 IDENTITY = 0x1018
@@ -85,7 +86,16 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
             )
     vendor, product, serial = (found for _, found, _ in checks[1:])
     model = clean(f"{expected.name} vendor 0x{vendor:X} product 0x{product:X}")
-    return Identity("Rail", model, str(serial), f"{address} node {expected.node}")
+    where = f"{address} node {expected.node}"
+    return Identity("Rail", model, str(serial), where, says_simulated(_device_name(sdo)))
+
+
+def _device_name(sdo: SdoChannel) -> str:
+    """Return 1008h, which a device may leave out."""
+    try:
+        return sdo.read_bytes(DEVICE_NAME).decode("ascii", errors="replace")
+    except Aborted:
+        return ""
 
 
 def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:

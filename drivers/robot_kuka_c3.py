@@ -20,7 +20,15 @@ from drivers.c3 import C3Connection
 from drivers.keep_alive import KeepAlive
 from hilcell.clean import clean
 from hilcell.geometry.rotations import from_zyx
-from hilcell.ports import Array, Clock, DeviceError, DeviceRefused, Identity, RobotReading
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    RobotReading,
+    says_simulated,
+)
 
 DEVICE = "Robot"
 PROGRAM_VERSION = 1
@@ -161,7 +169,8 @@ class KukaC3Robot:
                 wanted=f"{self._options.serial}",
                 act="this is another robot; correct robot.options",
             )
-        return Identity(DEVICE, model, str(serial), f"{self._options.host}:{self._options.port}")
+        address = f"{self._options.host}:{self._options.port}"
+        return Identity(DEVICE, model, str(serial), address, says_simulated(model))
 
     def _check(self, *names: str) -> None:
         """Refuse to work with a wrong state; the first cause is told, not its consequence."""

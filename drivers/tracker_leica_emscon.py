@@ -30,6 +30,7 @@ from hilcell.ports import (
     Identity,
     NoReading,
     TrackerReading,
+    says_simulated,
 )
 
 DEVICE = "Tracker"
@@ -138,7 +139,14 @@ class LeicaEmsconTracker:
                 act="look at the tracker, resume",
             )
         address = f"{self._options.host}:{self._options.port}"
-        return Identity(DEVICE, f"Leica, emScon {status.version}", serial, address)
+        name = self._name()
+        model = f"Leica {name}".strip() + f", emScon {status.version}"
+        return Identity(DEVICE, model, serial, address, says_simulated(name))
+
+    def _name(self) -> str:
+        """Return the tracker's name, which older controllers do not tell."""
+        reply = self._request(Command.GET_TRACKER_INFO)
+        return clean(self._decoded(emscon.decode_tracker_name, reply.body)) if reply.body else ""
 
     def _system_status(self) -> emscon.SystemStatus:
         body = self._ask(Command.GET_SYSTEM_STATUS)

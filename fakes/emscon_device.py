@@ -231,7 +231,7 @@ class EmsconDevice:
         return struct.pack("<2d", *angles)
 
     def _tracker_info(self) -> bytes:
-        head = struct.pack("<I", SENSOR_AT401) + wide("AT401")
+        head = struct.pack("<I", SENSOR_AT401) + wide("AT401 (simulated)")
         has_distance, has_camera, has_level = 1, 1, 1
         flags = struct.pack("<5i", SERIAL, 1, has_distance, has_camera, has_level)
         limits = struct.pack("<3d2i2d", 0.0, 160.0, 0.5, 1000, 2, 2 * math.pi, math.pi)

@@ -139,7 +139,7 @@ class KrlController:
 
     def _identity(self) -> str:
         other = self._faults.take("robot.wrong_identity")
-        name = self._arm.model if other is None else "#KR6R900" if other is True else str(other)
+        name = f"{self._arm.model} SIMULATED" if other is None else "#KR6R900" if other is True else str(other)
         return f'"{name}"'
 
     def _number(self, fault: str, value: int) -> int:

@@ -20,7 +20,7 @@ from fakes.rail_truth import RailState, RailTruth
 from hilcell.cell import RailTable
 
 NODE = 5
-IDENTITY = NodeIdentity(0x00020192, "hilcell rail drive", 0x484, 0x402, 1, 2014001)
+IDENTITY = NodeIdentity(0x00020192, "hilcell rail drive (simulated)", 0x484, 0x402, 1, 2014001)
 COUNTS_PER_MM = 1000.0
 NEGATIVE_LIMIT_SWITCH = 17  # homing method
 FOLLOWING_ERROR, LIMIT_SWITCH_HIT = 0x8611, 0x8612

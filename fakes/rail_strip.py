@@ -17,7 +17,7 @@ from fakes.faults import Faults
 from fakes.rail_truth import RailState
 
 NODE = 6
-IDENTITY = NodeIdentity(0x00080196, "hilcell strip sensor", 0x484, 0x406, 1, 2014002)
+IDENTITY = NodeIdentity(0x00080196, "hilcell strip sensor (simulated)", 0x484, 0x406, 1, 2014002)
 COUNTS_PER_MM = 100.0
 STEP_NM = 10_000  # 6005:01 and 6501, in 0.001 um
 SPEED_STEP = 10  # 6005:02, in 0.01 mm/s

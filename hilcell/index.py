@@ -179,6 +179,14 @@ class _Plan(msgspec.Struct):
     simulated: bool
 
 
+class _Device(msgspec.Struct):
+    simulated: bool = False  # as the device says of itself
+
+
+class _Connected(msgspec.Struct):
+    devices: list[_Device]
+
+
 class _End(msgspec.Struct):
     exit: int
     result: dict[str, object] = {}
@@ -224,6 +232,7 @@ def _told(name: str, records: Iterable[Record]) -> RunRow:
     plan: Record | None = None
     end: Record | None = None
     state, fault = "idle", ""
+    simulated = False
     points: set[str] = set()
     for record in records:
         match record.kind:
@@ -233,6 +242,9 @@ def _told(name: str, records: Iterable[Record]) -> RunRow:
                 points.add(record.key)
             case "end":
                 end = record
+            case "event" if record.body["what"] == "connected":
+                devices = msgspec.convert(record.body, _Connected).devices
+                simulated = simulated or any(each.simulated for each in devices)
             case "state":
                 told = msgspec.convert(record.body, _State)
                 if told.machine == "run":
@@ -242,7 +254,8 @@ def _told(name: str, records: Iterable[Record]) -> RunRow:
                         end, fault = None, ""
     if plan is None:
         raise StorageError("the journal holds no plan: the run died before its first record")
-    return _row(name, plan, state, end, fault, len(points))
+    row = _row(name, plan, state, end, fault, len(points))
+    return msgspec.structs.replace(row, simulated=row.simulated or simulated)
 
 
 def _row(

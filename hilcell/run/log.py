@@ -135,6 +135,9 @@ class Log:
                 self.retakes[body["key"]] = None
             case "retake refused":
                 self.retakes.pop(body["key"], None)
+            case "connected" if any(each.get("simulated") for each in body["devices"]):
+                # What it says of itself counts, whatever the cell file said before.
+                self.plan = msgspec.structs.replace(self.inputs, simulated=True)
             case "seated":
                 sight = msgspec.convert(body, Seated)
                 self.seated, self.sights[sight.place] = sight.place, sight

@@ -235,7 +235,7 @@ def test_position_faults(robot: Robot) -> None:
     assert [robot.client.read("$ACT_TOOL") for _ in range(2)] == ["7", "1"]
     robot.faults.set("robot.wrong_identity", "#KR6")
     assert robot.client.read("$TRAFONAME[]") == '"#KR6"'
-    assert robot.client.read("$TRAFONAME[]") == '"#KR210R2700_2 C4 FLR"'
+    assert robot.client.read("$TRAFONAME[]") == '"#KR210R2700_2 C4 FLR SIMULATED"'
 
 
 def test_wire_faults(robot: Robot) -> None:

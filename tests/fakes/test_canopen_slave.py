@@ -104,8 +104,8 @@ def test_identities() -> None:
         strip = [master.read(0x1018, sub, "I", STRIP) for sub in range(1, 5)]
         assert drive == [0x484, 0x402, 1, 2014001]
         assert strip == [0x484, 0x406, 1, 2014002]
-        assert master.drive.sdo.upload(0x1008, 0) == b"hilcell rail drive"
-        assert master.strip.sdo.upload(0x1008, 0) == b"hilcell strip sensor"
+        assert master.drive.sdo.upload(0x1008, 0) == b"hilcell rail drive (simulated)"
+        assert master.strip.sdo.upload(0x1008, 0) == b"hilcell strip sensor (simulated)"
         assert master.read(0x6501, 0, "H", STRIP) == master.read(0x6005, 1, "I", STRIP) == 10_000
         assert master.read(0x650B, 0, "I", STRIP) == 2014002
 

@@ -198,7 +198,7 @@ def test_identity(ready: Tracker) -> None:
     body = ready.client.ask(1)[1]
     assert struct.unpack("<4I3iI2i", body)[-1] == SERIAL
     info = struct.unpack("<I64s5i3d2i2dI2i", ready.client.ask(132)[1])
-    assert info[1].decode("utf-16-le").rstrip("\0") == "AT401"
+    assert info[1].decode("utf-16-le").rstrip("\0") == "AT401 (simulated)"
     assert info[2] == SERIAL
     ready.faults.set("tracker.wrong_identity")
     assert struct.unpack("<4I3iI2i", ready.client.ask(1)[1])[-1] != SERIAL
