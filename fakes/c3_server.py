@@ -27,12 +27,12 @@ RECEIVE = 4096
 
 
 class C3Server:
-    """Serves one controller on a port that the system chooses."""
+    """Serves one controller on a port, 0 for one that the system chooses."""
 
-    def __init__(self, controller: KrlController, faults: Faults) -> None:
+    def __init__(self, controller: KrlController, faults: Faults, *, port: int = 0) -> None:
         self._controller, self._faults = controller, faults
         self._closing = threading.Event()
-        self._listener = Listener("c3", self._serve, MAX_CLIENTS)
+        self._listener = Listener("c3", self._serve, limit=MAX_CLIENTS, port=port)
         self.port = self._listener.port
 
     def start(self) -> None:

@@ -28,7 +28,7 @@ Answer = dict[str, Any]
 
 
 class ControlServer:
-    """Answers on a port that the system chooses."""
+    """Answers on a port, 0 for one that the system chooses."""
 
     def __init__(
         self,
@@ -40,6 +40,7 @@ class ControlServer:
         seat: Callable[[str], None],
         restore: Callable[[], None],
         quit_: Callable[[], None],
+        port: int = 0,
     ) -> None:
         self._time, self._faults = time, faults
         self._restore, self._quit = restore, quit_
@@ -53,7 +54,7 @@ class ControlServer:
             "seat": lambda order: seat_at(seat, order),
             "quit": self._leave,
         }
-        self._listener = Listener("control", self._serve, limit=100)
+        self._listener = Listener("control", self._serve, limit=100, port=port)
         self.address = f"127.0.0.1:{self._listener.port}"
 
     def start(self) -> None:

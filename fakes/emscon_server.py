@@ -22,12 +22,14 @@ RECEIVE = 4096
 
 
 class EmsconServer:
-    """Serves one tracker on a port that the system chooses."""
+    """Serves one tracker on a port, 0 for one that the system chooses."""
 
-    def __init__(self, device: EmsconDevice, faults: Faults, time: PlantTime) -> None:
+    def __init__(
+        self, device: EmsconDevice, faults: Faults, time: PlantTime, *, port: int = 0
+    ) -> None:
         self._device, self._faults, self._time = device, faults, time
         self._closing = threading.Event()
-        self._listener = Listener("emscon", self._serve)
+        self._listener = Listener("emscon", self._serve, port=port)
         self.port = self._listener.port
 
     def start(self) -> None:

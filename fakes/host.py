@@ -26,6 +26,15 @@ from hilcell.ports import HilcellError
 from hilcell.settings import convert
 
 
+class Ports(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The TCP ports to listen on; 0 is one that the system chooses."""
+
+    rail: int = 0
+    robot: int = 0
+    tracker: int = 0
+    control: int = 0
+
+
 class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What to simulate; ``seed`` is the machine's, ``speed`` None is stepped time."""
 
@@ -34,23 +43,24 @@ class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     speed: float | None = None
     faults: str = ""
     truth: bool = False
+    ports: Ports = Ports()
 
 
 class Host:
     """Runs one simulated cell; raises `HilcellError` where the order is not sound."""
 
     def __init__(self, order: Order) -> None:
-        self._order = order
+        self._order, ports = order, order.ports
         self._ended = threading.Event()
         cell = convert(order.cell, Cell, "simulated cell")
         faults = load_faults(order.faults)
         time = PlantTime(math.inf if order.speed is None else order.speed)
         plant = _plant(cell, order, time, faults)
         controller = KrlController(cell, plant.robot, faults, plant.lose_zero)
-        self._rail = RailServer(plant.rail, faults, cell, time)
-        self._robot = C3Server(controller, faults)
+        self._rail = RailServer(plant.rail, faults, cell, time, port=ports.rail)
+        self._robot = C3Server(controller, faults, port=ports.robot)
         device = EmsconDevice(cell, plant.tracker, faults)
-        self._tracker = EmsconServer(device, faults, time)
+        self._tracker = EmsconServer(device, faults, time, port=ports.tracker)
         self._control = ControlServer(
             time,
             faults,
@@ -59,6 +69,7 @@ class Host:
             seat=plant.seat,
             restore=controller.restore,
             quit_=self.end,
+            port=ports.control,
         )
 
     def addresses(self) -> dict[str, Any]:

@@ -139,8 +139,9 @@ class KrlController:
 
     def _identity(self) -> str:
         other = self._faults.take("robot.wrong_identity")
-        name = f"{self._arm.model} SIMULATED" if other is None else "#KR6R900" if other is True else str(other)
-        return f'"{name}"'
+        if other is None:
+            return f'"{self._arm.model} SIMULATED"'
+        return '"#KR6R900"' if other is True else f'"{other}"'
 
     def _number(self, fault: str, value: int) -> int:
         found = self._faults.number(fault)

@@ -3,22 +3,46 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import threading
 from collections.abc import Callable
 
+from hilcell.ports import HilcellError
+
 HOST = "127.0.0.1"
 
 
+def listen(port: int) -> socket.socket:
+    """Return a socket that listens on ``port``, 0 for one that the system chooses.
+
+    Raises `HilcellError`.
+    """
+    try:
+        return socket.create_server((HOST, port))
+    except OSError as error:
+        raise HilcellError(
+            f"port {port} cannot be opened: {os.strerror(error.errno or 0)}; "
+            "choose another with --ports"
+        ) from error
+
+
 class Listener:
-    """Accepts clients on a port that the system chooses and hands each to ``serve``.
+    """Accepts clients on ``port``, 0 for one that the system chooses; hands each to ``serve``.
 
     ``serve`` returns when the client is done; OSError from a broken connection ends it too.
     """
 
-    def __init__(self, name: str, serve: Callable[[socket.socket], None], limit: int = 10) -> None:
+    def __init__(
+        self,
+        name: str,
+        serve: Callable[[socket.socket], None],
+        *,
+        limit: int = 10,
+        port: int = 0,
+    ) -> None:
         self._name, self._serve, self._limit = name, serve, limit
-        self._socket = socket.create_server((HOST, 0))
+        self._socket = listen(port)
         self.port: int = self._socket.getsockname()[1]
         self._lock = threading.Lock()
         self._clients: dict[socket.socket, threading.Thread] = {}

@@ -35,11 +35,13 @@ DEFAULT_FAULT, DEFAULT_EMERGENCY, DEFAULT_ABORT = 0x8611, 0x7305, 0x08000022
 
 
 class RailServer:
-    """Serves the rail as slcan over TCP on a port of the system's choice."""
+    """Serves the rail as slcan over TCP on a port, 0 for one that the system chooses."""
 
-    def __init__(self, rail: RailTruth, faults: Faults, cell: Cell, time: PlantTime) -> None:
+    def __init__(
+        self, rail: RailTruth, faults: Faults, cell: Cell, time: PlantTime, *, port: int = 0
+    ) -> None:
         self._rail, self._faults, self._time = rail, faults, time
-        self._gateway = SlcanGateway(faults, self._open, self._receive)
+        self._gateway = SlcanGateway(faults, self._open, self._receive, port=port)
         self._drive = RailDrive(rail, faults, cell.rail, self._transmit)
         self._strip = RailStrip(rail.poll(), faults, self._transmit)
         self._nodes: dict[int, CanopenSlave] = {n.node: n for n in (self._drive, self._strip)}

@@ -12,6 +12,8 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import IO, Any, cast
 
 import msgspec
@@ -26,6 +28,7 @@ END_S = 5.0
 LONGEST_WORDS = 2000
 LAST_PORT = 65535
 DEVICES = ("rail", "robot", "tracker")
+NO_PORTS: Mapping[str, int] = MappingProxyType({})
 
 
 class PaperCell:
@@ -39,10 +42,16 @@ class PaperCell:
         speed: float = math.inf,
         faults: str = "",
         truth: bool = False,
+        ports: Mapping[str, int] = NO_PORTS,
     ) -> None:
+        """``ports``: of ``rail``, ``robot``, ``tracker`` and ``control``; others are free ones."""
         load_faults(faults)  # so that a wrong file is refused here, in full
         self._process: subprocess.Popen[bytes] | None = None
         attach = cell.simulation.address if cell.simulation is not None else ""
+        if attach and ports:
+            raise SettingsError(
+                "--ports", [f"simulation.address: the simulated cell at {attach} has its ports"]
+            )
         if attach:
             self._control = Control(attach)
             answer = self._control.ask("addresses")
@@ -53,6 +62,7 @@ class PaperCell:
                 "speed": None if math.isinf(speed) else speed,
                 "faults": faults,
                 "truth": truth,
+                "ports": dict(ports),
             }
             self._process, answer = _start(msgspec.json.encode(order) + b"\n")
             self._control = Control(answer["control"])
@@ -88,10 +98,11 @@ class ReplayCell(PaperCell):
         speed: float = math.inf,
         faults: str = "",
         truth: bool = False,
+        ports: Mapping[str, int] = NO_PORTS,
     ) -> None:
         if cell.simulation is None or not (cell.simulation.data or cell.simulation.address):
             raise SettingsError(cell.name, ["simulation.data: missing; it names the CSV to replay"])
-        super().__init__(cell, seed=seed, speed=speed, faults=faults, truth=truth)
+        super().__init__(cell, seed=seed, speed=speed, faults=faults, truth=truth, ports=ports)
 
 
 class SimulatedClock:

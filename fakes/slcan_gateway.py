@@ -12,6 +12,7 @@ import socket
 from collections.abc import Callable
 
 from fakes.faults import Faults
+from fakes.listener import listen
 
 OK, REFUSED = b"\r", b"\a"
 LONGEST_LINE = 64
@@ -36,11 +37,16 @@ class SlcanGateway:
     """Listens on loopback; ``on_open()`` and ``on_frame(cob_id, data)`` go to the bus."""
 
     def __init__(
-        self, faults: Faults, on_open: Callable[[], None], on_frame: Callable[[int, bytes], None]
+        self,
+        faults: Faults,
+        on_open: Callable[[], None],
+        on_frame: Callable[[int, bytes], None],
+        *,
+        port: int = 0,
     ) -> None:
         self._faults = faults
         self._on_open, self._on_frame = on_open, on_frame
-        self._listener: socket.socket | None = socket.create_server(("127.0.0.1", 0))
+        self._listener: socket.socket | None = listen(port)
         self.port = int(self._listener.getsockname()[1])
         self._client: socket.socket | None = None
         self._received = b""

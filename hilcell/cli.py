@@ -20,6 +20,8 @@ from hilcell.telling import tell
 
 LEAST_SPEED, MOST_SPEED = 0.001, 1e6
 MOST_SEED = 2**63 - 1
+MOST_PORT = 65535
+SIMULATED = ("rail", "robot", "tracker", "control")
 
 EPILOG = """\
 exit codes: 0 in tolerance; 1 measured, out of tolerance; 2 refused before anything moved;
@@ -195,6 +197,13 @@ def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     sim.add_argument("--speed", type=_speed, default=1.0, metavar="X|max", help="default: 1")
     sim.add_argument("--faults", default="", metavar="FILE", help="faults to inject, TOML")
+    sim.add_argument(
+        "--ports",
+        type=_ports,
+        default={},
+        metavar="NAME=PORT,...",
+        help="TCP ports of rail, robot, tracker, control (default: free ones)",
+    )
     _command(commands, "diagram", "commands.cell:diagram", "print the state machines as Mermaid")
 
 
@@ -338,6 +347,20 @@ def _seed(text: str) -> int:
             f"a whole number of 0 .. {MOST_SEED} is wanted, found {text[:80]!r}"
         )
     return value
+
+
+def _ports(text: str) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for word in text.split(","):
+        name, _, port = word.partition("=")
+        number = int(port) if port.isdecimal() and len(port) < 6 else 0
+        if name not in SIMULATED or name in found or not 1 <= number <= MOST_PORT:
+            raise argparse.ArgumentTypeError(
+                f"rail=PORT,robot=PORT,... of {', '.join(SIMULATED)}, each once, with ports of "
+                f"1 .. {MOST_PORT} is wanted, found {word[:80]!r}"
+            )
+        found[name] = number
+    return found
 
 
 def _run_name(text: str) -> str:

@@ -114,16 +114,16 @@ def check_options(cell: Cell) -> None:
 
 
 def start_simulation(
-    cell: Cell, *, seed: int, speed: float, faults: str = "", truth: bool = False
+    cell: Cell, *, seed: int, speed: float, **more: object
 ) -> SimulatedCell | None:
     """Start the simulated cell beside the engine, where the cell file asks for one.
 
-    ``seed`` is its machine's. No run sets ``truth``: whoever asks for it starts the cell himself.
+    ``seed`` is its machine's. ``more`` is for `hilcell sim` alone: ``faults``, ``ports``, ``truth``.
     """
     if cell.simulation is None:
         return None
     simulator = load_entry("simulators", cell.simulation.simulator)
-    simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, faults=faults, truth=truth)
+    simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, **more)
     return simulated
 
 

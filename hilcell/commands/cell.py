@@ -48,7 +48,12 @@ def sim(args: argparse.Namespace) -> int:
     """Run the simulated cell by itself and print where its devices listen."""
     cell = load_cell(args.cell, dict(args.set))
     simulated = start_simulation(
-        cell, seed=machine_seed(args), speed=args.speed, faults=args.faults, truth=args.truth
+        cell,
+        seed=machine_seed(args),
+        speed=args.speed,
+        faults=args.faults,
+        truth=args.truth,
+        ports=args.ports,
     )
     if simulated is None:
         raise HilcellError(f"cell {cell.name} is real: it names no simulator")

@@ -122,7 +122,8 @@ def test_a_real_cell_copied_from_paper_needs_a_name_and_a_serial_of_its_own(
     text = (Path(__file__).parents[2] / "hilcell/cells/paper.toml").read_text("utf-8")
     cell = tmp_path / "real.toml"
     cell.write_text(text.split("[simulation]")[0])
-    for words in (["run", "--runs", tmp_path, "--cell", cell], ["check", cell]):
+    refused: list[list[str | Path]] = [["run", "--runs", tmp_path, "--cell", cell], ["check", cell]]
+    for words in refused:
         done = hilcell(*words)
         assert done.returncode == 2
         assert "name: 'paper' is that of the built-in cell paper" in done.stderr

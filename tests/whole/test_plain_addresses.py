@@ -1,0 +1,69 @@
+"""Simulated devices on ports of one's choice, reached by a cell file that names no simulator."""
+
+import json
+import socket
+from pathlib import Path
+
+import pytest
+
+from tests.whole.bench import end_of, events, hilcell, sets, simulation
+from tests.whole.test_refusals import free_port
+
+PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
+
+
+def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Path) -> None:
+    ports = {name: free_port() for name in ("rail", "robot", "tracker")}
+    cell = tmp_path / "shop.toml"
+    cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
+    words = {
+        "name": "shop",
+        "serial": "HC-7",
+        "rail.options.channel": f"socket://localhost:{ports['rail']}",
+        "robot.options.port": str(ports["robot"]),
+        "tracker.options.port": str(ports["tracker"]),
+        "settle.rail_s": "0.0",
+    }
+    asked = ",".join(f"{name}={port}" for name, port in ports.items())
+    with simulation("--speed", "max", "--ports", asked) as simulated:
+        assert simulated.addresses["rail"] == {"channel": f"socket://127.0.0.1:{ports['rail']}"}
+        assert simulated.addresses["robot"]["port"] == ports["robot"]
+        done = hilcell(
+            *("run", "home", "--json", "--cell", cell, "--name", "r", "--runs", tmp_path),
+            *sets(words),
+        )
+    end = end_of(done)
+    assert end["exit"] == 0, done.stderr
+    assert end["result"]["simulated"] is True
+    first, *rest = events(done.stdout)
+    assert first["simulated"] is False  # the plan states what is known before anything is opened
+    (connected,) = [e for e in rest if e["kind"] == "event" and e["what"] == "connected"]
+    assert [each["simulated"] for each in connected["devices"]] == [True] * 4
+    (row,) = json.loads(hilcell("runs", "--json", "--runs", tmp_path).stdout)["runs"]
+    assert row["simulated"] is True
+    hilcell("report", "r", "--runs", tmp_path, "-o", tmp_path / "r.html")
+    assert "SIMULATION." in (tmp_path / "r.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize("name", ["rail", "robot", "tracker", "control"])
+def test_a_taken_port_is_refused(name: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = int(taken.getsockname()[1])
+        done = hilcell("sim", "--ports", f"{name}={port}")
+    assert done.returncode == 2
+    assert f"port {port} cannot be opened: Address already in use" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not done.stdout
+
+
+@pytest.mark.parametrize("text", ["rail", "rial=1", "rail=0", "rail=65536", "rail=1,rail=2", ""])
+def test_ports_that_are_none(text: str) -> None:
+    done = hilcell("sim", "--ports", text)
+    assert done.returncode == 2
+    assert "rail=PORT,robot=PORT,..." in done.stderr
+
+
+def test_a_simulated_cell_that_runs_keeps_its_ports() -> None:
+    done = hilcell("sim", "--set", "simulation.address=127.0.0.1:1", "--ports", "rail=7")
+    assert done.returncode == 2
+    assert "the simulated cell at 127.0.0.1:1 has its ports" in done.stderr
