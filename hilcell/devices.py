@@ -118,7 +118,7 @@ def start_simulation(
 ) -> SimulatedCell | None:
     """Start the simulated cell beside the engine, where the cell file asks for one.
 
-    ``seed`` is its machine's. ``more`` is for `hilcell sim` alone: ``faults``, ``ports``, ``truth``.
+    ``seed`` is its machine's. ``more`` is for `hilcell sim` alone: faults, ports, truth.
     """
     if cell.simulation is None:
         return None
