@@ -110,9 +110,7 @@ def _structure(tokens: list[tuple[str, str]], at: int, depth: int) -> tuple[Valu
 
 
 def _number(token: str) -> float | int:
-    if re.fullmatch(r"[+-]?\d+", token):
-        return int(token)
     value = float(token)
     if not math.isfinite(value):
-        raise KrlError(f"{token} is not finite")
-    return value
+        raise KrlError(f"{token[:20]} is not finite")
+    return int(token) if re.fullmatch(r"[+-]?\d+", token) else value

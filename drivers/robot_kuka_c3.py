@@ -2,7 +2,9 @@
 
 The PC writes a target and a number; the program moves and acknowledges with that number. The
 trap: an acknowledgement alone proves nothing. Motion has ended only when the number is this
-command's, the axes stand at the target and the pose has stopped changing.
+command's, the axes stand at the target and two looks, more than a cycle of the controller apart,
+see the same: within one cycle a robot at full speed reads the same twice, and one that holds still
+flickers in the last digit.
 """
 
 from __future__ import annotations
@@ -18,6 +20,9 @@ from msgspec import Meta
 from drivers import krl
 from drivers.c3 import C3Connection
 from drivers.keep_alive import KeepAlive
+from drivers.motion_limits import MotionLimits, planned_s
+from drivers.supervision import Patience, Supervision
+from hilcell.cell import Joint
 from hilcell.clean import clean
 from hilcell.geometry.rotations import from_zyx
 from hilcell.ports import (
@@ -34,13 +39,16 @@ DEVICE = "Robot"
 PROGRAM_VERSION = 1
 PTP_JOINTS = 1
 MAX_SEQUENCE = 1_000_000_000
-POLL_S = 0.05
+POLL_S = 0.03
+POLL_LOOK_S = 0.5  # what one poll counts for, at most
 STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
 CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
+DWELL_S = 0.05  # between two looks that tell standstill; $AXIS_ACT changes once in 4 to 12 ms
 AXIS_TOLERANCE_DEG = 0.005
 STILL_DEG = 0.0005
 STILL_MM = 0.01
+PROGRESS_DEG = 0.01
 FRAME_TOLERANCE = 0.001  # mm and deg
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -59,11 +67,18 @@ HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
     "$STOPMESS": ((False,), "a stop message is pending; acknowledge it at the panel"),
     "$PRO_STATE1": (("#P_ACTIVE",), "start the program hilcell at the panel"),
 }
-# Each poll of a motion looks at one group, so that all are seen within three polls.
-GROUPS = (
-    ("$ALARM_STOP", "$MODE_OP", "$OV_PRO"),
-    ("$USER_SAF", "$PRO_STATE1"),
-    ("$STOPMESS", "$PERI_RDY"),
+# Each poll of a motion looks at HC_ACK and at the next of these, so that all are seen within eight
+# polls: with 4 to 12 ms an exchange, each of them once in 0.30 to 0.45 s.
+PROGRESS = "$AXIS_ACT"
+ROUND = (
+    "$ALARM_STOP",
+    "$PRO_STATE1",
+    "$MODE_OP",
+    "$STOPMESS",
+    "$USER_SAF",
+    "$OV_PRO",
+    "$PERI_RDY",
+    PROGRESS,
 )
 
 
@@ -75,6 +90,7 @@ class KukaC3Robot:
 
         host: str
         smr_mm: tuple[float, float, float]
+        joint: list[Joint]
         port: Annotated[int, Meta(ge=1, le=65535)] = 7000
         model: str = "KR210"
         serial: int = 0
@@ -86,7 +102,12 @@ class KukaC3Robot:
         self._line: C3Connection | None = None
         self._stop_line: C3Connection | None = None
         self._keeper: KeepAlive | None = None
-        self._groups = cycle(GROUPS)
+        self._round = cycle(ROUND)
+        self._watch = Supervision(DEVICE)
+        self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
+        self._override = 100
+        self._written: dict[str, str] = {}
+        self._rest_deg = np.zeros(6)
         self._sequence = 0
         self._under_way = False
         self._stopped = False
@@ -98,7 +119,7 @@ class KukaC3Robot:
         self._close_wires()
         host, port = self._options.host, self._options.port
         try:
-            self._line = C3Connection(DEVICE, host, port, self._clock.check)
+            self._line = C3Connection(DEVICE, host, port, self._attend)
             # The stop must get through while the run is already stopping.
             self._stop_line = C3Connection(DEVICE, host, port, _never)
             identity = self._identify()
@@ -121,15 +142,24 @@ class KukaC3Robot:
             )
         if not 1 <= round(speed_percent) <= 100:
             raise DeviceError(DEVICE, "move", f"speed {speed_percent} %", wanted="1 to 100 %")
-        number = self._command(target_deg, round(speed_percent))
-        self._await_acknowledgement(number)
-        return self._await_rest(target_deg)
+        self._check_lines()
+        planned = planned_s(target_deg - self._rest_deg, self._speed_deg_s, round(speed_percent))
+        try:
+            number = self._command(target_deg, round(speed_percent))
+            self._await_acknowledgement(number, MotionLimits(planned, STALL_S, PROGRESS_DEG))
+            return self._await_rest(target_deg)
+        finally:
+            self._watch.end()
 
     def read(self) -> RobotReading:
-        """Return a reading asked for after this call began."""
+        """Return a reading asked for after this call began.
+
+        Its time is that of the question: no part of the answer is older.
+        """
         self._check_lines()
-        before_deg = self._axes_deg()
         taken_s = time.monotonic()
+        before_deg = self._axes_deg()
+        self._clock.wait(DWELL_S)
         pose = self._pose()
         moved_deg = np.abs(self._axes_deg() - before_deg)
         still = not self._under_way and bool(np.all(moved_deg <= STILL_DEG))
@@ -152,7 +182,7 @@ class KukaC3Robot:
     # -- connecting ---------------------------------------------------------------------------
 
     def _identify(self) -> Identity:
-        model, serial = clean(str(self._value("$TRAFONAME[]"))), self._integer("$KR_SERIALNO")
+        model, serial = self._text("$TRAFONAME[]"), self._integer("$KR_SERIALNO")
         if self._options.model not in model:
             raise DeviceRefused(
                 DEVICE,
@@ -189,6 +219,8 @@ class KukaC3Robot:
                 name, found, " or ".join(str(value).upper() for value in wanted), act
             )
         number = self._integer(name)
+        if name == "$OV_PRO":
+            self._override = number
         low, high, act = {
             "HC_VER": (PROGRAM_VERSION, PROGRAM_VERSION, "install drivers/krl/hilcell.src anew"),
             "$OV_PRO": (1, 100, "raise the programme override"),
@@ -219,10 +251,11 @@ class KukaC3Robot:
         """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
         if self._value("HC_STOP") is not False:
             self._wire().write("HC_STOP", "FALSE")
-        deadline_s = time.monotonic() + CATCH_UP_S
+        patience = Patience(CATCH_UP_S, POLL_LOOK_S)
         self._sequence = self._integer("HC_SEQ")
+        over = False
         while (acknowledged := self._integer("HC_ACK")) != self._sequence:
-            if time.monotonic() > deadline_s:
+            if over:
                 raise DeviceRefused(
                     DEVICE,
                     "connect",
@@ -230,39 +263,42 @@ class KukaC3Robot:
                     wanted=f"HC_SEQ {self._sequence}",
                     act="the program hilcell owes an answer; restart it at the panel",
                 )
+            over = patience.over()
             self._clock.wait(POLL_S)
+        self._rest_deg = self._axes_deg()
         self._under_way = self._stopped = False
 
     # -- moving -------------------------------------------------------------------------------
 
     def _command(self, target_deg: Array, speed_percent: int) -> int:
-        self._check_lines()
         if self._stopped:
-            raise DeviceError(DEVICE, "move", "the robot was stopped", act="resume to connect anew")
-        wire = self._wire()
+            raise DeviceError(DEVICE, "move", "the robot was stopped", act="resume to reconnect")
         number = self._sequence % MAX_SEQUENCE + 1
         axes = dict(zip(AXES, target_deg.tolist(), strict=True))
-        wire.write("HC_TGT", krl.structure("E6AXIS", axes))
-        wire.write("HC_VEL", str(speed_percent))
-        wire.write("HC_CMD", str(PTP_JOINTS))
+        self._wire().write("HC_TGT", krl.structure("E6AXIS", axes))
+        self._write_once("HC_VEL", str(speed_percent))
+        self._write_once("HC_CMD", str(PTP_JOINTS))
         self._under_way = True
-        wire.write("HC_SEQ", str(number))
+        self._watch.begin()
+        self._wire().write("HC_SEQ", str(number))
         self._sequence = number
         return number
 
-    def _await_acknowledgement(self, number: int) -> None:
-        before_deg = np.full(6, np.nan)
-        changed_s = time.monotonic()
-        for group in self._groups:
+    def _write_once(self, name: str, value: str) -> None:
+        """Write what this connection has not written already; nobody else writes these."""
+        if self._written.get(name) != value:
+            self._wire().write(name, value)
+            self._written[name] = value
+
+    def _await_acknowledgement(self, number: int, limits: MotionLimits) -> None:
+        for name in self._round:
             acknowledged = self._integer("HC_ACK")
             if acknowledged == number:
                 break
-            self._check(*group)
-            now_deg = self._axes_deg()
-            if not bool(np.all(np.abs(now_deg - before_deg) <= STILL_DEG)):
-                before_deg, changed_s = now_deg, time.monotonic()
-            elif time.monotonic() - changed_s > STALL_S:
-                raise self._stalled(now_deg, acknowledged, number)
+            if name == PROGRESS:
+                self._check_progress(limits, f"HC_ACK {acknowledged}", f"HC_ACK {number}")
+            else:
+                self._check(name)
             self._clock.wait(POLL_S)
         error = self._integer("HC_ERR")
         if error != 0:
@@ -271,32 +307,44 @@ class KukaC3Robot:
                 DEVICE, "move", f"HC_ERR {error}: {meaning}", act="see the panel, resume"
             )
 
-    def _stalled(self, now_deg: Array, acknowledged: int, number: int) -> DeviceError:
-        self._check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
-        return DeviceError(
-            DEVICE,
-            "move",
-            f"no axis moved for {STALL_S:.0f} s at {_joints_text(now_deg)}, HC_ACK {acknowledged}",
-            wanted=f"HC_ACK {number}",
-            act="see the panel; is the program hilcell running? resume",
-        )
+    def _check_progress(self, limits: MotionLimits, found: str, wanted: str) -> None:
+        now_deg = self._axes_deg()
+        if limits.stalled(now_deg):
+            self._check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
+            raise DeviceError(
+                DEVICE,
+                "move",
+                f"no axis moved for {STALL_S:.0f} s at {_joints_text(now_deg)}, {found}",
+                wanted=wanted,
+                act="see the panel; is the program hilcell running? resume",
+            )
+        if limits.overdue(self._clock.now_s(), self._override):
+            raise DeviceError(
+                DEVICE,
+                "move",
+                f"still under way after {limits.spent_s:.0f} s at full override, at "
+                f"{_joints_text(now_deg)}, {found}",
+                wanted=f"{wanted} within {limits.limit_s:.0f} s",
+                act="the arm creeps; see the panel and robot.joint.speed_deg_s, resume",
+            )
 
     def _await_rest(self, target_deg: Array) -> RobotReading:
         # The pose means something only with the tool and the base that connect has verified.
         self._check("$ACT_TOOL", "$ACT_BASE")
-        deadline_s = time.monotonic() + REST_S
+        patience = Patience(REST_S, POLL_LOOK_S)
+        over = False
         while True:
-            axes_deg = self._axes_deg()
             taken_s = time.monotonic()
-            before, pose = self._pose(), self._pose()
-            off_deg = np.abs(axes_deg - target_deg)
-            arrived = bool(np.all(off_deg <= AXIS_TOLERANCE_DEG))
+            axes_deg, before = self._axes_deg(), self._pose()
+            self._clock.wait(DWELL_S)
+            pose = self._pose()
+            arrived = bool(np.all(np.abs(axes_deg - target_deg) <= AXIS_TOLERANCE_DEG))
             if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
-                self._under_way = False
+                self._under_way, self._rest_deg = False, axes_deg
                 return RobotReading(np.radians(axes_deg), pose, True, taken_s)
-            if time.monotonic() > deadline_s:
+            if over:
                 break
-            self._clock.wait(POLL_S)
+            over = patience.over()
         raise DeviceError(
             DEVICE,
             "move",
@@ -315,6 +363,15 @@ class KukaC3Robot:
     def _check_lines(self) -> None:
         if self._keeper is not None:
             self._keeper.check()
+
+    def _attend(self) -> None:
+        """Run in every wait on the wire."""
+        self._clock.check()
+        self._watch.look()
+
+    def _text(self, name: str) -> str:
+        """Return a CHAR array; some servers leave the quotes out, or pad it."""
+        return clean(self._wire().read(name).strip("\0 \t\r\n").strip('"').strip())
 
     def _value(self, name: str) -> krl.Value:
         text = self._wire().read(name)
@@ -354,6 +411,7 @@ class KukaC3Robot:
             if line is not None:
                 line.close()
         self._line = self._stop_line = self._keeper = None
+        self._written = {}
 
 
 def _never() -> None:

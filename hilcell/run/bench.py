@@ -157,8 +157,8 @@ class Bench:
     def _prepare_rail(self, action: str, facts: dict[str, object]) -> None:
         self.checkpoint()
         self._held = None
-        self._park_robot()
-        rail_may_move(self.cell, self.devices.robot.read(), time.monotonic())
+        parked = self._park_robot()  # read at rest, after its motion ended
+        rail_may_move(self.cell, parked, time.monotonic())
         self._journal.append("intent", "", {"action": action} | facts)
 
     def _hold_rail(self) -> None:
@@ -167,14 +167,15 @@ class Bench:
 
     # -- the robot ----------------------------------------------------------------------------
 
-    def _park_robot(self) -> None:
+    def _park_robot(self) -> RobotReading:
+        """Bring the robot to its safe pose unless it is there; return its reading there."""
         safe_rad = np.radians(self.cell.robot.safe_deg)
         now = self.devices.robot.read()
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < 1e-4)):
-            return
+            return now
         robot_may_move(self.cell, self.devices.rail.read(), None, time.monotonic())
         self._journal.append("intent", "", {"action": "robot.park"})
-        self.devices.robot.move_to(safe_rad, self.cell.robot.speed_percent)
+        return self.devices.robot.move_to(safe_rad, self.cell.robot.speed_percent)
 
     def park_robot(self) -> None:
         """Bring the robot to its safe pose."""

@@ -2,29 +2,40 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Iterator
 from importlib import resources
+from itertools import cycle
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers import c3, keep_alive, robot_kuka_c3
+from drivers import c3, keep_alive, robot_kuka_c3, supervision
 from drivers.robot_kuka_c3 import KukaC3Robot
+from hilcell.cell import Joint
 from hilcell.clock import WallClock
 from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped
 from hilcell.settings import SettingsError, convert
 from tests.drivers.kuka_peer import VARIABLES, KukaPeer
 from tests.drivers.peers import wall_clock
 
+JOINTS = [Joint(a_mm=0.0, alpha_deg=0.0, d_mm=0.0, offset_deg=0.0, speed_deg_s=100.0)] * 6
 TARGET_RAD = np.radians([10.0, -80.0, 95.5, -12.25, 33.3, 170.0])
 
 
 @pytest.fixture(autouse=True)
 def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(c3, "REPLY_S", 0.3)
-    for name, value in (("POLL_S", 0.002), ("STALL_S", 0.3), ("REST_S", 0.1), ("CATCH_UP_S", 0.2)):
+    for name, value in (
+        ("POLL_S", 0.002),
+        ("DWELL_S", 0.002),
+        ("STALL_S", 0.3),
+        ("REST_S", 0.1),
+        ("CATCH_UP_S", 0.2),
+    ):
         monkeypatch.setattr(robot_kuka_c3, name, value)
 
 
@@ -33,6 +44,7 @@ def robot_for(peer: KukaPeer, **options: Any) -> KukaC3Robot:
         "host": "127.0.0.1",
         "port": peer.server.port,
         "smr_mm": (98.0, 0.0, 127.0),
+        "joint": JOINTS,
     }
     return KukaC3Robot(KukaC3Robot.Options(**(values | options)), wall_clock())
 
@@ -73,7 +85,118 @@ def test_a_move_ends_at_the_target_at_rest(robot: KukaC3Robot, peer: KukaPeer) -
     assert peer.variables["HC_CMD"] == "1"
     assert peer.variables["HC_SEQ"] == "8"
     assert re.search(r"A3 95\.500000,", peer.variables["HC_TGT"])
-    assert len(peer.requests) - before <= 25
+    assert len(peer.requests) - before <= 15
+
+
+def test_a_reading_and_a_point_cost_few_exchanges(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    """Every point is approached from below: two motions; three looks each until acknowledged."""
+    robot.move_to(TARGET_RAD, 30.0)
+    began = len(peer.requests)
+    robot.read()
+    assert len(peer.requests) - began <= 3
+    began = len(peer.requests)
+    robot.move_to(TARGET_RAD - 0.01, 30.0)
+    robot.move_to(TARGET_RAD, 30.0)
+    assert len(peer.requests) - began <= 26
+
+
+def test_all_that_is_watched_is_seen_within_eight_polls(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.frozen = True
+    began = len(peer.requests)
+    with pytest.raises(DeviceError, match="no axis moved"):
+        robot.move_to(TARGET_RAD, 30.0)
+    polls = " ".join(peer.requests[began:]).split("read HC_ACK")[1:]
+    assert len(polls) > 24
+    for name in (*robot_kuka_c3.HEALTH, "$OV_PRO", "$AXIS_ACT"):
+        seen = [number for number, poll in enumerate(polls) if f"{name} " in poll]
+        assert seen[0] < 8
+        assert max(np.diff(seen)) <= 8
+
+
+def creeping(peer: KukaPeer, monkeypatch: pytest.MonkeyPatch, override: str) -> KukaC3Robot:
+    """Return a robot whose arm creeps on, in a cell where 20 s pass between two looks."""
+    peer.frozen = True
+    peer.variables["$OV_PRO"] = override
+    original = peer._read
+
+    def read(name: str) -> str | None:
+        peer.axes[0] += 0.05 * (name == "$AXIS_ACT")
+        return original(name)
+
+    now_s = iter(range(0, 1_000_000, 20))
+    robot = robot_for(peer)
+    robot.connect()
+    monkeypatch.setattr(peer, "_read", read)
+    monkeypatch.setattr(robot._clock, "now_s", lambda: float(next(now_s)))
+    return robot
+
+
+def test_an_arm_that_creeps_for_ever_is_stopped(
+    peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = creeping(peer, monkeypatch, "100")
+    with pytest.raises(DeviceError, match=r"still under way after 40 s .* within 27 s; the arm"):
+        robot.move_to(TARGET_RAD, 30.0)
+    robot.close()
+    assert peer.stopped.wait(5)
+
+
+def test_a_low_override_is_given_its_time(peer: KukaPeer, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = creeping(peer, monkeypatch, "5")
+    with pytest.raises(DeviceError, match=r"still under way after 28 s at full override"):
+        robot.move_to(TARGET_RAD, 30.0)
+    looks = peer.requests.count("read $AXIS_ACT")
+    robot.close()
+    assert looks > 28
+
+
+def test_a_pc_that_does_not_look_while_it_moves_stops(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late_s = [0.0]
+    peer.moved = lambda: late_s.__setitem__(0, late_s[0] + 2.0)
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + late_s[0])
+    monkeypatch.setattr(supervision, "time", clock)
+    with pytest.raises(DeviceError, match=r"Robot: move: PC late: 2\.\d\d s without a look"):
+        robot.move_to(TARGET_RAD, 30.0)
+    robot.close()
+    assert peer.stopped.wait(5)
+
+
+def test_a_pc_that_was_late_at_rest_goes_on(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = iter(range(0, 1_000_000, 2))
+    monkeypatch.setattr(supervision, "time", SimpleNamespace(monotonic=lambda: next(looks)))
+    assert robot.read().still
+
+
+def test_a_robot_that_flickers_while_it_holds_stands(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, sign = peer._read, cycle((1e-4, -1e-4, 0.0))
+
+    def read(name: str) -> str | None:
+        off = next(sign)
+        if name == "$POS_ACT":
+            return peer.pose.replace("1620.5", f"{1620.5 + 10 * off:.6f}")
+        if name == "$AXIS_ACT":
+            axes = ", ".join(f"A{n} {v + off:.6f}" for n, v in enumerate(peer.axes, 1))
+            return f"{{E6AXIS: {axes}, E1 0.0}}"
+        return original(name)
+
+    monkeypatch.setattr(peer, "_read", read)
+    assert robot.move_to(TARGET_RAD, 30.0).still
+    assert robot.read().still
+
+
+@pytest.mark.parametrize("name", ["#KR210R2700_2 C4 FLR", '"#KR210R2700_2 C4 FLR   "\0'])
+def test_a_name_may_come_without_quotes_or_padded(name: str) -> None:
+    with KukaPeer(**{"$TRAFONAME[]": name}) as peer:
+        robot = robot_for(peer)
+        (identity,) = robot.connect()
+        robot.close()
+        assert identity.model == "#KR210R2700_2 C4 FLR"
 
 
 def test_the_pose_is_in_kukas_angles(robot: KukaC3Robot) -> None:
@@ -249,7 +372,7 @@ def test_the_runs_stop_ends_a_motion(peer: KukaPeer) -> None:
     stop = threading.Event()
     peer.frozen = True
     options = KukaC3Robot.Options(
-        host="127.0.0.1", port=peer.server.port, smr_mm=(98.0, 0.0, 127.0)
+        host="127.0.0.1", port=peer.server.port, smr_mm=(98.0, 0.0, 127.0), joint=JOINTS
     )
     robot = KukaC3Robot(options, WallClock(stop))
     robot.connect()
@@ -325,7 +448,9 @@ def test_stop_and_close_before_connect_do_nothing(peer: KukaPeer) -> None:
 def test_options_are_strict() -> None:
     with pytest.raises(SettingsError) as caught:
         convert(
-            {"host": "x", "smr_mm": [1.0, 2.0, 3.0], "prt": 1, "tool": 0}, KukaC3Robot.Options, ""
+            {"host": "x", "smr_mm": [1.0, 2.0, 3.0], "joint": [], "prt": 1, "tool": 0},
+            KukaC3Robot.Options,
+            "",
         )
     assert len(caught.value.problems) == 2
 

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drivers import supervision
+from drivers.motion_limits import MARGIN_S, PLANNED_TIMES, MotionLimits, planned_s
+
+
+def limits(planned: float = 2.0) -> MotionLimits:
+    return MotionLimits(planned, stall_s=5.0, progress=0.01)
+
+
+def test_the_slowest_axis_sets_the_plan() -> None:
+    assert planned_s(np.array([10.0, -80.0]), np.array([100.0, 50.0]), 25.0) == 6.4
+
+
+def test_a_motion_may_take_several_times_its_plan() -> None:
+    motion = limits()
+    allowed_s = PLANNED_TIMES * 2.0 + MARGIN_S
+    assert not motion.overdue(1000.0, 100)
+    assert not motion.overdue(1000.0 + allowed_s, 100)
+    assert motion.overdue(1000.1 + allowed_s, 100)
+
+
+def test_a_lowered_override_stretches_the_time() -> None:
+    motion = limits()
+    assert not motion.overdue(0.0, 100)
+    assert not motion.overdue(100.0, 10)  # whenever it was lowered, it counts for all of the gap
+    assert motion.spent_s == pytest.approx(10.0)
+    assert not motion.overdue(160.0, 10)
+    assert motion.overdue(161.0, 10)
+
+
+@pytest.mark.parametrize("planned", [np.nan, 2.0])
+def test_a_time_that_is_no_number_is_overdue(planned: float) -> None:
+    motion = limits(planned)
+    motion.overdue(0.0, 100)
+    assert motion.overdue(np.nan if planned == 2.0 else 1.0, 100)
+
+
+def test_flicker_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = iter(np.arange(0.0, 100.0, 0.5))
+    monkeypatch.setattr(supervision, "time", SimpleNamespace(monotonic=lambda: next(now_s)))
+    motion = limits()
+    at = np.array([10.0, 20.0])
+    looks = [motion.stalled(at + 1e-4 * (-1.0) ** look) for look in range(12)]
+    assert looks == [False] * 10 + [True] * 2
+    assert not motion.stalled(at + 0.02)
+
+
+def test_an_axis_that_is_no_number_never_counts_as_standing() -> None:
+    motion = limits()
+    assert not motion.stalled(np.array([np.nan, 0.0]))
