@@ -70,7 +70,7 @@ class Ripple:
 
 
 class Loads:
-    """How heavily each joint is loaded: by the lever of the reflector about it, -1 to 1.
+    """How heavily each joint is loaded, -1 to 1: by the level lever of the reflector about it.
 
     The ends of that range are the lightest and the heaviest load over the poses given.
     """
@@ -87,11 +87,7 @@ class Loads:
         return np.clip(loads, -1.0, 1.0)
 
     def _levers_mm(self, joints_rad: Array) -> Array:
-        tip_mm = self._design.pose(joints_rad)[..., :3, 3]
-        at = [self._design.axis(number, joints_rad)[1] for number in range(6)]
-        levers: Array = np.stack(
-            [np.hypot(*np.moveaxis((tip_mm - each)[..., :2], -1, 0)) for each in at], axis=-1
-        )
+        levers: Array = np.linalg.norm(self._design.levers(joints_rad)[..., :2], axis=-1)
         return levers
 
 

@@ -38,9 +38,12 @@ class Chain:
         T = self._moved(joints_rad)[number]
         return T[..., :3, :3] @ self.axes[number], _at(T, self.points_mm[number])
 
-    def carried(self, joints: int, joints_rad: Array, point_mm: Array) -> Array:
-        """Return where the first ``joints`` joints carry a point (3,) given at zero, (..., 3)."""
-        return _at(self._moved(joints_rad)[joints], point_mm)
+    def levers(self, joints_rad: Array) -> Array:
+        """Return the vectors (..., 6, 3) from the point on each axis to the last frame."""
+        moved = self._moved(joints_rad)
+        tip_mm = (moved[-1] @ self.last)[..., :3, 3]
+        pairs = zip(moved[:-1], self.points_mm, strict=True)
+        return np.stack([tip_mm - _at(T, point_mm) for T, point_mm in pairs], axis=-2)
 
     def jacobian(self, joints_rad: Array) -> Array:
         """Return d(shift in mm, turn in rad) / d(joints) of the last frame, (..., 6, 6)."""

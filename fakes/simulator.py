@@ -19,6 +19,7 @@ from typing import IO, Any, cast
 import msgspec
 
 from fakes.faults import load_faults
+from fakes.machine import machine_of
 from hilcell.cell import Cell
 from hilcell.ports import DeviceError, HilcellError, Stopped
 from hilcell.settings import SettingsError
@@ -56,6 +57,7 @@ class PaperCell:
             self._control = Control(attach)
             answer = self._control.ask("addresses")
         else:
+            machine_of(cell)  # and a wrong machine file
             order = {
                 "cell": {k: v for k, v in msgspec.to_builtins(cell).items() if v is not None},
                 "seed": seed,

@@ -12,7 +12,7 @@ from fakes.machine import Machine, load_machine
 from fakes.noise import KeyedNoise
 from fakes.repeatability import unit_rp_mm
 from hilcell.calibration import grid_of
-from hilcell.cell import Cell
+from hilcell.cell import Cell, load_cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import METHODS
 from hilcell.geometry.circles import base_frame, fit_circle
@@ -164,3 +164,33 @@ def test_the_reference_cube_is_the_machines_own(cell: Cell) -> None:
     smaller = changed(machine, "reference", size_mm=(300.0, 300.0, 300.0))
     targets_mm, _ = reference_cube(smaller, smaller.chain(cell.robot.smr_mm))
     np.testing.assert_allclose(np.ptp(targets_mm, axis=0), 300.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_hard_leaves_much_after_the_best_rigid_fit(cell: Cell, seed: int) -> None:
+    arm = arm_of(cell, seed, "hard")
+    errors_mm = arm.errors_mm(arm.commands_rad, arm.targets_mm)
+    assert rigid_fit(arm.targets_mm, arm.targets_mm + errors_mm).rms_mm >= 0.6
+    assert np.linalg.norm(errors_mm, axis=1).max() <= 3.5
+
+
+def test_a_warmer_arm_is_longer(cell: Cell) -> None:
+    joints = np.radians(cell.robot.home_deg)
+    for name, growth in (("hard", 20e-6), ("paper", 0.0)):
+        arm = arm_of(cell, 1, name)
+        cold_mm, warm_mm = (
+            arm.pose(joints, UP, np.zeros(6), warm_k)[:3, 3] for warm_k in (0.0, 0.7)
+        )
+        assert np.linalg.norm(warm_mm - cold_mm) == pytest.approx(
+            0.7 * growth * np.linalg.norm(cold_mm), abs=1e-9
+        )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_six_r_is_another_robot(seed: int) -> None:
+    cell = load_cell("six-r")
+    arm = arm_of(cell, seed, "six-r")
+    errors_mm = np.linalg.norm(arm.errors_mm(arm.commands_rad, arm.targets_mm), axis=1)
+    assert errors_mm.mean() == pytest.approx(0.9, abs=1e-9)
+    stretched_mm = forward(cell.robot.arm(), np.radians([0.0, 90.0, -90.0, 0.0, 0.0, 0.0]))[:3, 3]
+    assert 1300.0 < np.hypot(*stretched_mm[:2]) - 95.0 < 1500.0  # to the wrist's centre

@@ -14,7 +14,7 @@ from hilcell.geometry.kinematics import Array, forward
 from hilcell.ports import HilcellError
 from hilcell.tables import Pose
 
-CELLS = ("paper", "replay")
+CELLS = ("paper", "hard", "six-r", "replay")
 
 
 def joints(count: int = 500) -> Array:
