@@ -1,4 +1,4 @@
-"""The whole program as its users run it: processes, pipes and sockets, nothing imported."""
+"""The whole program as its users run it: commands, processes, pipes and sockets."""
 
 from __future__ import annotations
 
@@ -9,9 +9,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
+
+import pytest
+from _pytest.mark import ParameterSet
+
+from hilcell.cli import main
 
 HILCELL = [sys.executable, "-m", "hilcell"]
 LIMIT_S = 100.0
@@ -30,11 +36,28 @@ def sets(values: dict[str, str]) -> list[str]:
     return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
 
 
+def sweep(*values: object) -> list[ParameterSet]:
+    """Mark the values of a sweep that only `make nightly` runs."""
+    return [pytest.param(value, marks=pytest.mark.nightly) for value in values]
+
+
 def hilcell(*words: str | Path, limit_s: float = LIMIT_S) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     return subprocess.run(
         [*HILCELL, *map(str, words)], capture_output=True, text=True, timeout=limit_s, check=False
     )
+
+
+def command(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    """Do the same in this process: quicker, where nothing depends on a process of its own."""
+    out, told = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    with redirect_stdout(out), redirect_stderr(told):
+        try:
+            code = main([str(word) for word in words])
+        except SystemExit as refused:  # of a command line that makes no sense
+            code = int(refused.code or 0)
+    said = [each.buffer.getvalue().decode() for each in (out, told)]
+    return subprocess.CompletedProcess(words, code, *said)
 
 
 def events(text: str) -> list[dict[str, Any]]:

@@ -15,6 +15,7 @@ from tests.whole.bench import (
     SMALL,
     Engine,
     Simulation,
+    command,
     end_of,
     events,
     hilcell,
@@ -162,7 +163,7 @@ def test_kill_9_during_a_prompt_asks_again_only_for_what_is_missing(
     operator.prompt("flange")
     assert send_command(tmp_path / "hand", "abort")["ok"]
     assert last.rest()[-1]["exit"] == 4
-    journal = events(hilcell("watch", "hand", "--runs", tmp_path, "--json").stdout)
+    journal = events(command("watch", "hand", "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []
     points = [e["key"] for e in journal if e["kind"] == "point"]
     assert points == ["world/F1", "world/F2", "world/F3"]
@@ -180,11 +181,11 @@ def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
     operator.seat("")
     prompt = operator.prompt("flange")
     assert prompt["title"] == "Clear the beam to flange"
-    assert hilcell("resume", "hand", "--runs", tmp_path).returncode == 0
+    assert command("resume", "hand", "--runs", tmp_path).returncode == 0
     engine.until(lambda event: event.get("what") == "answer refused")
     assert operator.status()["state"] == "suspended"
     operator.seat("flange")
-    assert hilcell("resume", "hand", "--runs", tmp_path).returncode == 0
+    assert command("resume", "hand", "--runs", tmp_path).returncode == 0
     assert engine.rest()[-1]["exit"] == 0, engine.told
     assert judge(engine.events) == []
 
@@ -206,7 +207,7 @@ def test_nobody_is_left_alone_with_it(tmp_path: Path, cell: Simulation, command:
 
 
 def test_a_campaign_needs_mounted_reflectors() -> None:
-    done = hilcell("run", "campaign", "--dry-run", *sets(BY_HAND))
+    done = command("run", "campaign", "--dry-run", *sets(BY_HAND))
     assert done.returncode == 2
     assert "must be mounted" in done.stderr
 

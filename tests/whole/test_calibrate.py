@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.whole.bench import end_of, events, hilcell
+from tests.whole.bench import command, end_of, events, hilcell
 from tests.whole.trace import judge
 
 
@@ -55,7 +55,7 @@ def test_events_are_the_journal(runs: list[Any]) -> None:
     folder, done = runs[0]
     printed = events(done.stdout)
     assert [event["seq"] for event in printed] == list(range(1, len(printed) + 1))
-    watched = hilcell("watch", "last", "--runs", folder, "--json")
+    watched = command("watch", "last", "--runs", folder, "--json")
     assert events(watched.stdout) == printed
     assert printed[0]["kind"] == "plan"
     assert judge(printed) == []
@@ -64,9 +64,9 @@ def test_events_are_the_journal(runs: list[Any]) -> None:
 @pytest.mark.timeout(240)
 def test_show_computes_the_result_anew(runs: list[Any]) -> None:
     folder, done = runs[0]
-    shown = hilcell("show", "last", "--runs", folder, "--json")
+    shown = command("show", "last", "--runs", folder, "--json")
     assert events(shown.stdout)[0]["result"] == end_of(done)["result"]
-    listed = events(hilcell("runs", "--runs", folder, "--json").stdout)[0]["runs"]
+    listed = events(command("runs", "--runs", folder, "--json").stdout)[0]["runs"]
     assert [(each["state"], each["exit"]) for each in listed] == [("finished", 0)]
 
 
@@ -78,7 +78,7 @@ def test_the_calibration_corrects_targets(runs: list[Any], tmp_path: Path) -> No
     # The cube's centre lies near {W}'s origin at 1100, 1250 mm above the floor.
     targets.write_text(head + "H1,10,20,1250,0,75,0\nH2,-200,100,1000,0,75,0\n")
     words = ("compensate", "last", targets, "--station", "S1100", "-o", out, "--runs", folder)
-    done = hilcell(*words)
+    done = command(*words)
     assert done.returncode == 0, done.stderr
     moved = [
         (float(b) - float(a))
@@ -90,10 +90,10 @@ def test_the_calibration_corrects_targets(runs: list[Any], tmp_path: Path) -> No
     ]
     assert 0.1 < sum(each**2 for each in moved) ** 0.5 < 4.0
     targets.write_text(head + "FAR,2000,0,1250,0,75,0\n")
-    done = hilcell(*words)
+    done = command(*words)
     assert done.returncode == 2
     assert "FAR by" in done.stderr
     targets.write_text(head + "TURNED,0,0,1250,0,85,0\n")
-    done = hilcell(*words)
+    done = command(*words)
     assert done.returncode == 2
     assert "TURNED by" in done.stderr

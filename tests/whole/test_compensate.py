@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 
 from hilcell.calibration_file import read_calibration, write_calibration
-from tests.whole.bench import SMALL, end_of, events, hilcell, sets
+from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets
 
 SRC = "DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\n"
 SRC += "LIN {X 150.0,Y 100.0,Z 1100.0,A 0.0,B 75.0,C 0.0}\r\nEND"
@@ -23,7 +23,7 @@ def test_from_sign_check_to_program(tmp_path: Path) -> None:
     source.write_bytes(SRC.encode())
     (tmp_path / "holes.dat").write_bytes(DAT.encode())
     words = ("compensate", "last", source, "--station", "S1100", "-o", out)
-    done = hilcell(*words, "--runs", tmp_path / "runs")
+    done = command(*words, "--runs", tmp_path / "runs")
     assert done.returncode == 0, done.stderr
     assert "SIMULATED" in done.stderr
     assert done.stdout == ""
@@ -39,12 +39,12 @@ def test_from_sign_check_to_program(tmp_path: Path) -> None:
     proven = read_calibration(file)
     file.write_text(json.dumps(values))
     src.unlink()
-    done = hilcell(*words, "--runs", tmp_path / "runs")
+    done = command(*words, "--runs", tmp_path / "runs")
     assert done.returncode == 2
     assert "was changed after it was written" in done.stderr
     provenance = msgspec.structs.replace(proven.provenance, sign_checked=False)
     write_calibration(msgspec.structs.replace(proven, provenance=provenance), file)
-    done = hilcell(*words, "--runs", tmp_path / "runs")
+    done = command(*words, "--runs", tmp_path / "runs")
     assert done.returncode == 2
     assert "sign check" in done.stderr
     assert not src.exists()

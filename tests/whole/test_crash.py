@@ -15,6 +15,7 @@ from tests.whole.bench import (
     SMALL,
     Engine,
     children,
+    command,
     end_of,
     events,
     hilcell,
@@ -68,7 +69,7 @@ def test_kills_change_nothing(tmp_path: Path, kills: int) -> None:
     assert end["state"] == "finished", last.stderr
     acknowledged += points_of(events(last.stdout))
 
-    journal = events(hilcell("watch", name, "--runs", tmp_path, "--json").stdout)
+    journal = events(command("watch", name, "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []
     kept = points_of(journal)
     assert not [key for key, count in Counter(kept).items() if count > 1]
@@ -140,7 +141,7 @@ def test_a_lost_calibration_file_is_written_again(
     done = hilcell("resume", "copy", "--runs", tmp_path, "--json")
     assert done.returncode == printed[-1]["exit"], done.stderr
     assert (tmp_path / "copy" / "calibration.json").is_file()
-    again = hilcell("resume", "copy", "--runs", tmp_path)
+    again = command("resume", "copy", "--runs", tmp_path)
     assert again.returncode == 2
     assert "is finished" in again.stderr
 
@@ -153,11 +154,11 @@ def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
     engine.kill()
     for pid in simulated:
         wait_gone(pid)
-    (run,) = events(hilcell("runs", "--json", "--runs", tmp_path).stdout)[0]["runs"]
+    (run,) = events(command("runs", "--json", "--runs", tmp_path).stdout)[0]["runs"]
     assert "engine gone" in run["state"]
-    shown = hilcell("show", engine.run, "--runs", tmp_path)
+    shown = command("show", engine.run, "--runs", tmp_path)
     assert "engine gone" in shown.stdout
-    resumed = hilcell("resume", engine.run, "--runs", tmp_path, "--json", "--speed", "1")
+    resumed = command("resume", engine.run, "--runs", tmp_path, "--json", "--speed", "1")
     assert resumed.returncode == 2  # the speed of a run is frozen in its journal
 
 
@@ -197,7 +198,7 @@ def test_a_connection_that_breaks_is_resumed(tmp_path: Path, fault: str) -> None
         faulted(engine, fault.split(".", maxsplit=1)[0])
         done = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
     assert end_of(done)["state"] == "finished", done.stderr
-    journal = events(hilcell("watch", engine.run, "--runs", tmp_path, "--json").stdout)
+    journal = events(command("watch", engine.run, "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []
 
 

@@ -8,7 +8,16 @@ from typing import Any
 
 import pytest
 
-from tests.whole.bench import SMALL, Engine, children, events, hilcell, sets, simulation, wait_gone
+from tests.whole.bench import (
+    SMALL,
+    Engine,
+    children,
+    command,
+    events,
+    sets,
+    simulation,
+    wait_gone,
+)
 from tests.whole.trace import judge
 
 
@@ -19,13 +28,13 @@ def state(event: dict[str, object], name: str) -> bool:
 def test_pause_resume_watch_from_other_processes(tmp_path: Path) -> None:
     engine = Engine("run", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
     engine.until(lambda event: event["kind"] == "point")
-    assert hilcell("pause", engine.run, "--runs", tmp_path).returncode == 0
+    assert command("pause", engine.run, "--runs", tmp_path).returncode == 0
     engine.until(lambda event: state(event, "paused"))
     watcher = Engine("watch", engine.run, "--runs", tmp_path)
     watcher.until(lambda event: state(event, "paused"))
-    assert hilcell("resume", engine.run, "--runs", tmp_path).returncode == 0
+    assert command("resume", engine.run, "--runs", tmp_path).returncode == 0
     engine.until(lambda event: state(event, "running"))
-    stopped = hilcell("stop", engine.run, "--runs", tmp_path, "--json")
+    stopped = command("stop", engine.run, "--runs", tmp_path, "--json")
     assert events(stopped.stdout)[0]["ok"] is True
     assert engine.rest()[-1]["exit"] == 4
     assert watcher.rest() == engine.events
@@ -60,7 +69,7 @@ def test_a_lost_listener_does_not_stop_a_run(tmp_path: Path) -> None:
     engine.process.stdout = None
     _, told = engine.process.communicate(timeout=90)
     assert engine.process.returncode in (0, 1), told
-    (run,) = events(hilcell("runs", "--json", "--runs", tmp_path).stdout)[0]["runs"]
+    (run,) = events(command("runs", "--json", "--runs", tmp_path).stdout)[0]["runs"]
     assert run["state"] == "finished"
 
 
@@ -103,7 +112,7 @@ def test_losing_the_last_screen_pauses_an_attended_run_only(tmp_path: Path, atte
         assert paused["reason"] == "the screen was lost"
     else:
         engine.until(lambda event: event["kind"] == "point")
-    assert hilcell("stop", engine.run, "--runs", tmp_path).returncode == 0
+    assert command("stop", engine.run, "--runs", tmp_path).returncode == 0
     assert engine.rest()[-1]["exit"] == 4
     assert judge(engine.events) == []
 
@@ -117,7 +126,7 @@ def test_a_screen_that_leaves_lets_the_run_go_on(tmp_path: Path) -> None:
     screen.vanish()
     engine.until(lambda event: event["kind"] == "point" and event["group"] == "grid")
     assert not [event for event in engine.events if event.get("what") == "screen lost"]
-    assert hilcell("stop", engine.run, "--runs", tmp_path).returncode == 0
+    assert command("stop", engine.run, "--runs", tmp_path).returncode == 0
     assert engine.rest()[-1]["exit"] == 4
 
 
@@ -148,7 +157,7 @@ def test_a_run_that_a_screen_ordered_moves_only_before_its_eyes(tmp_path: Path) 
     engine.until(lambda event: event.get("what") == "screen lost")
     engine.until(lambda event: state(event, "paused"))
     assert not [event for event in engine.events if event["kind"] in ("intent", "point")]
-    assert hilcell("stop", "x", "--runs", tmp_path).returncode == 0
+    assert command("stop", "x", "--runs", tmp_path).returncode == 0
     assert engine.rest()[-1]["exit"] == 4
     resumed = Engine("resume", "x", *words)
     resumed.until(lambda event: event.get("what") == "connected")
@@ -164,16 +173,16 @@ def test_a_run_that_a_screen_ordered_moves_only_before_its_eyes(tmp_path: Path) 
 def test_an_order_that_failed_moves_nothing_later(tmp_path: Path) -> None:
     engine = Engine("run", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
     engine.until(lambda event: event["kind"] == "point")
-    assert hilcell("pause", engine.run, "--runs", tmp_path).returncode == 0
+    assert command("pause", engine.run, "--runs", tmp_path).returncode == 0
     engine.until(lambda event: state(event, "paused"))
     engine.process.send_signal(signal.SIGSTOP)
-    refused = hilcell("resume", engine.run, "--runs", tmp_path)
+    refused = command("resume", engine.run, "--runs", tmp_path)
     assert refused.returncode == 2
     assert "has not answered within 5 s" in refused.stderr
     engine.process.send_signal(signal.SIGCONT)
     screen = Screen(tmp_path / engine.run)  # comes after the order, and is heard after it
     assert screen.ask("status")["state"] == "paused"
-    assert hilcell("stop", engine.run, "--runs", tmp_path).returncode == 0
+    assert command("stop", engine.run, "--runs", tmp_path).returncode == 0
     assert engine.rest()[-1]["exit"] == 4
     after = engine.events[[state(event, "paused") for event in engine.events].index(True) + 1 :]
     assert not [event for event in after if state(event, "running")]

@@ -9,7 +9,7 @@ import pytest
 
 from hilcell.cell import load_cell
 from hilcell.geometry.kinematics import forward
-from tests.whole.bench import SMALL, end_of, events, hilcell, sets
+from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets
 from tests.whole.trace import judge
 
 SHORT = SMALL | {"survey.to_mm": "600.0", "survey.step_mm": "200.0", "survey.repeats": "6"}
@@ -22,7 +22,7 @@ def test_alone_by_its_name(tmp_path: Path, name: str) -> None:
     end = end_of(done)
     assert end["state"] == "finished", done.stderr
     assert judge(events(done.stdout)) == []
-    shown = hilcell("show", "last", "--runs", tmp_path)
+    shown = command("show", "last", "--runs", tmp_path)
     assert shown.returncode == 0, shown.stderr
     assert name in shown.stdout
 

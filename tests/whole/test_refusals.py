@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.whole.bench import SMALL, Engine, end_of, events, hilcell, sets, simulation
+from tests.whole.bench import SMALL, Engine, command, end_of, events, hilcell, sets, simulation
 
 
 def free_port() -> int:
@@ -31,7 +31,7 @@ def free_port() -> int:
     ],
 )  # fmt: skip
 def test_refused_before_anything_starts(tmp_path: Path, words: list[str], part: str) -> None:
-    done = hilcell("run", "--json", "--runs", tmp_path / "runs", *words)
+    done = command("run", "--json", "--runs", tmp_path / "runs", *words)
     assert done.returncode == 2
     assert part in done.stderr
     assert "Traceback" not in done.stderr
@@ -39,19 +39,19 @@ def test_refused_before_anything_starts(tmp_path: Path, words: list[str], part: 
     assert end["state"] == "idle"
     assert not (tmp_path / "runs").exists()
     if "calibrat" not in words:
-        assert hilcell("check", *[w for w in words if w != "--cell"] or ["x"]).returncode == 2
+        assert command("check", *[w for w in words if w != "--cell"] or ["x"]).returncode == 2
 
 
 def test_a_malformed_cell_file(tmp_path: Path) -> None:
     file = tmp_path / "cell.toml"
     file.write_text("name = [")
-    done = hilcell("run", "--cell", file, "--runs", tmp_path)
+    done = command("run", "--cell", file, "--runs", tmp_path)
     assert done.returncode == 2
     assert "not valid TOML" in done.stderr
 
 
 def test_dry_run_opens_nothing_and_prints_the_plan(tmp_path: Path) -> None:
-    done = hilcell("run", "--dry-run", "--json", "--runs", tmp_path / "runs")
+    done = command("run", "--dry-run", "--json", "--runs", tmp_path / "runs")
     assert done.returncode == 0
     plan, end = events(done.stdout)
     assert plan["kind"] == "plan"
@@ -74,7 +74,7 @@ def test_a_port_nobody_listens_on(tmp_path: Path) -> None:
         "robot.options.port": str(free_port()),
         "tracker.options.port": str(free_port()),
     }
-    done = hilcell("run", "--json", "--cell", cell, "--runs", tmp_path, *sets(words))
+    done = command("run", "--json", "--cell", cell, "--runs", tmp_path, *sets(words))
     end = end_of(done)
     assert end["exit"] == 3
     assert end["state"] == "faulted"
@@ -112,7 +112,7 @@ def test_a_second_run_on_the_same_cell(tmp_path: Path) -> None:
     assert done.returncode == 6
     assert f"locked by run {engine.run}" in done.stderr
     assert end_of(done)["exit"] == 6
-    assert hilcell("stop", engine.run, "--runs", tmp_path).returncode == 0
+    assert command("stop", engine.run, "--runs", tmp_path).returncode == 0
     assert engine.rest()[-1]["exit"] == 4
 
 
@@ -137,7 +137,7 @@ def test_speed_is_for_simulated_cells(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "hilcell/cells/paper.toml").read_text("utf-8")
     cell = tmp_path / "real.toml"
     cell.write_text(text.split("[simulation]")[0])
-    done = hilcell("run", "--cell", cell, "--speed", "2", "--runs", tmp_path)
+    done = command("run", "--cell", cell, "--speed", "2", "--runs", tmp_path)
     assert done.returncode == 2
     assert "is real" in done.stderr
 
@@ -154,7 +154,7 @@ def test_speed_is_for_simulated_cells(tmp_path: Path) -> None:
     ],
 )
 def test_numbers_on_the_command_line(words: list[str], part: str) -> None:
-    done = hilcell("run", *words)
+    done = command("run", *words)
     assert done.returncode == 2
     assert part in done.stderr
     assert "Traceback" not in done.stderr
@@ -167,7 +167,7 @@ def test_check_tells_all_drivers_problems_and_an_unknown_simulator() -> None:
         "robot.options.prot": "1",
         "tracker.driver": "leika",
     }
-    done = hilcell("check", "paper", *sets(values))
+    done = command("check", "paper", *sets(values))
     assert done.returncode == 2
     for part in ("4 problems", "'papper' is not installed", "bitrate", "prot: unknown", "'leika'"):
         assert part in done.stderr
@@ -175,7 +175,7 @@ def test_check_tells_all_drivers_problems_and_an_unknown_simulator() -> None:
 
 @pytest.mark.parametrize("folder", ["/etc/passwd", "/proc/x", "x" * 300])
 def test_a_runs_folder_that_cannot_be_used(folder: str) -> None:
-    done = hilcell("run", "--runs", folder)
+    done = command("run", "--runs", folder)
     assert done.returncode == 7
     assert done.stderr.startswith(f"hilcell: runs folder {folder} cannot be used: ")
     assert len(done.stderr.splitlines()) == 1
@@ -183,7 +183,7 @@ def test_a_runs_folder_that_cannot_be_used(folder: str) -> None:
 
 @pytest.mark.parametrize(("address", "code"), [("127.0.0.1:1", 3), (":::", 2), ("x", 2)])
 def test_a_simulated_cell_that_is_not_there(tmp_path: Path, address: str, code: int) -> None:
-    done = hilcell("run", "--runs", tmp_path, "--set", f"simulation.address={address}")
+    done = command("run", "--runs", tmp_path, "--set", f"simulation.address={address}")
     assert done.returncode == code, done.stderr
     assert address in done.stderr
     assert "Traceback" not in done.stderr
@@ -191,7 +191,7 @@ def test_a_simulated_cell_that_is_not_there(tmp_path: Path, address: str, code: 
 
 @pytest.mark.parametrize("words", [["dance"], ["run", "--speed", "0"], ["run", "--set", "x"], []])
 def test_words_nobody_knows(words: list[str]) -> None:
-    done = hilcell(*words)
+    done = command(*words)
     assert done.returncode == 2
     assert "usage" in done.stderr
 

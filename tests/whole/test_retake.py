@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from hilcell.run.control import send_command
-from tests.whole.bench import SMALL, Engine, end_of, events, hilcell, sets
+from tests.whole.bench import SMALL, Engine, command, end_of, events, hilcell, sets
 from tests.whole.trace import judge
 
 KEY = "validate/S300/chosen/001"
@@ -41,9 +41,9 @@ def test_a_finished_run_is_reopened_measured_and_judged_anew(
     first = before["result"]["validation"]["S300"]["chosen"]["mean"]
     assert end["result"]["validation"]["S300"]["chosen"]["mean"] != first
     assert end["result"]["validation"]["S1100"] == before["result"]["validation"]["S1100"]
-    journal = events(hilcell("watch", "mine", "--runs", runs, "--json").stdout)
+    journal = events(command("watch", "mine", "--runs", runs, "--json").stdout)
     assert judge(journal) == []
-    again = hilcell("resume", "mine", "--runs", runs)
+    again = command("resume", "mine", "--runs", runs)
     assert again.returncode == 2
     assert "is finished" in again.stderr
 
@@ -56,10 +56,10 @@ def test_what_may_not_be_retaken_is_refused_before_anything_moves(
     finished: tuple[Path, dict[str, Any]], key: str, part: str
 ) -> None:
     runs, _ = finished
-    done = hilcell("resume", "mine", "--runs", runs, "--retake", key, "--retake", KEY)
+    done = command("resume", "mine", "--runs", runs, "--retake", key, "--retake", KEY)
     assert done.returncode == 2
     assert part in done.stderr
-    journal = events(hilcell("watch", "mine", "--runs", runs, "--json").stdout)
+    journal = events(command("watch", "mine", "--runs", runs, "--json").stdout)
     assert journal[-1]["kind"] == "end"
 
 
@@ -81,7 +81,7 @@ def test_a_live_run_measures_a_vertex_anew(tmp_path: Path) -> None:
 
 def test_a_name_is_used_once(finished: tuple[Path, dict[str, Any]]) -> None:
     runs, _ = finished
-    done = hilcell("run", "--name", "mine", "--runs", runs, "--json")
+    done = command("run", "--name", "mine", "--runs", runs, "--json")
     assert done.returncode == 2
     assert "run mine exists already" in done.stderr
 
@@ -96,7 +96,7 @@ def test_a_folder_without_a_journal_is_taken(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["", "../x", "a/b", ".hidden", "last", "x" * 101, "a\nb", "ä"])
 def test_a_name_that_is_no_folder_is_refused(tmp_path: Path, name: str) -> None:
-    done = hilcell("run", "--name", name, "--runs", tmp_path)
+    done = command("run", "--name", name, "--runs", tmp_path)
     assert done.returncode == 2
     assert "1 to 100 letters, digits" in done.stderr
     assert not list(tmp_path.iterdir())

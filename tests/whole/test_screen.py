@@ -15,21 +15,25 @@ from hilcell.run.control import live_engine, send_command
 from hilcell.run.journal import read_journal
 from hilcell.run.log import Log
 from hilcell.runs import JOURNAL, read_log, run_folders
-from tests.whole.bench import LIMIT_S, SMALL, hilcell, sets, simulation, wait_gone
+from tests.whole.bench import LIMIT_S, SMALL, command, hilcell, sets, simulation, sweep, wait_gone
 from tests.whole.terminal import Terminal
 from tests.whole.trace import judge
 
 ESC = "\x1b"
 ENTER = "\r"
 PACED = "100"
-UNHURRIED = "\x1b[Z\x1b[C\x1b[C\x1b[B"  # shift-tab to the speed, to 10, and back down
+UNHURRIED = "\x1b[Z\x1b[C\x1b[B"  # shift-tab to the speed, to 100, and back down
 SOON_S = 5.0
 
 
 @contextmanager
-def screen(runs: Path, *words: str) -> Iterator[Terminal]:
-    """Show the screen; an engine that outlives it is stopped."""
-    with Terminal(["tui", "--runs", str(runs), *sets(SMALL), *words]) as terminal:
+def screen(runs: Path, *words: str, long: bool = False) -> Iterator[Terminal]:
+    """Show the screen; an engine that outlives it is stopped.
+
+    ``long``: a whole calibration, which at the speed of 100 ends half a minute after any test.
+    """
+    size = [] if long else sets(SMALL)
+    with Terminal(["tui", "--runs", str(runs), *size, *words]) as terminal:
         try:
             yield terminal
         finally:
@@ -138,9 +142,9 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
         assert judged(folder_of(tmp_path)) == []
 
 
-@pytest.mark.parametrize("keys", ["", "l", "a", "h/", "\x10"])  # every page: test_terminal
+@pytest.mark.parametrize("keys", ["h/", "\x10", *sweep("", "l", "a")])  # each page: test_terminal
 def test_esc_stops_from_wherever_one_is(tmp_path: Path, keys: str) -> None:
-    with screen(tmp_path) as terminal:
+    with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("■ RUNNING", LIMIT_S)
         for key in keys:
@@ -153,9 +157,9 @@ def test_esc_stops_from_wherever_one_is(tmp_path: Path, keys: str) -> None:
         terminal.shows("ABORTED")
 
 
-@pytest.mark.parametrize("wait_s", [0.0, 0.2, 0.5, 0.8, 1.1])
+@pytest.mark.parametrize("wait_s", [0.0, 0.5, *sweep(0.2, 0.8, 1.1)])
 def test_esc_right_after_the_start_is_heard(tmp_path: Path, wait_s: float) -> None:
-    with screen(tmp_path) as terminal:
+    with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("CHECKING")
         terminal.pump_for(wait_s)
@@ -166,7 +170,7 @@ def test_esc_right_after_the_start_is_heard(tmp_path: Path, wait_s: float) -> No
 
 
 def test_esc_right_after_a_resume_is_heard(tmp_path: Path) -> None:
-    with screen(tmp_path) as terminal:
+    with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("■ RUNNING", LIMIT_S)
         terminal.press(ESC)
@@ -201,14 +205,14 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
                 third.shows("■ RUNNING")
                 third.answer("d")
                 assert third.ends() == 0
-            wait_for(lambda: read_log(folder).end is not None, "detached, it goes on to its end")
-            assert read_log(folder).states["run"] == "finished"
+            left = len(read_log(folder).points)
+            wait_for(lambda: len(read_log(folder).points) >= left + 3, "detached, it goes on")
 
 
 def test_a_screen_killed_while_it_shows_another_run_pauses_the_live_one(tmp_path: Path) -> None:
     words = ("run", "home", "--unattended", "--runs", str(tmp_path), "--name", "20200101-home")
     assert hilcell(*words).returncode == 0
-    with screen(tmp_path) as terminal:
+    with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("■ RUNNING", LIMIT_S)
         terminal.press("h")
@@ -223,7 +227,7 @@ def test_a_screen_killed_while_it_shows_another_run_pauses_the_live_one(tmp_path
 
 
 def test_a_screen_that_dies_before_its_engine_speaks_leaves_nothing_moving(tmp_path: Path) -> None:
-    with screen(tmp_path) as terminal:
+    with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("CHECKING")
         terminal.process.kill()
@@ -234,7 +238,7 @@ def test_a_screen_that_dies_before_its_engine_speaks_leaves_nothing_moving(tmp_p
 
 
 def test_an_engine_that_stands_still_is_silent_and_not_gone(tmp_path: Path) -> None:
-    with screen(tmp_path) as terminal:
+    with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("■ RUNNING", LIMIT_S)
         folder = folder_of(tmp_path)
@@ -246,10 +250,10 @@ def test_an_engine_that_stands_still_is_silent_and_not_gone(tmp_path: Path) -> N
             terminal.shows("use the E-stop")
             terminal.press("a")
             terminal.shows("abort: the engine does not answer")
-            asked = hilcell("stop", "last", "--runs", tmp_path)
+            asked = command("stop", "last", "--runs", tmp_path)
             assert asked.returncode == 2
             assert f"process {engine.pid}, has not answered" in asked.stderr
-            assert "gone" not in hilcell("runs", "--runs", tmp_path).stdout
+            assert "gone" not in command("runs", "--runs", tmp_path).stdout
             terminal.press(ESC)
             terminal.shows("STOP sent, but it does not answer: use the E-stop")
         finally:
@@ -261,7 +265,7 @@ def test_an_engine_that_stands_still_is_silent_and_not_gone(tmp_path: Path) -> N
 
 
 def test_the_screen_that_started_a_run_is_left_at_once_and_the_run_goes_on(tmp_path: Path) -> None:
-    with screen(tmp_path) as terminal:
+    with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("■ RUNNING", LIMIT_S)
         terminal.press("d")

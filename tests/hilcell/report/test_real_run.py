@@ -17,7 +17,7 @@ from hilcell.cli import main
 from hilcell.runs import JOURNAL
 from tests.hilcell.report.browser import browse
 from tests.hilcell.report.pages import Page
-from tests.whole.bench import HILCELL, SMALL, end_of, hilcell, sets
+from tests.whole.bench import HILCELL, SMALL, command, end_of, hilcell, sets
 
 RUST, BLUE = (194, 106, 46), (18, 80, 123)  # the figures' colours before and after
 
@@ -35,7 +35,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str
 def page(calibrated: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return its report."""
     path = tmp_path_factory.mktemp("page") / "report.html"
-    done = hilcell("report", calibrated[0], "-o", path)
+    done = command("report", calibrated[0], "-o", path)
     assert done.returncode == 0, done.stderr
     assert str(path) in done.stderr
     assert done.stdout == ""
