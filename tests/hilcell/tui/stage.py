@@ -7,10 +7,15 @@ from contextlib import suppress
 from datetime import datetime
 from itertools import count
 from pathlib import Path
+from typing import Any
 
+import pytest
+from textual._compositor import Compositor
+from textual._context import visible_screen_stack
 from textual.app import App
 from textual.events import Key
 from textual.pilot import Pilot
+from textual.screen import Screen
 from textual.worker import WorkerCancelled
 
 from hilcell.tui.acts import Acts, Host
@@ -99,6 +104,20 @@ def options(
     """Return how the stage is set."""
     glyphs = ASCII if ascii_only else UNICODE
     return Options(runs=folder, keymap=keymap or DEFAULT_KEYS, glyphs=glyphs, theme=theme)
+
+
+@pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Paint only what is looked at, by `text_of`: no terminal takes the updates in between.
+
+    Not for tests of keys, where a screen that cannot be painted must break by itself.
+    """
+
+    def render_update(self: Compositor, *, screen_stack: list[Screen[Any]] | None = None) -> None:
+        visible_screen_stack.set(screen_stack or [])
+        self._dirty_regions.clear()
+
+    monkeypatch.setattr(Compositor, "render_update", render_update)
 
 
 async def settle(pilot: Pilot[int]) -> None:

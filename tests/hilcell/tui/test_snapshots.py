@@ -11,10 +11,10 @@ from textual.pilot import Pilot
 
 from tests.hilcell.tui.scenes import stories
 from tests.hilcell.tui.snapshots import FOLDER, differences
-from tests.hilcell.tui.stage import SIZE, Stage, options, settle, text_of
+from tests.hilcell.tui.stage import SIZE, Stage, options, settle, text_of, unpainted
 from tests.hilcell.tui.walk import form_of, outside, screens_of
 
-__all__ = ["outside"]
+__all__ = ["outside", "unpainted"]
 
 STATES = tuple(stories())
 RUNS = Path("/runs")  # no folder of this machine: nothing is read there
@@ -22,7 +22,7 @@ LEAST = 100
 THOROUGH = ("suspended", "intolerant")  # every screen also where it is crowded
 WIDE, LOW, TINY = (160, 40), (60, 15), (20, 5)
 
-pytestmark = pytest.mark.usefixtures("outside")
+pytestmark = pytest.mark.usefixtures("outside", "unpainted")
 Walk = Callable[[Stage, Pilot[int]], Awaitable[dict[str, str]]]
 
 
