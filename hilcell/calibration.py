@@ -16,7 +16,7 @@ from hilcell.cell import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.interpolation import METHODS
-from hilcell.compensation.outliers import deleted_residuals_mm
+from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.compensation.transfer import base_at
 from hilcell.geometry.frames import apply, inverse
@@ -24,10 +24,6 @@ from hilcell.ports import Array
 
 if TYPE_CHECKING:
     from hilcell.run.log import Log
-
-
-OUTLIER_SIGMAS = 4.0
-OUTLIER_LEAST_MM = 0.3  # gear ripple alone does not reach it
 
 
 class Frames:
@@ -120,16 +116,13 @@ def command_mm(
 
 
 def outlying_vertices(log: Log) -> list[str]:
-    """Return the keys of vertices whose error does not go with those around them."""
+    """Return the keys of vertices whose error stands out from their neighbours'.
+
+    By less than the standard deviation that a reading may have none does.
+    """
     cell = log.cell
-    errors_mm = grid_errors_mm(log)
-    off_mm = deleted_residuals_mm(errors_mm)
-    limit_mm = max(OUTLIER_SIGMAS * 1.4826 * float(np.median(off_mm)), OUTLIER_LEAST_MM)
-    return [
-        f"grid/{i}-{j}-{k}"
-        for i, j, k in grid_of(cell).serpentine()
-        if not off_mm[i, j, k] <= limit_mm
-    ]
+    found = outlying(grid_errors_mm(log), least_mm=cell.tracker.max_std_mm)
+    return [f"grid/{i}-{j}-{k}" for i, j, k in grid_of(cell).serpentine() if found[i, j, k]]
 
 
 def grid_pairs(log: Log) -> Pairs:
