@@ -9,13 +9,13 @@ import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.rail_setup import Expected, identify
-from drivers.robot_kuka_c3 import KukaC3Robot
 from drivers.sdo import Aborted, SdoChannel
 from drivers.tracker_leica_emscon import LeicaEmsconTracker
 from hilcell.ports import Identity, says_simulated
 from tests.drivers.emscon_peer import EmsconPeer, failure, reply
 from tests.drivers.kuka_peer import KukaPeer
 from tests.drivers.peers import wall_clock
+from tests.drivers.test_robot_kuka_c3 import robot_for
 
 
 @pytest.mark.parametrize("name", ["simulated", "SIMULATED KR210", "drive (Simulated)"])
@@ -69,10 +69,7 @@ def test_a_tracker_need_not_have_a_name(tracker: EmsconPeer) -> None:
 )
 def test_a_robot_tells_by_its_model(model: str, simulated: bool) -> None:
     with KukaPeer(**{"$TRAFONAME[]": f'"{model}"'}) as peer:
-        options = KukaC3Robot.Options(
-            host="127.0.0.1", port=peer.server.port, smr_mm=(98.0, 0.0, 127.0)
-        )
-        robot = KukaC3Robot(options, wall_clock())
+        robot = robot_for(peer)
         (identity,) = robot.connect()
         robot.close()
     assert (identity.model, identity.simulated) == (model, simulated)
