@@ -3,7 +3,7 @@
 canopen's BaseNode402 is not used: it drops the drive to "no mode" by its empty RPDO buffer,
 re-enables it behind a fault reset, and takes bits left by the last motion for this one's.
 The trap of time: a simulated cell may run faster than any clock. So a motion's planned duration is
-counted on the cell's clock, and the wire's own deadline must have passed as well.
+counted on the cell's clock (`drivers.motion_limits`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from drivers import cia402, cia406, emcy
 from drivers.cia402 import State
+from drivers.motion_limits import MotionLimits
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.sdo import SdoChannel
 from drivers.standstill import READINGS, Rest, Standstill, Windows
@@ -22,8 +25,8 @@ from hilcell.ports import Clock, DeviceError
 
 POLL_S = 0.02
 STALL_S = 3.0  # wire deadline: neither the wanted state nor progress
-PLANNED_TIMES, EXTRA_S = 2.0, 10.0  # cell time that a motion may take: planned, times and plus
 OVERSPEED = 1.2
+FULL_SPEED = 100.0  # percent: the drive has no override
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,22 +243,14 @@ class Drive:
 
         Progress alone does not go on for ever: ``planned_s`` of the cell bounds it.
         """
-        position: int | None = None
-        allowed_s = PLANNED_TIMES * planned_s + EXTRA_S
-        began_s = changed_s = time.monotonic()
-        end_s = math.inf
+        limits = MotionLimits(planned_s, STALL_S, self._limits.window)
         while True:
             now = self.poll(operation)
             if moving:
                 self._check_motion(operation, now)
             if done(now):
                 return now
-            wire_s = time.monotonic()
-            if position is None:
-                position, end_s = now.position, self._now_s + allowed_s
-            elif abs(now.position - position) > self._limits.window:
-                position, changed_s = now.position, wire_s
-            elif wire_s - changed_s > STALL_S:
+            if limits.stalled(np.array([now.position], dtype=float)):
                 raise DeviceError(
                     DEVICE,
                     operation,
@@ -263,12 +258,12 @@ class Drive:
                     wanted=wanted,
                     act="check the slide for an obstacle and the drive, then resume",
                 )
-            if not self._now_s <= end_s and wire_s - began_s > STALL_S:
+            if limits.overdue(self._now_s, FULL_SPEED):
                 raise DeviceError(
                     DEVICE,
                     operation,
-                    f"not done after {allowed_s:.0f} s at {self._seen(now)}",
-                    wanted=wanted,
+                    f"not done after {limits.spent_s:.0f} s at {self._seen(now)}",
+                    wanted=f"{wanted} within {limits.limit_s:.0f} s",
                     act="check whether the slide creeps, and the drive's speeds, then resume",
                 )
             self._clock.wait(POLL_S)

@@ -3,6 +3,8 @@
 The trap: a fixed deadline ends a slow motion that is well, and none at all lets an arm creep for
 ever. So the time that a motion may take follows from its plan, in the cell's time, and it passes
 only as fast as the override lets the motion go: an override that is lowered on the way is no fault.
+A simulated cell may run faster than any clock, so a motion is overdue only after the real time of a
+stall as well: that is no pause of a busy PC.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ class MotionLimits:
         self.spent_s = 0.0
         self._stall_s, self._progress = stall_s, progress
         self._patience = Patience(stall_s, LOOK_S)
+        self._at_least = Patience(stall_s, LOOK_S)
         self._position: Array | None = None
         self._now_s: float | None = None
         self._share = 1.0
@@ -49,7 +52,8 @@ class MotionLimits:
         if self._now_s is not None:
             self.spent_s += (now_s - self._now_s) * min(share, self._share)
         self._now_s, self._share = now_s, share
-        return not self.spent_s <= self.limit_s
+        real = self._at_least.over()
+        return real and not self.spent_s <= self.limit_s
 
 
 def planned_s(distance_deg: Array, speed_deg_s: Array, speed_percent: float) -> float:

@@ -24,6 +24,7 @@ from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.rail_setup import Expected
 from drivers.sdo import SdoChannel
 from drivers.standstill import READINGS, Standstill, Windows
+from drivers.supervision import Patience
 from hilcell.ports import Clock, DeviceError, Identity, RailReading
 
 SETTLE_S = 10.0  # wire deadline
@@ -127,12 +128,13 @@ class CanopenRail:
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
         options, drive = self._options, self._used()
-        deadline_s = time.monotonic() + SETTLE_S
+        patience = Patience(SETTLE_S)
         while True:
+            over = patience.over()
             now = drive.poll("settle")
             if drive.rest is not None:
                 return self._reading(now)
-            if time.monotonic() > deadline_s:
+            if over:
                 raise DeviceError(
                     DEVICE,
                     "settle",
@@ -300,7 +302,7 @@ class CanopenRail:
         link.check()
         windows = self._limits().windows
         standstill = Standstill(windows)
-        began_s = time.monotonic()
+        began_s, patience = time.monotonic(), Patience(RELEASE_S)
         while (now := image.refresh(_go_on)).powered:
             passed_s = time.monotonic() - began_s
             standstill.take(now, passed_s)
@@ -310,7 +312,7 @@ class CanopenRail:
                 pass  # it brakes
             elif not abs(now.velocity) <= windows.speed or passed_s > 2 * windows.dwell_s:
                 image.quick_stop()
-            if passed_s > RELEASE_S:
+            if patience.over():
                 raise DeviceError(
                     DEVICE,
                     "close",

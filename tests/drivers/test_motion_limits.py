@@ -9,8 +9,8 @@ from drivers import supervision
 from drivers.motion_limits import MARGIN_S, PLANNED_TIMES, MotionLimits, planned_s
 
 
-def limits(planned: float = 2.0) -> MotionLimits:
-    return MotionLimits(planned, stall_s=5.0, progress=0.01)
+def limits(planned: float = 2.0, stall_s: float = 0.0) -> MotionLimits:
+    return MotionLimits(planned, stall_s=stall_s, progress=0.01)
 
 
 def test_the_slowest_axis_sets_the_plan() -> None:
@@ -41,10 +41,16 @@ def test_a_time_that_is_no_number_is_overdue(planned: float) -> None:
     assert motion.overdue(np.nan if planned == 2.0 else 1.0, 100)
 
 
+def test_a_pause_of_the_pc_is_no_long_motion_in_a_fast_cell() -> None:
+    motion = limits(stall_s=5.0)
+    assert not motion.overdue(0.0, 100)
+    assert not motion.overdue(1000.0, 100)
+
+
 def test_flicker_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = iter(np.arange(0.0, 100.0, 0.5))
     monkeypatch.setattr(supervision, "time", SimpleNamespace(monotonic=lambda: next(now_s)))
-    motion = limits()
+    motion = limits(stall_s=5.0)
     at = np.array([10.0, 20.0])
     looks = [motion.stalled(at + 1e-4 * (-1.0) ** look) for look in range(12)]
     assert looks == [False] * 10 + [True] * 2

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers import drive, rail_canopen
+from drivers import drive, motion_limits, rail_canopen
 from drivers.rail_canopen import CanopenRail
 from hilcell.cell import load_cell
 from hilcell.ports import DeviceError
@@ -163,7 +163,7 @@ def test_a_drive_that_is_home_within_one_poll_is_believed(peer: CanPeer, stale: 
 def test_a_drive_that_creeps_on_for_ever_ends(
     peer: CanPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(drive, "EXTRA_S", 0.2)
+    monkeypatch.setattr(motion_limits, "MARGIN_S", 0.2)
     rail = rail_for(peer)
     rail.connect()
 
@@ -172,7 +172,9 @@ def test_a_drive_that_creeps_on_for_ever_ends(
         peer.axis.position += 100 if peer.axis.steps else 0
 
     peer.on_sync = crawl
-    with pytest.raises(DeviceError, match=r"not done after 0 s at 5\d\d\.\d+ mm.*wanted target"):
+    with pytest.raises(
+        DeviceError, match=r"not done after 0 s at 5\d\d\.\d+ mm.*wanted target .* within 0 s"
+    ):
         rail.move_to(500.01)
     assert peer.quick_stopped.wait(5)
     peer.on_sync = lambda: None
