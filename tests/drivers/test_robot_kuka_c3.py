@@ -127,6 +127,7 @@ def creeping(peer: KukaPeer, monkeypatch: pytest.MonkeyPatch, override: str) -> 
     robot = robot_for(peer)
     robot.connect()
     monkeypatch.setattr(peer, "_read", read)
+    monkeypatch.setattr(robot_kuka_c3, "STALL_S", 0.0)
     monkeypatch.setattr(robot._clock, "now_s", lambda: float(next(now_s)))
     return robot
 
