@@ -12,7 +12,7 @@ from procedures.base_frame import BaseFrame
 from procedures.fit import Fit
 from procedures.frame_repeatability import FrameRepeatability
 from procedures.home import Home
-from procedures.paper_rows import ROWS
+from procedures.paper_rows import ROWS, verdict
 from procedures.rail_survey import RailSurvey
 from procedures.repeatability import Repeatability
 from procedures.robot_grid import RobotGrid
@@ -70,7 +70,7 @@ def paper_table(result: dict[str, Any]) -> Table:
             f"{row['here']:.4g}",
             row["unit"],
             row["criterion"],
-            "holds" if row["holds"] else "does not hold",
+            verdict(row),
         ]
         for row in result["rows"]
     ]

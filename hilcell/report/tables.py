@@ -183,16 +183,18 @@ def paper_rows(facts: Facts) -> Sheet | None:
     rows = [
         [
             row["row"],
+            row["fails"],
             _figure(row["paper"]),
             _figure(row["here"]),
             row["unit"],
             row["criterion"],
-            "holds" if row["holds"] else "does not hold",
+            "set" if row["set"] else "holds" if row["holds"] else "does not hold",
         ]
         for row in found
     ]
-    headers = ["figure of the paper", "paper", "here", "unit", "holds if", "verdict"]
-    return Sheet("The paper, row by row", headers, rows)
+    headers = ["figure of the paper", "fails when", "paper", "here", "unit", "holds if", "verdict"]
+    note = "Set: brought about by the cell file or the simulated machine, so that it cannot fail."
+    return Sheet("The paper, row by row", headers, rows, 2, note)
 
 
 def own_table(facts: Facts) -> Sheet | None:

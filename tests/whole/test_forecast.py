@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from tests.whole.bench import SMALL, end_of, events, hilcell, sets
-
-SHORT = SMALL | {"survey.to_mm": "600.0", "survey.step_mm": "200.0", "survey.repeats": "6"}
+from tests.whole.conftest import PaperRun
 
 
 @pytest.mark.timeout(240)
-def test_every_step_measures_what_its_spans_say(tmp_path: Path) -> None:
-    words = ("run", "paper", "--json", "--unattended", "--runs", tmp_path)
-    done = hilcell(*words, *sets(SHORT), limit_s=170)
-    assert end_of(done)["state"] == "finished", done.stderr
-    told = events(done.stdout)
-    steps = next(event for event in told if event["kind"] == "plan")["steps"]
+def test_every_step_measures_what_its_spans_say(paper: PaperRun) -> None:
+    assert paper.end["state"] == "finished", paper.errors
+    steps = next(event for event in paper.events if event["kind"] == "plan")["steps"]
     planned = {
         step["name"]: sum(s["measured"] for s in step["spans"]) if step["spans"] else step["points"]
         for step in steps
     }
     measured = dict.fromkeys(planned, 0)
     name = ""
-    for event in told:
+    for event in paper.events:
         if event["kind"] == "event" and event["what"] == "step":
             name = event["name"]
         elif event["kind"] == "point" and not event.get("retaken"):

@@ -219,13 +219,19 @@ def test_rows_of_the_paper(tmp_path: Path) -> None:
         "here": 0.1234,
         "unit": "mm",
         "holds": True,
-        "criterion": "0.09 .. 0.15",
+        "set": False,
+        "criterion": "<= 0.205",
+        "fails": "the correction is not sent",
     }
+    given = row | {"row": "fig11.cells", "set": True, "criterion": "cell file", "fails": ""}
     facts = Writer(tmp_path / "r1").began().facts()
-    page = page_of(replace(facts, result={"rows": [row], "points": {}}))
+    page = page_of(replace(facts, result={"rows": [row, given], "points": {}}))
     cells = page.of("td")
     at = cells.index("fig12.after.mean")
-    assert cells[at + 1 : at + 6] == ["0.1168", "0.1234", "mm", "0.09 .. 0.15", "holds"]
+    shown = ["the correction is not sent", "0.1168", "0.1234", "mm", "<= 0.205", "holds"]
+    assert cells[at + 1 : at + 7] == shown
+    at = cells.index("fig11.cells")
+    assert cells[at + 4 : at + 6] == ["cell file", "set"]
 
 
 def test_compact_keeps_words_and_links() -> None:

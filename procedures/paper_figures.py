@@ -1,0 +1,155 @@
+"""Our figures of the paper's rows, each found from the journal of the run alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration import Frames, grid_errors_mm, grid_of, grid_pairs
+from hilcell.geometry.circles import base_frame_covariance
+from hilcell.geometry.frames import apply, cross_matrix, inverse
+from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
+from hilcell.geometry.kinematics import forward
+from hilcell.ports import Array
+from hilcell.run.log import Log, Point, positions_mm
+from procedures.base_frame import axis_6_height_mm, circle_of
+from procedures.plan import other_stations
+
+Result = dict[str, Any]
+Figure = Callable[[Log, Result], float]
+
+
+def at(*keys: str) -> Figure:
+    """Return where a figure stands in the result."""
+
+    def here(log: Log, result: Result) -> float:
+        found: Any = result
+        for key in keys:
+            found = found[key]
+        return float(found)
+
+    return here
+
+
+def validation(where: str, *keys: str) -> Figure:
+    """Return where a figure of the validation stands; ``where`` is "reference" or "others"."""
+
+    def here(log: Log, result: Result) -> float:
+        place = log.cell.grid.station if where == "reference" else where
+        return at("validation", place, *keys)(log, result)
+
+    return here
+
+
+def reduction(where: str) -> Figure:
+    """Return by which share the paper's method lowers the mean error (abstract)."""
+    before, after = validation(where, "before", "mean"), validation(where, "idw", "mean")
+    return lambda log, result: 1.0 - after(log, result) / before(log, result)
+
+
+def cells(log: Log, result: Result) -> float:
+    """Return how many cells the grid has."""
+    return float(np.prod(np.array(grid_of(log.cell).shape) - 1))
+
+
+def lowest_temperature(log: Log, result: Result) -> float:
+    """Return the lowest temperature of all points."""
+    return min(point.temperature_c for point in log.points.values())
+
+
+def highest_temperature(log: Log, result: Result) -> float:
+    """Return the highest temperature of all points."""
+    return max(point.temperature_c for point in log.points.values())
+
+
+def jacobian_error(log: Log, result: Result) -> float:
+    """Return how far eqs 1-7 are from central differences at the grid's vertices, relative."""
+    arm = log.cell.robot.arm()
+    joints_rad = commanded_rad(log.group("grid"))
+    analytic = parameter_jacobian(arm, joints_rad)[:, :3, :]
+    worst = 0.0
+    for column, parameter in enumerate(PARAMETERS):
+        step = 1e-2 if "_mm" in parameter else 1e-5
+        ends = [
+            forward(moved(arm, column, sign * step), joints_rad)[:, :3, 3] for sign in (1.0, -1.0)
+        ]
+        numeric = (ends[0] - ends[1]) / (2 * step)
+        scale = max(float(np.abs(numeric).max()), 1.0)
+        worst = max(worst, float(np.abs(analytic[:, :, column] - numeric).max()) / scale)
+    return worst
+
+
+def commanded_rad(points: list[Point]) -> Array:
+    """Return the commanded joints (N, 6)."""
+    joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
+    return np.radians(joints_deg)
+
+
+def similarity_rank(log: Log, result: Result) -> float:
+    """Return the rank correlation of joint distance and error difference over the vertices."""
+    from scipy import stats
+
+    pairs = grid_pairs(log)
+    return float(stats.spearmanr(pairs.joint_rad, pairs.difference_mm).statistic)
+
+
+def interpolation_off_mm(log: Log, result: Result) -> float:
+    """Return how far the commands sent are from eqs 9-10 as they stand in the paper (mm).
+
+    P_cmd = P - e(P_cmd), where e is worked out here from the 8 vertices within a pitch of P_cmd.
+    """
+    grid, points = grid_of(log.cell), log.group("validate_idw", log.cell.grid.station)
+    nominal_mm = np.array([point.nominal_mm for point in points])
+    wanted_mm = apply(inverse(log.matrix("base")), nominal_mm)
+    sent_mm = forward(log.cell.robot.arm(), commanded_rad(points))[:, :3, 3]
+    vertices_mm = grid.vertices_mm().reshape(-1, 3)
+    errors_mm = grid_errors_mm(log).reshape(-1, 3)
+    off_mm = []
+    for sent, wanted in zip(grid.clamped(sent_mm), wanted_mm - sent_mm, strict=True):
+        corners = (np.abs(vertices_mm - sent) <= grid.pitch_mm).all(axis=1)
+        weights = 1.0 / np.linalg.norm(vertices_mm[corners] - sent, axis=1)
+        off_mm.append(np.linalg.norm(wanted - weights / weights.sum() @ errors_mm[corners]))
+    return float(np.max(off_mm))
+
+
+def transfer(log: Log, result: Result) -> tuple[float, float]:
+    """Return eq 13 by base frames against eq 17 by station frames, and its u, at the cube (mm).
+
+    At the station where the 3-D difference is the largest for its u (1 sigma, root of the trace).
+    """
+    frames, centre_mm = Frames(log.cell, log), log.cell.grid.centre.matrix()[:3, 3]
+    reference_mm2 = _point_variance_mm2(
+        log.matrix("base"), np.array(log.frames["base"]["covariance"]), centre_mm
+    )
+    found = []
+    for station in other_stations(log.cell):
+        by_bases, by_slide = log.matrix(f"base.{station.name}"), frames.base_in_world(station)
+        off_mm = apply(by_bases, centre_mm[None]) - apply(by_slide, centre_mm[None])
+        axis_1, axis_6 = (
+            circle_of(log.cell, log, axis, log.group(f"frames_axis{axis}", station.name))
+            for axis in (1, 6)
+        )
+        covariance = base_frame_covariance(axis_1, axis_6, axis_6_height_mm(log.cell))
+        u_mm = np.sqrt(
+            reference_mm2
+            + _point_variance_mm2(by_bases, covariance, centre_mm)
+            + result["stations"][station.name]["tool_uncertainty_mm"] ** 2
+        )
+        found.append((float(np.linalg.norm(off_mm)), float(u_mm)))
+    return max(found, key=lambda each: each[0] / each[1])
+
+
+def _point_variance_mm2(T: Array, covariance: Array, point_mm: Array) -> float:
+    """Return the variance (trace) of a point (3,) that a frame with this covariance carries."""
+    J = np.hstack([np.eye(3), -cross_matrix(T[:3, :3] @ point_mm)])
+    return float(np.trace(J @ covariance @ J.T))
+
+
+def nests_moved_mm(log: Log, result: Result) -> float:
+    """Return how far fixed floor nests were found from their first places: 3-D, rms."""
+    again = log.group("control")
+    first = [log.points[f"world/{point.key.split('/')[-1]}"] for point in again]
+    moved_mm = positions_mm(again) - positions_mm(first)
+    return float(np.sqrt(np.mean(np.sum(moved_mm**2, axis=1))))

@@ -1,0 +1,201 @@
+"""The limits by which the paper's rows hold, worked out from what the run itself states.
+
+A limit that a correct run of another machine may cross by chance, or that no mistake crosses, is
+no limit: so each is the paper's own figure, or follows from stated uncertainties or counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hilcell.calibration import grid_pairs
+from hilcell.geometry.frames import apply, inverse, rigid_fit, three_point_frame
+from hilcell.run.log import Log
+from procedures.paper_figures import Result, transfer, validation
+from procedures.paper_stations import stations_needed
+from procedures.plan import other_stations
+from procedures.rail_survey import BACK, FORTH
+from procedures.repeatability import VISITS, clouds_mm
+from procedures.station_frames import (
+    slide_in_world_mm,
+    slide_noise_mm2,
+    station_fit,
+    tool_uncertainty_mm,
+)
+from procedures.validate import errors_mm
+
+Limits = tuple[float, float]
+Limit = Callable[[Log, Result], Limits]
+INFINITE = float("inf")
+K = 2.0  # coverage factor, about 95 % (GUM 6.3.3)
+SURE = 0.999  # a correct run crosses a statistical limit once in a thousand
+PERMUTATIONS = 999
+PAPER_REFERENCE_MM, PAPER_OTHERS_MM = 0.1168, 0.16  # mean errors after, section 5
+PAPER_RATIO, PAPER_LARGEST_MM = 4.0, 0.3
+FLOOR_SHARE = 0.8  # the floor is a mean of 30 distances and scatters by 8 %
+
+
+def at_most(limit: float) -> Limit:
+    """Return the limits of a row that holds up to ``limit``."""
+    return lambda log, result: (-INFINITE, limit)
+
+
+def between(low: float, high: float) -> Limit:
+    """Return the limits of a row that holds from ``low`` to ``high``."""
+    return lambda log, result: (low, high)
+
+
+def by_every_set(log: Log, result: Result) -> Limits:
+    """Return the fewest stations, found by trying every set of them."""
+    fewest = stations_needed(log.cell)
+    return fewest, fewest
+
+
+def beyond_chance(log: Log, result: Result) -> Limits:
+    """Return the rank correlation of which errors dealt to other vertices stay below.
+
+    Mantel's test: pairs of vertices are not independent, so whole vertices are exchanged.
+    """
+    from scipy import stats
+    from scipy.spatial.distance import squareform
+
+    pairs = grid_pairs(log)
+    of_joints, of_errors = (
+        squareform(stats.rankdata(each) - (len(each) + 1) / 2)
+        for each in (pairs.joint_rad, pairs.difference_mm)
+    )
+    scale = np.linalg.norm(of_joints) * np.linalg.norm(of_errors)
+    rng = np.random.default_rng(8)
+    dealt = (rng.permutation(len(of_errors)) for _ in range(PERMUTATIONS))
+    by_chance = [float(np.sum(of_joints * of_errors[np.ix_(p, p)])) / scale for p in dealt]
+    return float(np.quantile(by_chance, SURE)), INFINITE
+
+
+def plain_range(log: Log, result: Result) -> Limits:
+    """Return the range of approaches from both sides: the survey's backlash and two landings.
+
+    The backlash at the station may differ from the survey's mean as that does from stop to stop.
+    """
+    backlash = result["rail_survey"]["backlash_mm"]
+    curve = result["rail_survey"]["curve"]
+    lost_mm = np.array(curve[BACK])[1:-1, 1] - np.array(curve[FORTH])[1:-1, 1]
+    varies_mm = 3 * float(lost_mm.std(ddof=1))
+    landing_mm = result["station_repeatability"]["one_side"]["plain"]["range_mm"]
+    return backlash["value"] - varies_mm, backlash["value"] + varies_mm + 2 * landing_mm
+
+
+def sign_residual(log: Log, result: Result) -> Limits:
+    """Return what a right correction leaves at worst, over the error before.
+
+    The largest residual of cross-validation, and the robot's repeatability (95 %).
+    """
+    left_mm = result["fit"]["loocv"][result["method"]]["max"]
+    visit_mm = validation("reference", "floor", "p95")(log, result)
+    return -INFINITE, (left_mm + visit_mm) / result["sign"]["before_mm"]
+
+
+def transfer_expanded(log: Log, result: Result) -> Limits:
+    """Return the expanded uncertainty of the difference of eqs 13 and 17."""
+    return -INFINITE, K * transfer(log, result)[1]
+
+
+def circle_residual(log: Log, result: Result) -> Limits:
+    """Return the rms residual of a circle that the robot's repeatability explains.
+
+    Repeatability is that of the visits to the cube; a circle's residual has two coordinates.
+    """
+    from scipy import stats
+
+    clouds = clouds_mm(log)
+    visits_freedom = 3 * len(clouds) * (VISITS - 1)
+    variance_mm2 = sum(float(np.square(cloud).sum()) for cloud in clouds) / visits_freedom
+    circle_freedom = 2 * log.cell.base_frame.points - 6
+    spread = float(stats.f.ppf(SURE, circle_freedom, visits_freedom))
+    return -INFINITE, float(np.sqrt(2 * variance_mm2 * spread))
+
+
+def rigid_slide(log: Log, result: Result) -> Limits:
+    """Return the tool point's uncertainty if the slide is rigid and its nests stay in place.
+
+    That of the readings' noise alone, widened by what chance does to the fit's residuals.
+    """
+    from scipy import stats
+
+    cell, reference = log.cell, log.cell.station_named(log.cell.grid.station)
+    at_reference_mm = slide_in_world_mm(log, reference)
+    slide_mm = apply(inverse(three_point_frame(*at_reference_mm[:3])), at_reference_mm)
+    freedom = 3 * len(slide_mm) - 6
+    widened = float(np.sqrt(stats.chi2.ppf(SURE, freedom) / freedom))
+    by_noise_mm = []
+    for station in (reference, *other_stations(cell)):
+        T = station_fit(log, station, reference).T
+        noise_mm2 = slide_noise_mm2(log, station) + slide_noise_mm2(log, reference)
+        exact = rigid_fit(slide_mm, apply(T, slide_mm), weights=noise_mm2)
+        by_noise_mm.append(tool_uncertainty_mm(cell, exact))
+    return -INFINITE, widened * max(by_noise_mm)
+
+
+def ratio_reaches(log: Log, result: Result) -> Limits:
+    """Return the ratio whose 95 % interval reaches the paper's."""
+    figures = result["frame_repeatability"]
+    return PAPER_RATIO * figures["ratio"] / figures["ratio_interval"][1], INFINITE
+
+
+def as_cross_validated(log: Log, result: Result) -> Limits:
+    """Return the mean that cross-validation says, with three standard errors of both means.
+
+    It is taken at twice the pitch, so the grid itself leaves less.
+    """
+    points = log.group("validate_idw", log.cell.grid.station)
+    norms_mm = np.linalg.norm(errors_mm(log, points), axis=1)
+    share = 3 * np.sqrt(2 / len(norms_mm)) * float(norms_mm.std(ddof=1) / norms_mm.mean())
+    return -INFINITE, (1 + share) * result["fit"]["loocv"]["idw"]["mean"]
+
+
+def transferred(log: Log, result: Result) -> Limits:
+    """Return the mean at the grid's station and, in squares, what the transfer cost the paper."""
+    here_mm = validation("reference", "idw", "mean")(log, result)
+    return -INFINITE, float(np.sqrt(here_mm**2 + PAPER_OTHERS_MM**2 - PAPER_REFERENCE_MM**2))
+
+
+def same_robot(log: Log, result: Result) -> Limits:
+    """Return the mean at the grid's station +- three standard errors of the difference.
+
+    It is the same robot: nominal targets carried by the stations' frames see the same errors.
+    """
+    reference = log.cell.grid.station
+    others = [station.name for station in other_stations(log.cell)]
+    tools_mm = [result["stations"][name]["tool_uncertainty_mm"] for name in others]
+    variance_mm2 = max(tools_mm) ** 2
+    for names in ([reference], others):
+        points = [p for name in names for p in log.group("validate_before", name)]
+        norms_mm = np.linalg.norm(errors_mm(log, points), axis=1)
+        variance_mm2 += float(norms_mm.var(ddof=1)) / len(norms_mm)
+    mean_mm = validation("reference", "before", "mean")(log, result)
+    return mean_mm - 3 * np.sqrt(variance_mm2), mean_mm + 3 * np.sqrt(variance_mm2)
+
+
+def largest_of_many(log: Log, result: Result) -> Limits:
+    """Return the paper's 0.3, or what the largest of so many errors reaches by chance.
+
+    For normal errors in 3-D their norms follow Maxwell's law: the largest of 135 stays below 3.3
+    times their mean in all runs but one in a thousand, and below 2.2 times in every second run.
+    """
+    from scipy import stats
+
+    count = validation("reference", "points")(log, result)
+    mean_mm = validation("reference", "idw", "mean")(log, result)
+    largest = float(stats.maxwell.ppf(SURE ** (1 / count)) / stats.maxwell.mean())
+    return -INFINITE, max(PAPER_LARGEST_MM, largest * mean_mm)
+
+
+def reduced(where: str) -> Limit:
+    """Return the paper's "about 85 %", up to what the robot's repeatability lets be removed."""
+
+    def limits(log: Log, result: Result) -> Limits:
+        floor_mm = validation(where, "floor", "mean")(log, result)
+        return 0.85, 1.0 - FLOOR_SHARE * floor_mm / validation(where, "before", "mean")(log, result)
+
+    return limits
