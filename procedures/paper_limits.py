@@ -17,7 +17,7 @@ from procedures.paper_figures import Result, transfer, validation
 from procedures.paper_stations import stations_needed
 from procedures.plan import other_stations
 from procedures.rail_survey import BACK, FORTH
-from procedures.repeatability import VISITS, clouds_mm
+from procedures.repeatability import VISITS, distances_mm, places_mm
 from procedures.station_frames import (
     slide_in_world_mm,
     slide_noise_mm2,
@@ -108,9 +108,8 @@ def circle_residual(log: Log, result: Result) -> Limits:
     """
     from scipy import stats
 
-    clouds = clouds_mm(log)
-    visits_freedom = 3 * len(clouds) * (VISITS - 1)
-    variance_mm2 = sum(float(np.square(cloud).sum()) for cloud in clouds) / visits_freedom
+    variance_mm2 = float(np.square(distances_mm(log)).mean()) / 3
+    visits_freedom = 3 * len(places_mm(log.cell)) * (VISITS - 1)
     circle_freedom = 2 * log.cell.base_frame.points - 6
     spread = float(stats.f.ppf(SURE, circle_freedom, visits_freedom))
     return -INFINITE, float(np.sqrt(2 * variance_mm2 * spread))
