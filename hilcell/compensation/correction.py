@@ -39,9 +39,9 @@ def corrected(
     steps do not shrink.
 
     Steps are compared with the first and not with the one before: inverse distances have a kink
-    at every vertex and jump at every face between cells, by up to a third of what the outer vertices
-    of both differ, so a command that has come to within micrometres may cross a face and move
-    by that jump once more.
+    at every vertex and jump at every face between cells, by up to a third of what the outer
+    vertices of both differ. So a command that has come to within micrometres may cross a face
+    and move by that jump once more.
     """
     if steps < 1:
         raise CorrectionError(f"correction: {steps} steps, wanted 1 or more")
