@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import struct
 import threading
+import time
 from collections.abc import Callable
 
 import can
 import canopen
 
+from drivers.link_time import LinkTime
 from drivers.slcan_bus import SlcanBus
 from hilcell.ports import DeviceError
 
-RECEIVE_S = 0.05
-HEARTBEAT_PERIOD_S = 0.1
+RECEIVE_S = 0.02
+HEARTBEAT_PERIOD_S = 0.05
 JOIN_S = 1.0
 OPERATIONAL = b"\x05"
 
@@ -67,8 +69,11 @@ class CanLink:
     def __init__(self, device: str, bus: can.BusABC) -> None:
         self.device = device
         self.network = _Network(bus, self.check, self._fail)
+        self.time = LinkTime()
         self.malformed = 0
         self._bus = bus
+        self._beat_s: float | None = None  # when the PC's last heartbeat went out
+        self._longest_pause_s = 0.0
         self._failure = ""
         self._end = threading.Event()
         self._threads = [threading.Thread(target=self._receive, name="CAN receive", daemon=True)]
@@ -92,15 +97,22 @@ class CanLink:
                 act="check the gateway, the cable and the terminators, then resume",
             )
 
-    def start_heartbeat(self, node: int) -> None:
+    def start_heartbeat(self, node: int, attended: Callable[[], bool]) -> None:
         """Produce the heartbeat of ``node`` (CiA 301, 7.2.8.3.2.2) until the link closes.
 
-        The first beat has gone out on return: a node that lost the last one starts only after it.
+        It pauses while not ``attended``. The first beat has gone out on return: a node that lost
+        the last one starts only after it.
         """
-        self.send(0x700 + node, OPERATIONAL)
-        beat = threading.Thread(target=self._beat, args=(0x700 + node,), daemon=True)
+        self._send_beat(0x700 + node)
+        beat = threading.Thread(target=self._beat, args=(0x700 + node, attended), daemon=True)
         self._threads.append(beat)
         beat.start()
+
+    @property
+    def longest_pause_s(self) -> float:
+        """Return the longest time between two heartbeats of the PC."""
+        now_s = time.monotonic()
+        return max(self._longest_pause_s, now_s - (self._beat_s or now_s))
 
     def close(self) -> None:
         """End both threads and close the bus; what the dying bus says is of no use any more."""
@@ -113,27 +125,43 @@ class CanLink:
             self._fail(error)
 
     def _receive(self) -> None:
-        while not self._end.is_set():
-            try:
-                message = self._bus.recv(RECEIVE_S)
-            except (can.CanError, OSError, ValueError) as error:
-                self._fail(error)
-                return
-            if message is not None and not (message.is_error_frame or message.is_remote_frame):
-                self._notify(message)
+        try:
+            while not self._end.is_set():
+                if (message := self._next()) is not None:
+                    self._notify(message)
+        except (can.CanError, OSError, ValueError) as error:
+            self._fail(error)
+        finally:
+            self._fail(ConnectionError("closed"))  # nobody hears the bus from here on
+
+    def _next(self) -> can.Message | None:
+        now_s = time.monotonic()
+        message = self._bus.recv(0.0)
+        if message is None:
+            self.time.emptied(now_s)
+            message = self._bus.recv(RECEIVE_S)
+        return message
 
     def _notify(self, message: can.Message) -> None:
+        if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
+            return  # CANopen's frames have 11-bit identifiers
         try:
             self.network.notify(message.arbitration_id, message.data, message.timestamp)
         except (struct.error, IndexError, ValueError):
             self.malformed += 1  # a frame too short for its meaning; deadlines notice the loss
 
-    def _beat(self, cob_id: int) -> None:
+    def _beat(self, cob_id: int, attended: Callable[[], bool]) -> None:
         while not self._end.wait(HEARTBEAT_PERIOD_S):
             try:
-                self.send(cob_id, OPERATIONAL)
+                if attended():
+                    self._send_beat(cob_id)
             except DeviceError:
                 return  # kept by `_fail`; the drive now stops itself
+
+    def _send_beat(self, cob_id: int) -> None:
+        self.send(cob_id, OPERATIONAL)
+        self._longest_pause_s = self.longest_pause_s
+        self._beat_s = time.monotonic()
 
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or str(error)

@@ -21,6 +21,7 @@ from drivers.motion_limits import MotionLimits
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.sdo import SdoChannel
 from drivers.standstill import READINGS, Rest, Standstill, Windows
+from drivers.supervision import Supervision
 from hilcell.ports import Clock, DeviceError
 
 POLL_S = 0.02
@@ -67,9 +68,11 @@ class Drive:
         clock: Clock,
         limits: Limits,
         watch: Callable[[str], None],
+        supervision: Supervision,
     ) -> None:
         self._image, self._sdo, self._clock = image, sdo, clock
         self._limits, self._watch = limits, watch
+        self._supervision = supervision
         self._standstill = Standstill(limits.windows)
         self._now_s = 0.0  # of the cell, at the last poll
 
@@ -83,10 +86,12 @@ class Drive:
 
         def look() -> None:
             self._clock.check()
+            self._supervision.check()
             self._watch(operation)
 
         look()
         now = self._image.refresh(look)
+        self._supervision.look()
         look()
         self._now_s = self._clock.now_s()
         self._standstill.take(now, self._now_s)
@@ -159,15 +164,16 @@ class Drive:
         operation = "home"
         before = self._prepare(operation, cia402.HOMING)
         self._standstill.forget()
-        self._image.control(cia402.START)
-        self._moving(operation, "homing started", lambda now: self._homes(before, now))
-        attained = cia402.ACKNOWLEDGED | cia402.TARGET_REACHED
-        now = self._moving(
-            operation,
-            "homing attained at standstill",
-            lambda s: s.has(attained) and self.rest is not None,
-            self._limits.homing_s,
-        )
+        with self._supervision.motion():
+            self._image.control(cia402.START)
+            self._moving(operation, "homing started", lambda now: self._homes(before, now))
+            attained = cia402.ACKNOWLEDGED | cia402.TARGET_REACHED
+            now = self._moving(
+                operation,
+                "homing attained at standstill",
+                lambda s: s.has(attained) and self.rest is not None,
+                self._limits.homing_s,
+            )
         self._image.control(cia402.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
             raise DeviceError(
@@ -185,12 +191,13 @@ class Drive:
         self._image.control(cia402.ENABLE_OPERATION, target)
         self._moving(operation, "last set-point released", lambda s: not s.has(cia402.ACKNOWLEDGED))
         self._standstill.forget()
-        self._image.control(cia402.START, target)
-        self._moving(operation, "set-point acknowledged", lambda s: s.has(cia402.ACKNOWLEDGED))
-        self._image.control(cia402.ENABLE_OPERATION, target)
-        wanted = f"target reached at {self._limits.mm(target)}, at standstill"
-        planned_s = self._limits.travel_s(target - before.position)
-        self._moving(operation, wanted, lambda now: self._arrived(now, target), planned_s)
+        with self._supervision.motion():
+            self._image.control(cia402.START, target)
+            self._moving(operation, "set-point acknowledged", lambda s: s.has(cia402.ACKNOWLEDGED))
+            self._image.control(cia402.ENABLE_OPERATION, target)
+            wanted = f"target reached at {self._limits.mm(target)}, at standstill"
+            planned_s = self._limits.travel_s(target - before.position)
+            self._moving(operation, wanted, lambda now: self._arrived(now, target), planned_s)
 
     def _homes(self, before: Snapshot, now: Snapshot) -> bool:
         """Whether homing has begun, or has ended already within one poll.

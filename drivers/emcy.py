@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+HEARTBEAT_LOST = 0x8130
 CODES = {
     0x1000: "generic error",
     0x2310: "continuous over-current",
@@ -19,7 +20,7 @@ CODES = {
     0x7320: "position sensor",
     0x8110: "CAN overrun: frames lost",
     0x8120: "CAN in error passive mode",
-    0x8130: "heartbeat or life guard error",
+    HEARTBEAT_LOST: "heartbeat or life guard error",
     0x8140: "recovered from bus off",
     0x8150: "collision of COB identifiers",
     0x8210: "PDO not processed: wrong length",

@@ -7,14 +7,13 @@ is the only witness, so one that comes once the node is being set up is a failur
 from __future__ import annotations
 
 import struct
-import time
 
 from drivers import emcy, nmt
 from drivers.can_link import CanLink
 from hilcell.ports import DeviceError
 
 HEARTBEAT_PERIOD_MS = 200
-HEARTBEAT_AGE_S = 1.0
+HEARTBEAT_AGE_S = 1.0  # of link time
 _EMCY = struct.Struct("<HB5s")
 
 
@@ -24,7 +23,7 @@ class NodeWatch:
     def __init__(self, device: str, link: CanLink, node: int) -> None:
         self.state: int | None = None
         self.node = node
-        self._device = device
+        self._device, self._link = device, link
         self._heard_s = 0.0
         self._set_up = self._armed = False
         self._failure = ""
@@ -56,7 +55,7 @@ class NodeWatch:
             )
 
     def _missing(self) -> str:
-        age_s = time.monotonic() - self._heard_s
+        age_s = self._link.time.listened_s - self._heard_s
         if not age_s <= HEARTBEAT_AGE_S:
             return f"no heartbeat for {age_s:.1f} s"
         if self.state != nmt.OPERATIONAL:
@@ -65,14 +64,17 @@ class NodeWatch:
 
     def _on_heartbeat(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         self.state = data[0] & 0x7F
-        self._heard_s = time.monotonic()
+        self._heard_s = self._link.time.listened_s
         if self._set_up and self.state == nmt.BOOT_UP:
             self._fail("unexpected boot-up: the node was reset")
 
     def _on_emergency(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         code, register, _vendor = _EMCY.unpack(data)
         if self._armed and emcy.is_error(code):
-            self._fail(f"EMCY {emcy.text(code)}, error register 0x{register:02X}")
+            found = f"EMCY {emcy.text(code)}, error register 0x{register:02X}"
+            if code == emcy.HEARTBEAT_LOST:
+                found += f"; the PC's heartbeat has paused for {self._link.longest_pause_s:.1f} s"
+            self._fail(found)
 
     def _fail(self, found: str) -> None:
         self._failure = self._failure or found

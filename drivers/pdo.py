@@ -17,7 +17,8 @@ from drivers.sdo import SdoChannel
 from hilcell.ports import DeviceError
 
 SYNC = 0x080
-REPLY_S = 0.3
+REPLY_S = 0.2  # of link time
+STALE_S = 0.3
 SYNCS = 3
 POLL_S = 0.02
 DISABLED, NO_RTR = 1 << 31, 1 << 30
@@ -65,18 +66,29 @@ class Inbox:
             link.subscribe(cob_id, self._on_pdo)
 
     def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
-        """Send SYNC; return all values by identifier and when the oldest of them arrived.
+        """Send SYNC; return all values by identifier and since when the oldest may be waiting here.
 
         A lost frame costs one more SYNC; raises `DeviceError` when `SYNCS` of them bring nothing.
+        What has waited in this PC for `STALE_S` is asked for again.
         """
-        with self._changed:
-            before = dict(self._count)
+        before, sent_s = self._counted(), time.monotonic()
         for _ in range(SYNCS):
             self._link.send(SYNC, b"")
             if self._await(before, check):
                 with self._changed:
-                    return dict(self._values), min(self._arrived_s.values())
+                    taken_s = max(sent_s, min(self._arrived_s.values()))
+                    values = dict(self._values)
+                if time.monotonic() - taken_s <= STALE_S:
+                    return values, taken_s
+                before, sent_s = self._counted(), time.monotonic()
         missing = [f"0x{cob_id:03X}" for cob_id in before if self._count[cob_id] == before[cob_id]]
+        if not missing:
+            raise DeviceError(
+                self._device,
+                "read",
+                f"PC late: {SYNCS} readings in a row waited here for more than {STALE_S:.1f} s",
+                act="give the engine a PC of its own, or end other programs on it; then resume",
+            )
         raise DeviceError(
             self._device,
             "read",
@@ -84,15 +96,20 @@ class Inbox:
             act="check the nodes' power and the bus load, then resume",
         )
 
+    def _counted(self) -> dict[int, int]:
+        with self._changed:
+            return dict(self._count)
+
     def _await(self, before: dict[int, int], check: Callable[[], None]) -> bool:
-        deadline_s = time.monotonic() + REPLY_S
+        deadline_s = self._link.time.listened_s + REPLY_S
         while True:
             check()
             self._link.check()
+            over = self._link.time.listened_s > deadline_s  # what came until then is counted
             with self._changed:
                 if all(self._count[cob_id] > before[cob_id] for cob_id in before):
                     return True
-                if time.monotonic() > deadline_s:
+                if over:
                     return False
                 self._changed.wait(POLL_S)
 
@@ -101,5 +118,5 @@ class Inbox:
         with self._changed:
             self._values[cob_id] = values
             self._count[cob_id] += 1
-            self._arrived_s[cob_id] = time.monotonic()
+            self._arrived_s[cob_id] = self._link.time.emptied_s
             self._changed.notify_all()

@@ -6,8 +6,10 @@ about to send. Both pass one lock; after a quick stop no word that enables the d
 
 from __future__ import annotations
 
+import math
 import struct
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,6 +20,7 @@ from drivers.pdo import EVERY_SYNC, ON_EVENT, Inbox, Mapping
 from hilcell.ports import DeviceError
 
 DEVICE = "Rail"
+COMMAND_AGE_S = 0.5  # nothing is enabled or started by a reading that is older
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,7 @@ class ProcessImage:
         self._lock = threading.Lock()
         self._stopped = False
         self._target = 0
+        self._taken_s = -math.inf
         self.status = Mapping(
             0x1800,
             0x1A00,
@@ -95,10 +99,23 @@ class ProcessImage:
         statusword, position = values[self.status.cob_id]
         velocity, mode = values[self.motion.cob_id]
         strip, alarms = values[self.strip.cob_id]
+        self._taken_s = taken_s
         return Snapshot(statusword, position, velocity, mode, strip, alarms, taken_s)
 
     def control(self, controlword: int, target: int | None = None) -> None:
-        """Send a control word, with the target position in counts where it matters."""
+        """Send a control word, with the target position in counts where it matters.
+
+        Raises `DeviceError` for one that enables the drive by a reading that is too old.
+        """
+        age_s = time.monotonic() - self._taken_s
+        if cia402.enables(controlword) and not age_s <= COMMAND_AGE_S:
+            raise DeviceError(
+                DEVICE,
+                "move",
+                f"PC late: the reading to move by is {age_s:.1f} s old",
+                wanted=f"<= {COMMAND_AGE_S:.1f} s",
+                act="give the engine a PC of its own, or end other programs on it; then resume",
+            )
         with self._lock:
             if self._stopped and cia402.enables(controlword):
                 raise DeviceError(

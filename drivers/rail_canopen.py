@@ -24,10 +24,11 @@ from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.rail_setup import Expected
 from drivers.sdo import SdoChannel
 from drivers.standstill import READINGS, Standstill, Windows
-from drivers.supervision import Patience
+from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError, Identity, RailReading
 
 SETTLE_S = 10.0  # wire deadline
+LATE_S = 0.8  # below the consumer time of the drive (1016h)
 RELEASE_S = 5.0  # wire deadline
 POLL_S = 0.02
 WINDOW_MM = 0.05
@@ -178,15 +179,17 @@ class CanopenRail:
             NodeWatch(DEVICE, link, node) for node in (options.drive_node, options.strip_node)
         )
         image = ProcessImage(link, options.drive_node, options.strip_node)
+        supervision = Supervision(DEVICE, LATE_S)
         identities = self._identify(drive_sdo, strip_sdo)
         for watch in self._watches:
             watch.begin_set_up()
         try:
-            self._configure(link, drive_sdo, strip_sdo, image)
+            self._configure(link, drive_sdo, strip_sdo, image, supervision)
         except DeviceError:
             self._check_nodes("connect")  # one that was reset meanwhile is the cause
             raise
-        drive = Drive(image, drive_sdo, self._clock, self._limits(), self._check_nodes)
+        limits = self._limits()
+        drive = Drive(image, drive_sdo, self._clock, limits, self._check_nodes, supervision)
         drive.reset_fault()
         for watch in self._watches:
             watch.arm()
@@ -195,13 +198,18 @@ class CanopenRail:
         return identities
 
     def _configure(
-        self, link: CanLink, drive_sdo: SdoChannel, strip_sdo: SdoChannel, image: ProcessImage
+        self,
+        link: CanLink,
+        drive_sdo: SdoChannel,
+        strip_sdo: SdoChannel,
+        image: ProcessImage,
+        supervision: Supervision,
     ) -> None:
         """Set both nodes up and start them; raises `DeviceError`."""
         options = self._options
         for node in (options.drive_node, options.strip_node):
             link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, node)))
-        link.start_heartbeat(options.heartbeat_node)
+        link.start_heartbeat(options.heartbeat_node, supervision.attended)
         rail_setup.apply(
             drive_sdo,
             rail_setup.drive_settings(
@@ -226,7 +234,7 @@ class CanopenRail:
     def _channel(self, link: CanLink, node: int, eds: str) -> SdoChannel:
         with resources.as_file(resources.files("drivers") / "eds" / eds) as path:
             remote = canopen.RemoteNode(node, canopen.import_od(str(path), node))
-        channel = SdoChannel(DEVICE, node, remote, self._clock.check)
+        channel = SdoChannel(DEVICE, node, remote, link, self._clock.check)
         link.network.add_node(remote)
         return channel
 

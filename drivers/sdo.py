@@ -18,6 +18,7 @@ from canopen.objectdictionary import SIGNED_TYPES, ObjectDictionary, ODVariable
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
+from drivers.can_link import CanLink
 from hilcell.ports import DeviceError
 
 POLL_S = 0.02
@@ -45,19 +46,26 @@ class _Client(SdoClient):
     """canopen's client, waiting in slices of `POLL_S`."""
 
     def __init__(
-        self, request: int, response: int, objects: ObjectDictionary, check: Callable[[], None]
+        self,
+        request: int,
+        response: int,
+        objects: ObjectDictionary,
+        link: CanLink,
+        check: Callable[[], None],
     ) -> None:
         super().__init__(request, response, objects)  # type: ignore[no-untyped-call] # canopen's
-        self.check = check
+        self.link, self.check = link, check
 
     def read_response(self) -> bytes:
-        deadline_s = time.monotonic() + REPLY_S
+        deadline_s = self.link.time.listened_s + REPLY_S
         while True:
             self.check()
+            self.link.check()
+            over = self.link.time.listened_s > deadline_s  # what came until then is in the queue
             try:
                 response: bytes = self.responses.get(timeout=POLL_S)
             except queue.Empty:
-                if time.monotonic() > deadline_s:
+                if over:
                     raise SdoCommunicationError(f"no answer within {REPLY_S:.1f} s") from None
                 continue
             if len(response) != 8:
@@ -75,14 +83,20 @@ class SdoChannel:
     """Objects of one node; used by one thread at a time."""
 
     def __init__(
-        self, device: str, number: int, node: RemoteNode, check: Callable[[], None]
+        self,
+        device: str,
+        number: int,
+        node: RemoteNode,
+        link: CanLink,
+        check: Callable[[], None],
     ) -> None:
-        self._device, self._number, self._check = device, number, check
+        self._device, self._number = device, number
+        self._link, self._check = link, check
         self._objects = node.object_dictionary
         self._lock = threading.Lock()
         self._tainted = False
         node.sdo_channels.clear()
-        self._client = _Client(0x600 + number, 0x580 + number, self._objects, check)
+        self._client = _Client(0x600 + number, 0x580 + number, self._objects, link, check)
         node.sdo_channels.append(self._client)
         node.sdo = self._client
 
@@ -151,9 +165,10 @@ class SdoChannel:
 
     def _clear(self) -> None:
         """Let a late reply come and pass, then ask something that it cannot answer."""
-        deadline_s = time.monotonic() + LATE_S
-        while time.monotonic() < deadline_s:
+        deadline_s = self._link.time.listened_s + LATE_S
+        while self._link.time.listened_s < deadline_s:
             self._check()
+            self._link.check()
             time.sleep(POLL_S)
         self._upload(0x1018, 0)
 

@@ -1,7 +1,9 @@
-"""A serial-line CAN gateway (slcan) that survives bad lines: they are dropped and counted.
+"""A serial-line CAN gateway (slcan) that survives bad lines and a PC that is busy.
 
 python-can's own class loses its receiver to one byte >= 0x80 or one malformed line, takes a
-truncated frame for a short one, and leaks its socket when the far side is gone at shutdown.
+truncated frame for a short one, and calls a write that was late, but complete, an error. The trap
+of writing: the stop must get out while another thread waits for the port. So no thread holds a
+lock while it waits: lines stand in one queue, and whoever finds the port ready sends what is next.
 """
 
 from __future__ import annotations
@@ -10,37 +12,52 @@ import os
 import re
 import select
 import socket
+import threading
 import time
-from contextlib import suppress
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import urlsplit
 
 import can
-from can.interfaces.slcan import slcanBus
+import serial
 
-SEND_S = 0.2
+CONNECT_S = 5.0
+SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count
 LONGEST_LINE = 64
-_END = re.compile(rb"[\r\a]")
-# Standard data frame, an optional time stamp of the gateway behind it.
-_FRAME = re.compile(rb"t([0-9A-Fa-f]{3})([0-8])((?:[0-9A-Fa-f]{2})*)")
-_ANSWERS = (b"", b"z", b"Z")  # acknowledgements
+BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+# CR ends a line, BELL refuses one; some gateways send CR LF.
+_END = re.compile(rb"[\r\n\a]")
+# Data (t, T) and remote frames (r, R), an optional time stamp of the gateway behind them.
+_FRAME = re.compile(
+    rb"(?:([tr])([0-9A-Fa-f]{3})|([TR])([0-9A-Fa-f]{8}))([0-8])((?:[0-9A-Fa-f]{2})*)"
+)
+_ANSWERS = (b"", b"z", b"Z")  # acknowledgements; many gateways send none
 
 
-class SlcanBus(slcanBus):
-    """An slcan bus; counts the lines that were bad and the commands that the gateway refused."""
+class SlcanBus(can.BusABC):
+    """An slcan bus; counts the lines that were bad and the frames that the gateway refused."""
 
     def __init__(self, channel: str, bitrate: int) -> None:
+        self._is_shutdown = True  # there is no port yet
         self.bad_lines = 0
         self.refused = 0
         self._bytes = b""
+        self._unsent = b""
+        self._taken = 0  # bytes that the port has taken
+        self._writing = threading.Lock()  # never held while waiting
+        if bitrate not in BIT_RATES:
+            raise ValueError(f"bit rate {bitrate}, slcan has {', '.join(map(str, BIT_RATES))}")
+        opening = (b"", b"C", b"S%d" % BIT_RATES.index(bitrate), b"O")
+        self._commands = len(opening)  # not answered yet: one may be refused and all is well
+        self._port, self._close_port = _open(channel)
         try:
-            super().__init__(channel, bitrate=bitrate, sleep_after_open=0)
-        except (can.CanError, OSError, ValueError):
-            self._close_port(self._link())
+            os.set_blocking(self._port, False)
+            self._put(b"".join(line + b"\r" for line in opening))
+        except BaseException:
+            self._close_port()
             raise
-        self._fd: int = self.serialPortOrig.fileno()
-        # A frame must not wait for the acknowledgement of the one before; a real serial port
-        # knows no such delay and refuses.
-        with suppress(OSError), socket.socket(fileno=os.dup(self._fd)) as link:
-            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        super().__init__(channel)
+        self._is_shutdown = False
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         deadline_s = time.monotonic() + (timeout or 0.0)
@@ -54,8 +71,8 @@ class SlcanBus(slcanBus):
 
     def _fill(self, timeout_s: float) -> bool:
         try:
-            ready, _, _ = select.select([self._fd], [], [], timeout_s)
-            data = os.read(self._fd, 4096) if ready else b""
+            ready, _, _ = select.select([self._port], [], [], timeout_s)
+            data = os.read(self._port, 4096) if ready else b""
         except (OSError, ValueError) as error:
             raise can.CanOperationError(f"the gateway's port failed: {error}") from error
         if ready and not data:
@@ -72,42 +89,87 @@ class SlcanBus(slcanBus):
                 self._bytes = b""
             return None
         line, self._bytes = self._bytes[: end.start()], self._bytes[end.end() :]
-        self.refused += end.group() == b"\a"
+        answer = line in _ANSWERS
+        if end.group() == b"\a" and not self._commands:
+            self.refused += 1
+        self._commands = max(0, self._commands - 1) if answer else 0
         return line
 
     def _message(self, line: bytes) -> can.Message | None:
         if line in _ANSWERS:
             return None
         match = _FRAME.fullmatch(line)
-        size = int(match[2]) if match else 0
-        if match is None or len(match[3]) not in (2 * size, 2 * size + 4):
+        if match is None:
+            self.bad_lines += 1
+            return None
+        kind, number = match[1] or match[3], match[2] or match[4]
+        remote, size = kind in b"rR", int(match[5])
+        carried = 0 if remote else 2 * size
+        if len(match[6]) not in (carried, carried + 4):
             self.bad_lines += 1
             return None
         return can.Message(
-            arbitration_id=int(match[1], 16),
-            is_extended_id=False,
+            arbitration_id=int(number, 16),
+            is_extended_id=kind in b"TR",
+            is_remote_frame=remote,
+            dlc=size,
             timestamp=time.time(),
-            data=bytes.fromhex(match[3][: 2 * size].decode()),
+            data=None if remote else bytes.fromhex(match[6][:carried].decode()),
         )
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame; a gateway that takes no bytes for `SEND_S` is an error, not a wait."""
-        super().send(msg, SEND_S if timeout is None else timeout)
+        """Send a frame with an 11-bit identifier; raises `can.CanOperationError`.
+
+        A port that takes nothing for `SEND_S` (or ``timeout``) is an error, not a wait.
+        """
+        line = f"t{msg.arbitration_id:03X}{msg.dlc}{bytes(msg.data).hex().upper()}\r"
+        self._put(line.encode(), SEND_S if timeout is None else timeout)
+
+    def _put(self, line: bytes, patience_s: float = SEND_S) -> None:
+        """Send ``line`` behind what other threads have begun; return when the port has taken it."""
+        with self._writing:
+            self._unsent += line
+            mine = self._taken + len(self._unsent)
+            self._push()
+        while self._taken < mine:
+            # The kernel looks at the port again when the time is over, however late this thread is.
+            if not select.select([], [self._port], [], patience_s)[1]:
+                raise can.CanOperationError(f"the gateway takes no bytes for {patience_s:.1f} s")
+            with self._writing:
+                self._push()
+
+    def _push(self) -> None:
+        """Hand the port what it takes at once."""
+        try:
+            taken = os.write(self._port, self._unsent) if self._unsent else 0
+        except BlockingIOError:
+            return
+        except OSError as error:
+            raise can.CanOperationError(f"the gateway's port failed: {error}") from error
+        self._unsent = self._unsent[taken:]
+        self._taken += taken
 
     def shutdown(self) -> None:
         """Close the channel and the port, also when the far side is gone."""
-        link = self._link()
+        if self._is_shutdown:
+            return
+        super().shutdown()
         try:
-            super().shutdown()
+            self._put(b"C\r")
         finally:
-            self._close_port(link)
+            self._close_port()
 
-    def _link(self) -> socket.socket | None:
-        """Return the socket under the port: pyserial leaks it when the far side is gone first."""
-        return getattr(getattr(self, "serialPortOrig", None), "_socket", None)
 
-    def _close_port(self, link: socket.socket | None) -> None:
-        if hasattr(self, "serialPortOrig"):
-            self.serialPortOrig.close()
-        if link is not None:
-            link.close()
+def _open(channel: str) -> tuple[int, Callable[[], Any]]:
+    """Open ``socket://HOST:PORT`` or a serial line ``PATH[@BAUD]``; return its file and its end."""
+    if channel.startswith("socket://"):
+        url = urlsplit(channel)
+        if url.hostname is None or url.port is None:
+            raise ValueError("wanted socket://HOST:PORT")
+        link = socket.create_connection((url.hostname, url.port), CONNECT_S)
+        # A frame must not wait for the acknowledgement of the one before.
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return link.fileno(), link.close
+    path, _, baud = channel.partition("@")
+    port = serial.serial_for_url(path, baudrate=int(baud or 115_200), timeout=0)  # type: ignore[no-untyped-call] # pyserial's
+    return port.fileno(), port.close

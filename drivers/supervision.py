@@ -4,16 +4,20 @@ The trap: a thread that the system held up for a second finds every deadline pas
 answer has long arrived. So one look counts for at most ``look_s``, and a miss is declared only by
 a look made after the time was up. Being late excuses the device, never the motion: nobody watches
 it meanwhile, so a gap longer than `LATE_S` between two looks at something that moves ends the run.
+An engine that hangs cannot say so: a heartbeat asks here, too, and pauses.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from hilcell.ports import DeviceError
 
 LOOK_S = 0.1  # several times the period of a wait on a wire
 LATE_S = 1.0
+ATTENDED_S = 0.4  # the heartbeat pauses then, so that the device stops what nobody looks at
 
 
 class Patience:
@@ -37,8 +41,8 @@ class Patience:
 class Supervision:
     """Sees to it that a moving device is looked at; ``look`` belongs into every wait."""
 
-    def __init__(self, device: str) -> None:
-        self._device = device
+    def __init__(self, device: str, late_s: float = LATE_S) -> None:
+        self._device, self._late_s = device, late_s
         self._looked_s: float | None = None
 
     def begin(self) -> None:
@@ -49,17 +53,39 @@ class Supervision:
         """It stands."""
         self._looked_s = None
 
+    @contextmanager
+    def motion(self) -> Iterator[None]:
+        """Supervise a motion from before its start until it has ended, or was given up."""
+        self.begin()
+        try:
+            yield
+        finally:
+            self.end()
+
     def look(self) -> None:
         """Note a look; raises `DeviceError` where the last one is too long ago."""
         if self._looked_s is None:
             return
-        now_s, before_s = time.monotonic(), self._looked_s
-        self._looked_s = now_s
-        if not now_s - before_s <= LATE_S:
+        gap_s = time.monotonic() - self._looked_s
+        self._looked_s += gap_s
+        self._check(gap_s)
+
+    def check(self) -> None:
+        """Raise `DeviceError` where the last look is too long ago."""
+        if self._looked_s is not None:
+            self._check(time.monotonic() - self._looked_s)
+
+    def attended(self) -> bool:
+        """Whether a heartbeat may go on: nothing moves, or it was looked at just now."""
+        looked_s = self._looked_s
+        return looked_s is None or time.monotonic() - looked_s <= ATTENDED_S
+
+    def _check(self, gap_s: float) -> None:
+        if not gap_s <= self._late_s:
             raise DeviceError(
                 self._device,
                 "move",
-                f"PC late: {now_s - before_s:.2f} s without a look at the motion",
-                wanted=f"<= {LATE_S:.2f} s",
+                f"PC late: {gap_s:.2f} s without a look at the motion",
+                wanted=f"<= {self._late_s:.2f} s",
                 act="give the engine a PC of its own, or end what keeps this one busy; resume",
             )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import platform
+import sys
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -41,6 +42,8 @@ from hilcell.run.signals import stopped_by_signals
 from hilcell.runs import CALIBRATION, JOURNAL, find_run, is_run, make_folder, new_run, read_log
 from hilcell.telling import tell
 from hilcell.writing import NotWritten
+
+SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms is the default)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -168,6 +171,7 @@ def _run(
 ) -> tuple[int, Exception | None]:
     """Bring up devices and perform; what fails before the runner lives is journalled here."""
     inputs, stop = log.inputs, threading.Event()
+    sys.setswitchinterval(SWITCH_S)
     try:
         with ExitStack() as stack, stopped_by_signals():
             speed = inputs.speed or math.inf

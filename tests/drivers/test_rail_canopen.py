@@ -92,7 +92,7 @@ def test_connect_tells_who_answered_and_moves_nothing(peer: CanPeer) -> None:
 
 def test_connect_writes_the_self_stop_and_the_mappings(rail: CanopenRail, peer: CanPeer) -> None:
     objects = peer.objects[DRIVE]
-    assert objects[0x1016, 1] == u32(127 << 16 | 500)
+    assert objects[0x1016, 1] == u32(127 << 16 | 1000)
     assert objects[0x6007, 0] == u16(3)
     assert objects[0x605A, 0] == u16(2)
     assert objects[0x6098, 0] == bytes((17,))

@@ -36,7 +36,7 @@ def channel_to(peer: CanPeer, check: Callable[[], None] = lambda: None) -> Itera
     link = CanLink("Rail", open_bus("Rail", "slcan", peer.channel, 500_000))
     with resources.as_file(resources.files("drivers") / "eds" / "drive.eds") as path:
         node = canopen.RemoteNode(DRIVE, canopen.import_od(str(path), DRIVE))
-    channel = SdoChannel("Rail", DRIVE, node, check)
+    channel = SdoChannel("Rail", DRIVE, node, link, check)
     link.network.add_node(node)
     try:
         yield channel

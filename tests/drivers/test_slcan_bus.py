@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import threading
 from collections.abc import Callable
@@ -8,8 +9,9 @@ from collections.abc import Callable
 import can
 import pytest
 
+from drivers import slcan_bus
 from drivers.slcan_bus import SlcanBus
-from tests.drivers.peers import Server
+from tests.drivers.peers import WAIT_S, Server
 
 GOOD = b"t58584064600015CD5B07\r"
 
@@ -29,7 +31,7 @@ def received(data: list[bytes]) -> tuple[list[tuple[int, bytes]], SlcanBus]:
 def _says(pieces: list[bytes]) -> Callable[[socket.socket], None]:
     def handle(connection: socket.socket) -> None:
         opened = b""
-        while not opened.endswith(b"O\rO\r"):  # python-can opens twice
+        while not opened.endswith(b"O\r"):
             opened += connection.recv(100)
         for piece in pieces:
             connection.sendall(piece)
@@ -60,8 +62,7 @@ def test_the_channel_is_opened_and_a_frame_is_sent_as_published() -> None:
         bus.shutdown()
         assert done.wait(5)
     text = b"".join(heard)
-    assert text.startswith(b"C\rS6\r")
-    assert b"O\rt60584064600000000000\r" in text
+    assert text == b"\rC\rS6\rO\rt60584064600000000000\rC\r"
 
 
 @pytest.mark.parametrize(
@@ -105,31 +106,114 @@ def test_a_garbage_byte_costs_one_line_only() -> None:
 
 
 def test_a_refusal_is_counted() -> None:
-    _, bus = received([b"\a", GOOD])
-    assert bus.refused == 1
+    _, bus = received([b"\r\a\r\r", GOOD, b"\a", GOOD, b"z\r\a"])
+    assert bus.refused == 2, "C of a closed channel may be refused, frames may not"
 
 
-def test_the_end_of_the_stream_is_an_error_and_leaks_nothing() -> None:
-    opened = threading.Event()
+@pytest.mark.parametrize("end", [b"\r", b"\r\n"])
+@pytest.mark.parametrize("acknowledges", [b"", b"z"])
+@pytest.mark.parametrize("stamp", [b"", b"12AB"])
+def test_gateways_differ_in_ends_acknowledges_and_time_stamps(
+    end: bytes, acknowledges: bytes, stamp: bytes
+) -> None:
+    pieces = [b"t705105" + stamp + end]
+    if acknowledges:
+        pieces = [end * 4, *pieces, acknowledges + end]
+    frames, bus = received([*pieces, b"t70617F" + stamp + end, b"\a"])
+    assert frames == [(0x705, b"\x05"), (0x706, b"\x7f")]
+    assert (bus.bad_lines, bus.refused) == (0, 1)
 
-    def hang_up(connection: socket.socket) -> None:
-        while b"O\r" not in connection.recv(100):
-            pass
-        opened.wait(5)
-        connection.shutdown(socket.SHUT_RDWR)
 
-    with Server(hang_up) as server:
+def test_extended_and_remote_frames_are_frames() -> None:
+    lines = [b"T000005851AA\r", b"r1858\r", b"R0000018580102\r"]
+    with Server(_says([*lines, GOOD])) as server:
         bus = SlcanBus(f"socket://127.0.0.1:{server.port}", 500_000)
-        opened.set()
-        with pytest.raises(can.CanOperationError, match=r"closed the connection|failed"):
-            bus.recv(5.0)
-        with contextlib.suppress(can.CanError):
-            bus.shutdown()
-        assert not bus.serialPortOrig.is_open
-
-
-def test_nothing_to_receive_ends_in_time() -> None:
-    with Server(_says([])) as server:
-        bus = SlcanBus(f"socket://127.0.0.1:{server.port}", 500_000)
-        assert bus.recv(0.05) is None
+        found = [bus.recv(5.0) for _ in range(4)]
         bus.shutdown()
+    assert [(m.is_extended_id, m.is_remote_frame, m.dlc) for m in found if m] == [
+        (True, False, 1), (False, True, 8), (True, True, 8), (False, False, 8)
+    ]  # fmt: skip
+    assert bus.bad_lines == 0
+
+
+# -- writing ----------------------------------------------------------------------------------
+
+
+def frame(cob_id: int) -> can.Message:
+    return can.Message(arbitration_id=cob_id, data=bytes(8), is_extended_id=False)
+
+
+class SerialLine:
+    """A serial line whose far side takes nothing until it is let, then all until the end."""
+
+    def __init__(self) -> None:
+        self._far, near = os.openpty()
+        self.bus = SlcanBus(f"{os.ttyname(near)}@115200", 500_000)
+        os.close(near)
+        self._reader = threading.Thread(target=self._read)
+        self.heard = b""
+
+    def read_on(self) -> None:
+        self._reader.start()
+
+    def close(self) -> None:
+        self.bus.shutdown()
+        self._reader.join(WAIT_S)
+        assert not self._reader.is_alive()
+        os.close(self._far)
+
+    def _read(self) -> None:
+        with contextlib.suppress(OSError):  # EIO: the near side was closed
+            while data := os.read(self._far, 4096):
+                self.heard += data
+
+
+def jam(bus: SlcanBus) -> int:
+    """Send until the port takes no more, part of the last line at most; return how many lines."""
+    for count in range(10_000):
+        try:
+            bus.send(frame(0x100), timeout=0.0)
+        except can.CanOperationError:
+            return count + 1
+    raise AssertionError("the port takes everything")
+
+
+def test_a_complete_write_is_never_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slcan_bus, "SEND_S", 1e-9)
+    line = SerialLine()
+    line.bus.send(frame(0x123))
+    line.read_on()
+    line.close()
+    assert line.heard == b"\rC\rS6\rO\rt1238" + b"0" * 16 + b"\rC\r"
+
+
+def test_lines_never_mix_and_a_stop_gets_out_behind_writers_that_hang() -> None:
+    line = SerialLine()
+    jammed = jam(line.bus)
+    writers = [
+        threading.Thread(target=line.bus.send, args=(frame(0x200 + n), WAIT_S)) for n in range(3)
+    ]
+    for writer in writers:
+        writer.start()
+    assert all(writer.is_alive() for writer in writers)
+    stop = threading.Thread(target=line.bus.send, args=(frame(0x205), WAIT_S))
+    stop.start()
+    line.read_on()
+    for writer in (stop, *writers):
+        writer.join(WAIT_S)
+        assert not writer.is_alive()
+    line.close()
+    lines = line.heard.split(b"\r")[4:-2]
+    assert all(len(line) == 21 for line in lines)
+    assert sorted(lines[jammed:]) == [
+        b"t%03X8" % cob_id + b"0" * 16 for cob_id in (0x200, 0x201, 0x202, 0x205)
+    ]
+
+
+def test_a_port_that_takes_nothing_is_an_error_in_time() -> None:
+    line = SerialLine()
+    jam(line.bus)
+    with pytest.raises(can.CanOperationError, match=r"takes no bytes for 0\.2 s"):
+        line.bus.send(frame(0x205))
+    line.read_on()
+    line.close()

@@ -64,3 +64,18 @@ def test_nobody_needs_to_look_at_what_stands(time: Time) -> None:
     watch.end()
     time.now_s += 60.0
     watch.look()
+
+
+def test_a_heartbeat_pauses_when_nobody_looks_at_the_motion(time: Time) -> None:
+    watch = Supervision("Rail", late_s=0.8)
+    with watch.motion():
+        time.now_s += 0.41
+        assert not watch.attended()
+        watch.check()
+        watch.look()
+        assert watch.attended()
+        time.now_s += 0.81
+        with pytest.raises(DeviceError, match=r"Rail: move: PC late: 0\.81 s .* <= 0\.80 s"):
+            watch.check()
+    assert watch.attended()
+    watch.check()

@@ -1,0 +1,25 @@
+"""The time in which this PC has listened to a link: what every wire deadline is counted in.
+
+The trap: a PC that was busy finds its own deadline passed and the answer, which came in time,
+still unread. So the time of a link goes on only when all that has arrived was handed out, and a
+pause of the PC counts as `PAUSE_S` at most.
+"""
+
+from __future__ import annotations
+
+import time
+
+PAUSE_S = 0.1
+
+
+class LinkTime:
+    """Written by the receiving thread alone; read by any."""
+
+    def __init__(self) -> None:
+        self.listened_s = 0.0
+        self.emptied_s = time.monotonic()  # what is handed out next came after this moment
+
+    def emptied(self, now_s: float) -> None:
+        """Note that all that had arrived at ``now_s`` (monotonic) was handed out."""
+        self.listened_s += min(now_s - self.emptied_s, PAUSE_S)
+        self.emptied_s = now_s

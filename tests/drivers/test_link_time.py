@@ -1,0 +1,78 @@
+"""A PC that is late excuses its devices; what it has not seen it does not move by."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import pytest
+
+from drivers import pdo, sdo
+from drivers.can_link import CanLink
+from drivers.link_time import PAUSE_S, LinkTime
+from drivers.rail_canopen import CanopenRail
+from tests.drivers.can_peer import CanPeer
+from tests.drivers.test_rail_canopen import rail_for
+
+
+def test_link_time_counts_a_pause_of_the_pc_as_a_short_one() -> None:
+    link_time = LinkTime()
+    start_s = link_time.emptied_s
+    link_time.emptied(start_s + 0.02)
+    assert link_time.listened_s == pytest.approx(0.02)
+    link_time.emptied(start_s + 100.0)
+    assert link_time.listened_s == pytest.approx(0.02 + PAUSE_S)
+    assert link_time.emptied_s == start_s + 100.0
+
+
+class DeafReceiver:
+    """Keeps the receiving thread from looking, for longer than any deadline of a wire."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.pause_s = 0.0
+        original = CanLink._next
+
+        def late(link: CanLink) -> object:
+            pause_s, self.pause_s = self.pause_s, 0.0
+            time.sleep(pause_s)  # this is the load: a thread that does not run
+            return original(link)
+
+        monkeypatch.setattr(CanLink, "_next", late)
+
+
+@pytest.mark.parametrize(
+    "ask", [lambda rail: rail.read(), lambda rail: rail._drive_sdo.read(0x6081)]
+)
+def test_an_answer_that_waits_in_a_late_pc_is_no_missing_answer(
+    monkeypatch: pytest.MonkeyPatch, ask: Callable[[CanopenRail], object]
+) -> None:
+    monkeypatch.setattr(pdo, "REPLY_S", 0.15)
+    monkeypatch.setattr(sdo, "REPLY_S", 0.15)
+    deaf = DeafReceiver(monkeypatch)
+    with CanPeer() as peer:
+        rail = rail_for(peer)
+        rail.connect()
+        deaf.pause_s = 0.4
+        ask(rail)
+        rail.close()
+
+
+def test_a_reading_that_has_waited_in_a_late_pc_is_asked_for_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    deaf = DeafReceiver(monkeypatch)
+    with CanPeer() as peer:
+        rail = rail_for(peer)
+        rail.connect()
+        began = len(peer.frames(0x080))
+
+        def strike() -> None:
+            if len(peer.frames(0x080)) == began + 1:
+                deaf.pause_s = 0.4
+
+        peer.on_sync = strike
+        assert rail._image is not None
+        reading = rail._image.refresh(lambda: None)
+        assert time.monotonic() - reading.taken_s <= pdo.STALE_S
+        assert len(peer.frames(0x080)) == began + 2
+        rail.close()
