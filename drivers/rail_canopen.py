@@ -68,6 +68,7 @@ class CanopenRail:
         standstill_speed_mm_s: Positive = 0.5
         standstill_window_mm: Positive = 0.01
         standstill_dwell_s: Annotated[float, Meta(gt=0, le=5)] = 0.25
+        homing_mm_s: Positive = 100.0
 
         def __post_init__(self) -> None:
             if len({self.drive_node, self.strip_node, self.heartbeat_node}) < 3:
@@ -217,6 +218,7 @@ class CanopenRail:
                 counts_per_mm=options.counts_per_mm,
                 speed_mm_s=options.speed_mm_s,
                 acceleration_mm_s2=options.acceleration_mm_s2,
+                homing_mm_s=options.homing_mm_s,
             ),
         )
         limits = self._limits()
@@ -262,7 +264,7 @@ class CanopenRail:
             acceleration=options.acceleration_mm_s2 * scale,
             homing_s=rail_setup.homing_s(
                 travel_mm=options.travel_max_mm - options.travel_min_mm,
-                speed_mm_s=options.speed_mm_s,
+                speed_mm_s=min(options.speed_mm_s, options.homing_mm_s),
             ),
             window=max(1, round(WINDOW_MM * scale)),
             windows=Windows(

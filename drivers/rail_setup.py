@@ -27,7 +27,6 @@ OPERATIONAL_S = 3.0  # wire deadline
 START_PERIOD_S = 0.5
 POLL_S = 0.02
 PC_HEARTBEAT_LIMIT_MS = 1000
-HOMING_MM_S = 100.0
 HOMING_SLOW_MM_S, HOMING_SLOW_MM = 5.0, 20.0  # off the switch, at most so far
 LARGEST_U16 = 0xFFFF
 
@@ -135,12 +134,17 @@ def _optional(sdo: SdoChannel, index: int, sub: int = 0) -> int | None:
 
 
 def drive_settings(
-    *, pc_node: int, counts_per_mm: float, speed_mm_s: float, acceleration_mm_s2: float
+    *,
+    pc_node: int,
+    counts_per_mm: float,
+    speed_mm_s: float,
+    acceleration_mm_s2: float,
+    homing_mm_s: float,
 ) -> Mapping[tuple[int, int], int]:
     """Return what is written into the drive: (object, sub-index) to value."""
     speed = round(speed_mm_s * counts_per_mm)
     acceleration = round(acceleration_mm_s2 * counts_per_mm)
-    homing = round(min(speed_mm_s, HOMING_MM_S) * counts_per_mm)
+    homing = round(min(speed_mm_s, homing_mm_s) * counts_per_mm)
     homing_slow = round(min(speed_mm_s, HOMING_SLOW_MM_S) * counts_per_mm)
     return {
         (CONSUMER_HEARTBEAT, 1): pc_node << 16 | PC_HEARTBEAT_LIMIT_MS,
@@ -163,7 +167,7 @@ STRIP_SETTINGS: Mapping[tuple[int, int], int] = {(PRODUCER_HEARTBEAT, 0): HEARTB
 
 def homing_s(*, travel_mm: float, speed_mm_s: float) -> float:
     """Return how long homing is planned to take from the far end of the travel."""
-    fast_s = travel_mm / min(speed_mm_s, HOMING_MM_S)
+    fast_s = travel_mm / speed_mm_s
     return fast_s + HOMING_SLOW_MM / min(speed_mm_s, HOMING_SLOW_MM_S)
 
 

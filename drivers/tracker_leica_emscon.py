@@ -63,7 +63,13 @@ class LeicaEmsconTracker:
         find_radius_mm: Positive
         port: Annotated[int, Meta(ge=1, le=65535)] = 700
         serial: str = ""
-        stationary_ms: Annotated[int, Meta(ge=100, le=100_000)] = 500
+        reading_s: Annotated[float, Meta(ge=0.1, le=100)] = 0.5
+        stationary_ms: Annotated[int, Meta(ge=100, le=100_000)] | None = None
+
+        @property
+        def measuring_ms(self) -> int:
+            """Return how long one stationary measurement takes; `stationary_ms` goes first."""
+            return self.stationary_ms or round(1000 * self.reading_s)
 
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
@@ -176,7 +182,7 @@ class LeicaEmsconTracker:
             Command.SET_STATIONARY,
             Command.GET_STATIONARY,
             stationary,
-            (self._options.stationary_ms, 1),
+            (self._options.measuring_ms, 1),
         )
         self._set(
             "search",
@@ -293,7 +299,7 @@ class LeicaEmsconTracker:
             raise self._failed(Command.START_MEASUREMENT, reply.status)
 
     def _await_result(self) -> Single:
-        limit_s = self._options.stationary_ms / 1000.0 + self.RESULT_S
+        limit_s = self._options.measuring_ms / 1000.0 + self.RESULT_S
         patience = Patience(limit_s)
         while (packet := self._next(patience)) is not None:
             if isinstance(packet, Single):

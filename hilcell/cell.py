@@ -26,6 +26,7 @@ from hilcell.tables import (
     Acceleration,
     Angle,
     Count,
+    Dwell,
     Frozen,
     Length,
     Name,
@@ -51,6 +52,12 @@ __all__ = [
 MOST_POINTS = 100_000  # of the grid, and of targets in it
 MOST_STEPS = 10_000
 MOST_STATIONS = 1000
+# What a device takes its time for: known to plans and drivers, and nothing of what stands there.
+PACE = {
+    "rail": ("homing_mm_s", "standstill_dwell_s"),
+    "robot": ("ramp_s",),
+    "tracker": ("pointing_s", "reading_s"),
+}
 LEAST_ARC_DEG = 10.0
 
 
@@ -74,6 +81,8 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     strip_tolerance_mm: Size = 0.01
     slip_limit_mm: Size = 2.0
     max_approaches: Annotated[int, Meta(ge=1, le=20)] = 8
+    homing_mm_s: Speed = 100.0
+    standstill_dwell_s: Dwell = 0.25
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -111,6 +120,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     speed_percent: Percent = 30.0
     approach_deg: Annotated[float, Meta(gt=0, le=90)] = 0.5
     joint_margin_deg: Annotated[float, Meta(ge=0, le=90)] = 2.0
+    ramp_s: Annotated[float, Meta(ge=0, le=10)] = 0.5
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -165,6 +175,8 @@ class TrackerTable(Frozen, frozen=True, kw_only=True):
     max_std_mm: Size = 0.05
     find_radius_mm: Size = 5.0
     samples: Count = 1
+    pointing_s: Annotated[float, Meta(ge=0, le=60)] = 1.0
+    reading_s: Annotated[float, Meta(ge=0.1, le=100)] = 0.5
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -337,6 +349,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
         """Return SHA-256 over canonical JSON of what stands, however it is simulated."""
         values = msgspec.to_builtins(self)
         values.pop("simulation")
+        for table, keys in PACE.items():
+            for key in keys:
+                values[table].pop(key)
         values["layout"].pop("reflectors")  # who carries them changes nothing that stands there
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 

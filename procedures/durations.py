@@ -15,21 +15,16 @@ from hilcell.cell import Cell, Station
 from hilcell.ports import Array
 from hilcell.run.procedure import Span, Step
 
-POINTING_S = 0.6  # the beam turns to a reflector and locks on it
-READING_S = 0.5  # one stationary reading
-RAMP_S = 0.4  # all axes of the robot, from standstill to full speed
-ACKNOWLEDGED_S = 0.025  # its motion's end is looked for every 0.05 s: half of that passes
-SWITCHED_S = 0.05  # the rail's drive takes its target and is seen to stand, looks 0.02 s apart
-STRIP_STANDS_S = 0.08  # from the first of five such looks at the strip to the last
+SEEN_S = 0.06  # until a driver has looked often enough to see that a motion has ended
 APPROACHES = 2  # first by the drive, then by what the strip said
-HOMING_MM_S = 100.0
 
 
 def measure_s(cell: Cell, samples: int) -> float:
     """Return how long the mean of ``samples`` readings of one reflector takes."""
-    stated_ms = cell.tracker.options.get("stationary_ms")
-    reading_s = stated_ms / 1000 if isinstance(stated_ms, int) else READING_S
-    return POINTING_S + samples * reading_s
+    tracker = cell.tracker
+    stated_ms = tracker.options.get("stationary_ms")  # of older cell files
+    reading_s = stated_ms / 1000 if isinstance(stated_ms, int) else tracker.reading_s
+    return tracker.pointing_s + samples * reading_s
 
 
 def readings(cell: Cell, count: int, samples: int) -> Span:
@@ -47,11 +42,11 @@ def robot_moves_s(cell: Cell, from_rad: Array, to_rad: Array) -> Array:
     speeds_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
     share = cell.robot.speed_percent / 100.0
     at_full_speed_s = np.max(np.abs(to_rad - from_rad) / speeds_rad_s, axis=-1)
-    ramp_s = RAMP_S * share
+    ramp_s = cell.robot.ramp_s * share
     trapezoid_s = at_full_speed_s / share + ramp_s
-    triangle_s = 2.0 * np.sqrt(RAMP_S * at_full_speed_s)
+    triangle_s = 2.0 * np.sqrt(cell.robot.ramp_s * at_full_speed_s)
     moves_s: Array = np.where(at_full_speed_s > share * ramp_s, trapezoid_s, triangle_s)
-    return moves_s + ACKNOWLEDGED_S
+    return moves_s + SEEN_S
 
 
 def flange_points(cell: Cell, joints_rad: Array) -> Span:
@@ -78,7 +73,7 @@ def rail_travel_s(cell: Cell, distance_mm: float) -> float:
     peak_mm_s = min(speed_mm_s, math.sqrt(abs(distance_mm) * acceleration_mm_s2))
     ramps_s = peak_mm_s / acceleration_mm_s2
     travel_s = abs(distance_mm) / peak_mm_s + ramps_s if distance_mm else 0.0
-    return SWITCHED_S + travel_s + STRIP_STANDS_S
+    return travel_s + SEEN_S + cell.rail.standstill_dwell_s
 
 
 def rail_move_s(cell: Cell, distance_mm: float) -> float:
@@ -109,4 +104,4 @@ def step(name: str, points: int, spans: Sequence[Span]) -> Step:
 def homing_s(cell: Cell) -> float:
     """Return how long the drive takes to its reference switch from the middle of the travel."""
     half_mm = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 2
-    return half_mm / min(HOMING_MM_S, cell.rail.speed_mm_s) + SWITCHED_S
+    return half_mm / min(cell.rail.homing_mm_s, cell.rail.speed_mm_s) + SEEN_S

@@ -39,21 +39,21 @@ def test_a_robots_motion_takes_what_its_trapezoid_takes(
     motion.move(there_rad, percent / 100.0)
     took_s = motion._path.end_s - began_s
     planned_s = float(durations.robot_moves_s(cell, here_rad, there_rad))
-    assert planned_s - durations.ACKNOWLEDGED_S == pytest.approx(took_s, abs=2e-3)
+    assert planned_s - durations.SEEN_S == pytest.approx(took_s, abs=2e-3)
 
 
 @given(distance_mm=st.floats(0.001, 3000.0), back=st.booleans())
 def test_the_slides_travel_takes_what_its_trapezoid_takes(distance_mm: float, back: bool) -> None:
     rail = CELL.rail
     planned_s = durations.rail_travel_s(CELL, -distance_mm if back else distance_mm)
-    planned_s -= durations.SWITCHED_S + durations.STRIP_STANDS_S
+    planned_s -= durations.SEEN_S + rail.standstill_dwell_s
     assert planned_s == pytest.approx(
         travel_s(distance_mm, rail.speed_mm_s, rail.acceleration_mm_s2)
     )
 
 
 def test_a_slide_that_stands_there_travels_no_time() -> None:
-    seen_s = durations.SWITCHED_S + durations.STRIP_STANDS_S
+    seen_s = durations.SEEN_S + CELL.rail.standstill_dwell_s
     assert durations.rail_travel_s(CELL, 0.0) == pytest.approx(seen_s)
     assert durations.leg(CELL, CELL.station[0], CELL.station[0]).duration_s == 0.0
 
@@ -68,10 +68,20 @@ def test_a_farther_station_takes_longer_and_the_robot_is_parked_first() -> None:
     )
 
 
-def test_the_trackers_own_measuring_time_counts_where_the_cell_states_it() -> None:
-    slow = load_cell("paper", {"tracker.options.stationary_ms": "2000"})
-    assert durations.measure_s(slow, 3) == pytest.approx(durations.POINTING_S + 6.0)
-    assert durations.measure_s(CELL, 3) == pytest.approx(durations.POINTING_S + 1.5)
+@pytest.mark.parametrize(
+    "stated", [{"tracker.options.stationary_ms": "2000"}, {"tracker.reading_s": "2.0"}]
+)
+def test_the_trackers_times_are_those_of_the_cell(stated: dict[str, str]) -> None:
+    slow = load_cell("paper", stated | {"tracker.pointing_s": "1.5"})
+    assert durations.measure_s(slow, 3) == pytest.approx(1.5 + 6.0)
+    assert durations.measure_s(CELL, 3) == pytest.approx(CELL.tracker.pointing_s + 1.5)
+
+
+def test_a_plan_takes_homing_and_ramps_from_the_cell() -> None:
+    slow = load_cell("paper", {"rail.homing_mm_s": "50.0", "robot.ramp_s": "1.0"})
+    travel_mm = CELL.rail.travel_max_mm / 2
+    assert durations.homing_s(slow) - durations.homing_s(CELL) == pytest.approx(travel_mm / 100)
+    assert durations.park_s(slow) > durations.park_s(CELL)
 
 
 @pytest.mark.parametrize("planned", STEPS.values(), ids=STEPS)
