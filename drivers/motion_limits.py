@@ -30,15 +30,16 @@ class MotionLimits:
         self._patience = Patience(stall_s, LOOK_S)
         self._at_least = Patience(stall_s, LOOK_S)
         self._position: Array | None = None
+        self._stands = False
         self._now_s: float | None = None
         self._share = 1.0
 
     def stalled(self, position: Array) -> bool:
         """Whether no axis has got further by ``progress`` for ``stall_s`` of real time."""
-        near = self._position is not None and bool(
+        self._stands = self._position is not None and bool(
             np.all(np.abs(position - self._position) <= self._progress)
         )
-        if not near:
+        if not self._stands:
             self._position, self._patience = position, Patience(self._stall_s, LOOK_S)
             return False
         return self._patience.over()
@@ -46,14 +47,14 @@ class MotionLimits:
     def overdue(self, now_s: float, override_percent: float) -> bool:
         """Whether the motion has taken longer than it may; ``now_s`` is the cell's time.
 
-        Between two looks the lower of their overrides counts.
+        Between two looks the lower of their overrides counts. What stands is stalled, not overdue.
         """
         share = override_percent / 100.0
         if self._now_s is not None:
             self.spent_s += (now_s - self._now_s) * min(share, self._share)
         self._now_s, self._share = now_s, share
         real = self._at_least.over()
-        return real and not self.spent_s <= self.limit_s
+        return real and not self._stands and not self.spent_s <= self.limit_s
 
 
 def planned_s(distance_deg: Array, speed_deg_s: Array, speed_percent: float) -> float:

@@ -3,7 +3,7 @@
 Big-endian. Request ``tag u16 | length of the rest u16 | type u8 | nameLen u16 | name [| valueLen
 u16 | value]``, reply ``tag | length | type | valueLen | value | error u16 | ok u8``. As the
 original it closes a client after 30 s of silence, serves ten at most, and leaves unknown types
-unanswered. Unlike it, it puts split requests together.
+unanswered. Unlike it, it puts split requests together. Replies leave as `fakes.segments` says.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from fakes.faults import Faults, Vanished
 from fakes.krl import KrlError
 from fakes.krl_controller import KrlController
 from fakes.listener import Listener
+from fakes.segments import Segments
 
 READ, WRITE = 0, 1
 IDLE_S = 30.0
@@ -46,7 +47,7 @@ class C3Server:
 
     def _serve(self, client: socket.socket) -> None:
         client.settimeout(IDLE_S)
-        pending = b""
+        segments, pending = Segments(client), b""
         while data := client.recv(RECEIVE):
             pending += data
             while len(pending) >= HEAD.size:
@@ -60,7 +61,7 @@ class C3Server:
                 except Vanished:
                     self._listener.hang_up()
                     return
-                if reply is not None and not self._send(client, reply):
+                if reply is not None and not self._send(client, segments, reply):
                     return
 
     def answer(self, tag: int, request: bytes) -> bytes | None:
@@ -92,7 +93,7 @@ class C3Server:
         if footer is not None:
             raise _Failure(int(footer))
 
-    def _send(self, client: socket.socket, reply: bytes) -> bool:
+    def _send(self, client: socket.socket, segments: Segments, reply: bytes) -> bool:
         """Send the reply as the faults want it; return whether the client stays connected."""
         take = self._faults.take
         if take("robot.idle_close") is not None:
@@ -111,7 +112,7 @@ class C3Server:
             client.sendall(reply[: len(reply) // 2])
             self._closing.wait(0.02)  # so that both halves are segments of their own
             reply = reply[len(reply) // 2 :]
-        client.sendall(reply)
+        segments.send(reply)
         return True
 
 

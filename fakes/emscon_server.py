@@ -15,10 +15,13 @@ from fakes.emscon_device import Answer, EmsconDevice, Later
 from fakes.emscon_packets import COMMAND, HEAD, Change, Command, Status, reply, status_change
 from fakes.faults import Faults, Vanished
 from fakes.listener import Listener
+from fakes.segments import Segments
 from fakes.time import PlantTime
 
 LONGEST = 4096
 RECEIVE = 4096
+LATE_EVERY, LATE_S = 5, 0.001  # results that come well after their acknowledgement
+WEATHER_EVERY = 7  # results with news of the air glued to them
 
 
 class EmsconServer:
@@ -89,6 +92,11 @@ class EmsconServer:
         if take("tracker.eof") is not None:
             raise ConnectionAbortedError
         data = b"".join(packets)
+        session.results += 1
+        if session.results % LATE_EVERY == 0:
+            self._closing.wait(LATE_S)
+        if session.results % WEATHER_EVERY == 0:
+            data = status_change(Change.ENVIRONMENT) + data
         if take("tracker.length_zero") is not None:
             data = struct.pack("<iI", 0, 2)
         if take("tracker.length_huge") is not None:
@@ -107,11 +115,13 @@ class _Session:
 
     def __init__(self, client: socket.socket) -> None:
         self._client = client
+        self._segments = Segments(client)
         self._pending = b""
+        self.results = 0
 
     def send(self, data: bytes) -> None:
         if data:
-            self._client.sendall(data)
+            self._segments.send(data)
 
     def receive(self, timeout_s: float | None) -> bytes | None:
         """Return the next packet, None after the timeout; raises OSError at the end."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from fakes.controller_arm import controller_arm
 from fakes.faults import Faults, Vanished
+from fakes.flicker import flicker
 from fakes.krl import (
     KrlError,
     aggregate,
@@ -23,7 +24,7 @@ from fakes.krl import (
     parse_integer,
     parse_rounded,
 )
-from fakes.robot_motion import RobotMotion
+from fakes.robot_motion import RobotMotion, RobotState
 from fakes.transforms import Array
 from hilcell.cell import Cell
 
@@ -33,6 +34,8 @@ AXES = tuple(f"A{n}" for n in range(1, 7))
 EXTERNAL = {f"E{n}": 0.0 for n in range(1, 7)}
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOOL, BASE = 1, 0
+FLICKER_DEG = 1e-4  # of each axis at rest
+FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
 
 
 class KrlController:
@@ -59,8 +62,9 @@ class KrlController:
         self._keeps_acknowledge = self._frozen = False
         self._override = 100
         self._stale: dict[str, str] = {}
-        self._texts: dict[str, str] = {}
-        self._texts_of: Array | None = None
+        self._pose, self._turns = np.zeros(6), {"S": 0, "T": 0}
+        self._pose_of: Array | None = None
+        self._looks = 0
         self._readers = self._system_readers() | self._program_readers()
         self.restore()
 
@@ -148,16 +152,15 @@ class KrlController:
         return value if found is None else int(found)
 
     def _read_acknowledge(self) -> str:
+        self._looks = 0
         self._poll()
         return str(self._acknowledged)
 
     def _position(self, which: str) -> str:
-        joints_rad = self._poll()
+        state = self._poll()
         if self._faults.take("robot.stale_position") is not None and which in self._stale:
             return self._stale[which]
-        if joints_rad is not self._texts_of:  # at rest it is the same array each time
-            self._texts_of, self._texts = joints_rad, self._position_texts(joints_rad)
-        text = self._stale[which] = self._texts[which]
+        text = self._stale[which] = self._position_text(which, state)
         bad = self._faults.take("robot.bad_number")
         if bad is not None:
             kind, members = text.split(": ", 1)
@@ -165,15 +168,21 @@ class KrlController:
             return f"{kind}: {first.split()[0]} {bad},{rest}"
         return text
 
-    def _position_texts(self, joints_rad: Array) -> dict[str, str]:
-        axes = dict(zip(AXES, np.degrees(joints_rad).tolist(), strict=True))
-        pose = self._arm.components(joints_rad).tolist()
-        turns = {"S": self._arm.status(joints_rad), "T": self._arm.turn(joints_rad)}
-        frame: dict[str, float | int] = dict(zip(FRAME, pose, strict=True)) | turns
-        return {
-            "$AXIS_ACT": aggregate("E6AXIS", axes | EXTERNAL),
-            "$POS_ACT": aggregate("E6POS", frame | EXTERNAL),
-        }
+    def _position_text(self, which: str, state: RobotState) -> str:
+        off = np.zeros(6)
+        if not state.moving:
+            self._looks += 1
+            landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
+            off = flicker(landed, self._looks, 6)
+        if which == "$AXIS_ACT":
+            axes_deg = np.degrees(state.joints_rad) + FLICKER_DEG * off
+            return aggregate("E6AXIS", dict(zip(AXES, axes_deg.tolist(), strict=True)) | EXTERNAL)
+        if state.joints_rad is not self._pose_of:  # at rest it is the same array each time
+            self._pose_of, arm = state.joints_rad, self._arm
+            self._pose = arm.components(state.joints_rad)
+            self._turns = {"S": arm.status(state.joints_rad), "T": arm.turn(state.joints_rad)}
+        pose = (self._pose + FLICKER_POSE * off).tolist()
+        return aggregate("E6POS", dict(zip(FRAME, pose, strict=True)) | self._turns | EXTERNAL)
 
     # -- the resident program -------------------------------------------------------------------
 
@@ -236,13 +245,13 @@ class KrlController:
             self._program = "#P_FREE"
             self._motion.brake()
 
-    def _poll(self) -> Array:
-        """Let a moving robot get further, strike it if so wanted, and return its joints (6,)."""
+    def _poll(self) -> RobotState:
+        """Let a moving robot get further, strike it if so wanted, and return its state."""
         if self._motion.seen_moving:
             self._strike_in_motion()
-        joints_rad = self._motion.poll().joints_rad
+        state = self._motion.poll()
         self._run_program()
-        return joints_rad
+        return state
 
     def _strike_in_motion(self) -> None:
         take = self._faults.take

@@ -60,3 +60,14 @@ def test_flicker_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_axis_that_is_no_number_never_counts_as_standing() -> None:
     motion = limits()
     assert not motion.stalled(np.array([np.nan, 0.0]))
+
+
+def test_what_stands_is_not_overdue() -> None:
+    motion = MotionLimits(2.0, stall_s=0.0, progress=0.01)
+    at = np.array([10.0])
+    motion.stalled(at)
+    assert not motion.overdue(0.0, 100)
+    motion.stalled(at)
+    assert not motion.overdue(1000.0, 100)
+    motion.stalled(at + 0.02)
+    assert motion.overdue(1001.0, 100)

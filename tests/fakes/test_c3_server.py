@@ -68,7 +68,9 @@ def test_position_request_of_the_page(robot: Robot) -> None:
     head = exactly(robot.client.wire, 7)
     assert head[:2] == b"\x00\x01"
     text = exactly(robot.client.wire, int.from_bytes(head[5:7], "big")).decode()
-    assert text.startswith("{E6POS: X 1895.18069, Y 0.00000, Z 1996.12951, A 0.00000, B 60.00000")
+    assert re.match(r"\{E6POS: X [-\d.]+, Y [-\d.]+, Z [-\d.]+, A [-\d.]+, B [-\d.]+, C ", text)
+    assert numbers(text)[:3] == pytest.approx([1895.18069, 0.0, 1996.12951], abs=1.1e-3)
+    assert numbers(text)[3:5] == pytest.approx([0.0, 60.0], abs=1.2e-4)
     assert exactly(robot.client.wire, 3) == b"\x00\x01\x01"
 
 
@@ -117,10 +119,40 @@ def test_motion_by_handshake(robot: Robot) -> None:
     assert robot.client.read("HC_VER") == "1"
     assert robot.client.go(1, NEAR) >= 2  # it takes a few polls
     assert robot.client.read("HC_ERR") == "0"
-    assert numbers(robot.client.read("$AXIS_ACT"))[:6] == pytest.approx(NEAR, abs=1e-5)
+    assert numbers(robot.client.read("$AXIS_ACT"))[:6] == pytest.approx(NEAR, abs=1.2e-4)
     x, y = numbers(robot.client.read("$POS_ACT"))[:2]
     assert np.degrees(np.arctan2(-y, x)) == pytest.approx(5.0, abs=1.0)  # A1 turns clockwise
     assert robot.plant.time.now_s() > 0.2
+
+
+def looks(robot: Robot, count: int = 6) -> list[list[float]]:
+    return [
+        numbers(robot.client.read(which))[:6]
+        for _ in range(count)
+        for which in ("$AXIS_ACT", "$POS_ACT")
+    ]
+
+
+def test_a_robot_at_rest_flickers_in_its_last_digits(robot: Robot) -> None:
+    robot.client.go(1, NEAR)
+    found = looks(robot)
+    axes, poses = np.array(found[::2]), np.array(found[1::2])
+    assert np.all(np.abs(axes - NEAR) <= 1.1e-4)
+    assert np.all(np.ptp(axes, axis=0) > 1e-5)
+    assert np.all(np.ptp(poses, axis=0) < [2.1e-3] * 3 + [2.2e-4] * 3)
+    assert np.all(np.ptp(poses[:, :3], axis=0) > 1e-4)
+
+
+def test_the_flicker_is_the_same_however_often_was_asked_before(robot: Robot) -> None:
+    robot.client.go(1, NEAR)
+    first = looks(robot)
+    for _ in range(5):
+        robot.client.read("$POS_ACT")
+    robot.client.read("HC_ACK")
+    assert looks(robot) == first
+    robot.client.go(2, FAR)
+    robot.client.go(3, NEAR)
+    assert looks(robot) != first  # it has landed otherwise
 
 
 def test_stopping_takes_a_connection_of_its_own(robot: Robot) -> None:
@@ -230,7 +262,7 @@ def test_position_faults(robot: Robot) -> None:
     robot.faults.set("robot.bad_number", "NaN")
     assert robot.client.read("$AXIS_ACT").startswith("{E6AXIS: A1 NaN, A2")
     robot.faults.set("robot.stale_position")
-    assert numbers(robot.client.read("$AXIS_ACT"))[0] == pytest.approx(NEAR[0])
+    assert numbers(robot.client.read("$AXIS_ACT"))[0] == pytest.approx(NEAR[0], abs=1.2e-4)
     robot.faults.set("robot.wrong_tool", 7)
     assert [robot.client.read("$ACT_TOOL") for _ in range(2)] == ["7", "1"]
     robot.faults.set("robot.wrong_identity", "#KR6")

@@ -1,0 +1,35 @@
+"""How bytes leave a device's server: now and then late, and now and then in two segments.
+
+Real devices do both, and TCP promises neither promptness nor whole packets. The turns depend on
+how often was sent over the connection, so they are the same in each run.
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+
+LATE_EVERY, LATE_S = 47, 0.001
+SPLIT_EVERY = 7
+APART_EVERY, APART_S = 3 * SPLIT_EVERY, 0.0005  # so that each half is read by itself
+
+
+class Segments:
+    """The sending side of one connection."""
+
+    def __init__(self, client: socket.socket) -> None:
+        self._client = client
+        self._sent = 0
+
+    def send(self, data: bytes) -> None:
+        """Send ``data``; raises `OSError`."""
+        self._sent += 1
+        if self._sent % LATE_EVERY == 0:
+            time.sleep(LATE_S)
+        if self._sent % SPLIT_EVERY == 0 and len(data) > 1:
+            cut = 1 + self._sent % (len(data) - 1)
+            self._client.sendall(data[:cut])
+            data = data[cut:]
+            if self._sent % APART_EVERY == 0:
+                time.sleep(APART_S)
+        self._client.sendall(data)

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import socket
+from types import SimpleNamespace
+
+import pytest
+
+from fakes import segments
+from fakes.segments import LATE_EVERY, LATE_S, SPLIT_EVERY, Segments
+
+
+class Wire:
+    """Keeps what each segment carries."""
+
+    def __init__(self) -> None:
+        self.pieces: list[bytes] = []
+
+    def sendall(self, data: bytes) -> None:
+        self.pieces.append(data)
+
+
+def sent(count: int, size: int = 20) -> list[bytes]:
+    wire = Wire()
+    segments_of = Segments(wire)  # type: ignore[arg-type]  # all of a socket that it uses
+    for number in range(count):
+        segments_of.send(bytes([number]) * size)
+    return wire.pieces
+
+
+@pytest.fixture(autouse=True)
+def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    found: list[float] = []
+    monkeypatch.setattr(segments, "time", SimpleNamespace(sleep=found.append))
+    return found
+
+
+def test_nothing_is_lost_and_every_seventh_packet_is_split() -> None:
+    pieces = sent(70)
+    assert b"".join(pieces) == b"".join(bytes([number]) * 20 for number in range(70))
+    assert len(pieces) == 70 + 70 // SPLIT_EVERY
+    assert sent(70) == pieces
+    assert len({len(piece) for piece in pieces}) > 5  # cut at many places
+
+
+def test_one_byte_is_not_split() -> None:
+    assert sent(SPLIT_EVERY, size=1) == [bytes([number]) for number in range(SPLIT_EVERY)]
+
+
+def test_the_delay_is_far_below_a_millisecond_on_average(pauses: list[float]) -> None:
+    sent(2 * LATE_EVERY)
+    assert pauses.count(LATE_S) == 2
+    assert sum(pauses) / (2 * LATE_EVERY) < 1e-4
+
+
+def test_a_socket_is_what_it_sends_with() -> None:
+    near, far = socket.socketpair()
+    with near, far:
+        Segments(near).send(b"whole")
+        assert far.recv(10) == b"whole"
