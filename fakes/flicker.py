@@ -10,7 +10,7 @@ import hashlib
 
 import numpy as np
 
-from hilcell.geometry.kinematics import Array
+from fakes.transforms import Array
 
 
 def flicker(key: bytes, look: int, size: int) -> Array:
