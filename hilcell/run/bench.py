@@ -18,7 +18,16 @@ from hilcell.cell import Cell, Nest, Station
 from hilcell.devices import Devices
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.kinematics import forward
-from hilcell.ports import Array, Clock, DeviceError, NoReading, RobotReading, TrackerReading
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    NoReading,
+    RailReading,
+    RobotReading,
+    TrackerReading,
+)
+from hilcell.run.fresh import fresh
 from hilcell.run.interlocks import (
     check_held,
     check_joint_limits,
@@ -158,8 +167,12 @@ class Bench:
         self.checkpoint()
         self._held = None
         parked = self._park_robot()  # read at rest, after its motion ended
-        rail_may_move(self.cell, parked, time.monotonic())
+        robot = fresh(self.devices.robot.read, self.cell.settle.reading_age_s, parked)
+        rail_may_move(self.cell, robot, time.monotonic())
         self._journal.append("intent", "", {"action": action} | facts)
+
+    def _fresh_rail(self) -> RailReading:
+        return fresh(self.devices.rail.read, self.cell.settle.reading_age_s)
 
     def _hold_rail(self) -> None:
         self.devices.rail.hold()
@@ -173,7 +186,7 @@ class Bench:
         now = self.devices.robot.read()
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < 1e-4)):
             return now
-        robot_may_move(self.cell, self.devices.rail.read(), None, time.monotonic())
+        robot_may_move(self.cell, self._fresh_rail(), None, time.monotonic())
         self._journal.append("intent", "", {"action": "robot.park"})
         return self.devices.robot.move_to(safe_rad, self.cell.robot.speed_percent)
 
@@ -188,7 +201,7 @@ class Bench:
         Coming from one side on every axis takes the joints' backlash out of the error.
         """
         check_joint_limits(self.cell, joints_rad, what)
-        robot_may_move(self.cell, self.devices.rail.read(), self._held, time.monotonic())
+        robot_may_move(self.cell, self._fresh_rail(), self._held, time.monotonic())
         self._journal.append(
             "intent", what, {"action": "robot.move", "joints_deg": np.degrees(joints_rad)}
         )

@@ -1,0 +1,30 @@
+"""Readings that are young enough to move by, also on a PC that is busy now and then.
+
+The trap: a PC that did not run between a reading and its use has an old reading and a device that
+is well. So it reads again; the interlocks judge the age of what is returned all the same.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+from hilcell.ports import RailReading, RobotReading
+
+TRIES = 5
+
+R = TypeVar("R", RailReading, RobotReading)
+
+
+def fresh(read: Callable[[], R], limit_s: float, taken: R | None = None) -> R:
+    """Return ``taken`` if it is younger than ``limit_s``, or the first of some readings that is.
+
+    Where none is, the last one is returned.
+    """
+    reading = read() if taken is None else taken
+    for _ in range(TRIES - 1):
+        if time.monotonic() - reading.taken_s <= limit_s:
+            break
+        reading = read()
+    return reading
