@@ -234,7 +234,7 @@ class Runner:
         Raises `CellLocked`. A simulated device's numbers are those of many others.
         """
         known_by = {
-            f"{each.device}: {each.model}, serial {each.serial}"
+            f"{each.device} ({each.model}, serial {each.serial})"
             for each in identities
             if each.serial.strip("0 ") and not each.simulated
         }

@@ -249,6 +249,13 @@ def test_the_digest_is_of_the_cell_and_not_of_its_simulation() -> None:
     assert load_cell("paper", {"rail.speed_mm_s": "251.0"}).digest != cell.digest
 
 
+def test_the_digest_leaves_out_how_long_devices_take() -> None:
+    """It changes nothing that stands there, and calibrations written earlier keep their cell."""
+    times = {"rail.homing_mm_s": "50.0", "rail.standstill_dwell_s": "1.0", "robot.ramp_s": "1.0"}
+    times |= {"tracker.pointing_s": "2.0", "tracker.reading_s": "2.0"}
+    assert load_cell("paper", times).digest == load_cell("paper").digest
+
+
 def test_an_override_may_be_bare_text() -> None:
     cell = load_cell("paper", {"rail.options.channel": "socket://127.0.0.1:1"})
     assert cell.rail.options["channel"] == "socket://127.0.0.1:1"

@@ -5,6 +5,8 @@ from uuid import uuid4
 
 import pytest
 
+from hilcell.alarms.catalogue import entry_of
+from hilcell.alarms.finding import findings_of
 from hilcell.ports import Identity
 from hilcell.run.lock import CellLocked
 from tests.hilcell.run.bed import Bed, Live
@@ -39,7 +41,10 @@ def test_one_device_at_two_addresses_is_locked(tmp_path: Path) -> None:
         Identity("Rail", "drive", serial, "socket://192.0.2.1:3000 node 5"),
     )
     assert code == 6
-    assert bed.log().fault.startswith(f"Rail: drive, serial {serial} is locked by run r (pid ")
+    fault = bed.log().fault
+    assert fault.startswith(f"Rail (drive, serial {serial}) is locked by run r (pid ")
+    (finding,) = findings_of(fault)
+    assert entry_of(finding).code == "HC-C04"
     assert bed.robot.moves == 0
     assert bed.run(procedure(Points(1))) == 0  # free again
 
