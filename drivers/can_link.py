@@ -17,7 +17,7 @@ import canopen
 
 from drivers.link_time import LinkTime
 from drivers.slcan_bus import SlcanBus
-from hilcell.ports import DeviceError
+from hilcell.ports import DeviceError, LinkStatistics
 
 RECEIVE_S = 0.02
 HEARTBEAT_PERIOD_S = 0.05
@@ -70,7 +70,7 @@ class CanLink:
         self.device = device
         self.network = _Network(bus, self.check, self._fail)
         self.time = LinkTime()
-        self.malformed = 0
+        self._frames = self._malformed = 0
         self._bus = bus
         self._beat_s: float | None = None  # when the PC's last heartbeat went out
         self._longest_pause_s = 0.0
@@ -108,6 +108,12 @@ class CanLink:
         self._threads.append(beat)
         beat.start()
 
+    def statistics(self) -> LinkStatistics:
+        """Return what the link has carried so far."""
+        bus = self._bus
+        bad, refused = (bus.bad_lines, bus.refused) if isinstance(bus, SlcanBus) else (0, 0)
+        return LinkStatistics(self._frames, bad, refused, self._malformed)
+
     @property
     def longest_pause_s(self) -> float:
         """Return the longest time between two heartbeats of the PC."""
@@ -140,6 +146,7 @@ class CanLink:
         if message is None:
             self.time.emptied(now_s)
             message = self._bus.recv(RECEIVE_S)
+        self._frames += message is not None
         return message
 
     def _notify(self, message: can.Message) -> None:
@@ -148,7 +155,7 @@ class CanLink:
         try:
             self.network.notify(message.arbitration_id, message.data, message.timestamp)
         except (struct.error, IndexError, ValueError):
-            self.malformed += 1  # a frame too short for its meaning; deadlines notice the loss
+            self._malformed += 1  # a frame too short for its meaning; deadlines notice the loss
 
     def _beat(self, cob_id: int, attended: Callable[[], bool]) -> None:
         while not self._end.wait(HEARTBEAT_PERIOD_S):

@@ -25,7 +25,7 @@ from drivers.rail_setup import Expected
 from drivers.sdo import SdoChannel
 from drivers.standstill import READINGS, Standstill, Windows
 from drivers.supervision import Patience, Supervision
-from hilcell.ports import Clock, DeviceError, Identity, RailReading
+from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 
 SETTLE_S = 10.0  # wire deadline
 LATE_S = 0.8  # below the consumer time of the drive (1016h)
@@ -82,6 +82,7 @@ class CanopenRail:
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._link: CanLink | None = None
+        self._statistics = LinkStatistics()
         self._image: ProcessImage | None = None
         self._drive: Drive | None = None
         self._drive_sdo: SdoChannel | None = None
@@ -156,6 +157,11 @@ class CanopenRail:
     def hold(self) -> None:
         """Take the power to move away; the brake closes."""
         self._used().disable()
+
+    def statistics(self) -> LinkStatistics:
+        """Return what the link has carried, or had when it was closed."""
+        link = self._link
+        return link.statistics() if link is not None else self._statistics
 
     def stop(self) -> None:
         """Quick stop; any thread; waits for no answer."""
@@ -340,6 +346,7 @@ class CanopenRail:
         self._image = self._drive = self._drive_sdo = None
         self._watches = ()
         if link is not None:
+            self._statistics = link.statistics()
             link.close()
 
 

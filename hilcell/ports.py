@@ -24,9 +24,9 @@ from hilcell.errors import (
 )
 
 __all__ = [
-    "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity", "NoReading",
-    "Rail", "RailReading", "Robot", "RobotReading", "SimulatedCell", "Stopped", "Tracker",
-    "TrackerReading", "says_simulated",
+    "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity", "LinkStatistics",
+    "NoReading", "Rail", "RailReading", "Robot", "RobotReading", "SimulatedCell", "Stopped",
+    "Tracker", "TrackerReading", "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -68,6 +68,16 @@ class RailReading:
     still: bool
     powered: bool
     taken_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatistics:
+    """What a wire has carried since connect: whole frames received, and what was lost on it."""
+
+    frames: int = 0
+    bad_lines: int = 0  # that the gateway garbled
+    refused: int = 0  # frames of ours that the gateway did not take
+    malformed: int = 0  # frames too short for what they should carry
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +137,9 @@ class Rail(Protocol):
 
     def hold(self) -> None:
         """Take the power to move away: drive disabled, brake closed."""
+
+    def statistics(self) -> LinkStatistics:
+        """Return what the wire has carried, also after ``close``; any thread, asks nobody."""
 
     def stop(self) -> None:
         """Quick stop, without waiting for an answer."""

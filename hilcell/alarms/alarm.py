@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 DRIFT_LIMIT_K = 2.0
 MANY_APPROACHES = 0.5  # of those that the cell file allows
 STRAYED = 0.5  # of rail.slip_limit_mm: drive against strip, from one hold to the next
+LOSSY = 0.005  # of the frames on the rail's wire
 OVER = ("aborted", "faulted", "finished")
 REFUSED_EXITS = (2, 3, 5, 6, 7)
 GO_ON = "space"  # the usual key
@@ -66,7 +67,7 @@ def alarms_of(
         return []
     began = max((r.seq for r in log.life if r.body["to"] == "checking"), default=0)
     session = [record for record in log.events if record.seq > began]
-    moments = [*_temperature(log), *_verdicts(log), *_events(session), *_strip(log, session)]
+    moments = [*_temperature(log), *_verdicts(log), *_events(log, session), *_strip(log, session)]
     moments += _end(log, session, live=live)
     moments += _lost(log) if lost and not live else []
     moments.sort(key=lambda moment: moment.seq)
@@ -110,7 +111,7 @@ def _then(entry: Entry, run: str, go_on: str, *, over: bool) -> str:
 # -- what the journal tells -----------------------------------------------------------------------
 
 
-def _events(session: list[Record]) -> Iterator[_Moment]:
+def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
     back = max((r.seq for r in session if r.body["what"] == "screen back"), default=0)
     for record in session:
         body, t, seq = record.body, record.t, record.seq
@@ -129,6 +130,8 @@ def _events(session: list[Record]) -> Iterator[_Moment]:
             case "answer refused" | "retake refused" as what:
                 found = ": ".join(str(body[name]) for name in ("key", "reason") if name in body)
                 yield _Moment(Finding("Cell", what, found), t, seq)
+            case "link" if log.link is not None and not log.link.lost_share < LOSSY:
+                yield _Moment(Finding("Cell", "link", log.link.text), t, seq)
             case "outlier measured again":
                 found = f"{body['key']} stands out from its neighbours and was measured again"
                 yield _Moment(Finding("Cell", "outlier", found), t, seq)

@@ -67,6 +67,7 @@ def show(args: argparse.Namespace) -> int:
         "calibration": log.states["calibration"],
         "fault": log.fault,
         "sessions": log.session,
+        "link": log.link.text if log.link is not None else None,
         "verdicts": log.verdicts,
         "result": result,
     }
@@ -83,5 +84,5 @@ def show(args: argparse.Namespace) -> int:
 
 _SHOWN = (
     "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
-    "calibration", "sessions", "fault", "exit",
+    "calibration", "sessions", "link", "fault", "exit",
 )  # fmt: skip

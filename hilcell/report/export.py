@@ -124,6 +124,8 @@ def run_table(facts: Facts) -> list[Row]:
     rows += [[f"version.{name}", version] for name, version in inputs.versions.items()]
     for each in facts.devices:
         rows.append([f"device.{each['device']}", f"{each['model']}, serial {each['serial']}"])
+    if facts.log.link is not None:
+        rows.append(["link", facts.log.link.text])
     return rows
 
 

@@ -135,7 +135,9 @@ def devices(facts: Facts) -> Sheet | None:
         [each["device"], each["model"], each["serial"], each["address"]] for each in facts.devices
     ]
     headers = ["device", "model", "serial", "address"]
-    return Sheet("Devices", headers, rows, 4) if rows else None
+    link = facts.log.link
+    note = f"CAN link in the last session: {link.text}." if link is not None else ""
+    return Sheet("Devices", headers, rows, 4, note) if rows else None
 
 
 def software(facts: Facts) -> Sheet:

@@ -17,6 +17,7 @@ from hilcell.ports import (
     Array,
     DeviceError,
     Identity,
+    LinkStatistics,
     NoReading,
     Rail,
     RailReading,
@@ -173,6 +174,10 @@ class WatchedRail:
         """Hold."""
         with self._watch():
             self._rail.hold()
+
+    def statistics(self) -> LinkStatistics:
+        """Return what the wire has carried."""
+        return self._rail.statistics()
 
     def stop(self) -> None:
         """Stop."""

@@ -80,6 +80,29 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
         return self.seed if self.machine_seed is None else self.machine_seed
 
 
+class LinkRecord(msgspec.Struct, frozen=True):
+    """What the rail's wire has carried and lost in one session."""
+
+    frames: int
+    bad_lines: int
+    refused: int
+    malformed: int
+
+    @property
+    def lost_share(self) -> float:
+        """Return how much was lost, as a share of all."""
+        lost = self.bad_lines + self.refused + self.malformed
+        return lost / max(1, self.frames + lost)
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return (
+            f"{self.frames} frames, {self.bad_lines} bad lines, {self.refused} refused, "
+            f"{self.malformed} malformed ({100 * self.lost_share:.2f} % lost)"
+        )
+
+
 class Log:
     """The journal so far. ``take`` adds one record."""
 
@@ -98,6 +121,7 @@ class Log:
         self.fault = ""
         self.moved = False  # in this session
         self.retakes: dict[str, None] = {}  # keys of points that wait to be measured anew
+        self.link: LinkRecord | None = None  # of the last session that ended
         self.seated = ""  # the place of a reflector that is carried by hand
         self.sights: dict[str, Seated] = {}
         self.newest: Record | None = None
@@ -135,6 +159,8 @@ class Log:
                 self.retakes[body["key"]] = None
             case "retake refused":
                 self.retakes.pop(body["key"], None)
+            case "link":
+                self.link = msgspec.convert(body, LinkRecord)
             case "connected" if any(each.get("simulated") for each in body["devices"]):
                 # What it says of itself counts, whatever the cell file said before.
                 self.plan = msgspec.structs.replace(self.inputs, simulated=True)

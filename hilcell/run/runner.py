@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from hilcell.cell import Cell
 from hilcell.devices import Devices, connect_all
@@ -181,10 +181,15 @@ class Runner:
             "screens": self._screens,
             "pausing": self._pausing,
             "devices": self._lamps.status(),
+            "link": self._link(),
             "interlocks": overview(self._cell, self._sight()),
             "prompt": self._asking.status(),
             "retakes": list(self.log.retakes),
         }
+
+    def _link(self) -> dict[str, int]:
+        """Return what the rail's wire has carried."""
+        return asdict(self._devices.rail.statistics())
 
     @property
     def _pausing(self) -> bool:
@@ -433,6 +438,7 @@ class Runner:
             self._stop.set()
             self._note("safe stop", self._safe_stop.wait())
         self._note("closed", close_all(self._devices))
+        self._journal.append("event", "", {"what": "link"} | self._link())
         if error is None:
             try:
                 return self._finish()

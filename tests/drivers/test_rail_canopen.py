@@ -12,7 +12,7 @@ import pytest
 from drivers import drive, node_watch, pdo, rail_canopen, rail_setup, sdo
 from drivers.rail_canopen import CanopenRail
 from hilcell.clock import WallClock
-from hilcell.ports import DeviceError, DeviceRefused, Rail, Stopped
+from hilcell.ports import DeviceError, DeviceRefused, LinkStatistics, Rail, Stopped
 from tests.drivers import can_peer
 from tests.drivers.can_peer import (
     DRIVE,
@@ -557,3 +557,22 @@ def test_stop_and_close_before_connect_do_nothing(peer: CanPeer) -> None:
     rail.stop()
     rail.close()
     assert peer.heard == []
+
+
+# -- what the link has carried ----------------------------------------------------------------
+
+
+def test_what_the_link_loses_is_counted_and_kept_after_the_end(peer: CanPeer) -> None:
+    rail = rail_for(peer)
+    assert rail.statistics() == LinkStatistics()
+    rail.connect()
+    clean = rail.statistics()
+    assert clean.frames > 20
+    assert (clean.bad_lines, clean.refused, clean.malformed) == (0, 0, 0)
+    spoilt = iter((b"\xff\r", b"\a", b"t2851AA\r", b"t08510\r"))
+    peer.tamper = lambda line: [line, *([piece] if (piece := next(spoilt, b"")) else [])]
+    rail.read()
+    rail.close()
+    found = rail.statistics()
+    assert (found.bad_lines, found.refused, found.malformed) == (2, 1, 1)
+    assert found.frames > clean.frames

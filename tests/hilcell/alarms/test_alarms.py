@@ -50,6 +50,11 @@ BY_EVENTS: dict[str, tuple[Row, ...]] = {
     "HC-C09": (*BEGUN, event("answer refused", reason="nothing is seen"), *DONE),
     "HC-C14": (*BEGUN, event("retake refused", key="grid/0", reason="it is fitted"), *DONE),
     "HC-J05": BEGUN,
+    "HC-R12": (
+        *BEGUN,
+        event("link", frames=995, bad_lines=2, refused=2, malformed=1),
+        *DONE,
+    ),
     "HC-S08": (*BEGUN, event("station held", **HELD | {"tries": 5}), *DONE),
     "HC-S09": (
         *BEGUN,
@@ -82,6 +87,7 @@ def test_a_good_run_has_none() -> None:
         point("a"),
         point("b", 21.9),
         event("safe stop", problems={}),
+        event("link", frames=996, bad_lines=2, refused=1, malformed=1),
         ("verdict", "validation.others", {"holds": True}),
     ]
     assert alarms(*good, *DONE) == []

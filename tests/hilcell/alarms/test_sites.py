@@ -110,7 +110,7 @@ def test_every_entry_is_reached(code: str) -> None:
 ORDINARY = {"connected", "station found held", "step", "retake asked", "seated", "screen back"}
 ALARMING = {
     "no reading", "safe stop", "closed", "command refused", "screen lost", "answer refused",
-    "retake refused", "outlier measured again", "station held", "internal error",
+    "retake refused", "outlier measured again", "station held", "internal error", "link",
 }  # fmt: skip
 
 

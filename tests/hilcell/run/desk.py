@@ -11,7 +11,7 @@ import numpy as np
 
 from hilcell.cell import Cell
 from hilcell.devices import Devices
-from hilcell.ports import Array, Identity, RailReading, RobotReading, TrackerReading
+from hilcell.ports import Array, Identity, LinkStatistics, RailReading, RobotReading, TrackerReading
 from hilcell.run.bench import Bench
 from hilcell.run.log import Log
 from hilcell.run.procedure import Procedure, Step
@@ -22,6 +22,7 @@ class DeskRail:
         self.cell, self.position_mm, self.powered = cell, 1100.0, False
         self.stopped_s: float | None = None
         self.closed = 0
+        self.link = LinkStatistics(frames=1000)
         self.identity = Identity("Rail", "desk", "1", "memory", simulated=True)
 
     def connect(self) -> list[Identity]:
@@ -42,6 +43,9 @@ class DeskRail:
 
     def hold(self) -> None:
         self.powered = False
+
+    def statistics(self) -> LinkStatistics:
+        return self.link
 
     def stop(self) -> None:
         self.stopped_s = time.monotonic()

@@ -253,7 +253,7 @@ def test_a_command_that_makes_no_sense_is_journalled(bed: Bed) -> None:
 
 STATUS = {
     "run", "state", "calibration", "points", "unattended", "screens", "pausing", "devices",
-    "interlocks", "prompt", "retakes",
+    "interlocks", "link", "prompt", "retakes",
 }  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.cell import load_cell
-from hilcell.ports import DeviceError, Identity, RailReading
+from hilcell.ports import DeviceError, Identity, LinkStatistics, RailReading
 from hilcell.run.strip import approach_station
 
 CELL = load_cell("paper")
@@ -43,6 +43,9 @@ class Slide:
         return self.settle()
 
     def hold(self) -> None: ...
+
+    def statistics(self) -> LinkStatistics:
+        return LinkStatistics()
 
     def stop(self) -> None: ...
 
