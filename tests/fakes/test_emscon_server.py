@@ -382,3 +382,19 @@ def test_two_clients_at_once(ready: Tracker) -> None:
         np.testing.assert_allclose(ready.client.measure(*at)[:3], at, atol=0.06)
     thread.join(10)
     assert not thread.is_alive()
+
+
+def test_news_of_the_air_come_glued_to_every_seventh_result(ready: Tracker) -> None:
+    client, kinds = ready.client, []
+    assert client.ask(55, "3di", *ready.at("F1"), 1)[0] == OK
+    while client.packet()[1] != struct.pack("<I", 27):  # until the search has ended
+        pass
+    for _ in range(14):
+        client.send(49)
+        changes = []
+        while (packet := client.packet())[0] != 2:
+            if packet[0] == 8:
+                changes.append(struct.unpack("<I", packet[1])[0])
+        assert client.packet() == (8, struct.pack("<I", 27))
+        kinds.append(changes)
+    assert [number for number, changes in enumerate(kinds, 1) if 2 in changes] == [7, 14]
