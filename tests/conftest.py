@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import os
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.hilcell.report.browser import NAMES, found
+from tests.whole.golden import GoldenRuns
 
 settings.register_profile(
     "suite",
@@ -34,3 +36,10 @@ def pytest_report_header() -> str:
     """Name the browser in which the report is looked at."""
     none = f"none of {', '.join(NAMES)} is installed: its tests are skipped"
     return f"browser for the report: {found() or none}"
+
+
+@pytest.fixture(scope="session")
+def golden(tmp_path_factory: pytest.TempPathFactory) -> GoldenRuns:
+    """Return runs by name, each made once for all workers."""
+    base = tmp_path_factory.getbasetemp()
+    return GoldenRuns(base.parent if "PYTEST_XDIST_WORKER" in os.environ else base)

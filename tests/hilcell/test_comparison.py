@@ -21,19 +21,15 @@ from hilcell.runs import JOURNAL
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.test_control import Desk
 from tests.whole.bench import SMALL, end_of, hilcell, sets
+from tests.whole.golden import GoldenRuns
 
 Change_ = Callable[[Record], Record | None]
 
 
 @pytest.fixture(scope="module")
-def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def pair(golden: GoldenRuns) -> tuple[Path, Path]:
     """Return the folders of two small calibrations of different seeds."""
-    runs = tmp_path_factory.mktemp("runs")
-    ends = [
-        end_of(hilcell("run", "--json", "--runs", runs, "--seed", seed, *sets(SMALL)))
-        for seed in ("1", "2")
-    ]
-    return runs / ends[0]["run"], runs / ends[1]["run"]
+    return golden["small"].folder, golden["small-2"].folder
 
 
 @pytest.fixture(scope="module")

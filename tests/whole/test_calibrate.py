@@ -1,32 +1,19 @@
 """The built-in cell is calibrated over its wires, and the figures are the paper's."""
 
-import concurrent.futures
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from tests.whole.bench import command, end_of, events, hilcell
+from tests.whole.bench import command, end_of, events, hilcell, sweep
+from tests.whole.golden import LIMIT_S, RUNS, GoldenRuns
 from tests.whole.trace import judge
 
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
-    """Return two calibrations of seed 3, made side by side."""
-
-    def one(name: str) -> Any:
-        folder = tmp_path_factory.mktemp(name)
-        words = ("run", "--json", "--speed", "max", "--seed", "3", "--runs", folder)
-        return folder, hilcell(*words, limit_s=170)
-
-    with concurrent.futures.ThreadPoolExecutor() as pool:
-        return list(pool.map(one, ["first", "second"]))
+pytestmark = pytest.mark.timeout(LIMIT_S)
 
 
-@pytest.mark.timeout(240)
-def test_the_end_event_has_the_figures(runs: list[Any]) -> None:
-    end = end_of(runs[0][1])
-    assert end["state"] == "finished", runs[0][1].stderr
+def test_the_end_event_has_the_figures(golden: GoldenRuns) -> None:
+    end = golden["calibration"].end
+    assert end["state"] == "finished", golden["calibration"].done.stderr
     assert end["exit"] == 0
     result = end["result"]
     assert result["simulated"] is True
@@ -45,14 +32,16 @@ def test_the_end_event_has_the_figures(runs: list[Any]) -> None:
         assert 0.0 < station["tool_uncertainty_mm"] < 0.1
 
 
-@pytest.mark.timeout(240)
-def test_the_same_seed_gives_the_same_figures(runs: list[Any]) -> None:
-    assert end_of(runs[0][1])["result"] == end_of(runs[1][1])["result"]
+@pytest.mark.parametrize("name", ["small", *sweep("calibration", "paper")])
+def test_the_same_seed_gives_the_same_figures(
+    golden: GoldenRuns, tmp_path: Path, name: str
+) -> None:
+    again = hilcell("run", *RUNS[name], "--json", "--runs", tmp_path, limit_s=LIMIT_S)
+    assert end_of(again)["result"] == golden[name].result
 
 
-@pytest.mark.timeout(240)
-def test_events_are_the_journal(runs: list[Any]) -> None:
-    folder, done = runs[0]
+def test_events_are_the_journal(golden: GoldenRuns) -> None:
+    folder, done = golden["calibration"].runs, golden["calibration"].done
     printed = events(done.stdout)
     assert [event["seq"] for event in printed] == list(range(1, len(printed) + 1))
     watched = command("watch", "last", "--runs", folder, "--json")
@@ -61,18 +50,16 @@ def test_events_are_the_journal(runs: list[Any]) -> None:
     assert judge(printed) == []
 
 
-@pytest.mark.timeout(240)
-def test_show_computes_the_result_anew(runs: list[Any]) -> None:
-    folder, done = runs[0]
+def test_show_computes_the_result_anew(golden: GoldenRuns) -> None:
+    folder, done = golden["calibration"].runs, golden["calibration"].done
     shown = command("show", "last", "--runs", folder, "--json")
     assert events(shown.stdout)[0]["result"] == end_of(done)["result"]
     listed = events(command("runs", "--runs", folder, "--json").stdout)[0]["runs"]
     assert [(each["state"], each["exit"]) for each in listed] == [("finished", 0)]
 
 
-@pytest.mark.timeout(240)
-def test_the_calibration_corrects_targets(runs: list[Any], tmp_path: Path) -> None:
-    folder, _ = runs[0]
+def test_the_calibration_corrects_targets(golden: GoldenRuns, tmp_path: Path) -> None:
+    folder = golden["calibration"].runs
     targets, out = tmp_path / "targets.csv", tmp_path / "out.csv"
     head = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n"
     # The cube's centre lies near {W}'s origin at 1100, 1250 mm above the floor.

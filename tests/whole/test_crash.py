@@ -23,6 +23,7 @@ from tests.whole.bench import (
     simulation,
     wait_gone,
 )
+from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
 
@@ -44,11 +45,10 @@ def reaching(seq: int) -> Callable[[dict[str, Any]], bool]:
 
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("kills", [5, pytest.param(20, marks=pytest.mark.nightly)])
-def test_kills_change_nothing(tmp_path: Path, kills: int) -> None:
-    whole = hilcell("run", "--json", "--runs", tmp_path / "whole", *sets(SMALL))
-    wanted = end_of(whole)["result"]
+def test_kills_change_nothing(tmp_path: Path, golden: GoldenRuns, kills: int) -> None:
+    whole = golden["small"]
     # Where to die: after so many records, spread over the whole run but not by a pattern.
-    total = len(events(whole.stdout))
+    total = len(whole.events)
     rng = random.Random(2014)
     moments = sorted(rng.sample(range(5, total - 5), kills))
 
@@ -75,8 +75,8 @@ def test_kills_change_nothing(tmp_path: Path, kills: int) -> None:
     assert not [key for key, count in Counter(kept).items() if count > 1]
     assert set(acknowledged) <= set(kept)
     measured = {key for key in kept if not key.startswith("control/")}
-    assert measured == {k for k in points_of(events(whole.stdout)) if not k.startswith("control/")}
-    found, uninterrupted = figures(end["result"]), figures(wanted)
+    assert measured == {k for k in points_of(whole.events) if not k.startswith("control/")}
+    found, uninterrupted = figures(end["result"]), figures(whole.result)
     for key, value in uninterrupted.items():
         # Over 4 targets a station, and with three points measured at another landing, the
         # paper's method scatters; the chosen one rests on all nests.
@@ -97,13 +97,6 @@ def cut(whole: Path, folder: Path, seq: int) -> None:
     copy.close()
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
-    folder = tmp_path_factory.mktemp("cuts")
-    done = hilcell("run", "--json", "--runs", folder, *sets(SMALL))
-    return folder / str(end_of(done)["run"]), events(done.stdout)
-
-
 def after_every_kind(printed: list[dict[str, Any]]) -> list[int]:
     """Return the records after which a death is the most awkward: frames and states."""
     frames = ("world", "base", "station.S1100", "station.S1900")
@@ -114,15 +107,15 @@ def after_every_kind(printed: list[dict[str, Any]]) -> list[int]:
 @pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.nightly)])
 def test_a_run_resumes_from_between_any_two_records(
     tmp_path: Path,
-    whole: tuple[Path, list[dict[str, Any]]],
+    golden: GoldenRuns,
     capsys: pytest.CaptureFixture[str],
     every: int,
 ) -> None:
-    run, printed = whole
-    wanted = figures(printed[-1]["result"])
-    for seq in after_every_kind(printed)[::every]:
+    whole = golden["small"]
+    wanted = figures(whole.result)
+    for seq in after_every_kind(whole.events)[::every]:
         folder = tmp_path / f"cut-{seq}"
-        cut(run, folder, seq)
+        cut(whole.folder, folder, seq)
         main(["resume", folder.name, "--runs", str(tmp_path), "--json"])
         out, told = capsys.readouterr()
         end = events(out)[-1]
@@ -133,13 +126,11 @@ def test_a_run_resumes_from_between_any_two_records(
             assert value == pytest.approx(wanted[key], abs=limit_mm), (seq, key)
 
 
-def test_a_lost_calibration_file_is_written_again(
-    tmp_path: Path, whole: tuple[Path, list[dict[str, Any]]]
-) -> None:
-    run, printed = whole
-    cut(run, tmp_path / "copy", printed[-1]["seq"])
+def test_a_lost_calibration_file_is_written_again(tmp_path: Path, golden: GoldenRuns) -> None:
+    whole = golden["small"]
+    cut(whole.folder, tmp_path / "copy", whole.end["seq"])
     done = hilcell("resume", "copy", "--runs", tmp_path, "--json")
-    assert done.returncode == printed[-1]["exit"], done.stderr
+    assert done.returncode == whole.done.returncode, done.stderr
     assert (tmp_path / "copy" / "calibration.json").is_file()
     again = command("resume", "copy", "--runs", tmp_path)
     assert again.returncode == 2

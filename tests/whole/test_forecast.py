@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
-
 from tests.whole.conftest import PaperRun
 
 
-@pytest.mark.timeout(240)
 def test_every_step_measures_what_its_spans_say(paper: PaperRun) -> None:
     assert paper.end["state"] == "finished", paper.errors
     steps = next(event for event in paper.events if event["kind"] == "plan")["steps"]

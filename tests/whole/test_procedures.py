@@ -27,7 +27,6 @@ def test_alone_by_its_name(tmp_path: Path, name: str) -> None:
     assert name in shown.stdout
 
 
-@pytest.mark.timeout(240)
 def test_the_survey_is_fig_1(paper: PaperRun) -> None:
     survey = paper.result["rail_survey"]
     forth = dict(map(tuple, survey["curve"]["forth"]))
@@ -38,7 +37,6 @@ def test_the_survey_is_fig_1(paper: PaperRun) -> None:
     assert set(survey["angles_mrad"]) == {"roll", "pitch", "yaw"}
 
 
-@pytest.mark.timeout(240)
 def test_longer_arcs_tell_more(paper: PaperRun) -> None:
     """Fig 6: the uncertainty of an axis falls with the arc."""
     for axis in (1, 6):

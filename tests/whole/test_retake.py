@@ -7,6 +7,7 @@ import pytest
 
 from hilcell.run.control import send_command
 from tests.whole.bench import SMALL, Engine, command, end_of, events, hilcell, sets
+from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
 KEY = "validate/S300/chosen/001"
@@ -17,11 +18,12 @@ def retaken(journal: list[dict[str, Any]]) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def finished(
+    tmp_path_factory: pytest.TempPathFactory, golden: GoldenRuns
+) -> tuple[Path, dict[str, Any]]:
     runs = tmp_path_factory.mktemp("runs")
-    done = hilcell("run", "--name", "mine", "--runs", runs, "--json", *sets(SMALL))
-    assert done.returncode == 0, done.stderr
-    return runs, end_of(done)
+    golden["small"].copied_to(runs).rename(runs / "mine")
+    return runs, golden["small"].end
 
 
 def test_a_finished_run_is_reopened_measured_and_judged_anew(

@@ -17,18 +17,16 @@ from hilcell.cli import main
 from hilcell.runs import JOURNAL
 from tests.hilcell.report.browser import browse
 from tests.hilcell.report.pages import Page
-from tests.whole.bench import HILCELL, SMALL, command, end_of, hilcell, sets
+from tests.whole.bench import HILCELL, command
+from tests.whole.golden import GoldenRuns
 
 RUST, BLUE = (194, 106, 46), (18, 80, 123)  # the figures' colours before and after
 
 
 @pytest.fixture(scope="module")
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def calibrated(golden: GoldenRuns) -> tuple[Path, dict[str, Any]]:
     """Return the folder of a small calibration and its result."""
-    runs = tmp_path_factory.mktemp("runs")
-    done = hilcell("run", "--json", "--runs", runs, "--operator", "B. Operator", *sets(SMALL))
-    end = end_of(done)
-    return runs / end["run"], end["result"]
+    return golden["small"].folder, golden["small"].result
 
 
 @pytest.fixture(scope="module")

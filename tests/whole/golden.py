@@ -1,0 +1,73 @@
+"""Runs that many tests look at: each is made once, by the worker that needs it first.
+
+Nobody changes a golden run: what resumes or retakes works on a copy.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import shutil
+import subprocess
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from tests.whole.bench import SMALL, end_of, events, hilcell, sets
+
+LIMIT_S = 600.0  # many workers may need the processors
+RUNS: dict[str, tuple[str, ...]] = {
+    "small": ("calibrate", "--seed", "1", "--operator", "B. Operator", *sets(SMALL)),
+    "small-2": ("calibrate", "--seed", "2", *sets(SMALL)),
+    "calibration": ("calibrate", "--seed", "3"),
+    "paper": ("paper", "--seed", "2", "--unattended"),
+}
+
+
+@dataclass(frozen=True)
+class GoldenRun:
+    """A finished run: its folder, and what its command said."""
+
+    folder: Path
+    done: subprocess.CompletedProcess[str]
+
+    @property
+    def runs(self) -> Path:
+        return self.folder.parent
+
+    @cached_property
+    def events(self) -> list[dict[str, Any]]:
+        return events(self.done.stdout)
+
+    @property
+    def end(self) -> dict[str, Any]:
+        return end_of(self.done)
+
+    @property
+    def result(self) -> dict[str, Any]:
+        result: dict[str, Any] = self.end["result"]
+        return result
+
+    def copied_to(self, runs: Path) -> Path:
+        """Copy the run into another folder of runs; return its folder there."""
+        return Path(shutil.copytree(self.folder, runs / self.folder.name))
+
+
+class GoldenRuns:
+    """Makes runs in a folder that all workers share."""
+
+    def __init__(self, shared: Path) -> None:
+        self._shared = shared
+
+    def __getitem__(self, name: str) -> GoldenRun:
+        runs = self._shared / f"golden-{name}"
+        said = self._shared / f"golden-{name}.json"
+        with (self._shared / f"golden-{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not said.exists():
+                words = ("run", *RUNS[name], "--json", "--name", name, "--runs", str(runs))
+                done = hilcell(*words, limit_s=LIMIT_S)
+                said.write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
+        code, out, told = json.loads(said.read_text())
+        return GoldenRun(runs / name, subprocess.CompletedProcess(name, code, out, told))
