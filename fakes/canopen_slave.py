@@ -2,9 +2,9 @@
 
 A device is a subclass that fills the object dictionary and overrides the four hooks `written`,
 `switched_off`, `connection_lost` and `restarted`. One thread calls everything. Heartbeats and
-event timers run in real time, whatever the plant's clock does. The trap: a lost heartbeat takes
-the node out of OPERATIONAL by itself (1029:01 = 0) and is latched: a new master must start it
-again, and a START that comes before the master's first new heartbeat does not hold.
+event timers run in real time, whatever the plant's clock does, and no heartbeat is punctual. The
+trap: a lost heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched: a
+new master must start it again, and a START before its first new heartbeat does not hold.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+
+import numpy as np
 
 from fakes.canopen_dictionary import Entry, ObjectDictionary
 from fakes.canopen_pdo import ReceivePdo, TransmitPdo
@@ -25,6 +27,7 @@ PDO_TOO_SHORT = 0x8210
 GENERIC, COMMUNICATION, DEVICE_PROFILE = 0x01, 0x10, 0x20
 COMMUNICATION_AREA, WHOLE_DICTIONARY = range(0x1000, 0x2000), range(0x10000)
 KEPT_ERRORS = 4
+LATEST_HEARTBEAT = 0.3  # of its period
 
 Send = Callable[[int, bytes], None]
 
@@ -62,6 +65,7 @@ class CanopenSlave:
         self._send = send
         self._sdo = SdoServer(self.dictionary)
         self._next_heartbeat_s = math.inf
+        self._habits = np.random.default_rng(node)
         self._heard_by_s = math.inf
         self._heartbeat_lost = False
         self._add_communication_objects(identity)
@@ -229,6 +233,7 @@ class CanopenSlave:
 
     def _schedule_heartbeat(self, now_s: float) -> None:
         period_s = self.dictionary.number(0x1017) / 1000.0
+        period_s *= 1.0 + self._habits.uniform(0.0, LATEST_HEARTBEAT)
         self._next_heartbeat_s = now_s + period_s if period_s else math.inf
 
     def _heard(self, node: int, now_s: float) -> None:

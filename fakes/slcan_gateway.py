@@ -1,15 +1,19 @@
 """A CAN gateway that speaks slcan (the Lawicel ASCII protocol) over TCP, to one client at a time.
 
 Every command ends with CR and is answered: CR for done, ``z`` CR for a frame sent, BELL for
-refused. The trap: a client may throw away what arrives before its ``O`` (open); so nothing is sent
-unasked until the channel is open.
+refused. As on any gateway lines come glued, in two pieces, or a little late. The trap: a client
+may throw away what arrives before its ``O`` (open); so nothing is sent unasked until the channel is
+open.
 """
 
 from __future__ import annotations
 
 import select
 import socket
+import time
 from collections.abc import Callable
+
+import numpy as np
 
 from fakes.faults import Faults
 from fakes.listener import listen
@@ -17,6 +21,7 @@ from fakes.listener import listen
 OK, REFUSED = b"\r", b"\a"
 LONGEST_LINE = 64
 SEND_DEADLINE_S = 0.2
+LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
 
 
 def encode(cob_id: int, data: bytes) -> bytes:
@@ -52,6 +57,7 @@ class SlcanGateway:
         self._received = b""
         self._sending = b""
         self._opened = self._stalled = False
+        self._habits = np.random.default_rng(0)
 
     def serve(self, timeout_s: float, wake: socket.socket) -> None:
         """Handle what clients send within ``timeout_s``; bytes on ``wake`` end the wait early."""
@@ -75,6 +81,11 @@ class SlcanGateway:
         """Send what is queued; a client that does not take it in time is dropped."""
         if self._client is not None and self._sending:
             try:
+                if self._habits.random() < LATE_SHARE:
+                    cut = int(self._habits.integers(len(self._sending)))
+                    self._client.sendall(self._sending[:cut])
+                    self._sending = self._sending[cut:]
+                    time.sleep(self._habits.uniform(0.0, LATE_S))
                 self._client.sendall(self._sending)
             except OSError:
                 self.drop()

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import canopen
 import pytest
 
+from fakes.canopen_slave import CanopenSlave, NodeIdentity
 from tests.fakes.rail_bench import DRIVE, STRIP, Line, Master, served, until
 
 
@@ -236,6 +238,22 @@ def test_lost_heartbeat_is_an_emergency_and_ends_when_it_returns() -> None:
         until(lambda: not master.drive.emcy.active, "error reset")
         assert master.read(0x1001, 0, "B") == 0
         beats.stop()
+
+
+def test_no_heartbeat_is_punctual() -> None:
+    beats_s: list[float] = []
+    now_s = 0.0
+    node = CanopenSlave(
+        9, NodeIdentity(0, "n", 1, 1, 1, 1), lambda _cob_id, _data: beats_s.append(now_s)
+    )
+    node.dictionary.set(0x1017, 0, 200)
+    node.boot(now_s)
+    while len(beats_s) < 200:
+        now_s = node.next_s()
+        node.tick(now_s)
+    gaps_s = [after - before for before, after in pairwise(beats_s)]
+    assert 0.2 <= min(gaps_s) < 0.21
+    assert 0.25 < max(gaps_s) <= 0.26
 
 
 def test_start_before_the_first_new_heartbeat_does_not_hold() -> None:

@@ -181,3 +181,19 @@ def test_garbage_byte_poisons_python_cans_buffer() -> None:
         loop.faults.set("rail.garbage", 0xC3)
         line.send(b"t1230")
         assert line.frame() == b"\xc3t1240"
+
+
+def test_lines_come_in_pieces_and_glued_and_none_is_lost() -> None:
+    with running() as loop, socket.create_connection(("127.0.0.1", loop.gateway.port)) as client:
+        client.settimeout(5.0)
+        client.sendall(b"O\r")
+        whole, pieces = b"", []
+        for number in range(200):
+            client.sendall(b"t123101\rt123102\r")
+            wanted = 1 + (number + 1) * len(b"z\rt124101\rz\rt124102\r")
+            while len(whole) < wanted:
+                pieces.append(client.recv(4096))
+                whole += pieces[-1]
+    assert whole == b"\r" + b"z\rt124101\rz\rt124102\r" * 200
+    assert any(not piece.endswith(b"\r") for piece in pieces), "cut within a line"
+    assert any(piece.count(b"\r") > 1 for piece in pieces), "glued"
