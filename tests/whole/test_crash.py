@@ -11,6 +11,7 @@ import pytest
 
 from hilcell.cli import main
 from hilcell.exits import EXIT_STORAGE
+from tests.fakes.rail_bench import Line
 from tests.whole.bench import (
     SMALL,
     Engine,
@@ -82,6 +83,26 @@ def test_kills_change_nothing(tmp_path: Path, golden: GoldenRuns, kills: int) ->
         # paper's method scatters; the chosen one rests on all nests.
         limit_mm = 0.06 if key.endswith(".idw") else 0.02
         assert found[key] == pytest.approx(value, abs=limit_mm), key
+
+
+LAST_ERROR = b"t60584003100100000000", b"t58584303100130810000"  # 1003h:01 of the drive: 8130h
+
+
+def test_a_drive_that_has_latched_the_lost_heartbeat_starts_again(tmp_path: Path) -> None:
+    """It takes START only after the first new heartbeat of the engine that resumes."""
+    with simulation("--speed", "20") as cell:
+        words = sets({"simulation.address": cell.control})
+        engine = Engine("run", "home", "--runs", tmp_path, *words)
+        engine.until(lambda event: event.get("what") == "connected")
+        engine.kill()
+        with Line(int(cell.addresses["rail"]["channel"].rsplit(":", 1)[1])) as line:
+            answer = b""
+            while answer != LAST_ERROR[1]:  # the test's time limit bounds the wait
+                line.send(LAST_ERROR[0])
+                while not (answer := line.frame()).startswith(b"t585"):
+                    pass
+        last = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
+    assert end_of(last)["state"] == "finished", last.stderr
 
 
 def cut(whole: Path, folder: Path, seq: int) -> None:
