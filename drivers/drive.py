@@ -25,6 +25,7 @@ from drivers.supervision import Supervision
 from hilcell.ports import Clock, DeviceError
 
 POLL_S = 0.02
+ROUNDING_S = 0.001  # of the cell's time
 STALL_S = 3.0  # wire deadline: neither the wanted state nor progress
 OVERSPEED = 1.2
 FULL_SPEED = 100.0  # percent: the drive has no override
@@ -115,13 +116,18 @@ class Drive:
     def confirm(self, operation: str) -> Snapshot:
         """Poll once, or for a dwell where older polls do not prove that the slide stands."""
         now = self.poll(operation)
-        windows = self._limits.windows
-        for _ in range(max(READINGS, math.ceil(windows.dwell_s / POLL_S) + 1)):
-            if self.rest is not None or not abs(now.velocity) <= windows.speed:
+        for _ in range(READINGS):
+            if self.rest is not None or not self._standstill.begun:
                 break
-            self._clock.wait(POLL_S)
+            self.pause()
             now = self.poll(operation)
         return now
+
+    def pause(self) -> None:
+        """Wait for the next poll; a slide that seems to stand is polled as its dwell needs it."""
+        dwell_s = self._limits.windows.dwell_s
+        apart_s = dwell_s / (READINGS - 1) + ROUNDING_S if self._standstill.begun else 0.0
+        self._clock.wait(max(POLL_S, apart_s))
 
     def reset_fault(self) -> None:
         """Reset a fault and stop at SWITCH ON DISABLED; nothing is enabled."""
@@ -273,7 +279,7 @@ class Drive:
                     wanted=f"{wanted} within {limits.limit_s:.0f} s",
                     act="check whether the slide creeps, and the drive's speeds, then resume",
                 )
-            self._clock.wait(POLL_S)
+            self.pause()
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:
         limits, found = self._limits, ""

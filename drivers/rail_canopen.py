@@ -67,7 +67,7 @@ class CanopenRail:
         strip_serial: U32 = 0
         standstill_speed_mm_s: Positive = 0.5
         standstill_window_mm: Positive = 0.01
-        standstill_dwell_s: Annotated[float, Meta(gt=0, le=5)] = 0.25
+        standstill_dwell_s: Annotated[float, Meta(gt=0, le=5)] = 0.4
         homing_mm_s: Positive = 100.0
 
         def __post_init__(self) -> None:
@@ -148,7 +148,7 @@ class CanopenRail:
                     f"{options.standstill_dwell_s:.2f} s, within {SETTLE_S:.0f} s",
                     act="the slide creeps or the strip's head is loose; check, then resume",
                 )
-            self._clock.wait(POLL_S)
+            drive.pause()
 
     def read(self) -> RailReading:
         """Return a reading asked for after this call began."""

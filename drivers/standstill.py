@@ -57,6 +57,11 @@ class Standstill:
         self._drop_needless(now_s)
 
     @property
+    def begun(self) -> bool:
+        """Whether the speed of the newest poll lies within its window."""
+        return bool(self._polls)
+
+    @property
     def rest(self) -> Rest | None:
         """Return where the slide stands; None while it moves or is not known to stand."""
         polls = self._polls

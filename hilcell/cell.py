@@ -82,7 +82,7 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     slip_limit_mm: Size = 2.0
     max_approaches: Annotated[int, Meta(ge=1, le=20)] = 8
     homing_mm_s: Speed = 100.0
-    standstill_dwell_s: Dwell = 0.25
+    standstill_dwell_s: Dwell = 0.4
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

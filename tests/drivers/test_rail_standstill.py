@@ -24,7 +24,7 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
         (drive, "STALL_S", 0.3),
         (drive, "POLL_S", 0.002),
         (rail_canopen, "POLL_S", 0.002),
-        (rail_canopen, "SETTLE_S", 0.4),
+        (rail_canopen, "SETTLE_S", 0.6),
         (rail_canopen, "RELEASE_S", 0.5),
     ):
         monkeypatch.setattr(module, name, value)
@@ -80,7 +80,7 @@ def creep(peer: CanPeer, mm_s: float) -> None:
 
 @pytest.mark.parametrize("powered", [True, False])
 def test_a_slide_that_creeps_is_refused(peer: CanPeer, powered: bool) -> None:
-    rail = rail_for(peer, dwell_s=0.25)
+    rail = rail_for(peer, dwell_s=0.4)
     rail.connect()
     if powered:
         peer.axis.state = ENABLED
