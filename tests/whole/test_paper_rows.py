@@ -6,7 +6,7 @@ The mistakes are made on the journal of one right run, or in the computation.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -25,85 +25,35 @@ from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.planning.plan import HolePlan
 from hilcell.ports import Array
-from hilcell.run.log import Log, Point, positions_mm
-from hilcell.run.procedure import Procedure
+from hilcell.run.log import Log, positions_mm
 from procedures import paper_figures, paper_stations, rail_survey, validate
 from procedures.base_frame import circle_of
-from procedures.paper import EXPERIMENTS, paper_table
+from procedures.paper import paper_table
 from procedures.paper_rows import ROWS, Row
 from procedures.plan import joints_for
 from procedures.station_frames import station_fit, tool_uncertainty_mm
 from procedures.validate import errors_mm
 from tests.whole.conftest import PaperRun
+from tests.whole.paper_mistakes import (
+    BY_NAME,
+    OTHERS,
+    REFERENCE,
+    as_if_sent,
+    by_idw,
+    changed,
+    failing,
+    framed,
+    judged,
+    placed,
+    rows_of,
+)
 from tests.whole.trace import judge
 
 pytestmark = pytest.mark.timeout(240)
-EXPERIMENT = Procedure("experiments", "", EXPERIMENTS, paper_table)
-BY_NAME: Mapping[str, Row] = {row.name: row for row in ROWS}
 SET = {
     "fig10.repeats", "sec5.1.temperature.min", "sec5.1.temperature.max", "fig11.vertices",
     "fig11.cells", "fig12.targets", "fig12.before.mean", "fig13.targets", "abstract.before.max",
 }  # fmt: skip
-REFERENCE, OTHERS = "S1100", ("S300", "S1900")
-
-
-def rows_of(log: Log) -> dict[str, dict[str, Any]]:
-    """Return all rows, judged on this log alone."""
-    found = EXPERIMENT.result(log)
-    return {row.name: row.judged(log, found) for row in ROWS}
-
-
-def failing(log: Log) -> set[str]:
-    return {name for name, row in rows_of(log).items() if not row["holds"]}
-
-
-def changed(log: Log, points: Iterable[Point]) -> Log:
-    """Return the log with these points in the places of those with their keys."""
-    other = copy.copy(log)
-    other.points = log.points | {point.key: point for point in points}
-    return other
-
-
-def framed(log: Log, frames: Mapping[str, dict[str, Any]]) -> Log:
-    """Return the log with these facts of frames changed."""
-    other = copy.copy(log)
-    other.frames = log.frames | {name: log.frames[name] | new for name, new in frames.items()}
-    return other
-
-
-def placed(point: Point, xyz_mm: Array, **others: Any) -> Point:
-    return msgspec.structs.replace(point, xyz_mm=tuple(xyz_mm.tolist()), **others)
-
-
-def as_if_sent(log: Log, correct: Callable[[Array], Array], stations: Iterable[str]) -> Log:
-    """Return the log as if P - correct(P) had been sent in the place of the paper's method.
-
-    ``correct`` maps targets (N, 3) to what is taken off, (N, 3), both in {B} of the grid's station.
-    """
-    points = []
-    T_L_W, T_B_W = inverse(log.matrix("world")), inverse(log.matrix("base"))
-    for station in stations:
-        nominal_mm = np.array([p.nominal_mm for p in log.group("validate_idw", station)])
-        in_base_mm = apply(T_B_W @ moved_to_reference(log, station), nominal_mm)
-        off_mm = correct(in_base_mm) @ inverse(T_B_W)[:3, :3].T
-        before_mm = errors_mm(log, log.group("validate_before", station))
-        reached_mm = apply(T_L_W, nominal_mm + before_mm - off_mm)
-        points += [
-            placed(point, at_mm)
-            for point, at_mm in zip(log.group("validate_idw", station), reached_mm, strict=True)
-        ]
-    return changed(log, points)
-
-
-def moved_to_reference(log: Log, station: str) -> Array:
-    """Return the motion (4, 4) in {W} that takes the slide back to the grid's station."""
-    T_W_Si = log.matrix(f"station.{station}")
-    back: Array = log.matrix(f"station.{REFERENCE}") @ inverse(T_W_Si)
-    return back
-
-
-def by_idw(log: Log) -> Callable[[Array], Array]:
-    return lambda at_mm: idw(grid_of(log.cell), grid_errors_mm(log), at_mm)
 
 
 # -- the right run ------------------------------------------------------------------------------
@@ -202,11 +152,6 @@ def test_the_longest_work_piece_is_beyond_one_station(paper: PaperRun) -> None:
     span_mm = np.ptp(holes.points_mm @ np.array(cell.layout.rail_direction))
     assert span_mm > cell.rail.travel_max_mm
     assert paper_stations.stations_needed(cell) > 1
-
-
-def judged(name: str, paper: PaperRun) -> dict[str, Any]:
-    """Return one row, judged as if the run's result were unchanged."""
-    return BY_NAME[name].judged(paper.log, paper.result)
 
 
 # -- section 3 ----------------------------------------------------------------------------------

@@ -1,0 +1,89 @@
+"""Runs of the paper with a mistake in them: one right run's log, changed; and its rows."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration import grid_errors_mm, grid_of
+from hilcell.compensation.interpolation import idw
+from hilcell.geometry.frames import apply, inverse
+from hilcell.ports import Array
+from hilcell.run.log import Log, Point
+from hilcell.run.procedure import Procedure
+from procedures.paper import EXPERIMENTS, paper_table
+from procedures.paper_rows import ROWS, Row
+from procedures.validate import errors_mm
+from tests.whole.conftest import PaperRun
+
+EXPERIMENT = Procedure("experiments", "", EXPERIMENTS, paper_table)
+BY_NAME: Mapping[str, Row] = {row.name: row for row in ROWS}
+REFERENCE, OTHERS = "S1100", ("S300", "S1900")
+
+
+def rows_of(log: Log) -> dict[str, dict[str, Any]]:
+    """Return all rows, judged on this log alone."""
+    found = EXPERIMENT.result(log)
+    return {row.name: row.judged(log, found) for row in ROWS}
+
+
+def failing(log: Log) -> set[str]:
+    return {name for name, row in rows_of(log).items() if not row["holds"]}
+
+
+def changed(log: Log, points: Iterable[Point]) -> Log:
+    """Return the log with these points in the places of those with their keys."""
+    other = copy.copy(log)
+    other.points = log.points | {point.key: point for point in points}
+    return other
+
+
+def framed(log: Log, frames: Mapping[str, dict[str, Any]]) -> Log:
+    """Return the log with these facts of frames changed."""
+    other = copy.copy(log)
+    other.frames = log.frames | {name: log.frames[name] | new for name, new in frames.items()}
+    return other
+
+
+def placed(point: Point, xyz_mm: Array, **others: Any) -> Point:
+    return msgspec.structs.replace(point, xyz_mm=tuple(xyz_mm.tolist()), **others)
+
+
+def as_if_sent(log: Log, correct: Callable[[Array], Array], stations: Iterable[str]) -> Log:
+    """Return the log as if P - correct(P) had been sent in the place of the paper's method.
+
+    ``correct`` maps targets (N, 3) to what is taken off, (N, 3), both in {B} of the grid's station.
+    """
+    points = []
+    T_L_W, T_B_W = inverse(log.matrix("world")), inverse(log.matrix("base"))
+    for station in stations:
+        nominal_mm = np.array([p.nominal_mm for p in log.group("validate_idw", station)])
+        in_base_mm = apply(T_B_W @ moved_to_reference(log, station), nominal_mm)
+        off_mm = correct(in_base_mm) @ inverse(T_B_W)[:3, :3].T
+        before_mm = errors_mm(log, log.group("validate_before", station))
+        reached_mm = apply(T_L_W, nominal_mm + before_mm - off_mm)
+        points += [
+            placed(point, at_mm)
+            for point, at_mm in zip(log.group("validate_idw", station), reached_mm, strict=True)
+        ]
+    return changed(log, points)
+
+
+def moved_to_reference(log: Log, station: str) -> Array:
+    """Return the motion (4, 4) in {W} that takes the slide back to the grid's station."""
+    T_W_Si = log.matrix(f"station.{station}")
+    back: Array = log.matrix(f"station.{REFERENCE}") @ inverse(T_W_Si)
+    return back
+
+
+def by_idw(log: Log) -> Callable[[Array], Array]:
+    return lambda at_mm: idw(grid_of(log.cell), grid_errors_mm(log), at_mm)
+
+
+def judged(name: str, paper: PaperRun) -> dict[str, Any]:
+    """Return one row, judged as if the run's result were unchanged."""
+    return BY_NAME[name].judged(paper.log, paper.result)
