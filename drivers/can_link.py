@@ -146,6 +146,8 @@ class CanLink:
         if message is None:
             self.time.emptied(now_s)
             message = self._bus.recv(RECEIVE_S)
+        else:
+            self.time.behind(now_s)
         self._frames += message is not None
         return message
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 
 PAUSE_S = 0.1
+BEHIND_S = 1.0  # a bus that is never empty must not stop the time
 
 
 class LinkTime:
@@ -18,8 +19,18 @@ class LinkTime:
     def __init__(self) -> None:
         self.listened_s = 0.0
         self.emptied_s = time.monotonic()  # what is handed out next came after this moment
+        self._counted_s = self.emptied_s
 
     def emptied(self, now_s: float) -> None:
         """Note that all that had arrived at ``now_s`` (monotonic) was handed out."""
-        self.listened_s += min(now_s - self.emptied_s, PAUSE_S)
+        self._count(now_s)
         self.emptied_s = now_s
+
+    def behind(self, now_s: float) -> None:
+        """Note that more waits to be handed out; one second of that counts as a pause."""
+        if now_s - self._counted_s > BEHIND_S:
+            self._count(now_s)
+
+    def _count(self, now_s: float) -> None:
+        self.listened_s += min(now_s - self._counted_s, PAUSE_S)
+        self._counted_s = now_s

@@ -204,13 +204,13 @@ def start_nodes(link: CanLink, watches: Sequence[NodeWatch], clock: Clock) -> No
     Repeated, because a node that has lost a heartbeat takes the first one for too early. For
     set-up only: a node that leaves operational later is at fault and is not started again.
     """
-    deadline_s = time.monotonic() + OPERATIONAL_S
-    next_s = 0.0
+    next_s = link.time.listened_s
+    deadline_s = next_s + OPERATIONAL_S
     for watch in watches:
         watch.forget_state()
     while waiting := [watch for watch in watches if watch.state != nmt.OPERATIONAL]:
         link.check()
-        now_s = time.monotonic()
+        now_s = link.time.listened_s
         if now_s > deadline_s:
             states = ", ".join(f"node {w.node} is {nmt.state_text(w.state)}" for w in waiting)
             raise DeviceError(

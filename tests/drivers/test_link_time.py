@@ -25,6 +25,15 @@ def test_link_time_counts_a_pause_of_the_pc_as_a_short_one() -> None:
     assert link_time.emptied_s == start_s + 100.0
 
 
+def test_a_bus_that_is_never_empty_does_not_stop_the_time() -> None:
+    link_time = LinkTime()
+    start_s = link_time.emptied_s
+    for frame in range(3000):
+        link_time.behind(start_s + frame / 1000)
+    assert link_time.listened_s == pytest.approx(2 * PAUSE_S)
+    assert link_time.emptied_s == start_s, "what comes now may have waited since then"
+
+
 class DeafReceiver:
     """Keeps the receiving thread from looking, for longer than any deadline of a wire."""
 
