@@ -28,8 +28,8 @@ settings.load_profile("suite")
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return one worker more than processors: many tests wait for a process of their own."""
-    return (os.cpu_count() or 1) + 1
+    """Return two workers more than processors: many tests wait for a process of their own."""
+    return (os.cpu_count() or 1) + 2
 
 
 def pytest_report_header() -> str:

@@ -224,10 +224,10 @@ def test_reset_restores_the_defaults_and_boots() -> None:
 
 def test_lost_heartbeat_is_an_emergency_and_ends_when_it_returns() -> None:
     with served() as bench, Master(bench.server.port) as master:
-        master.write(0x1016, 1, 127 << 16 | 100, "I")
+        master.write(0x1016, 1, 127 << 16 | 1000, "I")  # a busy machine may beat late
         master.network.nmt.send_command(1)
         beats = master.start_heartbeat()
-        assert master.drive.emcy.wait(timeout=0.3) is None, "as long as it beats all is well"
+        assert master.drive.emcy.wait(timeout=1.1) is None, "as long as it beats all is well"
         beats.stop()
         until(lambda: [e.code for e in master.drive.emcy.active] == [0x8130], "EMCY 8130")
         assert master.read(0x1001, 0, "B") == 0x11
@@ -262,7 +262,7 @@ def test_start_before_the_first_new_heartbeat_does_not_hold() -> None:
         master.network.nmt.send_command(1)
         master.network.send_message(0x77F, b"\x05")
         until(lambda: [e.code for e in master.drive.emcy.active] == [0x8130], "EMCY 8130")
-        master.write(0x1016, 1, 127 << 16 | 50, "I")  # set anew, and still latched
+        master.write(0x1016, 1, 127 << 16 | 1000, "I")  # set again, and still latched
         master.network.nmt.send_command(1)
         until(lambda: [e.code for e in master.drive.emcy.log] == [0x8130] * 2, "EMCY again")
         master.network.send_message(0x205, b"\x06\x00")
@@ -275,10 +275,10 @@ def test_start_before_the_first_new_heartbeat_does_not_hold() -> None:
 
 def test_rewritten_consumer_waits_for_the_first_heartbeat() -> None:
     with served() as bench, Master(bench.server.port) as master:
-        master.write(0x1016, 1, 127 << 16 | 150, "I")
+        master.write(0x1016, 1, 127 << 16 | 500, "I")
         master.network.send_message(0x77F, b"\x05")
-        master.write(0x1016, 1, 127 << 16 | 160, "I")
-        assert master.drive.emcy.wait(timeout=0.4) is None
+        master.write(0x1016, 1, 127 << 16 | 510, "I")
+        assert master.drive.emcy.wait(timeout=0.8) is None
 
 
 def test_heartbeat_loss_of_one_node() -> None:

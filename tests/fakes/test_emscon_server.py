@@ -351,17 +351,17 @@ def test_absurd_command_ends_the_connection(ready: Tracker) -> None:
 
 
 def test_paced_measurement_can_be_stopped_and_is_busy_meanwhile(cell: Cell) -> None:
-    with running(cell, speed=200.0) as tracker:
+    with running(cell, speed=20.0) as tracker:
         client = tracker.client
         client.ready()
         assert client.ask(55, "3di", *tracker.at("F1"), 1)[0] == OK
-        assert client.ask(28, "2i", 100_000, 1)[0] == OK  # half a second here
+        assert client.ask(28, "2i", 100_000, 1)[0] == OK  # five seconds here
         began = time.monotonic()
         assert client.ask(49)[0] == OK
         assert client.ask(2)[0] == 1  # busy
         assert client.ask(52)[0] == OK
-        assert time.monotonic() - began < 0.4
-        assert client.ask(28, "2i", 10_000, 1)[0] == OK
+        assert time.monotonic() - began < 4.0
+        assert client.ask(28, "2i", 1_000, 1)[0] == OK
         began = time.monotonic()
         client.measure(*tracker.at("F1"))
         assert time.monotonic() - began >= 0.05

@@ -37,8 +37,9 @@ def sets(values: dict[str, str]) -> list[str]:
 
 
 def sweep(*values: object) -> list[ParameterSet]:
-    """Mark the values of a sweep that only `make nightly` runs."""
-    return [pytest.param(value, marks=pytest.mark.nightly) for value in values]
+    """Mark the values of a sweep, or tuples of them, that only `make nightly` runs."""
+    sets = (value if isinstance(value, tuple) else (value,) for value in values)
+    return [pytest.param(*each, marks=pytest.mark.nightly) for each in sets]
 
 
 def hilcell(*words: str | Path, limit_s: float = LIMIT_S) -> subprocess.CompletedProcess[str]:

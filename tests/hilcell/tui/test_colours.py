@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -13,9 +14,11 @@ from hilcell.runs import CALIBRATION
 from tests.hilcell.tui.scenes import fresh
 from tests.hilcell.tui.sgr import colours_of
 from tests.hilcell.tui.test_terminal import NAME, write
+from tests.whole.bench import sweep
 from tests.whole.terminal import Terminal
 
-TERMS = ("xterm", "linux", "screen", "vt100")
+TERMS = ("vt100", "linux", "screen", "xterm")
+COLOURS = ("16", "256", "truecolor")
 COLOURLESS = ({"NO_COLOR": "1"}, {"TERM": "vt100"}, {"TERM": "dumb"})
 
 
@@ -88,8 +91,9 @@ def test_what_is_asked_for_outweighs_the_environment(tmp_path: Path) -> None:
         assert not red == green == blue  # the state's block
 
 
-@pytest.mark.parametrize("term", TERMS)
-@pytest.mark.parametrize("colours", ["16", "256", "truecolor"])
+@pytest.mark.parametrize(
+    ("colours", "term"), [*zip(COLOURS, TERMS, strict=False), *sweep(*product(COLOURS, TERMS))]
+)
 def test_only_the_colours_asked_for_are_sent(tmp_path: Path, term: str, colours: str) -> None:
     with shown(tmp_path, "--colors", colours, TERM=term) as terminal:
         terminal.press("h")

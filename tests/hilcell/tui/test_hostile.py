@@ -21,10 +21,10 @@ from hilcell.tui.screens.start import PlanSummary
 from tests.hilcell.tui import hostile
 from tests.hilcell.tui.hostile import MARK, NASTY, dangerous, poisoned
 from tests.hilcell.tui.scenes import LIVE, fresh, status
-from tests.hilcell.tui.stage import SIZE, Stage, options, press, settle, text_of
+from tests.hilcell.tui.stage import SIZE, Stage, options, press, settle, text_of, unpainted
 from tests.hilcell.tui.walk import COMPARISON, PLAN, outside, screens_of
 
-__all__ = ["outside"]
+__all__ = ["outside", "unpainted"]
 
 RUNS = Path("/runs")
 STATES = ("suspended", "fault")
@@ -46,7 +46,7 @@ by_some = pytest.mark.parametrize("text", [NASTY[name] for name in SOME], ids=SO
 
 @pytest.fixture(autouse=True)
 def poisoned_outside(
-    outside: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    outside: None, unpainted: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Let whatever is asked outside the screen answer with the hostile text."""
     text = request.node.callspec.params.get("text", "") if hasattr(request.node, "callspec") else ""

@@ -16,10 +16,10 @@ from hilcell.tui.themes import NAMES, PALETTES, TONES, Palette
 from hilcell.tui.words import STATES
 from tests.hilcell.tui.eyes import MATRICES, contrast, distance
 from tests.hilcell.tui.scenes import stories
-from tests.hilcell.tui.stage import SIZE, Stage, options
+from tests.hilcell.tui.stage import SIZE, Stage, options, unpainted
 from tests.hilcell.tui.walk import form_of, outside, screens_of
 
-__all__ = ["outside"]
+__all__ = ["outside", "unpainted"]
 
 LEAST = 4.5  # WCAG 2.2, success criterion 1.4.3
 FRAME = " ▔▁"  # drawn, not read
@@ -80,7 +80,7 @@ def contrast_of(segment: Segment) -> float:
     return contrast(style.color.get_truecolor().hex, style.bgcolor.get_truecolor().hex)
 
 
-@pytest.mark.usefixtures("outside")
+@pytest.mark.usefixtures("outside", "unpainted")
 @pytest.mark.parametrize("theme", NAMES)
 def test_every_letter_on_every_screen_is_read(theme: str) -> None:
     async def play(state: str) -> dict[str, str]:
