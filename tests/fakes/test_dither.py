@@ -7,7 +7,7 @@ from statistics import median
 import pytest
 
 from fakes.dither import STEPS, Dither
-from tests.fakes.rail_bench import HUNTING, Bench, Master, served
+from tests.fakes.rail_bench import HUNTING, Master, served
 
 
 @pytest.mark.parametrize("reach", [1, 2, 5])
@@ -23,7 +23,7 @@ def test_the_middle_of_any_five_steps_is_zero(reach: int) -> None:
     assert 0 not in changes
 
 
-def looks(bench: Bench, master: Master) -> list[tuple[int, int]]:
+def looks(master: Master) -> list[tuple[int, int]]:
     """Return position and speed of the drive at 20 SYNCs."""
     seen = []
     for _ in range(20):
@@ -34,9 +34,9 @@ def looks(bench: Bench, master: Master) -> list[tuple[int, int]]:
 
 def test_a_servo_dithers_while_it_has_power() -> None:
     with served() as bench, Master(bench.server.port) as master:
-        assert set(looks(bench, master)) == {(0, 0)}, "the brake holds it"
+        assert set(looks(master)) == {(0, 0)}, "the brake holds it"
         master.enable(1)
-        positions, speeds = zip(*looks(bench, master), strict=True)
+        positions, speeds = zip(*looks(master), strict=True)
         assert bench.rail.still
         assert 2 <= max(positions) - min(positions) <= 4
         assert all(0 < abs(speed) <= HUNTING for speed in speeds)
