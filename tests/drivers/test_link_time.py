@@ -55,13 +55,17 @@ class DeafReceiver:
 def test_an_answer_that_waits_in_a_late_pc_is_no_missing_answer(
     monkeypatch: pytest.MonkeyPatch, ask: Callable[[CanopenRail], object]
 ) -> None:
-    monkeypatch.setattr(pdo, "REPLY_S", 0.15)
-    monkeypatch.setattr(sdo, "REPLY_S", 0.15)
+    for module, name, value in (
+        (pdo, "REPLY_S", 0.1),
+        (sdo, "REPLY_S", 0.1),
+        (sdo, "LATE_S", 0.01),
+    ):
+        monkeypatch.setattr(module, name, value)  # all tries together are shorter than the pause
     deaf = DeafReceiver(monkeypatch)
     with CanPeer() as peer:
         rail = rail_for(peer)
         rail.connect()
-        deaf.pause_s = 0.4
+        deaf.pause_s = 0.5
         ask(rail)
         rail.close()
 
