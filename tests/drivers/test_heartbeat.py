@@ -18,7 +18,7 @@ from hilcell.commands.run import SWITCH_S
 from hilcell.ports import DeviceError
 from tests.drivers.can_peer import CanPeer
 from tests.drivers.peers import WAIT_S
-from tests.drivers.test_rail_canopen import rail_for
+from tests.drivers.rail_bed import rail_for
 
 BUSY_S = 0.6
 BEAT = 0x77F

@@ -12,7 +12,7 @@ from drivers.can_link import CanLink
 from drivers.link_time import PAUSE_S, LinkTime
 from drivers.rail_canopen import CanopenRail
 from tests.drivers.can_peer import CanPeer
-from tests.drivers.test_rail_canopen import rail_for
+from tests.drivers.rail_bed import rail_for
 
 
 def test_link_time_counts_a_pause_of_the_pc_as_a_short_one() -> None:
