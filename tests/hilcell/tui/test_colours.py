@@ -59,7 +59,7 @@ def test_without_colours_none_is_sent_and_reverse_video_marks(tmp_path: Path, th
             assert marked(terminal, words) == ""
         assert marked(terminal, "r re-measure  o report") == "ro"
         terminal.press("/x")
-        terminal.shows("no such point")
+        terminal.until(lambda text: "no such point" in text and "\nx" in text)
         (box,) = (row for row in terminal.screen.buffer.values() if row[0].data == "x")
         assert [box[x].underscore for x in range(4)] == [True, False, True, True]
         assert [box[x].reverse for x in range(4)] == [False, True, False, False]
