@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 SMALLEST, LARGEST = 12, 65536
 _HEADER = struct.Struct("<II")
 _COMMAND = struct.Struct("<III")
@@ -26,10 +29,14 @@ STATIONARY = struct.Struct("<ii")
 SEARCH = struct.Struct("<di")
 DISTANCE = struct.Struct("<d")
 POSITION = struct.Struct("<3di")
+CONTINUOUS = struct.Struct("<4i")  # separation ms, number of points, use region, region type
+_MULTI = struct.Struct("<IiII3d")
+_SAMPLE = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
 
 MILLIMETRE_UNITS = (1, 0, 0, 0, 0)  # mm, rad, Celsius, mbar, % relative humidity
 RIGHT_HANDED = 0
-STATIONARY_MODE = 0
+STATIONARY_MODE, CONTINUOUS_TIME_MODE = 0, 1
+UNTIL_STOPPED = 0
 INITIALIZED = 5
 
 
@@ -43,6 +50,7 @@ class Type(IntEnum):
     COMMAND = 0
     ERROR = 1
     SINGLE_RESULT = 2
+    MULTI_RESULT = 3
     REFLECTOR_POSITION = 7
     STATUS_CHANGE = 8
 
@@ -61,6 +69,8 @@ class Command(IntEnum):
     GET_COORDINATE_SYSTEM = 27
     SET_STATIONARY = 28
     GET_STATIONARY = 29
+    SET_CONTINUOUS_TIME = 30
+    GET_CONTINUOUS_TIME = 31
     SET_REFLECTOR = 40
     GET_REFLECTOR = 41
     GET_REFLECTORS = 42
@@ -152,6 +162,15 @@ class Single:
     humidity: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Multi:
+    """Samples of a continuous measurement: the worst status of all, device times (N,), (N, 3)."""
+
+    status: int
+    device_s: NDArray[np.float64]
+    xyz: NDArray[np.float64]
+
+
 @dataclass(frozen=True, slots=True)
 class Other:
     """A packet of a kind that is not used here."""
@@ -159,7 +178,7 @@ class Other:
     kind: int
 
 
-Packet = Reply | Failure | StatusChange | Single | Other
+Packet = Reply | Failure | StatusChange | Single | Multi | Other
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,6 +244,8 @@ def decode(kind: int, body: bytes) -> Packet:
             return StatusChange(*struct.unpack_from("<I", body))
         if kind == Type.SINGLE_RESULT:
             return _single(*_RESULT.unpack_from(body))
+        if kind == Type.MULTI_RESULT:
+            return _multi(body)
     except struct.error as error:
         raise EmsconError(f"a packet of type {kind} with only {len(body)} bytes") from error
     return Other(kind)
@@ -233,6 +254,16 @@ def decode(kind: int, body: bytes) -> Packet:
 def _single(status: int, mode: int, _try_mode: int, *values: float) -> Single:
     x, y, z, std_1, std_2, std_3, std_total = values[:7]
     return Single(status, mode, (x, y, z), (std_1, std_2, std_3), std_total, *values[14:])
+
+
+def _multi(body: bytes) -> Multi:
+    status, count, _mode, _try_mode, *_air = _MULTI.unpack_from(body)
+    if count != (len(body) - _MULTI.size) / _SAMPLE.itemsize:
+        raise EmsconError(f"{count} samples are announced in {len(body)} bytes")
+    samples = np.frombuffer(body, _SAMPLE, offset=_MULTI.size)
+    bad = samples["status"][samples["status"] != 0]
+    device_s = samples["s"] + samples["us"] * 1e-6
+    return Multi(status or int(bad[0] if len(bad) else 0), device_s, samples["xyz"].copy())
 
 
 def decode_system_status(body: bytes) -> SystemStatus:

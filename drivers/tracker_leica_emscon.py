@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from drivers import emscon
 from drivers.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
+from drivers.emscon_stream import LONGEST_SEPARATION_MS, EmsconStream
 from drivers.supervision import Patience
 from drivers.tcp import TcpLink
 from hilcell.clean import clean
@@ -46,7 +47,7 @@ Positive = Annotated[float, Meta(gt=0)]
 
 
 class LeicaEmsconTracker:
-    """Satisfies `hilcell.ports.Tracker`."""
+    """Satisfies `hilcell.ports.Tracker` and `hilcell.ports.Streams`."""
 
     # Deadlines on the wire, in real time.
     REPLY_S = 5.0
@@ -103,11 +104,25 @@ class LeicaEmsconTracker:
         near_mm = np.asarray(near_mm, dtype=float)
         if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
             raise DeviceError(DEVICE, "measure", f"{samples} samples at {near_mm} mm")
-        self._drop_pending()
-        self._choose(reflector)
-        self._aim(near_mm)
+        self.point_at(near_mm, reflector)
         results = [self._single(near_mm) for _ in range(samples)]
         return self._reading(results, reflector)
+
+    def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> EmsconStream:
+        """Return a stream of the reflector expected at ``near_mm`` (3,), tracker frame."""
+        near_mm = np.asarray(near_mm, dtype=float)
+        separation_ms = 1000.0 / rate_hz if rate_hz > 0 else np.nan
+        if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))):
+            raise DeviceError(DEVICE, "stream", f"a reflector at {near_mm} mm")
+        if not 1.0 <= separation_ms <= LONGEST_SEPARATION_MS:
+            raise DeviceError(
+                DEVICE,
+                "stream",
+                f"{rate_hz:g} samples/s",
+                wanted=f"{1000.0 / LONGEST_SEPARATION_MS:g} to 1000",
+            )
+        radius_mm = self._options.find_radius_mm
+        return EmsconStream(self, self._clock, near_mm, reflector, round(separation_ms), radius_mm)
 
     def stop(self) -> None:
         """Stop measuring; any thread; waits for no answer."""
@@ -119,6 +134,30 @@ class LeicaEmsconTracker:
         if self._link is not None:
             self._link.close()
         self._link = None
+
+    # -- what a stream needs of its tracker, too ----------------------------------------------
+
+    def point_at(self, near_mm: Array, reflector: str) -> None:
+        """Choose a reflector and catch it near (3,) mm; what is pending is dropped first."""
+        self._drop_pending()
+        self._choose(reflector)
+        self._aim(near_mm)
+
+    def set_mode(self, mode: int) -> None:
+        """Set the measurement mode."""
+        self.set_checked(
+            "measurement mode",
+            Command.SET_MEASUREMENT_MODE,
+            Command.GET_MEASUREMENT_MODE,
+            emscon.NUMBER,
+            (mode,),
+        )
+
+    def leave_stream(self) -> None:
+        """Stop and put the mode back, without waiting for answers; then connect again."""
+        self.stop()
+        mode = emscon.NUMBER.pack(emscon.STATIONARY_MODE)
+        self._wire().send(emscon.encode(Command.SET_MEASUREMENT_MODE, mode), "stop")
 
     # -- connecting ---------------------------------------------------------------------------
 
@@ -160,31 +199,27 @@ class LeicaEmsconTracker:
 
     def _set_up(self) -> None:
         number, stationary = emscon.NUMBER, emscon.STATIONARY
-        self._set(
+        self.set_checked(
             "units", Command.SET_UNITS, Command.GET_UNITS, emscon.UNITS, emscon.MILLIMETRE_UNITS
         )
-        self._set(
+        self.set_checked(
             "coordinate system",
             Command.SET_COORDINATE_SYSTEM,
             Command.GET_COORDINATE_SYSTEM,
             number,
             (emscon.RIGHT_HANDED,),
         )
-        self._set(
-            "measurement mode",
-            Command.SET_MEASUREMENT_MODE,
-            Command.GET_MEASUREMENT_MODE,
-            number,
-            (emscon.STATIONARY_MODE,),
-        )
-        self._set(
+        if self._numbers_of(Command.GET_MEASUREMENT_MODE, number) != (emscon.STATIONARY_MODE,):
+            self._request(Command.STOP_MEASUREMENT)  # a stream that was left behind
+        self.set_mode(emscon.STATIONARY_MODE)
+        self.set_checked(
             "stationary parameters",
             Command.SET_STATIONARY,
             Command.GET_STATIONARY,
             stationary,
             (self._options.measuring_ms, 1),
         )
-        self._set(
+        self.set_checked(
             "search",
             Command.SET_SEARCH,
             Command.GET_SEARCH,
@@ -200,7 +235,7 @@ class LeicaEmsconTracker:
                 act="check the weather station or enter the air's values",
             )
 
-    def _set(
+    def set_checked(
         self,
         what: str,
         write: Command,
@@ -246,7 +281,7 @@ class LeicaEmsconTracker:
                 wanted=repr(reflector),
                 act="define it in the tracker, or correct tracker.reflector",
             )
-        self._set(
+        self.set_checked(
             "reflector",
             Command.SET_REFLECTOR,
             Command.GET_REFLECTOR,
@@ -278,7 +313,7 @@ class LeicaEmsconTracker:
 
     def _single(self, near_mm: Array) -> Single:
         try:
-            self._start(near_mm)
+            self.start(near_mm)
             result = self._await_result()
         except NoReading as error:
             # Only a stop that was answered proves that nothing of this try can still come.
@@ -290,24 +325,25 @@ class LeicaEmsconTracker:
         self._check(result, near_mm)
         return result
 
-    def _start(self, near_mm: Array) -> None:
+    def start(self, near_mm: Array) -> None:
+        """Start to measure; search once more where the beam has lost its reflector."""
         reply = self._request(Command.START_MEASUREMENT)
         if reply.status == emscon.NOT_READY:
             self._find(near_mm)
             reply = self._request(Command.START_MEASUREMENT)
         if reply.status != 0:
-            raise self._failed(Command.START_MEASUREMENT, reply.status)
+            raise self.failed(Command.START_MEASUREMENT, reply.status)
 
     def _await_result(self) -> Single:
         limit_s = self._options.measuring_ms / 1000.0 + self.RESULT_S
         patience = Patience(limit_s)
-        while (packet := self._next(patience)) is not None:
+        while (packet := self.next_packet(patience)) is not None:
             if isinstance(packet, Single):
                 if packet.status != 0:
-                    raise self._failed(Command.START_MEASUREMENT, packet.status)
+                    raise self.failed(Command.START_MEASUREMENT, packet.status)
                 return packet
             if isinstance(packet, Failure):
-                raise self._failed(Command.START_MEASUREMENT, packet.status)
+                raise self.failed(Command.START_MEASUREMENT, packet.status)
             if packet == StatusChange(Change.NOT_READY):
                 raise NoReading(DEVICE, "measure", "the beam broke", act="clear the line of sight")
         raise NoReading(
@@ -383,7 +419,7 @@ class LeicaEmsconTracker:
         """Send a command and return its reply's body; raises what a refusal means."""
         reply = self._request(command, body, limit_s)
         if reply.status != 0:
-            raise self._failed(command, reply.status)
+            raise self.failed(command, reply.status)
         return reply.body
 
     def _request(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> Reply:
@@ -399,7 +435,7 @@ class LeicaEmsconTracker:
 
     def _status(self, command: Command, patience: Patience) -> Reply:
         """Return the reply to ``command``, refused or not; older results on the way are dropped."""
-        while (packet := self._next(patience)) is not None:
+        while (packet := self.next_packet(patience)) is not None:
             if isinstance(packet, Reply | Failure) and packet.command == command:
                 return Reply(command, packet.status, getattr(packet, "body", b""))
             if isinstance(packet, Reply) and packet.command != Command.STOP_MEASUREMENT:
@@ -416,13 +452,14 @@ class LeicaEmsconTracker:
         except emscon.EmsconError as error:
             raise self._lost(str(error), "decode") from error
 
-    def _failed(self, command: Command, status: int) -> DeviceError:
+    def failed(self, command: Command, status: int) -> DeviceError:
+        """Return what a refused command means."""
         kind = NoReading if status in emscon.RECOVERABLE else DeviceError
         return kind(
             DEVICE, _spoken(command), emscon.status_text(status), act="look at the tracker, resume"
         )
 
-    def _next(self, patience: Patience) -> Packet | None:
+    def next_packet(self, patience: Patience) -> Packet | None:
         """Return the next packet, or nothing when ``patience`` is over."""
         while not self._packets:
             data = self._wire().receive(emscon.LARGEST, patience)
@@ -439,7 +476,7 @@ class LeicaEmsconTracker:
         return packet
 
     def _drop_pending(self) -> None:
-        while self._next(Patience(0.0)) is not None:
+        while self.next_packet(Patience(0.0)) is not None:
             pass
 
     def _lost(self, found: str, operation: str) -> DeviceError:

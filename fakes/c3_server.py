@@ -11,6 +11,7 @@ from __future__ import annotations
 import socket
 import struct
 import threading
+from collections.abc import Callable
 
 from fakes.faults import Faults, Vanished
 from fakes.krl import KrlError
@@ -30,8 +31,16 @@ RECEIVE = 4096
 class C3Server:
     """Serves one controller on a port, 0 for one that the system chooses."""
 
-    def __init__(self, controller: KrlController, faults: Faults, *, port: int = 0) -> None:
-        self._controller, self._faults = controller, faults
+    def __init__(
+        self,
+        controller: KrlController,
+        faults: Faults,
+        catch_up: Callable[[], None] = lambda: None,
+        *,
+        port: int = 0,
+    ) -> None:
+        """``catch_up`` lets others do what became due while a request was answered."""
+        self._controller, self._faults, self._catch_up = controller, faults, catch_up
         self._closing = threading.Event()
         self._listener = Listener("c3", self._serve, limit=MAX_CLIENTS, port=port)
         self.port = self._listener.port
@@ -58,6 +67,7 @@ class C3Server:
                 request, pending = pending[HEAD.size : end], pending[end:]
                 try:
                     reply = self.answer(tag, request)
+                    self._catch_up()
                 except Vanished:
                     self._listener.hang_up()
                     return

@@ -90,6 +90,7 @@ class ControlServer:
         if not (math.isfinite(duration_s) and duration_s >= 0):
             raise ValueError(f"wait {duration_s} s")
         self._time.advance(duration_s)
+        self._time.catch_up()
         return {"now_s": self._time.now_s()}
 
     def _fault(self, order: Answer) -> Answer:

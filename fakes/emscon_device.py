@@ -22,12 +22,16 @@ from fakes.emscon_packets import (
     Change,
     Command,
     Status,
+    multi_result,
     reply,
     single_result,
     status_change,
     wide,
 )
+from fakes.emscon_stream import SampleStream
 from fakes.faults import Faults, Vanished
+from fakes.stream_truth import StreamTruth
+from fakes.time import PlantTime
 from fakes.tracker_truth import Air, Measurement
 from fakes.transforms import Array
 from hilcell.cell import Cell
@@ -37,7 +41,9 @@ MM_PER_UNIT = {METRE: 1000.0, MILLIMETRE: 1.0}
 RAD_PER_UNIT = {0: 1.0, 1: math.pi / 180, 2: math.pi / 200}
 KNOWN_UNITS = (MM_PER_UNIT, RAD_PER_UNIT, {0}, {0, 1}, {0})  # C; mbar or hPa; relative humidity
 AXES = {0: (1, 1, 1), 1: (-1, 1, 1), 2: (1, -1, 1), 3: (1, 1, -1)}  # RHR, LHRX, LHRY, LHRZ
+STATIONARY, CONTINUOUS_TIME = 0, 1
 MEASURING_MS = (100, 100_000)
+SEPARATION_MS = (1, 100_000)
 INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
 STILL_MM = 0.02  # a target that moves farther meanwhile gives no stationary result
 SERIAL, VERSION, SENSOR_AT401 = 402871, (3, 8, 0), 70
@@ -76,14 +82,16 @@ class Answer:
 
     packets: list[bytes] = field(default_factory=list)
     later: Later | None = None
+    stream: SampleStream | None = None
 
 
 @dataclass
 class _Settings:
     units: tuple[int, ...] = (METRE, 0, 0, 0, 0)
     axes: int = 0
-    mode: int = 0
+    mode: int = STATIONARY
     stationary: tuple[int, int] = (1000, 1)
+    continuous: tuple[int, int, int, int] = (500, 0, 0, 0)  # separation ms, points, region
     search: tuple[float, int] = (12.0, 30_000)  # mm, ms
     environment: tuple[float, ...] = (20.0, 1013.3, 60.0)
     refraction: tuple[float, ...] = (1.000275, 1.000279)
@@ -95,9 +103,16 @@ class _Settings:
 class EmsconDevice:
     """One tracker; ``handle`` may come from several threads."""
 
-    def __init__(self, cell: Cell, instrument: Instrument, faults: Faults) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        instrument: Instrument,
+        faults: Faults,
+        streams: tuple[StreamTruth, PlantTime] | None = None,
+    ) -> None:
+        """Without ``streams`` the tracker measures at rest only."""
         self._lock = threading.RLock()
-        self._instrument, self._faults = instrument, faults
+        self._instrument, self._faults, self._streams = instrument, faults, streams
         names = list(OFFSETS_MM | {cell.tracker.reflector: 0.0})
         self._reflectors = dict(
             enumerate(sorted(names, key=lambda n: n == cell.tracker.reflector), 1)
@@ -134,7 +149,10 @@ class EmsconDevice:
         return {
             Command.SET_UNITS: keep("units", Change.UNITS, _units_are_known),
             Command.SET_COORDINATE_SYSTEM: keep("axes", Change.COORDINATE_SYSTEM, _axes_are_known),
-            Command.SET_MEASUREMENT_MODE: keep("mode", Change.MEASUREMENT_MODE, _is_stationary),
+            Command.SET_MEASUREMENT_MODE: keep("mode", Change.MEASUREMENT_MODE, self._has_mode),
+            Command.SET_CONTINUOUS_TIME: keep(
+                "continuous", Change.CONTINUOUS_TIME, _separation_is_allowed
+            ),
             Command.SET_STATIONARY_MODE: keep(
                 "stationary", Change.STATIONARY_MODE, _time_is_allowed
             ),
@@ -168,6 +186,10 @@ class EmsconDevice:
     def _reflector_exists(self, arguments: tuple[float, ...]) -> Status:
         return Status.OK if arguments[0] in self._reflectors else Status.WRONG_PARAMETER_1
 
+    def _has_mode(self, mode: tuple[float, ...]) -> Status:
+        streams = mode[0] == CONTINUOUS_TIME and self._streams is not None
+        return Status.OK if mode[0] == STATIONARY or streams else Status.NOT_IMPLEMENTED
+
     # -- queries --------------------------------------------------------------------------------
 
     def _query_handlers(self) -> dict[Command, _Handler]:
@@ -177,6 +199,7 @@ class EmsconDevice:
             Command.GET_COORDINATE_SYSTEM: lambda: struct.pack("<I", settings.axes),
             Command.GET_MEASUREMENT_MODE: lambda: struct.pack("<I", settings.mode),
             Command.GET_STATIONARY_MODE: lambda: struct.pack("<2i", *settings.stationary),
+            Command.GET_CONTINUOUS_TIME: lambda: struct.pack("<4i", *settings.continuous),
             Command.GET_ENVIRONMENT: lambda: struct.pack("<3d", *self._weather()),
             Command.GET_REFRACTION: lambda: struct.pack("<2d", *settings.refraction),
             Command.GET_SYSTEM_SETTINGS: lambda: struct.pack("<I8i", *settings.system),
@@ -322,12 +345,34 @@ class EmsconDevice:
         began_mm = self._instrument.reflectors().get(target)
         if began_mm is None:  # carried away
             return self._broken(command)
+        if self._settings.mode == CONTINUOUS_TIME:
+            measuring = status_change(Change.MEASURING)
+            return Answer([reply(command), measuring], stream=self._stream_of(target))
         later = Later(
             self._settings.stationary[0] / 1000.0,
             lambda: self._result(command, target, began_mm),
             True,
         )
         return Answer([reply(command), status_change(Change.MEASURING)], later)
+
+    def _stream_of(self, target: str) -> SampleStream | None:
+        if self._streams is None:
+            return None
+        truth, time = self._streams
+        separation_ms, points, _use_region, _region = self._settings.continuous
+        return SampleStream(
+            truth,
+            time,
+            self._faults,
+            truth.follow(target),
+            lambda times_s, xyz_mm: multi_result(times_s, self._outside(xyz_mm), self._weather()),
+            separation_s=separation_ms / 1000.0,
+            points=points,
+            lost=self._lose_target,
+        )
+
+    def _lose_target(self) -> None:
+        self._target = None
 
     def _refusal(self) -> Status:
         take = self._faults.take
@@ -371,7 +416,7 @@ class EmsconDevice:
     def _packed(self, measured: Measurement) -> bytes:
         in_metres = self._faults.take("tracker.metres") is not None
         per_unit = MM_PER_UNIT[METRE] if in_metres else self._mm_per_unit()
-        signs = np.array(AXES[self._settings.axes], dtype=float)
+        signs = self._signs()
         if self._faults.take("tracker.left_handed") is not None:
             signs[1] = -signs[1]
         xyz_mm = measured.xyz_mm
@@ -388,6 +433,12 @@ class EmsconDevice:
         values = (*xyz, *std, total, 0.0, 0.0, 0.0, *std, total, *weather)
         return single_result(values, status)
 
+    def _outside(self, xyz_mm: Array) -> Array:
+        """Return positions (N, 3) in the units and axes that are set."""
+        along = xyz_mm / np.linalg.norm(xyz_mm, axis=1, keepdims=True)
+        found: Array = self._signs() * (xyz_mm + self._wrong_reflector_mm() * along)
+        return found / self._mm_per_unit()
+
     def _wrong_reflector_mm(self) -> float:
         """Return how much the range is off with another reflector than the one mounted."""
         mounted, chosen = (
@@ -396,12 +447,14 @@ class EmsconDevice:
         )
         return mounted - chosen
 
+    def _signs(self) -> Array:
+        return np.array(AXES[self._settings.axes], dtype=float)
+
     def _mm_per_unit(self) -> float:
         return MM_PER_UNIT[self._settings.units[0]]
 
     def _inside_mm(self, values: tuple[float, ...]) -> Array:
-        signs = np.array(AXES[self._settings.axes], dtype=float)
-        inside: Array = signs * np.array(values) * self._mm_per_unit()
+        inside: Array = self._signs() * np.array(values) * self._mm_per_unit()
         return inside
 
 
@@ -418,13 +471,14 @@ def _axes_are_known(axes: tuple[float, ...]) -> Status:
     return Status.OK if axes[0] in AXES else Status.WRONG_PARAMETER_1
 
 
-def _is_stationary(mode: tuple[float, ...]) -> Status:
-    return Status.OK if mode[0] == 0 else Status.NOT_IMPLEMENTED
-
-
 def _time_is_allowed(stationary: tuple[float, ...]) -> Status:
     low, high = MEASURING_MS
     return Status.OK if low <= stationary[0] <= high else Status.OUT_OF_RANGE_1
+
+
+def _separation_is_allowed(continuous: tuple[float, ...]) -> Status:
+    low, high = SEPARATION_MS
+    return Status.OK if low <= continuous[0] <= high else Status.OUT_OF_RANGE_1
 
 
 def _weather_is_earthly(weather: tuple[float, ...]) -> Status:

@@ -9,10 +9,15 @@ from __future__ import annotations
 import struct
 from enum import IntEnum
 
+import numpy as np
+from numpy.typing import NDArray
+
 HEAD = struct.Struct("<iI")
 COMMAND = struct.Struct("<iII")
 REPLY = struct.Struct("<iIII")
 RESULT = struct.Struct("<iIIIi17d")
+MULTI = struct.Struct("<iIIiII3d")
+SAMPLE = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
 
 
 class Type(IntEnum):
@@ -21,6 +26,7 @@ class Type(IntEnum):
     COMMAND = 0
     ERROR = 1
     SINGLE_RESULT = 2
+    MULTI_RESULT = 3
     STATUS_CHANGE = 8
 
 
@@ -43,6 +49,8 @@ class Command(IntEnum):
     GET_COORDINATE_SYSTEM = 27
     SET_STATIONARY_MODE = 28
     GET_STATIONARY_MODE = 29
+    SET_CONTINUOUS_TIME = 30
+    GET_CONTINUOUS_TIME = 31
     SET_REFLECTOR = 40
     GET_REFLECTOR = 41
     GET_REFLECTORS = 42
@@ -99,6 +107,7 @@ class Change(IntEnum):
     COORDINATE_SYSTEM = 12
     MEASUREMENT_MODE = 17
     STATIONARY_MODE = 18
+    CONTINUOUS_TIME = 19
     STATISTIC_MODE = 24
     NOT_READY = 25
     MEASURING = 26
@@ -115,6 +124,7 @@ ARGUMENTS = {
     Command.SET_MEASUREMENT_MODE: "<I",
     Command.SET_COORDINATE_SYSTEM: "<I",
     Command.SET_STATIONARY_MODE: "<2i",
+    Command.SET_CONTINUOUS_TIME: "<4i",
     Command.SET_REFLECTOR: "<i",
     Command.SET_SEARCH: "<di",
     Command.SET_SYSTEM_SETTINGS: "<I8i",
@@ -141,6 +151,18 @@ def status_change(change: int) -> bytes:
 def single_result(values: tuple[float, ...], status: int = Status.OK) -> bytes:
     """Return SingleMeasResult: ReturnDataT's status, mode 0, no try mode, 17 doubles."""
     return RESULT.pack(RESULT.size, Type.SINGLE_RESULT, status, 0, 0, *values)
+
+
+def multi_result(
+    times_s: NDArray[np.float64], xyz: NDArray[np.float64], air: tuple[float, float, float]
+) -> bytes:
+    """Return MultiMeasResult in mode 1: samples with the tracker's time in s and us."""
+    samples = np.zeros(len(times_s), SAMPLE)
+    samples["s"], samples["us"] = np.divmod(np.rint(times_s * 1e6), 1_000_000)
+    samples["xyz"] = xyz
+    size = MULTI.size + samples.nbytes
+    head = MULTI.pack(size, Type.MULTI_RESULT, Status.OK, len(samples), 1, 0, *air)
+    return head + samples.tobytes()
 
 
 def wide(text: str) -> bytes:

@@ -1,7 +1,8 @@
 """emScon TPI server: one tracker's packets over TCP (protocols, section 3).
 
 While something takes its time the client may still send: StopMeasurement is obeyed, all else is
-answered with "busy". In stepped time nothing takes time, and results follow at once.
+answered with "busy". In stepped time nothing takes time, and results follow at once. Samples of a
+stream are sent when their time has come: in stepped time by whoever lets it pass.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import time as real_time
 
 from fakes.emscon_device import Answer, EmsconDevice, Later
 from fakes.emscon_packets import COMMAND, HEAD, Change, Command, Status, reply, status_change
+from fakes.emscon_stream import SampleStream
 from fakes.faults import Faults, Vanished
 from fakes.listener import Listener
 from fakes.segments import Segments
@@ -22,6 +24,7 @@ LONGEST = 4096
 RECEIVE = 4096
 LATE_EVERY, LATE_S = 5, 0.001  # results that come well after their acknowledgement
 WEATHER_EVERY = 7  # results with news of the air glued to them
+STREAM_LOOK_S = 0.05  # plant time between two looks at what a stream has to send
 
 
 class EmsconServer:
@@ -62,6 +65,42 @@ class EmsconServer:
                 return
             answer = later.finish()
             self._send(session, later, answer)
+        if answer.stream is not None:
+            after = self._stream(session, answer.stream)
+            if after is not None:
+                self._obey(session, after)
+
+    def _stream(self, session: _Session, stream: SampleStream) -> bytes | None:
+        """Send samples until the client stops it; return a packet that came after their end."""
+        lock = threading.Lock()
+
+        def send() -> None:
+            with lock:
+                try:
+                    session.send(stream.due())
+                except OSError:
+                    stream.close()
+
+        look_s = None if self._time.stepped else STREAM_LOOK_S / self._time.speed
+        self._time.follow(send)
+        try:
+            while True:
+                packet = session.receive(look_s)
+                if packet is None:
+                    send()
+                    continue
+                _, _, command = COMMAND.unpack_from(packet)
+                with lock:
+                    if command == Command.STOP_MEASUREMENT:
+                        session.send(stream.stop() + reply(command))
+                        return None
+                    if stream.ended:
+                        return packet
+                    session.send(reply(command, Status.BUSY))
+        finally:
+            self._time.unfollow(send)
+            with lock:
+                stream.close()
 
     def _let_pass(self, session: _Session, duration_s: float) -> bool:
         """Let plant time pass; return False where the client stopped what takes it."""

@@ -99,6 +99,7 @@ KNOWN = {
     "tracker.glued_packets": "result and a status change come in one segment | a measurement",
     "tracker.length_zero": "a packet of length 0 comes | a measurement",
     "tracker.length_huge": "a packet of length 2^31 comes | a measurement",
+    "tracker.stream_break": "the beam breaks within a stream | a sample of a stream",
     "tracker.eof": "the server closes the connection | a measurement",
     "tracker.wrong_target": "it finds another SMR, this far off (mm) | a search",
 }

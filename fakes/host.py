@@ -58,8 +58,9 @@ class Host:
         plant = _plant(cell, order, time, faults)
         controller = KrlController(cell, plant.robot, faults, plant.lose_zero)
         self._rail = RailServer(plant.rail, faults, cell, time, port=ports.rail)
-        self._robot = C3Server(controller, faults, port=ports.robot)
-        device = EmsconDevice(cell, plant.tracker, faults)
+        self._robot = C3Server(controller, faults, time.catch_up, port=ports.robot)
+        streams = None if plant.streams is None else (plant.streams, time)
+        device = EmsconDevice(cell, plant.tracker, faults, streams)
         self._tracker = EmsconServer(device, faults, time, port=ports.tracker)
         self._control = ControlServer(
             time,

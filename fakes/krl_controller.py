@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -34,6 +35,7 @@ AXES = tuple(f"A{n}" for n in range(1, 7))
 EXTERNAL = {f"E{n}": 0.0 for n in range(1, 7)}
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOOL, BASE = 1, 0
+CYCLE_S = 0.012  # of the interpolation: measured axes are as old as its last tick
 FLICKER_DEG = 1e-4  # of each axis at rest
 FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
 
@@ -55,7 +57,7 @@ class KrlController:
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
         self._tool = dict(zip(FRAME, (*cell.robot.smr_mm, 0.0, 0.0, 0.0), strict=True))
         self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
-        self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0}
+        self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0, "HC_OV_OLD": 0, "HC_OV_SET": 0}
         self._acknowledged = self._error = 0
         self._running: int | None = None
         self._in_stop = False
@@ -126,20 +128,22 @@ class KrlController:
             "$KR_SERIALNO": lambda: str(self._arm.serial),
             "$ROBNAME[]": lambda: '"HILCELL"',
             "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
+            "$AXIS_ACT_MEAS": lambda: self._position("$AXIS_ACT_MEAS"),
             "$POS_ACT": lambda: self._position("$POS_ACT"),
         }
 
     def _program_readers(self) -> dict[str, Callable[[], str]]:
-        return {
-            "HC_VER": lambda: "1",
+        integers = {name: partial(self._integer, name) for name in self._integers}
+        return integers | {
+            "HC_VER": lambda: "2",
             "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg | EXTERNAL),
-            "HC_VEL": lambda: str(self._integers["HC_VEL"]),
-            "HC_CMD": lambda: str(self._integers["HC_CMD"]),
-            "HC_SEQ": lambda: str(self._integers["HC_SEQ"]),
             "HC_ACK": self._read_acknowledge,
             "HC_ERR": lambda: str(self._error),
             "HC_STOP": lambda: boolean(self._in_stop),
         }
+
+    def _integer(self, name: str) -> str:
+        return str(self._integers[name])
 
     def _identity(self) -> str:
         other = self._faults.take("robot.wrong_identity")
@@ -169,13 +173,16 @@ class KrlController:
         return text
 
     def _position_text(self, which: str, state: RobotState) -> str:
-        off = np.zeros(6)
-        if not state.moving:
+        off, joints_rad = np.zeros(6), state.joints_rad
+        if state.moving and which == "$AXIS_ACT_MEAS":
+            joints_rad = self._motion.measured(CYCLE_S)
+            off = flicker(joints_rad.tobytes(), 0, 6)
+        elif not state.moving:
             self._looks += 1
             landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
             off = flicker(landed, self._looks, 6)
-        if which == "$AXIS_ACT":
-            axes_deg = np.degrees(state.joints_rad) + FLICKER_DEG * off
+        if which != "$POS_ACT":
+            axes_deg = np.degrees(joints_rad) + FLICKER_DEG * off
             return aggregate("E6AXIS", dict(zip(AXES, axes_deg.tolist(), strict=True)) | EXTERNAL)
         if state.joints_rad is not self._pose_of:  # at rest it is the same array each time
             self._pose_of, arm = state.joints_rad, self._arm

@@ -23,8 +23,12 @@ class KeyedNoise:
 
     def normal(self, key: str, size: int) -> NDArray[np.float64]:
         """Return ``size`` unit normal draws for the next occurrence of ``key``."""
+        return self.next_generator(key).standard_normal(size)
+
+    def next_generator(self, key: str) -> np.random.Generator:
+        """Return the generator that belongs to the next occurrence of ``key``."""
         self._seen[key] += 1
-        return self.generator(f"{key}#{self._seen[key]}").standard_normal(size)
+        return self.generator(f"{key}#{self._seen[key]}")
 
     def generator(self, key: str) -> np.random.Generator:
         """Return the generator that belongs to ``key`` alone."""

@@ -17,6 +17,7 @@ from fakes.machine import machine_of
 from fakes.noise import KeyedNoise
 from fakes.rail_truth import RailTruth
 from fakes.robot_motion import RobotMotion
+from fakes.stream_truth import StreamTruth
 from fakes.time import PlantTime
 from fakes.tracker_truth import TrackerTruth
 from fakes.transforms import Array, carried, rigid, rotation
@@ -46,6 +47,7 @@ class Plant:
         self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
         self.seated = ""  # where the one reflector is that is carried by hand; "": out of sight
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
+        self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world)
 
     def lose_zero(self, axis_1_rad: float) -> None:
         """Turn the robot's axis 1 against its encoder for good, by turning its base."""
@@ -68,6 +70,21 @@ class Plant:
             return places
         seated = self.seated
         return {seated: places[seated]} if seated else {}
+
+    def path_in_world(self, name: str, times_s: Array) -> Array:
+        """Return where a reflector really was, (N, 3) in {W}, at times (N,) up to now.
+
+        None are left where it is out of sight. The trap: the slide is taken to stand meanwhile.
+        """
+        now = self.reflectors_in_world()
+        if name not in now:
+            return np.zeros((0, 3))
+        if name != FLANGE:
+            return np.tile(now[name], (len(times_s), 1))
+        joints_rad, side, landing_rad = self.robot.past(times_s)
+        arm = self.arm.pose(joints_rad, side, landing_rad, self.tracker.warm_k)
+        at_mm: Array = (self.rail.slide_pose() @ self._bolted @ arm)[:, :3, 3]
+        return at_mm
 
     def places_in_world(self) -> dict[str, Array]:
         """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""

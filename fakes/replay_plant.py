@@ -33,6 +33,7 @@ class ReplayPlant:
         self.rail = RailTruth(cell, 0, time, faults)
         self.robot = RobotMotion(cell, time, lambda key: np.zeros(6))
         self.tracker = ReplayTracker(data, self.robot)
+        self.streams = None
 
     def seat(self, place: str) -> None:
         """Refuse: the recorded reflectors stay; raises `ValueError`."""

@@ -6,6 +6,7 @@ goes what the joints do beside it: from which side each comes, and by how much i
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,6 +35,18 @@ class RobotState:
     moving: bool
 
 
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """What moves from one moment on, until the next leg begins."""
+
+    start_s: float
+    from_rad: Array
+    to_rad: Array
+    side: Array
+    landing_rad: Array
+    path: Path
+
+
 class RobotMotion:
     """The motion of one robot; safe to use from several threads."""
 
@@ -49,6 +62,9 @@ class RobotMotion:
         self._override = 1.0
         self._path = Path(time.now_s(), 0.0)
         self._standing: Array | None = self._to
+        self._legs: list[_Leg] = []
+        self._remembered = 0
+        self._keep_leg()
 
     def move(self, target_rad: Array, speed_share: float) -> None:
         """Start for joints (6,) at a share 0..1 of full speed; a motion under way ends here."""
@@ -65,6 +81,7 @@ class RobotMotion:
             self._share = speed_share
             self._path = Path(self._time.now_s(), 0.0)
             self._go_on()
+            self._keep_leg()
 
     def override(self, share: float) -> None:
         """Change the speed of this and all further motions; 0 makes them stand."""
@@ -73,6 +90,7 @@ class RobotMotion:
             if self.moving:
                 self._path = self._fresh_path().brake(self._rate / BRAKE_S)
                 self._go_on()
+                self._keep_leg()
 
     def brake(self) -> None:
         """Stop on the path and forget the target."""
@@ -80,6 +98,7 @@ class RobotMotion:
             self._path = self._fresh_path().brake(self._rate / BRAKE_S)
             self._share = 0.0
             self._standing = None
+            self._keep_leg()
 
     def poll(self) -> RobotState:
         """Return the state now; in stepped time a moving robot gets a third further."""
@@ -87,11 +106,42 @@ class RobotMotion:
             self._time.poll(self._path.start_s, self._path.end_s)
             return self.state()
 
+    def remember(self, wanted: bool) -> None:
+        """Begin, or cease, to keep what `past` needs of motions that have ended."""
+        with self._lock:
+            self._remembered += 1 if wanted else -1
+
+    def past(self, times_s: Array) -> tuple[Array, Array, Array]:
+        """Return joints, sides and repeatability errors, (N, 6) each, at times (N,) up to now.
+
+        Exact from the motion on that was under way when `remember` began.
+        """
+        with self._lock:
+            legs = list(self._legs)
+        starts_s = [leg.start_s for leg in legs]
+        taken = np.searchsorted(starts_s, times_s, side="right").clip(1) - 1
+        rows = [(legs[number], float(at_s)) for number, at_s in zip(taken, times_s, strict=True)]
+        shares = np.array([[min(leg.path.at(at_s)[0], 1.0)] for leg, at_s in rows])
+        from_rad = np.array([leg.from_rad for leg, _ in rows])
+        to_rad = np.array([leg.to_rad for leg, _ in rows])
+        sides = np.array([leg.side for leg, _ in rows])
+        return (
+            from_rad + shares * (to_rad - from_rad),
+            sides,
+            np.array([leg.landing_rad for leg, _ in rows]),
+        )
+
     def state(self) -> RobotState:
         """Return the state now, without letting time pass."""
         with self._lock:
             joints = self._joints(self._time.now_s())
             return RobotState(joints, self._side, self._landing, self.moving)
+
+    def measured(self, cycle_s: float) -> Array:
+        """Return the joints (6,) as they were at the last tick of a controller's cycle."""
+        ticked_s = math.floor(self._time.now_s() / cycle_s) * cycle_s
+        joints_rad: Array = self.past(np.array([ticked_s]))[0][0]
+        return joints_rad
 
     @property
     def moving(self) -> bool:
@@ -109,6 +159,12 @@ class RobotMotion:
         self._standing = None
         if speed > 0:
             self._path.travel(1.0, speed, self._rate / RAMP_S)
+
+    def _keep_leg(self) -> None:
+        leg = _Leg(self._time.now_s(), self._from, self._to, self._side, self._landing, self._path)
+        if not self._remembered:
+            self._legs.clear()
+        self._legs.append(leg)
 
     def _fresh_path(self) -> Path:
         now_s = self._time.now_s()

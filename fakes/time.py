@@ -3,6 +3,8 @@
 In stepped time nothing passes by itself. Time advances by the waits that the engine asks for on
 the control channel, and by the polls of a moving device: each poll lets a third of the motion
 pass, never beyond its end. So a whole run takes the same simulated time whatever the machine.
+While somebody follows a motion (a tracker that streams), a poll lets only the time of an exchange
+with a controller pass, and what happened meanwhile is handed out before the poll is answered.
 """
 
 from __future__ import annotations
@@ -10,6 +12,11 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
+
+EXCHANGE_S = 0.008  # one question to a robot's controller and its answer
+
+Follower = Callable[[], None]
 
 
 class PlantTime:
@@ -20,6 +27,7 @@ class PlantTime:
         self._lock = threading.Lock()
         self._stepped_s = 0.0
         self._start_s = time.monotonic()
+        self._followers: tuple[Follower, ...] = ()
 
     @property
     def stepped(self) -> bool:
@@ -42,6 +50,22 @@ class PlantTime:
         """Return now, after a poll of something that moves from ``start_s`` to ``end_s``."""
         if self.stepped:
             with self._lock:
-                step_s = (end_s - start_s) / 3.0
+                step_s = EXCHANGE_S if self._followers else (end_s - start_s) / 3.0
                 self._stepped_s = max(self._stepped_s, min(end_s, self._stepped_s + step_s))
         return self.now_s()
+
+    def follow(self, follower: Follower) -> None:
+        """Have ``follower`` called by `catch_up` from now on."""
+        with self._lock:
+            self._followers = (*self._followers, follower)
+
+    def unfollow(self, follower: Follower) -> None:
+        """Call ``follower`` no longer."""
+        with self._lock:
+            self._followers = tuple(each for each in self._followers if each != follower)
+
+    def catch_up(self) -> None:
+        """Have all followers do what is due; to be called with no lock held, before an answer."""
+        if self.stepped:
+            for follower in self._followers:
+                follower()

@@ -117,6 +117,23 @@ class TrackerTruth:
         xyz_mm[2] += self._faults.number("tracker.spike") or 0.0
         return Measurement(xyz_mm, sigma_mm * (1.0 + 0.1 * np.tanh(draws[3:])))
 
+    def read(self, at_world_mm: Array, draws: Array) -> Array:
+        """Return single readings (M, 3) of positions (N, 3) in {W}, with unit noise (N, 3).
+
+        M < N where one is out of range: the beam is lost there. Drift and air stand still.
+        """
+        at_mm = at_world_mm @ self._from_world[:3, :3].T + self._from_world[:3, 3]
+        xyz_mm = at_mm + self._bump_mm + self._slow_drift_mm()
+        range_mm = np.linalg.norm(xyz_mm, axis=1)
+        low_mm, high_mm = self._range_mm
+        lost = np.flatnonzero(~((low_mm <= range_mm) & (range_mm <= high_mm)))
+        along = xyz_mm / range_mm[:, None]
+        radial = (draws * along).sum(axis=1, keepdims=True) * along
+        across_mm = self._sizes.across_um_m * 1e-6 * range_mm[:, None]
+        noise_mm = self._sizes.radial_um * 1e-3 * radial + across_mm * (draws - radial)
+        found: Array = (xyz_mm + noise_mm)[: lost[0] if len(lost) else None]
+        return found
+
     @property
     def warm_k(self) -> float:
         """How much warmer the room is now than its mean."""

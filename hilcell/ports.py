@@ -1,4 +1,9 @@
-"""What the core asks of devices: three small Protocols, their readings and their errors.
+"""What the core asks of devices: small Protocols, their readings and their errors.
+
+Every rail, robot and tracker satisfies one of three. A tracker that can also stream satisfies
+`Streams`, a robot that can turn one axis slowly and tell its joints meanwhile `Sweeps`; both hand
+out a flyer: prepared by ``with``, started by ``kickoff``, read by ``collect``, ended by
+``complete``, and put back to what it was on every way out of the ``with``.
 
 A driver is one plain class that satisfies one of these; it is built as ``Driver(options, clock)``
 with its own checked options (``Driver.Options``, a msgspec Struct) and the clock of the cell.
@@ -10,7 +15,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from threading import Event
-from typing import Protocol
+from types import TracebackType
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +30,10 @@ from hilcell.errors import (
 )
 
 __all__ = [
-    "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity", "LinkStatistics",
-    "NoReading", "Rail", "RailReading", "Robot", "RobotReading", "SimulatedCell", "Stopped",
-    "Tracker", "TrackerReading", "says_simulated",
+    "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity", "JointSample",
+    "LinkStatistics", "NoReading", "Rail", "RailReading", "Robot", "RobotReading", "SimulatedCell",
+    "Stopped", "Stream", "StreamBlock", "Streams", "Sweep", "Sweeps", "Tracker", "TrackerReading",
+    "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -102,6 +109,29 @@ class TrackerReading:
     pressure_mbar: float
     humidity_percent: float
     taken_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class StreamBlock:
+    """Samples of a tracker: times (N,) of its own clock, positions (N, 3) in its frame.
+
+    They arrived between ``after_s`` and ``by_s`` of the cell's clock. The trap: they were taken
+    before; how long before is known from many blocks only.
+    """
+
+    device_s: Array
+    xyz_mm: Array
+    after_s: float
+    by_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class JointSample:
+    """Joints (6,) of a moving robot, told between two times of the cell's clock."""
+
+    joints_rad: Array
+    before_s: float
+    after_s: float
 
 
 class Clock(Protocol):
@@ -184,6 +214,68 @@ class Tracker(Protocol):
 
     def close(self) -> None:
         """Close the wire."""
+
+
+class Flyer(Protocol):
+    """What flies: prepared by ``with``; whatever leaves it, the device is what it was before."""
+
+    def __enter__(self) -> Self:
+        """Prepare; nothing moves or is measured yet."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End what is under way and restore the device; an error on the way gets a note."""
+
+    def kickoff(self) -> None:
+        """Start; returns when the device has acknowledged."""
+
+
+class Stream(Flyer, Protocol):
+    """A tracker that follows its reflector and samples by its own clock."""
+
+    rate_hz: float  # that the tracker really has
+
+    def collect(self) -> list[StreamBlock]:
+        """Return what has arrived, without waiting; raises `NoReading` when the beam broke."""
+
+    def complete(self) -> list[StreamBlock]:
+        """End the stream and return the rest of it."""
+
+
+class Sweep(Flyer, Protocol):
+    """A robot that turns one axis at constant speed, with its joints told meanwhile."""
+
+    speed_rad_s: float  # that the controller is set to
+    ended: bool  # the controller has acknowledged the end of the motion
+
+    def collect(self) -> JointSample:
+        """Ask for the joints once, and look whether all is well and the motion has ended."""
+
+    def complete(self) -> RobotReading:
+        """Wait for the end of the motion; return the reading at rest."""
+
+
+@runtime_checkable
+class Streams(Protocol):
+    """A tracker that streams."""
+
+    def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Stream:
+        """Return a stream of the reflector that is now at ``near_mm`` (3,), tracker's frame."""
+
+
+@runtime_checkable
+class Sweeps(Protocol):
+    """A robot that turns one axis slowly."""
+
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Sweep:
+        """Return a motion of ``axis`` (0 to 5) alone, from where the robot stands.
+
+        Its speed is the next one that the controller has, not above ``speed_rad_s``.
+        """
 
 
 class SimulatedCell(Protocol):
