@@ -98,6 +98,10 @@ class C3Connection:
         """Return the text of a variable; raises `DeviceError`."""
         return self._exchange(f"read {name}", lambda tag: encode_read(tag, name)).value
 
+    def knows(self, name: str) -> bool:
+        """Whether the controller lets a variable be read."""
+        return self._reply(f"read {name}", lambda tag: encode_read(tag, name)).ok
+
     def write(self, name: str, value: str) -> None:
         """Write a variable and wait for the acknowledgement; raises `DeviceError`."""
         self._exchange(f"write {name}", lambda tag: encode_write(tag, name, value))
@@ -125,6 +129,17 @@ class C3Connection:
         return self._tag
 
     def _exchange(self, operation: str, encode: Callable[[int], bytes]) -> Reply:
+        reply = self._reply(operation, encode)
+        if not reply.ok:
+            raise DeviceError(
+                self._device,
+                operation,
+                f"refused with error {reply.error}",
+                act="is the variable declared, and the controller up? see docs/hardware.md",
+            )
+        return reply
+
+    def _reply(self, operation: str, encode: Callable[[int], bytes]) -> Reply:
         with self._lock:
             if self._dead:
                 raise self._link.broken(operation, self._dead)
@@ -134,13 +149,6 @@ class C3Connection:
             reply = self._receive(operation, tag)
             self._dead = ""
             self.used_s = time.monotonic()
-        if not reply.ok:
-            raise DeviceError(
-                self._device,
-                operation,
-                f"refused with error {reply.error}",
-                act="is the variable declared, and the controller up? see docs/hardware.md",
-            )
         return reply
 
     def _receive(self, operation: str, tag: int) -> Reply:

@@ -19,7 +19,7 @@ from drivers.supervision import Patience
 from hilcell.ports import Array, Clock, DeviceError, NoReading, Stopped, StreamBlock
 
 DEVICE = "Tracker"
-LONGEST_SEPARATION_MS = 10_000
+SLOWEST_HZ, FASTEST_HZ = 0.1, 1000.0
 SILENT_S = 3.0  # wire deadline: from one packet to the next, on top of a packet's own time
 END_S = 5.0  # wire deadline: from the stop to its reply
 SEPARATION_SHARE = 0.5  # by which the samples' times may miss the separation that was set
@@ -65,13 +65,20 @@ class EmsconStream:
         clock: Clock,
         near_mm: Array,
         reflector: str,
-        separation_ms: int,
+        rate_hz: float,
         find_radius_mm: float,
     ) -> None:
-        self.rate_hz = 1000.0 / separation_ms
+        near_mm = np.asarray(near_mm, dtype=float)
+        if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))):
+            raise DeviceError(DEVICE, "stream", f"a reflector at {near_mm} mm")
+        if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+            raise DeviceError(
+                DEVICE, "stream", f"{rate_hz} samples/s", wanted=f"{SLOWEST_HZ} to {FASTEST_HZ:g}"
+            )
+        self._separation_ms = round(1000.0 / rate_hz)
+        self.rate_hz = 1000.0 / self._separation_ms
         self._tracker, self._clock = tracker, clock
         self._near_mm, self._reflector, self._radius_mm = near_mm, reflector, find_radius_mm
-        self._separation_ms = separation_ms
         self._silence = Patience(SILENT_S)
         self._emptied_s = 0.0
         self._last_s: float | None = None

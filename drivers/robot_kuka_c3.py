@@ -20,6 +20,7 @@ from msgspec import Meta
 from drivers import krl
 from drivers.c3 import C3Connection
 from drivers.keep_alive import KeepAlive
+from drivers.kuka_sweep import KukaSweep, give_back_left_behind
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience, Supervision
 from hilcell.cell import Joint
@@ -36,7 +37,7 @@ from hilcell.ports import (
 )
 
 DEVICE = "Robot"
-PROGRAM_VERSION = 1
+PROGRAM_VERSION, SWEEPING_VERSION = 1, 2
 PTP_JOINTS = 1
 MAX_SEQUENCE = 1_000_000_000
 POLL_S = 0.03
@@ -83,7 +84,7 @@ ROUND = (
 
 
 class KukaC3Robot:
-    """Satisfies `hilcell.ports.Robot`."""
+    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Where the controller is and what it must be."""
@@ -105,7 +106,7 @@ class KukaC3Robot:
         self._round = cycle(ROUND)
         self._watch = Supervision(DEVICE)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
-        self._override = 100
+        self._override, self._version = 100, PROGRAM_VERSION
         self._written: dict[str, str] = {}
         self._rest_deg = np.zeros(6)
         self._sequence = 0
@@ -123,7 +124,7 @@ class KukaC3Robot:
             # The stop must get through while the run is already stopping.
             self._stop_line = C3Connection(DEVICE, host, port, _never)
             identity = self._identify()
-            self._check("HC_VER", *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
+            self.check("HC_VER", *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
             self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
             self._check_frame("$BASE", (0.0,) * 6)
             self._take_back_stop()
@@ -145,9 +146,9 @@ class KukaC3Robot:
         self._check_lines()
         planned = planned_s(target_deg - self._rest_deg, self._speed_deg_s, round(speed_percent))
         try:
-            number = self._command(target_deg, round(speed_percent))
+            number = self.command(target_deg, round(speed_percent))
             self._await_acknowledgement(number, MotionLimits(planned, STALL_S, PROGRESS_DEG))
-            return self._await_rest(target_deg)
+            return self.rest(target_deg)
         finally:
             self._watch.end()
 
@@ -164,6 +165,20 @@ class KukaC3Robot:
         moved_deg = np.abs(self._axes_deg() - before_deg)
         still = not self._under_way and bool(np.all(moved_deg <= STILL_DEG))
         return RobotReading(np.radians(before_deg), pose, still, taken_s)
+
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> KukaSweep:
+        """Return a motion of one axis (0 to 5) alone, at the next speed below ``speed_rad_s``."""
+        if self._version < SWEEPING_VERSION:
+            raise DeviceRefused(
+                DEVICE,
+                "sweep",
+                f"HC_VER is {self._version}",
+                wanted=f"{SWEEPING_VERSION}",
+                act="install drivers/krl/hilcell.src and hilcell.dat",
+            )
+        self._check_lines()
+        end_deg, speed_deg_s = float(np.degrees(end_rad)), float(np.degrees(speed_rad_s))
+        return KukaSweep(self, self._clock, axis, end_deg, speed_deg_s, self._speed_deg_s)
 
     def stop(self) -> None:
         """Brake on the path; any thread; waits for no answer."""
@@ -182,7 +197,7 @@ class KukaC3Robot:
     # -- connecting ---------------------------------------------------------------------------
 
     def _identify(self) -> Identity:
-        model, serial = self._text("$TRAFONAME[]"), self._integer("$KR_SERIALNO")
+        model, serial = self._text("$TRAFONAME[]"), self.integer("$KR_SERIALNO")
         if self._options.model not in model:
             raise DeviceRefused(
                 DEVICE,
@@ -202,7 +217,7 @@ class KukaC3Robot:
         address = f"{self._options.host}:{self._options.port}"
         return Identity(DEVICE, model, str(serial), address, says_simulated(model))
 
-    def _check(self, *names: str) -> None:
+    def check(self, *names: str) -> None:
         """Refuse to work with a wrong state; the first cause is told, not its consequence."""
         for name in names:
             if problem := self._problem(name):
@@ -218,11 +233,13 @@ class KukaC3Robot:
             return self._unwell(
                 name, found, " or ".join(str(value).upper() for value in wanted), act
             )
-        number = self._integer(name)
+        number = self.integer(name)
         if name == "$OV_PRO":
             self._override = number
+        elif name == "HC_VER":
+            self._version = number
         low, high, act = {
-            "HC_VER": (PROGRAM_VERSION, PROGRAM_VERSION, "install drivers/krl/hilcell.src anew"),
+            "HC_VER": (PROGRAM_VERSION, SWEEPING_VERSION, "install drivers/krl/hilcell.src anew"),
             "$OV_PRO": (1, 100, "raise the programme override"),
             "$ACT_TOOL": (self._options.tool, self._options.tool, "restart the program hilcell"),
             "$ACT_BASE": (self._options.base, self._options.base, "restart the program hilcell"),
@@ -249,12 +266,14 @@ class KukaC3Robot:
 
     def _take_back_stop(self) -> None:
         """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
+        if self._version >= SWEEPING_VERSION:
+            give_back_left_behind(self.wire())
         if self._value("HC_STOP") is not False:
-            self._wire().write("HC_STOP", "FALSE")
+            self.wire().write("HC_STOP", "FALSE")
         patience = Patience(CATCH_UP_S, POLL_LOOK_S)
-        self._sequence = self._integer("HC_SEQ")
+        self._sequence = self.integer("HC_SEQ")
         over = False
-        while (acknowledged := self._integer("HC_ACK")) != self._sequence:
+        while (acknowledged := self.integer("HC_ACK")) != self._sequence:
             if over:
                 raise DeviceRefused(
                     DEVICE,
@@ -270,51 +289,47 @@ class KukaC3Robot:
 
     # -- moving -------------------------------------------------------------------------------
 
-    def _command(self, target_deg: Array, speed_percent: int) -> int:
+    def command(self, target_deg: Array, speed_percent: int) -> int:
+        """Start a motion to joints (6,); return its number."""
         if self._stopped:
             raise DeviceError(DEVICE, "move", "the robot was stopped", act="resume to reconnect")
         number = self._sequence % MAX_SEQUENCE + 1
         axes = dict(zip(AXES, target_deg.tolist(), strict=True))
-        self._wire().write("HC_TGT", krl.structure("E6AXIS", axes))
+        self.wire().write("HC_TGT", krl.structure("E6AXIS", axes))
         self._write_once("HC_VEL", str(speed_percent))
         self._write_once("HC_CMD", str(PTP_JOINTS))
         self._under_way = True
         self._watch.begin()
-        self._wire().write("HC_SEQ", str(number))
+        self.wire().write("HC_SEQ", str(number))
         self._sequence = number
         return number
 
     def _write_once(self, name: str, value: str) -> None:
         """Write what this connection has not written already; nobody else writes these."""
         if self._written.get(name) != value:
-            self._wire().write(name, value)
+            self.wire().write(name, value)
             self._written[name] = value
 
     def _await_acknowledgement(self, number: int, limits: MotionLimits) -> None:
         for name in self._round:
-            acknowledged = self._integer("HC_ACK")
-            if acknowledged == number:
+            if self.acknowledged(number):
                 break
             if name == PROGRESS:
-                self._check_progress(limits, f"HC_ACK {acknowledged}", f"HC_ACK {number}")
+                self.check_progress(limits, number)
             else:
-                self._check(name)
+                self.check(name)
             self._clock.wait(POLL_S)
-        error = self._integer("HC_ERR")
-        if error != 0:
-            meaning = ERRORS.get(error, "unknown")
-            raise DeviceError(
-                DEVICE, "move", f"HC_ERR {error}: {meaning}", act="see the panel, resume"
-            )
 
-    def _check_progress(self, limits: MotionLimits, found: str, wanted: str) -> None:
-        now_deg = self._axes_deg()
+    def check_progress(self, limits: MotionLimits, number: int) -> None:
+        """Raise `DeviceError` where a motion stands or creeps."""
+        now_deg, wanted = self._axes_deg(), f"HC_ACK {number}"
         if limits.stalled(now_deg):
-            self._check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
+            self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
             raise DeviceError(
                 DEVICE,
                 "move",
-                f"no axis moved for {STALL_S:.0f} s at {_joints_text(now_deg)}, {found}",
+                f"no axis moved for {STALL_S:.0f} s at {_joints_text(now_deg)}, "
+                f"HC_ACK {self.integer('HC_ACK')}",
                 wanted=wanted,
                 act="see the panel; is the program hilcell running? resume",
             )
@@ -323,14 +338,14 @@ class KukaC3Robot:
                 DEVICE,
                 "move",
                 f"still under way after {limits.spent_s:.0f} s at full override, at "
-                f"{_joints_text(now_deg)}, {found}",
+                f"{_joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}",
                 wanted=f"{wanted} within {limits.limit_s:.0f} s",
                 act="the arm creeps; see the panel and robot.joint.speed_deg_s, resume",
             )
 
     def _await_rest(self, target_deg: Array) -> RobotReading:
         # The pose means something only with the tool and the base that connect has verified.
-        self._check("$ACT_TOOL", "$ACT_BASE")
+        self.check("$ACT_TOOL", "$ACT_BASE")
         patience = Patience(REST_S, POLL_LOOK_S)
         over = False
         while True:
@@ -340,7 +355,7 @@ class KukaC3Robot:
             pose = self._pose()
             arrived = bool(np.all(np.abs(axes_deg - target_deg) <= AXIS_TOLERANCE_DEG))
             if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
-                self._under_way, self._rest_deg = False, axes_deg
+                self._under_way, self._rest_deg = False, target_deg
                 return RobotReading(np.radians(axes_deg), pose, True, taken_s)
             if over:
                 break
@@ -353,9 +368,45 @@ class KukaC3Robot:
             act="the robot stopped short of its target; see the panel, resume",
         )
 
+    # -- what a sweep needs of its robot, too -------------------------------------------------
+
+    def open_line(self) -> C3Connection:
+        """Return a new connection that a stop does not end."""
+        return C3Connection(DEVICE, self._options.host, self._options.port, _never)
+
+    def take_back(self) -> None:
+        """Take back a brake of our own, unless the robot was stopped otherwise as well."""
+        self._watch.end()
+        if not self._stopped:
+            self._take_back_stop()
+
+    def stands_at(self) -> Array:
+        """Return the joints (6,) in deg to which the robot was sent last, or where it was found."""
+        return self._rest_deg
+
+    def rest(self, target_deg: Array) -> RobotReading:
+        """Return the reading at rest at joints (6,)."""
+        try:
+            return self._await_rest(target_deg)
+        finally:
+            self._watch.end()
+
+    def acknowledged(self, number: int) -> bool:
+        """Whether a motion has ended; raises `DeviceError` where the program refused it."""
+        if self.integer("HC_ACK") != number:
+            return False
+        error = self.integer("HC_ERR")
+        if error != 0:
+            meaning = ERRORS.get(error, "unknown")
+            raise DeviceError(
+                DEVICE, "move", f"HC_ERR {error}: {meaning}", act="see the panel, resume"
+            )
+        return True
+
     # -- variables ----------------------------------------------------------------------------
 
-    def _wire(self) -> C3Connection:
+    def wire(self) -> C3Connection:
+        """Return the connection that asks."""
         if self._line is None:
             raise DeviceError(DEVICE, "use", "not connected", act="connect first")
         return self._line
@@ -371,23 +422,24 @@ class KukaC3Robot:
 
     def _text(self, name: str) -> str:
         """Return a CHAR array; some servers leave the quotes out, or pad it."""
-        return clean(self._wire().read(name).strip("\0 \t\r\n").strip('"').strip())
+        return clean(self.wire().read(name).strip("\0 \t\r\n").strip('"').strip())
 
     def _value(self, name: str) -> krl.Value:
-        text = self._wire().read(name)
+        text = self.wire().read(name)
         try:
             return krl.parse(text)
         except krl.KrlError as error:
             raise _unreadable(name, error) from error
 
-    def _integer(self, name: str) -> int:
+    def integer(self, name: str) -> int:
+        """Return a whole number that the controller has."""
         value = self._value(name)
         if isinstance(value, bool) or not isinstance(value, int):
             raise _unreadable(name, krl.KrlError(f"a whole number is expected, found {value!r}"))
         return value
 
     def _numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
-        text = self._wire().read(name)
+        text = self.wire().read(name)
         try:
             return krl.numbers(text, components)
         except krl.KrlError as error:

@@ -19,7 +19,7 @@ from msgspec import Meta
 
 from drivers import emscon
 from drivers.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
-from drivers.emscon_stream import LONGEST_SEPARATION_MS, EmsconStream
+from drivers.emscon_stream import EmsconStream
 from drivers.supervision import Patience
 from drivers.tcp import TcpLink
 from hilcell.clean import clean
@@ -110,19 +110,8 @@ class LeicaEmsconTracker:
 
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> EmsconStream:
         """Return a stream of the reflector expected at ``near_mm`` (3,), tracker frame."""
-        near_mm = np.asarray(near_mm, dtype=float)
-        separation_ms = 1000.0 / rate_hz if rate_hz > 0 else np.nan
-        if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))):
-            raise DeviceError(DEVICE, "stream", f"a reflector at {near_mm} mm")
-        if not 1.0 <= separation_ms <= LONGEST_SEPARATION_MS:
-            raise DeviceError(
-                DEVICE,
-                "stream",
-                f"{rate_hz:g} samples/s",
-                wanted=f"{1000.0 / LONGEST_SEPARATION_MS:g} to 1000",
-            )
         radius_mm = self._options.find_radius_mm
-        return EmsconStream(self, self._clock, near_mm, reflector, round(separation_ms), radius_mm)
+        return EmsconStream(self, self._clock, near_mm, reflector, rate_hz, radius_mm)
 
     def stop(self) -> None:
         """Stop measuring; any thread; waits for no answer."""

@@ -59,19 +59,24 @@ class EmsconServer:
 
     def _obey(self, session: _Session, packet: bytes) -> None:
         answer = self._device.handle(packet)
-        session.send(b"".join(answer.packets))
+        if answer.stream is None:
+            session.send(b"".join(answer.packets))
         while (later := answer.later) is not None:
             if not self._let_pass(session, later.duration_s):
                 return
             answer = later.finish()
             self._send(session, later, answer)
         if answer.stream is not None:
-            after = self._stream(session, answer.stream)
+            after = self._stream(session, answer.stream, b"".join(answer.packets))
             if after is not None:
                 self._obey(session, after)
 
-    def _stream(self, session: _Session, stream: SampleStream) -> bytes | None:
-        """Send samples until the client stops it; return a packet that came after their end."""
+    def _stream(self, session: _Session, stream: SampleStream, head: bytes) -> bytes | None:
+        """Send samples until the client stops it; return a packet that came after their end.
+
+        The trap: the client lets time pass as soon as it has the reply, so whoever lets it pass
+        must know of the stream before, and must have forgotten it before the reply to the stop.
+        """
         lock = threading.Lock()
 
         def send() -> None:
@@ -84,6 +89,8 @@ class EmsconServer:
         look_s = None if self._time.stepped else STREAM_LOOK_S / self._time.speed
         self._time.follow(send)
         try:
+            with lock:
+                session.send(head)
             while True:
                 packet = session.receive(look_s)
                 if packet is None:
@@ -91,12 +98,16 @@ class EmsconServer:
                     continue
                 _, _, command = COMMAND.unpack_from(packet)
                 with lock:
-                    if command == Command.STOP_MEASUREMENT:
-                        session.send(stream.stop() + reply(command))
-                        return None
-                    if stream.ended:
+                    stopped = command == Command.STOP_MEASUREMENT
+                    if not stopped and not stream.ended:
+                        session.send(reply(command, Status.BUSY))
+                        continue
+                    rest = stream.stop()
+                    self._time.unfollow(send)
+                    if not stopped:
                         return packet
-                    session.send(reply(command, Status.BUSY))
+                    session.send(rest + reply(command))
+                    return None
         finally:
             self._time.unfollow(send)
             with lock:

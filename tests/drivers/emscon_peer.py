@@ -44,7 +44,7 @@ class EmsconPeer:
 
     def __init__(self) -> None:
         self.xyz: tuple[float, ...] = (0.0, 0.0, 0.0)
-        self.settings: dict[int, bytes] = {}
+        self.settings: dict[int, bytes] = {25: struct.pack("<i", 0)}
         self.initialized = 5
         self.commands: list[int] = []
         self.stopped = threading.Event()
@@ -84,7 +84,7 @@ class EmsconPeer:
 
     def _set(self, command: int) -> Answer:
         """Keep a setting under the number of its reading command."""
-        pairs = {5: 6, 24: 25, 26: 27, 28: 29, 40: 41, 43: 44}
+        pairs = {5: 6, 24: 25, 26: 27, 28: 29, 30: 31, 40: 41, 43: 44}
 
         def keep(body: bytes) -> list[bytes]:
             self.settings[pairs[command]] = body

@@ -24,7 +24,7 @@ VARIABLES = {
     "$ACT_BASE": "0",
     "$TOOL": "{FRAME: X 98.0, Y 0.0, Z 127.0, A 0.0, B 0.0, C 0.0}",
     "$BASE": "{FRAME: X 0.0, Y 0.0, Z 0.0, A 0.0, B 0.0, C 0.0}",
-    "HC_VER": "1",
+    "HC_VER": "2",
     "HC_TGT": "{E6AXIS: A1 0.0, A2 0.0, A3 0.0, A4 0.0, A5 0.0, A6 0.0}",
     "HC_VEL": "10",
     "HC_CMD": "0",
@@ -32,6 +32,8 @@ VARIABLES = {
     "HC_ACK": "7",
     "HC_ERR": "0",
     "HC_STOP": "FALSE",
+    "HC_OV_OLD": "0",
+    "HC_OV_SET": "0",
 }
 Mangle = Callable[[str, bytes], list[bytes]]
 
@@ -89,6 +91,7 @@ class KukaPeer:
             self._steps = 3
         if name == "HC_STOP" and text == "TRUE":
             self._steps = 0
+            self.variables["HC_ERR"] = "9"
             self.stopped.set()
         if name == "HC_STOP" and text == "FALSE":
             self.variables["HC_ACK"] = self.variables["HC_SEQ"]

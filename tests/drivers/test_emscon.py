@@ -12,6 +12,7 @@ from drivers.emscon import (
     Command,
     EmsconError,
     Failure,
+    Multi,
     Other,
     Packet,
     PacketReader,
@@ -76,6 +77,44 @@ def test_a_result_is_the_published_bytes() -> None:
         0, 0, (1100.25, -2.5, 0.125), (0.004, 0.005, 0.006), 0.009, 22.5, 1013.25, 45.0
     )
     assert PacketReader().feed(RESULT) == [expected]
+
+
+MULTI = bytes.fromhex(  # two samples; the peer CESAPI knows no continuous measurement
+    "780000000300000000000000020000000100000000000000"
+    "00000000008036400000000000aa8f400000000000804640"
+    "000000000500000090d00300000000000031914000000000000004c0000000000000c03f"
+    "0000000005000000a0f70300000000000031914000000000000004c0000000000000c0bf"
+)  # fmt: skip
+
+
+def test_the_settings_of_a_stream_are_the_published_bytes() -> None:
+    body = emscon.CONTINUOUS.pack(10, emscon.UNTIL_STOPPED, 0, 0)
+    expected = "1c000000000000001e0000000a000000000000000000000000000000"
+    assert emscon.encode(Command.SET_CONTINUOUS_TIME, body).hex() == expected
+
+
+@pytest.mark.parametrize("cut", [1, 5, 47, 48, 119])
+def test_samples_are_read_from_packets_in_pieces(cut: int) -> None:
+    reader = PacketReader()
+    assert reader.feed(MULTI[:cut]) == []
+    (packet,) = reader.feed(MULTI[cut:])
+    assert isinstance(packet, Multi)
+    assert packet.status == 0
+    assert packet.device_s.tolist() == [5.25, 5.26]
+    assert packet.xyz.tolist() == [[1100.25, -2.5, 0.125], [1100.25, -2.5, -0.125]]
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, -1, 2**31 - 1])
+def test_a_wrong_number_of_samples_is_no_packet(count: int) -> None:
+    with pytest.raises(EmsconError, match="samples are announced"):
+        PacketReader().feed(MULTI[:12] + struct.pack("<i", count) + MULTI[16:])
+
+
+@pytest.mark.parametrize("at", [8, 48, 84])
+def test_the_status_of_any_sample_is_that_of_all(at: int) -> None:
+    (packet,) = PacketReader().feed(MULTI[:at] + struct.pack("<i", 10013) + MULTI[at + 4 :])
+    assert isinstance(packet, Multi)
+    assert packet.status == 10013
 
 
 def test_an_independent_peer_reads_our_settings() -> None:

@@ -1,0 +1,284 @@
+"""One axis of a KUKA robot turned slowly, with the joints told meanwhile.
+
+Speed is HC_VEL (1 to 100 % of an axis) times $OV_PRO, which a sweep lowers: so an axis turns at
+1/10000 of its speed, too. The trap: $OV_PRO stays lowered when the PC dies. So the controller
+remembers what it was (HC_OV_OLD) and what it was set to (HC_OV_SET); every way out of a sweep and
+every connect give it back, at rest only, and only where nobody has changed it meanwhile.
+"""
+
+from __future__ import annotations
+
+import threading
+from itertools import cycle
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+
+from drivers import krl
+from drivers.c3 import C3Connection
+from drivers.motion_limits import MotionLimits, planned_s
+from drivers.supervision import Patience
+from hilcell.ports import Array, Clock, DeviceError, JointSample, RobotReading, Stopped
+
+DEVICE = "Robot"
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+MEASURED, ACTUAL = "$AXIS_ACT_MEAS", "$AXIS_ACT"
+STOPPED = 9  # HC_ERR of a program that has taken a stop
+PERCENT = 100
+STALL_S = 5.0
+PROGRESS_DEG = 0.002
+REST_S = 3.0  # wire deadline: from a brake to standstill
+DWELL_S = 0.05  # between two looks that tell standstill
+STILL_DEG = 0.0005
+POLL_S = 0.05  # while the end is waited for
+ROUND = (
+    "$ALARM_STOP", "$PRO_STATE1", "$MODE_OP", "$STOPMESS", "$USER_SAF", "$OV_PRO", "$PERI_RDY", "",
+)  # fmt: skip
+
+
+class SweepingRobot(Protocol):
+    """What a sweep needs of its robot."""
+
+    def wire(self) -> C3Connection:
+        """Return the connection."""
+
+    def integer(self, name: str) -> int:
+        """Return a variable."""
+
+    def check(self, *names: str) -> None:
+        """Refuse to go on with a wrong state."""
+
+    def stands_at(self) -> Array:
+        """Return the joints (6,) in deg where the robot was last sent, or was found."""
+
+    def command(self, target_deg: Array, speed_percent: int) -> int:
+        """Start a motion; return its number."""
+
+    def acknowledged(self, number: int) -> bool:
+        """Whether a motion has ended; raises what the program says otherwise."""
+
+    def check_progress(self, limits: MotionLimits, number: int) -> None:
+        """Raise what shows that the motion gets nowhere."""
+
+    def rest(self, target_deg: Array) -> RobotReading:
+        """Wait until the robot stands at its target."""
+
+    def open_line(self) -> C3Connection:
+        """Return a new connection that a stop does not end."""
+
+    def take_back(self) -> None:
+        """Take back a brake of our own."""
+
+
+class KukaSweep:
+    """Satisfies `hilcell.ports.Sweep`."""
+
+    def __init__(
+        self,
+        robot: SweepingRobot,
+        clock: Clock,
+        axis: int,
+        end_deg: float,
+        speed_deg_s: float,
+        full_deg_s: Array,
+    ) -> None:
+        """``full_deg_s`` (6,) are the axes' speeds at HC_VEL 100 and $OV_PRO 100."""
+        if not (0 <= axis < len(AXES) and np.isfinite(end_deg)):
+            raise DeviceError(DEVICE, "sweep", f"axis {axis + 1} to {end_deg} deg")
+        full = float(full_deg_s[axis])
+        if not full / PERCENT**2 <= speed_deg_s <= full:
+            raise DeviceError(
+                DEVICE,
+                "sweep",
+                f"{speed_deg_s} deg/s",
+                wanted=f"{full / PERCENT**2:.4f} to {full:g} deg/s",
+            )
+        self.speed_rad_s, self.ended = float(np.radians(speed_deg_s)), False
+        self._robot, self._clock = robot, clock
+        self._axis, self._end_deg = axis, end_deg
+        self._speed_deg_s, self._full_deg_s = speed_deg_s, full
+        self._target_deg = np.zeros(6)
+        self._velocity = self._override = PERCENT
+        self._variable, self._number, self._under_way = ACTUAL, 0, False
+        self._limits = MotionLimits(0.0, STALL_S, PROGRESS_DEG)
+        self._round = cycle(ROUND)
+
+    def __enter__(self) -> Self:
+        """Set the speed; nothing moves."""
+        robot, line = self._robot, self._robot.wire()
+        robot.check(*filter(None, ROUND))
+        if line.knows(MEASURED):
+            self._variable = MEASURED
+        found = robot.integer("$OV_PRO")
+        share = self._speed_deg_s / self._full_deg_s
+        self._velocity, self._override = split_speed(share, found)
+        self.speed_rad_s = float(
+            np.radians(self._full_deg_s) * self._velocity * self._override / PERCENT**2
+        )
+        self._target_deg = robot.stands_at().copy()
+        distance_deg = np.zeros(6)
+        distance_deg[self._axis] = self._end_deg - self._target_deg[self._axis]
+        self._target_deg[self._axis] = self._end_deg
+        planned = planned_s(distance_deg, np.full(6, self._full_deg_s), self._velocity)
+        self._limits = MotionLimits(planned, STALL_S, PROGRESS_DEG)
+        if self._override != found:
+            try:
+                _lower(line, found, self._override)
+            except BaseException as error:
+                self._give_back(error)
+                raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Brake what still moves and give the override back."""
+        self._give_back(error)
+
+    def kickoff(self) -> None:
+        """Start the motion."""
+        self._under_way = True
+        self._number = self._robot.command(self._target_deg, self._velocity)
+
+    def collect(self) -> JointSample:
+        """Ask for the joints once, and look whether all is well and the motion has ended."""
+        before_s = self._clock.now_s()
+        text = self._robot.wire().read(self._variable)
+        after_s = self._clock.now_s()
+        joints_rad = np.radians(_axes_deg(text, self._variable))
+        self._look()
+        return JointSample(joints_rad, before_s, after_s)
+
+    def complete(self) -> RobotReading:
+        """Wait for the end of the motion; return the reading at rest."""
+        while not self.ended:
+            self._clock.wait(POLL_S)
+            self._look()
+        reading = self._robot.rest(self._target_deg)
+        self._under_way = False
+        return reading
+
+    def _look(self) -> None:
+        if self.ended:
+            return
+        if self._robot.acknowledged(self._number):
+            self.ended = True
+            return
+        name = next(self._round)
+        if not name:
+            self._robot.check_progress(self._limits, self._number)
+            return
+        self._robot.check(name)
+        if name == "$OV_PRO" and (found := self._robot.integer(name)) != self._override:
+            raise DeviceError(
+                DEVICE,
+                "sweep",
+                f"$OV_PRO is {found}",
+                wanted=f"{self._override}",
+                act="the override was changed at the panel during the sweep; sweep again",
+            )
+
+    def _give_back(self, error: BaseException | None) -> None:
+        """Leave the robot at rest with its override as it was."""
+        try:
+            line = self._robot.open_line()
+            try:
+                if self._under_way:
+                    line.write("HC_STOP", "TRUE")
+                    await_rest(line)
+                give_back(line)
+            finally:
+                line.close()
+            if self._under_way and not isinstance(error, Stopped):
+                self._robot.take_back()
+        except DeviceError as failure:
+            if error is None:
+                raise
+            error.add_note(f"$OV_PRO was not given back: {failure}; the next connect does it")
+
+
+def split_speed(share: float, override: int) -> tuple[int, int]:
+    """Return HC_VEL and $OV_PRO whose product comes nearest to a share of full speed from below.
+
+    The operator's ``override`` is never raised; of equal ones the highest is taken.
+    """
+    wanted = share * PERCENT**2 * (1.0 + 1e-9)
+    pairs = [
+        (velocity * lowered, lowered, velocity)
+        for velocity in range(1, PERCENT + 1)
+        if (lowered := min(override, int(wanted / velocity))) >= 1
+    ]
+    _, lowered, velocity = max(pairs)
+    return velocity, lowered
+
+
+def give_back(line: C3Connection) -> None:
+    """Give back an override that was lowered; the robot must stand."""
+    before = _whole(line, "HC_OV_OLD")
+    if before == 0:
+        return
+    if _whole(line, "$OV_PRO") == _whole(line, "HC_OV_SET"):
+        line.write("$OV_PRO", str(before))
+    line.write("HC_OV_OLD", "0")
+
+
+def give_back_left_behind(line: C3Connection) -> None:
+    """Give back what an engine that died has left lowered; its sweep is braked first."""
+    if _whole(line, "HC_OV_OLD") == 0:
+        return
+    if _whole(line, "HC_SEQ") != _whole(line, "HC_ACK"):
+        line.write("HC_STOP", "TRUE")
+        await_rest(line)
+    give_back(line)
+
+
+def await_rest(line: C3Connection) -> None:
+    """Wait until the program has taken the stop and no axis moves; also while a stop is on."""
+    patience, over = Patience(REST_S), False
+    before_deg, pause = np.full(6, np.inf), threading.Event()
+    while not over:
+        over = patience.over()
+        now_deg = _axes_deg(line.read(ACTUAL), ACTUAL)
+        stands = bool(np.all(np.abs(now_deg - before_deg) <= STILL_DEG))
+        if stands and _whole(line, "HC_ERR") == STOPPED:
+            return
+        before_deg = now_deg
+        pause.wait(DWELL_S)
+    raise DeviceError(
+        DEVICE, "sweep", f"not at rest {REST_S:.0f} s after the brake", act="see the panel, resume"
+    )
+
+
+def _lower(line: C3Connection, found: int, wanted: int) -> None:
+    line.write("HC_OV_SET", str(wanted))
+    line.write("HC_OV_OLD", str(found))  # from here on the controller knows what to give back
+    line.write("$OV_PRO", str(wanted))
+    if (set_to := _whole(line, "$OV_PRO")) != wanted:
+        raise DeviceError(
+            DEVICE,
+            "sweep",
+            f"$OV_PRO is {set_to}",
+            wanted=f"{wanted}",
+            act="the panel holds the override; release it, resume",
+        )
+
+
+def _axes_deg(text: str, name: str) -> Array:
+    try:
+        return np.array(krl.numbers(text, AXES))
+    except krl.KrlError as error:
+        raise DeviceError(DEVICE, f"read {name}", str(error)) from error
+
+
+def _whole(line: C3Connection, name: str) -> int:
+    try:
+        value = krl.parse(line.read(name))
+    except krl.KrlError as error:
+        raise DeviceError(DEVICE, f"read {name}", str(error)) from error
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise DeviceError(DEVICE, f"read {name}", f"{value!r} is no whole number")
+    return value

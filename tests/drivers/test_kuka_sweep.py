@@ -1,0 +1,229 @@
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import kuka_sweep, robot_kuka_c3
+from drivers.kuka_sweep import split_speed
+from drivers.robot_kuka_c3 import KukaC3Robot
+from hilcell.clock import WallClock
+from hilcell.ports import DeviceError, DeviceRefused, JointSample, NoReading, Stopped, Sweep, Sweeps
+from tests.drivers.kuka_peer import KukaPeer
+from tests.drivers.peers import wall_clock
+from tests.drivers.test_robot_kuka_c3 import JOINTS, robot_for
+
+END_RAD, SLOW_RAD_S = float(np.radians(10.0)), float(np.radians(0.1))  # of 100 deg/s
+
+
+@pytest.fixture(autouse=True)
+def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (kuka_sweep, robot_kuka_c3):
+        for name, value in (("POLL_S", 0.002), ("DWELL_S", 0.002), ("REST_S", 0.3)):
+            monkeypatch.setattr(module, name, value)
+
+
+@pytest.fixture
+def peer() -> Iterator[KukaPeer]:
+    with KukaPeer() as peer:
+        yield peer
+
+
+@pytest.fixture
+def robot(peer: KukaPeer) -> Iterator[KukaC3Robot]:
+    robot = robot_for(peer)
+    robot.connect()
+    yield robot
+    robot.close()
+
+
+def sweep(
+    robot: Sweeps, meanwhile: Callable[[], object] = lambda: None
+) -> tuple[Sweep, list[JointSample]]:
+    with robot.sweep(0, END_RAD, SLOW_RAD_S) as flyer:
+        flyer.kickoff()
+        samples = [flyer.collect()]
+        meanwhile()
+        while not flyer.ended:
+            samples.append(flyer.collect())
+        assert flyer.complete().still
+    return flyer, samples
+
+
+def override(peer: KukaPeer) -> tuple[str, str]:
+    return peer.variables["$OV_PRO"], peer.variables["HC_OV_OLD"]
+
+
+def writes(peer: KukaPeer) -> list[str]:
+    return [name.split()[1] for name in peer.requests if name.startswith("write")]
+
+
+def lose_beam() -> None:
+    raise NoReading("Tracker", "stream", "the beam broke")
+
+
+def test_a_sweep_lowers_the_override_and_gives_it_back(peer: KukaPeer, robot: KukaC3Robot) -> None:
+    seen: list[tuple[str, ...]] = []
+    peer.moved = lambda: seen.append((*override(peer), peer.variables["HC_VEL"]))
+    assert isinstance(robot, Sweeps)
+    flyer, samples = sweep(robot)
+    assert set(seen) == {("10", "100", "1")}
+    assert flyer.speed_rad_s == pytest.approx(SLOW_RAD_S)
+    assert override(peer) == ("100", "0")
+    assert samples[-1].joints_rad[0] > samples[0].joints_rad[0]
+    assert np.all(samples[0].joints_rad[1:] == np.radians([-90.0, 90.0, 0.0, 0.0, 0.0]))
+    assert all(sample.before_s <= sample.after_s for sample in samples)
+    order = ["HC_OV_SET", "HC_OV_OLD", "$OV_PRO", "HC_TGT", "HC_VEL", "HC_CMD", "HC_SEQ"]
+    assert writes(peer) == [*order, "$OV_PRO", "HC_OV_OLD"]
+    assert robot.read().joints_rad[0] == pytest.approx(END_RAD)
+
+
+def test_measured_axes_are_read_where_there_are_any(peer: KukaPeer, robot: KukaC3Robot) -> None:
+    peer.variables["$AXIS_ACT_MEAS"] = "{E6AXIS: A1 1.5, A2 0, A3 0, A4 0, A5 0, A6 0}"
+    _, samples = sweep(robot)
+    assert {round(float(np.degrees(sample.joints_rad[0])), 9) for sample in samples} == {1.5}
+
+
+def test_a_sweep_that_needs_no_lower_override_leaves_it(peer: KukaPeer, robot: KukaC3Robot) -> None:
+    with robot.sweep(0, END_RAD, float(np.radians(5.0))) as flyer:
+        flyer.kickoff()
+        flyer.complete()
+    assert "$OV_PRO" not in writes(peer)
+
+
+def test_the_operators_override_is_never_raised(peer: KukaPeer) -> None:
+    peer.variables["$OV_PRO"] = "7"
+    robot = robot_for(peer)
+    robot.connect()
+    with robot.sweep(0, END_RAD, SLOW_RAD_S) as flyer:
+        assert np.degrees(flyer.speed_rad_s) == pytest.approx(0.1)  # 2 % of 5 %
+        assert override(peer) == ("5", "7")
+    assert override(peer) == ("7", "0")
+    robot.close()
+
+
+def test_left_early_the_robot_is_braked_and_works_again(peer: KukaPeer, robot: KukaC3Robot) -> None:
+    with pytest.raises(NoReading):
+        sweep(robot, lose_beam)
+    assert writes(peer)[-4:] == ["HC_STOP", "$OV_PRO", "HC_OV_OLD", "HC_STOP"]
+    assert override(peer) == ("100", "0")
+    assert peer.variables["HC_STOP"] == "FALSE"
+    assert robot.move_to(np.zeros(6), 30.0).still
+
+
+def test_a_stop_brakes_and_gives_back_but_stays(peer: KukaPeer) -> None:
+    stop = threading.Event()
+    robot = KukaC3Robot(robot_for(peer)._options, WallClock(stop))
+    robot.connect()
+    with pytest.raises(Stopped):
+        sweep(robot, stop.set)
+    assert override(peer) == ("100", "0")
+    assert peer.variables["HC_STOP"] == "TRUE"
+    robot.close()
+
+
+def test_a_stop_before_the_kickoff_gives_back(peer: KukaPeer) -> None:
+    stop = threading.Event()
+    robot = KukaC3Robot(robot_for(peer)._options, WallClock(stop))
+    robot.connect()
+
+    def prepare() -> None:
+        with robot.sweep(0, END_RAD, SLOW_RAD_S):
+            assert override(peer) == ("10", "100")
+            stop.set()
+            robot.read()
+
+    with pytest.raises(Stopped):
+        prepare()
+    assert override(peer) == ("100", "0")
+    assert not peer.stopped.is_set()
+    robot.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [("$ALARM_STOP", "FALSE", "emergency stop"), ("$OV_PRO", "60", r"\$OV_PRO is 60, wanted 10")],
+)
+def test_what_goes_wrong_in_a_sweep_ends_it(
+    peer: KukaPeer, robot: KukaC3Robot, name: str, value: str, message: str
+) -> None:
+    peer.frozen = True
+    with pytest.raises(DeviceError, match=message):
+        sweep(robot, lambda: peer.variables.update({name: value}))
+    assert override(peer) == ("60" if name == "$OV_PRO" else "100", "0")
+
+
+def test_a_robot_that_does_not_come_to_rest_keeps_its_override_low(
+    peer: KukaPeer, robot: KukaC3Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = peer._write
+    deaf = "HC_STOP"  # of a controller that takes no stop
+    monkeypatch.setattr(
+        peer, "_write", lambda name, text: "TRUE" if name == deaf else write(name, text)
+    )
+    with pytest.raises(NoReading) as caught:
+        sweep(robot, lose_beam)
+    assert override(peer) == ("10", "100")
+    assert "the next connect does it" in caught.value.__notes__[0]
+
+
+def test_connect_gives_back_what_a_dead_engine_left(peer: KukaPeer) -> None:
+    peer.variables |= {"$OV_PRO": "10", "HC_OV_SET": "10", "HC_OV_OLD": "80", "HC_SEQ": "8"}
+    robot = robot_for(peer)
+    robot.connect()
+    assert override(peer) == ("80", "0")
+    assert peer.variables["HC_STOP"] == "FALSE"
+    assert writes(peer) == ["HC_STOP", "$OV_PRO", "HC_OV_OLD", "HC_STOP"]
+    robot.close()
+
+
+def test_connect_keeps_an_override_that_was_changed_since(peer: KukaPeer) -> None:
+    peer.variables |= {"$OV_PRO": "30", "HC_OV_SET": "10", "HC_OV_OLD": "80"}
+    robot = robot_for(peer)
+    robot.connect()
+    assert override(peer) == ("30", "0")
+    robot.close()
+
+
+def test_an_old_program_does_not_sweep_but_moves(peer: KukaPeer) -> None:
+    peer.variables["HC_VER"] = "1"
+    del peer.variables["HC_OV_OLD"], peer.variables["HC_OV_SET"]
+    robot = robot_for(peer)
+    robot.connect()
+    with pytest.raises(DeviceRefused, match="HC_VER is 1, wanted 2"):
+        robot.sweep(0, END_RAD, SLOW_RAD_S)
+    assert robot.move_to(np.zeros(6), 30.0).still
+    robot.close()
+
+
+@pytest.mark.parametrize(
+    ("axis", "end_rad", "speed_deg_s"),
+    [(6, 0.0, 1.0), (-1, 0.0, 1.0), (0, np.nan, 1.0), (0, 0.0, 0.0), (0, 0.0, 101.0),
+     (0, 0.0, np.nan), (0, 0.0, 0.009)],
+)  # fmt: skip
+def test_an_impossible_sweep_is_refused(
+    robot: KukaC3Robot, axis: int, end_rad: float, speed_deg_s: float
+) -> None:
+    with pytest.raises(DeviceError, match="sweep"):
+        robot.sweep(axis, end_rad, float(np.radians(speed_deg_s)))
+
+
+@given(share=st.floats(1e-4, 1.0), found=st.integers(1, 100))
+def test_the_speed_is_the_next_from_below(share: float, found: int) -> None:
+    velocity, lowered = split_speed(share, found)
+    assert 1 <= velocity <= 100
+    assert 1 <= lowered <= found
+    possible = (v * o for v in range(1, 101) for o in range(1, found + 1))
+    assert velocity * lowered == max(p for p in possible if p <= share * 1e4 * (1 + 1e-9))
+
+
+def test_before_connect_nothing_is_known_of_the_program() -> None:
+    options: dict[str, Any] = {"host": "127.0.0.1", "smr_mm": (0.0, 0.0, 0.0), "joint": JOINTS}
+    robot = KukaC3Robot(KukaC3Robot.Options(**options), wall_clock())
+    with pytest.raises(DeviceRefused):
+        robot.sweep(0, 0.0, 1.0)

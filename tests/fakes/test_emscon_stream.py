@@ -1,0 +1,238 @@
+from __future__ import annotations
+
+import contextlib
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from fakes.emscon_device import EmsconDevice
+from fakes.emscon_server import EmsconServer
+from fakes.emscon_stream import SampleStream
+from fakes.faults import Faults
+from fakes.plant import FLANGE, Plant
+from fakes.time import EXCHANGE_S, PlantTime
+from hilcell.cell import Cell, load_cell
+from hilcell.geometry.kinematics import Array
+from tests.fakes.wires import EmsconClient, connected
+
+START, STOP, MODE, PARAMETERS, GET_PARAMETERS = 49, 52, 24, 30, 31
+OK, BUSY, NOT_IMPLEMENTED, OUT_OF_RANGE = 0, 1, 2, 12
+READY, BEAM_LOST = 27, 25
+
+
+@dataclass
+class Streaming:
+    plant: Plant
+    time: PlantTime
+    faults: Faults
+    client: EmsconClient
+
+    def pass_time(self, duration_s: float) -> None:
+        self.time.advance(duration_s)
+        self.time.catch_up()
+
+    def start(self, separation_ms: int = 10, points: int = 0) -> None:
+        """Follow the reflector on the flange."""
+        client = self.client
+        assert client.ask(55, "3di", *self.plant.tracker.reflectors()[FLANGE], 1)[0] == OK
+        assert client.ask(MODE, "I", 1)[0] == OK
+        assert client.ask(PARAMETERS, "4i", separation_ms, points, 0, 0)[0] == OK
+        assert client.ask(START)[0] == OK
+
+    def until(self, kind: int, first: int) -> tuple[Array, Array, list[int]]:
+        """Return times, positions and sizes of the packets before one that begins so."""
+        times_s: list[float] = []
+        xyz_mm: list[tuple[float, ...]] = []
+        sizes: list[int] = []
+        while True:
+            found, rest = self.client.packet()
+            if (found, struct.unpack_from("<I", rest)[0]) == (kind, first):
+                return np.array(times_s), np.array(xyz_mm), sizes
+            if found == 3:
+                status, count, mode = struct.unpack_from("<Iii", rest)
+                assert (status, mode, len(rest)) == (OK, 1, 40 + 36 * count)
+                for bad, s, us, *xyz in struct.iter_unpack("<iii3d", rest[40:]):
+                    assert bad == OK
+                    times_s.append(s + us * 1e-6)
+                    xyz_mm.append(tuple(xyz))
+                sizes.append(count)
+
+    def stop(self) -> tuple[Array, Array, list[int]]:
+        self.client.send(STOP)
+        return self.until(0, STOP)
+
+
+@contextlib.contextmanager
+def running(cell: Cell, speed: float = math.inf) -> Iterator[Streaming]:
+    faults, time = Faults(), PlantTime(speed)
+    plant = Plant(cell, 1, time, faults)
+    device = EmsconDevice(cell, plant.tracker, faults, (plant.streams, time))
+    server = EmsconServer(device, faults, time)
+    with contextlib.closing(server):
+        server.start()
+        with connected(server.port) as wire:
+            client = EmsconClient(wire)
+            client.ready()
+            yield Streaming(plant, time, faults, client)
+
+
+@pytest.fixture
+def tracker(cell: Cell) -> Iterator[Streaming]:
+    with running(cell) as found:
+        yield found
+
+
+def test_samples_come_as_cell_time_passes(tracker: Streaming) -> None:
+    tracker.start()
+    at_mm = tracker.plant.tracker.reflectors()[FLANGE]
+    tracker.pass_time(1.005)
+    times_s, xyz_mm, sizes = tracker.stop()
+    assert len(times_s) == 100
+    np.testing.assert_allclose(np.diff(times_s), 0.01, atol=1.5e-6)
+    assert sizes[:5] == [8, 3, 12, 5, 9]
+    assert np.linalg.norm(xyz_mm - at_mm, axis=1).max() < 0.1
+    assert 0.005 < xyz_mm.std(axis=0).max() < 0.02  # noise, a new one for each sample
+
+
+def test_the_clock_is_the_tracker_s_own(tracker: Streaming) -> None:
+    truth = tracker.plant.streams
+    tracker.start(separation_ms=1000)
+    began_s = tracker.time.now_s()
+    tracker.pass_time(10_000.0)
+    times_s, _, _ = tracker.stop()
+    assert times_s[0] - 1.0 == pytest.approx(truth.device_s(began_s), abs=1e-5)
+    assert times_s[0] > 2000.0
+    assert 0 < abs(truth.drift) < 3.1e-5
+    assert len(times_s) == math.floor(10_000.0 * (1.0 + truth.drift))
+
+
+def test_a_packet_may_wait_for_the_next(tracker: Streaming) -> None:
+    """The fifth packet, samples 29 to 37, is late."""
+    tracker.start()
+    tracker.pass_time(0.385)
+    tracker.client.send(98)
+    assert len(tracker.until(1, 98)[0]) == 8 + 3 + 12 + 5
+    assert len(tracker.stop()[0]) == 9 + 1
+
+
+SAMPLES_MM = [[4310.026863, 734.159453, 741.175222], [4213.506950, 909.945631, 435.285745]]
+
+
+@pytest.mark.parametrize("leaps_s", [[0.01] * 60, [0.157, 0.001, 0.442], [0.6]])
+def test_the_same_samples_whoever_asks_when(cell: Cell, leaps_s: list[float]) -> None:
+    faults, time = Faults(), PlantTime()
+    plant = Plant(cell, 1, time, faults)
+    plant.robot.move(plant.robot.state().joints_rad + 0.1, 0.2)
+    xyz_mm: list[Array] = []
+
+    def pack(_times_s: Array, found_mm: Array) -> bytes:
+        xyz_mm.append(found_mm)
+        return b""
+
+    stream = SampleStream(
+        plant.streams,
+        time,
+        faults,
+        plant.streams.follow(FLANGE),
+        pack,
+        separation_s=0.01,
+        points=0,
+        lost=lambda: None,
+    )
+    for leap_s in (*leaps_s, 0.005):
+        time.advance(leap_s)
+        stream.due()
+    stream.stop()
+    found_mm = np.vstack(xyz_mm)
+    assert found_mm.shape == (60, 3)
+    np.testing.assert_allclose(found_mm[[7, 42]], SAMPLES_MM, atol=1e-6)
+
+
+def test_a_sample_s_truth_is_that_of_its_own_time(tracker: Streaming) -> None:
+    """Moved, overridden, braked and moved again before anybody asks."""
+    plant, time = tracker.plant, tracker.time
+    robot, seen = plant.robot, []
+    plant.streams.follow(FLANGE)
+
+    def note() -> None:
+        seen.append((time.now_s(), plant.reflectors_in_world()[FLANGE]))
+
+    for change in (
+        lambda: robot.move(robot.state().joints_rad + 0.2, 0.05),
+        lambda: robot.override(0.1),
+        robot.brake,
+        lambda: robot.move(robot.state().joints_rad - 0.1, 0.05),
+    ):
+        change()
+        for _ in range(5):
+            time.advance(0.037)
+            note()
+        time.advance(0.001)  # lost motion flips at the very moment at which the next begins
+    times_s = np.array([at_s for at_s, _ in seen])
+    found_mm = plant.path_in_world(FLANGE, times_s)
+    np.testing.assert_allclose(found_mm, [at_mm for _, at_mm in seen], atol=1e-9)
+
+
+def test_a_number_of_points_ends_by_itself(tracker: Streaming) -> None:
+    tracker.start(points=17)
+    tracker.pass_time(5.0)
+    times_s, _, _ = tracker.until(8, READY)
+    assert len(times_s) == 17
+    assert tracker.client.ask(MODE, "I", 0)[0] == OK
+
+
+def test_a_broken_beam_ends_it_with_a_status_change(tracker: Streaming) -> None:
+    tracker.start()
+    tracker.faults.set("tracker.stream_break", after=20)
+    tracker.pass_time(1.0)
+    times_s, _, _ = tracker.until(8, BEAM_LOST)
+    assert len(times_s) == 20
+    tracker.pass_time(1.0)
+    assert len(tracker.stop()[0]) == 0
+    assert tracker.client.ask(START)[0] == 10004
+
+
+def test_out_of_sight_is_out_of_the_stream() -> None:
+    with running(load_cell("paper", {"layout.reflectors": "by_hand"})) as tracker:
+        tracker.plant.seat(FLANGE)
+        tracker.start()
+        tracker.plant.seat("")
+        tracker.pass_time(1.0)
+        assert len(tracker.until(8, BEAM_LOST)[0]) == 0
+
+
+def test_paced_time_streams_by_itself(cell: Cell) -> None:
+    with running(cell, speed=200.0) as tracker:
+        tracker.start(points=60)
+        times_s, _, _ = tracker.until(8, READY)
+        np.testing.assert_allclose(np.diff(times_s), 0.01, atol=1.5e-6)
+        assert len(times_s) == 60
+
+
+def test_while_it_streams_a_poll_is_an_exchange(tracker: Streaming) -> None:
+    robot = tracker.plant.robot
+    tracker.start()
+    robot.move(robot.state().joints_rad + 0.2, 0.01)
+    before_s = tracker.time.now_s()
+    robot.poll()
+    assert tracker.time.now_s() - before_s == pytest.approx(EXCHANGE_S)
+    tracker.stop()
+    before_s = tracker.time.now_s()
+    robot.poll()
+    assert tracker.time.now_s() - before_s > 10 * EXCHANGE_S
+
+
+def test_what_a_tracker_does_not_stream(cell: Cell) -> None:
+    device = EmsconDevice(cell, Plant(cell, 1, PlantTime(), Faults()).tracker, Faults())
+    (packet,) = device.handle(struct.pack("<IIII", 16, 0, MODE, 1)).packets
+    assert struct.unpack_from("<IIII", packet) == (16, 1, MODE, NOT_IMPLEMENTED)
+
+
+@pytest.mark.parametrize("separation_ms", [0, -1, 100_001])
+def test_an_impossible_separation_is_refused(tracker: Streaming, separation_ms: int) -> None:
+    assert tracker.client.ask(PARAMETERS, "4i", separation_ms, 0, 0, 0)[0] == OUT_OF_RANGE
+    assert tracker.client.ask(GET_PARAMETERS) == (OK, struct.pack("<4i", 500, 0, 0, 0))
