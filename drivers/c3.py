@@ -16,13 +16,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.supervision import Patience
-from drivers.tcp import TcpLink
+from drivers.tcp import Alarms, TcpLink
 from hilcell.ports import DeviceError
 
 READ, WRITE = 0, 1
 MAX_NAME = 250
 MAX_BODY = 4096
 REPLY_S = 2.0
+ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
 _HEADER = struct.Struct(">HH")
 
 
@@ -87,7 +88,7 @@ class C3Connection:
     """One connection, one request in flight; a lock lets a keep-alive share it."""
 
     def __init__(self, device: str, host: str, port: int, check: Callable[[], None]) -> None:
-        self._link = TcpLink(device, host, port, check)
+        self._link = TcpLink(device, host, port, check, ALARMS)
         self._device = device
         self._lock = threading.Lock()
         self._tag = 0
@@ -132,10 +133,12 @@ class C3Connection:
         reply = self._reply(operation, encode)
         if not reply.ok:
             raise DeviceError(
+                "HC-B03",
                 self._device,
                 operation,
                 f"refused with error {reply.error}",
                 act="is the variable declared, and the controller up? see docs/hardware.md",
+                fields={"error": reply.error},
             )
         return reply
 

@@ -36,10 +36,12 @@ def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.Bus
         return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
     except (can.CanError, OSError, ValueError) as error:
         raise DeviceError(
+            "HC-R04",
             device,
             "connect",
             f"{interface} {channel}: {error}",
             act="check the CAN gateway, its cable and rail.options",
+            fields={"interface": interface, "channel": channel, "bitrate": bitrate},
         ) from error
 
 
@@ -91,10 +93,12 @@ class CanLink:
         """Raise `LinkLost` when the link is lost."""
         if self._failure:
             raise LinkLost(
+                "HC-R01",
                 self.device,
                 "CAN",
                 f"link lost: {self._failure}",
                 act="check the gateway, the cable and the terminators, then resume",
+                fields={"reason": self._failure},
             )
 
     def start_heartbeat(self, node: int, attended: Callable[[], bool]) -> None:

@@ -99,17 +99,21 @@ class Drive:
         if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
             code = self._sdo.read(cia402.ERROR_CODE)
             raise DeviceError(
+                emcy.alarm(code),
                 DEVICE,
                 operation,
                 f"drive in {now.state.value}, error {emcy.text(code)}",
                 act="put the cause right, then resume",
+                fields={"state": now.state.value, "error_code": code},
             )
         if now.alarms:
             raise DeviceError(
+                "HC-S01",
                 DEVICE,
                 operation,
                 f"strip sensor: {cia406.alarm_text(now.alarms)}",
                 act="check the strip and its head, then resume",
+                fields={"alarms": now.alarms},
             )
         return now
 
@@ -141,10 +145,12 @@ class Drive:
         while self._image.refresh(self._clock.check).state is State.FAULT:
             if time.monotonic() > deadline_s:
                 raise DeviceError(
+                    emcy.alarm(code),
                     DEVICE,
                     operation,
                     f"drive stays in fault, error {emcy.text(code)}",
                     act="put the cause right, then resume",
+                    fields={"error_code": code},
                 )
             self._clock.wait(POLL_S)
         self._image.control(cia402.DISABLE_VOLTAGE)
@@ -183,11 +189,16 @@ class Drive:
         self._image.control(cia402.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
             raise DeviceError(
+                "HC-R35",
                 DEVICE,
                 operation,
                 f"the drive stands at {self._limits.mm(now.position)}",
                 wanted=f"0 +-{self._limits.mm(tolerance)}",
                 act="check the homing settings",
+                fields={
+                    "position_mm": now.position / self._limits.counts_per_mm,
+                    "tolerance_mm": tolerance / self._limits.counts_per_mm,
+                },
             )
 
     def move(self, target: int) -> None:
@@ -265,39 +276,67 @@ class Drive:
                 return now
             if limits.stalled(np.array([now.position], dtype=float)):
                 raise DeviceError(
+                    "HC-R31",
                     DEVICE,
                     operation,
                     f"no progress for {STALL_S:.0f} s at {self._seen(now)}",
                     wanted=wanted,
                     act="check the slide for an obstacle and the drive, then resume",
+                    fields={"waited_s": STALL_S, **self._fields(now)},
                 )
             if limits.overdue(self._now_s, FULL_SPEED):
                 raise DeviceError(
+                    "HC-R28",
                     DEVICE,
                     operation,
                     f"not done after {limits.spent_s:.0f} s at {self._seen(now)}",
                     wanted=f"{wanted} within {limits.limit_s:.0f} s",
                     act="check whether the slide creeps, and the drive's speeds, then resume",
+                    fields={
+                        "spent_s": limits.spent_s,
+                        "limit_s": limits.limit_s,
+                        **self._fields(now),
+                    },
                 )
             self.pause()
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:
-        limits, found = self._limits, ""
+        limits, code, found = self._limits, "", ""
         where = limits.mm(now.position)
         if now.state is not State.ENABLED:
-            found = f"drive left operation enabled: {now.state.value}"
+            code, found = "HC-R30", f"drive left operation enabled: {now.state.value}"
+        elif now.has(cia402.MODE_ERROR) and now.mode == cia402.HOMING:
+            code, found = "HC-R35", "homing error"
         elif now.has(cia402.MODE_ERROR):
-            homing = now.mode == cia402.HOMING
-            found = "homing error" if homing else f"following error at {where}"
+            code, found = "HC-R26", f"following error at {where}"
         elif now.mode != cia402.HOMING and now.has(cia402.INTERNAL_LIMIT):
-            found = f"limit active at {where}"
+            code, found = "HC-R32", f"limit active at {where}"
         elif not abs(now.velocity) <= OVERSPEED * limits.speed:
             allowed = limits.mm(OVERSPEED * limits.speed)
-            found = f"speed {limits.mm(now.velocity)}/s, allowed {allowed}/s"
+            code, found = "HC-R33", f"speed {limits.mm(now.velocity)}/s, allowed {allowed}/s"
         elif now.mode != cia402.HOMING and not limits.lowest <= now.position <= limits.highest:
-            found = f"{where} is beyond {limits.mm(limits.lowest)} .. {limits.mm(limits.highest)}"
+            beyond = f"{limits.mm(limits.lowest)} .. {limits.mm(limits.highest)}"
+            code, found = "HC-R34", f"{where} is beyond {beyond}"
         if found:
-            raise DeviceError(DEVICE, operation, found, act="put the cause right, then resume")
+            raise DeviceError(
+                code,
+                DEVICE,
+                operation,
+                found,
+                act="put the cause right, then resume",
+                fields=self._fields(now),
+            )
+
+    def _fields(self, now: Snapshot) -> dict[str, object]:
+        """Return what a poll shows, as data."""
+        scale = self._limits.counts_per_mm
+        return {
+            "position_mm": now.position / scale,
+            "speed_mm_s": now.velocity / scale,
+            "state": now.state.value,
+            "statusword": now.statusword,
+            "mode": now.mode,
+        }
 
     def _seen(self, now: Snapshot) -> str:
         """Return what a poll shows, in words."""

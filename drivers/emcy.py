@@ -58,6 +58,28 @@ FAMILIES = {
 }
 
 
+# Which alarm a code raises: by the code, by its family (its first byte), by the first half of it.
+ALARMS = {0x5441: "HC-R20", 0x7121: "HC-R21", 0x8612: "HC-R32"}
+ALARMS_OF_FAMILIES = {
+    0x20: "HC-R21",
+    0x30: "HC-R22",
+    0x40: "HC-R23",
+    0x73: "HC-R24",
+    0x81: "HC-R25",
+    0x82: "HC-R25",
+    0x85: "HC-R26",
+    0x86: "HC-R26",
+}
+ANY = "HC-R27"
+
+
+def alarm(code: int) -> str:
+    """Return the code of the alarm that an error code raises."""
+    family = code >> 8
+    of_family = ALARMS_OF_FAMILIES.get(family) or ALARMS_OF_FAMILIES.get(family & 0xF0)
+    return ALARMS.get(code) or of_family or ANY
+
+
 def is_error(code: int) -> bool:
     """Whether a code reports an error; 00xxh says that errors are gone."""
     return code & 0xFF00 != 0

@@ -38,6 +38,9 @@ RIGHT_HANDED = 0
 STATIONARY_MODE, CONTINUOUS_TIME_MODE = 0, 1
 UNTIL_STOPPED = 0
 INITIALIZED = 5
+TEMPERATURE_C = (-20.0, 60.0)
+PRESSURE_MBAR = (500.0, 1200.0)
+HUMIDITY_PERCENT = (0.0, 100.0)
 
 
 class EmsconError(ValueError):
@@ -118,6 +121,21 @@ STATUS = {
     10015: "the sensor does not answer",
 }
 BUSY, NOT_READY = 1, 10004
+# Which alarm a status raises; all others are not known to the interface.
+ALARMS = {
+    BUSY: "HC-T21",
+    **dict.fromkeys((*range(2, 23), 98), "HC-T23"),
+    23: "HC-T12",
+    **dict.fromkeys((26, 38, 10015), "HC-T22"),
+    **dict.fromkeys((28, 37, NOT_READY), "HC-T11"),
+    39: "HC-T04",
+    **dict.fromkeys((57, 94, 95, 96), "HC-T05"),
+    **dict.fromkeys((10005, 10012), "HC-T19"),
+    **dict.fromkeys((10009, 10013), "HC-T15"),
+    10010: "HC-T20",
+    10014: "HC-T13",
+}
+UNKNOWN = "HC-T24"
 # With these one measurement failed and the device is well; all others are the device's failure.
 RECOVERABLE = frozenset(
     {BUSY, 23, 28, 37, 57, 94, 95, 96, 98, NOT_READY, 10005, 10009, 10013, 10014}
@@ -206,9 +224,27 @@ def encode(command: Command, body: bytes = b"") -> bytes:
     return _COMMAND.pack(_COMMAND.size + len(body), Type.COMMAND, command) + body
 
 
+def alarm(status: int) -> str:
+    """Return the code of the alarm that a status raises."""
+    return ALARMS.get(status, UNKNOWN)
+
+
 def status_text(status: int) -> str:
     """Return a status code with its meaning."""
     return f"status {status} ({STATUS.get(status, 'unknown')})"
+
+
+def air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: float) -> str:
+    """Return what is impossible about the air, or nothing."""
+    limits = (
+        ("temperature", temperature_c, "C", TEMPERATURE_C),
+        ("pressure", pressure_mbar, "mbar", PRESSURE_MBAR),
+        ("humidity", humidity_percent, "%", HUMIDITY_PERCENT),
+    )
+    for name, value, unit, (low, high) in limits:
+        if not low <= value <= high:
+            return f"{name} {value} {unit} is not between {low:g} and {high:g}"
+    return ""
 
 
 class PacketReader:

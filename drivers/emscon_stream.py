@@ -15,10 +15,10 @@ import numpy as np
 
 from drivers import emscon
 from drivers.emscon import Change, Command, Failure, Multi, Packet, Reply, StatusChange
+from drivers.emscon_errors import DEVICE, failed
 from drivers.supervision import Patience
 from hilcell.ports import Array, Clock, DeviceError, NoReading, Stopped, StreamBlock
 
-DEVICE = "Tracker"
 SLOWEST_HZ, FASTEST_HZ = 0.1, 1000.0
 SILENT_S = 3.0  # wire deadline: from one packet to the next, on top of a packet's own time
 END_S = 5.0  # wire deadline: from the stop to its reply
@@ -46,9 +46,6 @@ class StreamingTracker(Protocol):
     def next_packet(self, patience: Patience) -> Packet | None:
         """Return the next packet, or nothing when ``patience`` is over."""
 
-    def failed(self, command: Command, status: int) -> DeviceError:
-        """Return what a refused command means."""
-
     def stop(self) -> None:
         """Stop measuring, without waiting for an answer."""
 
@@ -70,10 +67,15 @@ class EmsconStream:
     ) -> None:
         near_mm = np.asarray(near_mm, dtype=float)
         if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))):
-            raise DeviceError(DEVICE, "stream", f"a reflector at {near_mm} mm")
+            raise DeviceError("HC-T35", DEVICE, "stream", f"a reflector at {near_mm} mm")
         if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
             raise DeviceError(
-                DEVICE, "stream", f"{rate_hz} samples/s", wanted=f"{SLOWEST_HZ} to {FASTEST_HZ:g}"
+                "HC-T35",
+                DEVICE,
+                "stream",
+                f"{rate_hz} samples/s",
+                wanted=f"{SLOWEST_HZ} to {FASTEST_HZ:g}",
+                fields={"rate_hz": rate_hz},
             )
         self._separation_ms = round(1000.0 / rate_hz)
         self.rate_hz = 1000.0 / self._separation_ms
@@ -128,6 +130,7 @@ class EmsconStream:
             self._silence = Patience(SILENT_S + self._separation_ms / 1000.0)
         elif over:
             raise NoReading(
+                "HC-T40",
                 DEVICE,
                 "stream",
                 f"no samples for {SILENT_S + self._separation_ms / 1000.0:.1f} s",
@@ -140,7 +143,9 @@ class EmsconStream:
         looked_s = self._clock.now_s()
         samples = [each for packet in self._stop() for each in self._samples(packet)]
         if self._last_s is None and not samples:
-            raise NoReading(DEVICE, "stream", "no sample came", act="look at the tracker's state")
+            raise NoReading(
+                "HC-T40", DEVICE, "stream", "no sample came", act="look at the tracker's state"
+            )
         return self._blocks(samples, looked_s)
 
     def _stop(self) -> list[Packet]:
@@ -152,44 +157,54 @@ class EmsconStream:
             if isinstance(packet, Reply | Failure) and packet.command == Command.STOP_MEASUREMENT:
                 self._running = False
                 if packet.status != 0:
-                    raise self._tracker.failed(Command.STOP_MEASUREMENT, packet.status)
+                    raise failed(Command.STOP_MEASUREMENT, packet.status)
                 return packets
             packets.append(packet)
         raise DeviceError(
-            DEVICE, "stream", f"not stopped within {END_S:.0f} s", act="look at the tracker, resume"
+            "HC-T42",
+            DEVICE,
+            "stream",
+            f"not stopped within {END_S:.0f} s",
+            act="look at the tracker, resume",
+            fields={"waited_s": END_S},
         )
 
     def _samples(self, packet: Packet) -> list[Multi]:
         """Return the packet's samples; raises what it says otherwise."""
         if isinstance(packet, Failure):
-            raise self._tracker.failed(Command.START_MEASUREMENT, packet.status)
+            raise failed(Command.START_MEASUREMENT, packet.status)
         if packet == StatusChange(Change.NOT_READY):
-            raise NoReading(DEVICE, "stream", "the beam broke", act="clear the line of sight")
+            raise NoReading(
+                "HC-T10", DEVICE, "stream", "the beam broke", act="clear the line of sight"
+            )
         if not isinstance(packet, Multi) or not len(packet.device_s):
             return []
         if packet.status != 0:
-            raise self._tracker.failed(Command.START_MEASUREMENT, packet.status)
+            raise failed(Command.START_MEASUREMENT, packet.status)
         self._check(packet)
         return [packet]
 
     def _check(self, packet: Multi) -> None:
         if not bool(np.all(np.isfinite(packet.xyz))):
-            raise NoReading(DEVICE, "stream", "a sample is not finite")
+            raise NoReading("HC-T14", DEVICE, "stream", "a sample is not finite")
         if self._last_s is None:
             off_mm = float(np.linalg.norm(packet.xyz[0] - self._near_mm))
             if not off_mm <= self._radius_mm:
                 raise NoReading(
+                    "HC-T16",
                     DEVICE,
                     "stream",
                     f"the reflector is {off_mm:.2f} mm from its expected place",
                     wanted=f"<= {self._radius_mm:.2f} mm",
                     act="another reflector was caught, or units or axes differ; clear the view",
+                    fields={"off_mm": off_mm, "limit_mm": self._radius_mm},
                 )
         before_s = [] if self._last_s is None else [self._last_s]
         steps_ms = 1000.0 * np.diff([*before_s, *packet.device_s])
         self._last_s = float(packet.device_s[-1])
         if not bool(np.all(steps_ms > 0)):
             raise NoReading(
+                "HC-T41",
                 DEVICE,
                 "stream",
                 f"the samples' times run back by {-float(steps_ms.min()):.3f} ms",
@@ -199,11 +214,13 @@ class EmsconStream:
         typical_ms = float(np.median(steps_ms)) if len(steps_ms) >= ENOUGH else self._separation_ms
         if not abs(typical_ms / self._separation_ms - 1.0) <= SEPARATION_SHARE:
             raise DeviceError(
+                "HC-T41",
                 DEVICE,
                 "stream",
                 f"samples {typical_ms:.3f} ms apart",
                 wanted=f"{self._separation_ms} ms",
                 act="the tracker counts its time in other units, or lost samples; report it",
+                fields={"separation_ms": typical_ms, "wanted_ms": self._separation_ms},
             )
 
     def _blocks(self, samples: list[Multi], looked_s: float) -> list[StreamBlock]:

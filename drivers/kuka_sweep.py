@@ -17,6 +17,7 @@ import numpy as np
 
 from drivers import krl
 from drivers.c3 import C3Connection
+from drivers.kuka_health import STOPPED
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience
 from hilcell.ports import Array, Clock, DeviceError, JointSample, RobotReading, Stopped
@@ -24,7 +25,6 @@ from hilcell.ports import Array, Clock, DeviceError, JointSample, RobotReading, 
 DEVICE = "Robot"
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 MEASURED, ACTUAL = "$AXIS_ACT_MEAS", "$AXIS_ACT"
-STOPPED = 9  # HC_ERR of a program that has taken a stop
 PERCENT = 100
 STALL_S = 5.0
 PROGRESS_DEG = 0.002
@@ -85,14 +85,16 @@ class KukaSweep:
     ) -> None:
         """``full_deg_s`` (6,) are the axes' speeds at HC_VEL 100 and $OV_PRO 100."""
         if not (0 <= axis < len(AXES) and np.isfinite(end_deg)):
-            raise DeviceError(DEVICE, "sweep", f"axis {axis + 1} to {end_deg} deg")
+            raise DeviceError("HC-B28", DEVICE, "sweep", f"axis {axis + 1} to {end_deg} deg")
         full = float(full_deg_s[axis])
         if not full / PERCENT**2 <= speed_deg_s <= full:
             raise DeviceError(
+                "HC-B28",
                 DEVICE,
                 "sweep",
                 f"{speed_deg_s} deg/s",
                 wanted=f"{full / PERCENT**2:.4f} to {full:g} deg/s",
+                fields={"speed_deg_s": speed_deg_s},
             )
         self.speed_rad_s, self.ended = float(np.radians(speed_deg_s)), False
         self._robot, self._clock = robot, clock
@@ -175,11 +177,13 @@ class KukaSweep:
         self._robot.check(name)
         if name == "$OV_PRO" and (found := self._robot.integer(name)) != self._override:
             raise DeviceError(
+                "HC-B40",
                 DEVICE,
                 "sweep",
                 f"$OV_PRO is {found}",
                 wanted=f"{self._override}",
                 act="the override was changed at the panel during the sweep; sweep again",
+                fields={"override": found, "wanted_override": self._override},
             )
 
     def _give_back(self, error: BaseException | None) -> None:
@@ -249,7 +253,12 @@ def await_rest(line: C3Connection) -> None:
         before_deg = now_deg
         pause.wait(DWELL_S)
     raise DeviceError(
-        DEVICE, "sweep", f"not at rest {REST_S:.0f} s after the brake", act="see the panel, resume"
+        "HC-B41",
+        DEVICE,
+        "sweep",
+        f"not at rest {REST_S:.0f} s after the brake",
+        act="see the panel, resume",
+        fields={"waited_s": REST_S},
     )
 
 
@@ -259,11 +268,13 @@ def _lower(line: C3Connection, found: int, wanted: int) -> None:
     line.write("$OV_PRO", str(wanted))
     if (set_to := _whole(line, "$OV_PRO")) != wanted:
         raise DeviceError(
+            "HC-B40",
             DEVICE,
             "sweep",
             f"$OV_PRO is {set_to}",
             wanted=f"{wanted}",
             act="the panel holds the override; release it, resume",
+            fields={"override": set_to, "wanted_override": wanted},
         )
 
 
@@ -271,14 +282,32 @@ def _axes_deg(text: str, name: str) -> Array:
     try:
         return np.array(krl.numbers(text, AXES))
     except krl.KrlError as error:
-        raise DeviceError(DEVICE, f"read {name}", str(error)) from error
+        raise DeviceError(
+            "HC-B26",
+            DEVICE,
+            f"read {name}",
+            str(error),
+            fields={"variable": name},
+        ) from error
 
 
 def _whole(line: C3Connection, name: str) -> int:
     try:
         value = krl.parse(line.read(name))
     except krl.KrlError as error:
-        raise DeviceError(DEVICE, f"read {name}", str(error)) from error
+        raise DeviceError(
+            "HC-B26",
+            DEVICE,
+            f"read {name}",
+            str(error),
+            fields={"variable": name},
+        ) from error
     if isinstance(value, bool) or not isinstance(value, int):
-        raise DeviceError(DEVICE, f"read {name}", f"{value!r} is no whole number")
+        raise DeviceError(
+            "HC-B26",
+            DEVICE,
+            f"read {name}",
+            f"{value!r} is no whole number",
+            fields={"variable": name},
+        )
     return value

@@ -26,7 +26,7 @@ class NodeWatch:
         self._device, self._link = device, link
         self._heard_s = 0.0
         self._set_up = self._armed = False
-        self._failure = ""
+        self._code = self._failure = ""
         link.subscribe(0x700 + node, self._on_heartbeat)
         link.subscribe(0x080 + node, self._on_emergency)
 
@@ -45,28 +45,29 @@ class NodeWatch:
     def check(self, operation: str) -> None:
         """Raise `DeviceError` for an emergency, a boot-up, or a heartbeat that is too old."""
         if self._armed and not self._failure:
-            self._failure = self._missing()
+            self._look()
         if self._failure:
             raise DeviceError(
+                self._code,
                 self._device,
                 operation,
                 f"node {self.node}: {self._failure}",
                 act="put the cause right, then resume; home the rail after a reset of its drive",
+                fields={"node": self.node},
             )
 
-    def _missing(self) -> str:
+    def _look(self) -> None:
         age_s = self._link.time.listened_s - self._heard_s
         if not age_s <= HEARTBEAT_AGE_S:
-            return f"no heartbeat for {age_s:.1f} s"
-        if self.state != nmt.OPERATIONAL:
-            return f"NMT state {nmt.state_text(self.state)}, not operational"
-        return ""
+            self._fail("HC-R02", f"no heartbeat for {age_s:.1f} s")
+        elif self.state != nmt.OPERATIONAL:
+            self._fail("HC-R03", f"NMT state {nmt.state_text(self.state)}, not operational")
 
     def _on_heartbeat(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         self.state = data[0] & 0x7F
         self._heard_s = self._link.time.listened_s
         if self._set_up and self.state == nmt.BOOT_UP:
-            self._fail("unexpected boot-up: the node was reset")
+            self._fail("HC-R03", "unexpected boot-up: the node was reset")
 
     def _on_emergency(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         code, register, _vendor = _EMCY.unpack(data)
@@ -74,7 +75,8 @@ class NodeWatch:
             found = f"EMCY {emcy.text(code)}, error register 0x{register:02X}"
             if code == emcy.HEARTBEAT_LOST:
                 found += f"; the PC's heartbeat has paused for {self._link.longest_pause_s:.1f} s"
-            self._fail(found)
+            self._fail(emcy.alarm(code), found)
 
-    def _fail(self, found: str) -> None:
-        self._failure = self._failure or found
+    def _fail(self, code: str, found: str) -> None:
+        if not self._failure:
+            self._code, self._failure = code, found

@@ -84,16 +84,20 @@ class Inbox:
         missing = [f"0x{cob_id:03X}" for cob_id in before if self._count[cob_id] == before[cob_id]]
         if not missing:
             raise DeviceError(
+                "HC-R39",
                 self._device,
                 "read",
                 f"PC late: {SYNCS} readings in a row waited here for more than {STALE_S:.1f} s",
                 act="give the engine a PC of its own, or end other programs on it; then resume",
+                fields={"limit_s": STALE_S},
             )
         raise DeviceError(
+            "HC-R07",
             self._device,
             "read",
             f"no fresh TPDO {', '.join(missing)} within {SYNCS} SYNCs",
             act="check the nodes' power and the bus load, then resume",
+            fields={"cob_ids": missing, "syncs": SYNCS},
         )
 
     def _counted(self) -> dict[int, int]:

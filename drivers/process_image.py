@@ -110,16 +110,18 @@ class ProcessImage:
         age_s = time.monotonic() - self._taken_s
         if cia402.enables(controlword) and not age_s <= COMMAND_AGE_S:
             raise DeviceError(
+                "HC-R39",
                 DEVICE,
                 "move",
                 f"PC late: the reading to move by is {age_s:.1f} s old",
                 wanted=f"<= {COMMAND_AGE_S:.1f} s",
                 act="give the engine a PC of its own, or end other programs on it; then resume",
+                fields={"age_s": age_s, "limit_s": COMMAND_AGE_S},
             )
         with self._lock:
             if self._stopped and cia402.enables(controlword):
                 raise DeviceError(
-                    DEVICE, "move", "the rail was stopped", act="resume to connect anew"
+                    "HC-R38", DEVICE, "move", "the rail was stopped", act="resume to reconnect"
                 )
             if target is not None:
                 self._target = target

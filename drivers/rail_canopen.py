@@ -116,11 +116,17 @@ class CanopenRail:
         options, drive = self._options, self._used()
         if not options.travel_min_mm <= position_mm <= options.travel_max_mm:
             raise DeviceError(
+                "HC-R36",
                 DEVICE,
                 "move",
                 f"target {position_mm:.3f} mm",
                 wanted=f"{options.travel_min_mm:.1f} .. {options.travel_max_mm:.1f} mm",
                 act="correct the station or the rail's travel",
+                fields={
+                    "target_mm": position_mm,
+                    "lowest_mm": options.travel_min_mm,
+                    "highest_mm": options.travel_max_mm,
+                },
             )
         try:
             drive.move(round(position_mm * options.counts_per_mm))
@@ -139,6 +145,7 @@ class CanopenRail:
                 return self._reading(now)
             if over:
                 raise DeviceError(
+                    "HC-S06",
                     DEVICE,
                     "settle",
                     f"strip {now.strip / options.strip_counts_per_mm:.2f} mm, "
@@ -147,6 +154,11 @@ class CanopenRail:
                     f"{options.standstill_window_mm:.3f} mm, over "
                     f"{options.standstill_dwell_s:.2f} s, within {SETTLE_S:.0f} s",
                     act="the slide creeps or the strip's head is loose; check, then resume",
+                    fields={
+                        "strip_mm": now.strip / options.strip_counts_per_mm,
+                        "speed_mm_s": now.velocity / options.counts_per_mm,
+                        "waited_s": SETTLE_S,
+                    },
                 )
             drive.pause()
 
@@ -186,7 +198,7 @@ class CanopenRail:
             NodeWatch(DEVICE, link, node) for node in (options.drive_node, options.strip_node)
         )
         image = ProcessImage(link, options.drive_node, options.strip_node)
-        supervision = Supervision(DEVICE, LATE_S)
+        supervision = Supervision(DEVICE, "HC-R39", LATE_S)
         identities = self._identify(drive_sdo, strip_sdo)
         for watch in self._watches:
             watch.begin_set_up()
@@ -291,7 +303,7 @@ class CanopenRail:
 
     def _used(self) -> Drive:
         if self._drive is None:
-            raise DeviceError(DEVICE, "use", "not connected", act="connect first")
+            raise DeviceError("HC-R38", DEVICE, "use", "not connected", act="connect first")
         return self._drive
 
     def _reading(self, now: Snapshot) -> RailReading:
@@ -330,11 +342,13 @@ class CanopenRail:
                 image.quick_stop()
             if patience.over():
                 raise DeviceError(
+                    "HC-R37",
                     DEVICE,
                     "close",
                     f"the drive keeps its power: {now.state.value}",
                     wanted=f"held within {RELEASE_S:.0f} s",
                     act="switch the drive off",
+                    fields={"state": now.state.value, "waited_s": RELEASE_S},
                 )
             time.sleep(POLL_S)
         # From here on nobody produces the heartbeat; without this the drive would go to fault.

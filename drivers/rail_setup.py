@@ -57,11 +57,13 @@ def find_node(sdo: SdoChannel, expected: Expected, clock: Clock) -> int:
         except DeviceError as error:
             if time.monotonic() > deadline_s:
                 raise DeviceError(
+                    "HC-R05",
                     "Rail",
                     "connect",
                     f"node {expected.node} ({expected.name}) does not answer",
                     wanted=f"an answer within {FIND_S:.0f} s",
                     act="check its power, cable, terminators, bit rate and node number",
+                    fields={"node": expected.node, "name": expected.name, "waited_s": FIND_S},
                 ) from error
         clock.check()
 
@@ -77,11 +79,19 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     for what, found, wanted in checks:
         if wanted and found != wanted:
             raise DeviceRefused(
+                "HC-R08",
                 "Rail",
                 "connect",
                 f"node {expected.node} ({expected.name}): {what} is 0x{found:X}",
                 wanted=f"0x{wanted:X}",
                 act="another device; check node numbers and options",
+                fields={
+                    "node": expected.node,
+                    "name": expected.name,
+                    "object": what,
+                    "found_value": found,
+                    "wanted_value": wanted,
+                },
             )
     vendor, product, serial = (found for _, found, _ in checks[1:])
     model = clean(f"{expected.name} vendor 0x{vendor:X} product 0x{product:X}")
@@ -103,11 +113,13 @@ def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
     for found_nm, where in ((_step(sdo), "6005h"), (_optional(sdo, cia406.POSITION_STEP), "6501h")):
         if found_nm is not None and found_nm != wanted_nm:
             raise DeviceRefused(
+                "HC-S07",
                 "Rail",
                 "connect",
                 f"strip step ({where}) is {found_nm} nm",
                 wanted=f"{wanted_nm} nm",
                 act="correct strip_counts_per_mm or the sensor",
+                fields={"step_nm": found_nm, "wanted_nm": wanted_nm},
             )
 
 
@@ -119,7 +131,7 @@ def _step(sdo: SdoChannel) -> int | None:
     try:
         return int.from_bytes(sdo.read_bytes(cia406.MEASURING_STEP, 0), "little")
     except Aborted as error:
-        if error.code not in ABSENT:
+        if error.abort_code not in ABSENT:
             raise
         return None
 
@@ -128,7 +140,7 @@ def _optional(sdo: SdoChannel, index: int, sub: int = 0) -> int | None:
     try:
         return sdo.read(index, sub)
     except Aborted as error:
-        if error.code not in ABSENT:
+        if error.abort_code not in ABSENT:
             raise
         return None
 
@@ -188,7 +200,7 @@ def apply_where_present(sdo: SdoChannel, settings: Mapping[tuple[int, int], int]
         try:
             sdo.write(index, sub, value)
         except Aborted as error:
-            if error.code not in ABSENT:
+            if error.abort_code not in ABSENT:
                 raise
 
 
@@ -214,11 +226,13 @@ def start_nodes(link: CanLink, watches: Sequence[NodeWatch], clock: Clock) -> No
         if now_s > deadline_s:
             states = ", ".join(f"node {w.node} is {nmt.state_text(w.state)}" for w in waiting)
             raise DeviceError(
+                "HC-R10",
                 "Rail",
                 "connect",
                 f"nodes do not start: {states}",
                 wanted=f"{nmt.state_text(nmt.OPERATIONAL)} within {OPERATIONAL_S:.0f} s",
                 act="switch the nodes off and on, then resume",
+                fields={"nodes": [w.node for w in waiting], "waited_s": OPERATIONAL_S},
             )
         if now_s >= next_s:
             next_s = now_s + START_PERIOD_S

@@ -20,6 +20,7 @@ from msgspec import Meta
 from drivers import krl
 from drivers.c3 import C3Connection
 from drivers.keep_alive import KeepAlive
+from drivers.kuka_health import HEALTH, refused_motion, unwell
 from drivers.kuka_sweep import KukaSweep, give_back_left_behind
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience, Supervision
@@ -54,20 +55,7 @@ FRAME_TOLERANCE = 0.001  # mm and deg
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 FRAME = ("X", "Y", "Z", "A", "B", "C")
-ERRORS = {1: "unknown command", 2: "target outside the software limits", 9: "stopped by HC_STOP"}
 
-# Variable, the values with which work may go on, and what to do otherwise; causes come first.
-HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
-    "$ALARM_STOP": ((True,), "emergency stop is pressed; release it and acknowledge the message"),
-    "$USER_SAF": ((True,), "the guard is open; close it and acknowledge the message"),
-    "$MODE_OP": (
-        ("#EX", "#AUT"),
-        "the program moves the robot by itself; turn the key to AUT or EXT",
-    ),
-    "$PERI_RDY": ((True,), "the drives have no power; switch them on"),
-    "$STOPMESS": ((False,), "a stop message is pending; acknowledge it at the panel"),
-    "$PRO_STATE1": (("#P_ACTIVE",), "start the program hilcell at the panel"),
-}
 # Each poll of a motion looks at HC_ACK and at the next of these, so that all are seen within eight
 # polls: with 4 to 12 ms an exchange, each of them once in 0.30 to 0.45 s.
 PROGRESS = "$AXIS_ACT"
@@ -104,7 +92,7 @@ class KukaC3Robot:
         self._stop_line: C3Connection | None = None
         self._keeper: KeepAlive | None = None
         self._round = cycle(ROUND)
-        self._watch = Supervision(DEVICE)
+        self._watch = Supervision(DEVICE, "HC-B27")
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._override, self._version = 100, PROGRAM_VERSION
         self._written: dict[str, str] = {}
@@ -138,11 +126,19 @@ class KukaC3Robot:
         """Move all axes (PTP); return the reading at rest, after motion ended."""
         target_deg = np.degrees(np.asarray(joints_rad, dtype=float))
         if target_deg.shape != (6,) or not bool(np.all(np.isfinite(target_deg))):
-            raise DeviceError(
-                DEVICE, "move", f"target {target_deg} deg", wanted="six finite angles"
+            raise _failed(
+                "HC-B28",
+                f"target {target_deg} deg",
+                wanted="six finite angles",
+                target_deg=target_deg,
             )
         if not 1 <= round(speed_percent) <= 100:
-            raise DeviceError(DEVICE, "move", f"speed {speed_percent} %", wanted="1 to 100 %")
+            raise _failed(
+                "HC-B28",
+                f"speed {speed_percent} %",
+                wanted="1 to 100 %",
+                speed_percent=speed_percent,
+            )
         self._check_lines()
         planned = planned_s(target_deg - self._rest_deg, self._speed_deg_s, round(speed_percent))
         try:
@@ -170,6 +166,7 @@ class KukaC3Robot:
         """Return a motion of one axis (0 to 5) alone, at the next speed below ``speed_rad_s``."""
         if self._version < SWEEPING_VERSION:
             raise DeviceRefused(
+                "HC-B17",
                 DEVICE,
                 "sweep",
                 f"HC_VER is {self._version}",
@@ -199,20 +196,20 @@ class KukaC3Robot:
     def _identify(self) -> Identity:
         model, serial = self._text("$TRAFONAME[]"), self.integer("$KR_SERIALNO")
         if self._options.model not in model:
-            raise DeviceRefused(
-                DEVICE,
-                "connect",
+            raise _refused(
+                "HC-B05",
                 f"model {model!r}",
                 wanted=f"{self._options.model!r} in it",
                 act="this is another robot; correct robot.options",
+                model=model,
             )
         if self._options.serial not in (0, serial):
-            raise DeviceRefused(
-                DEVICE,
-                "connect",
+            raise _refused(
+                "HC-B05",
                 f"serial {serial}",
                 wanted=f"{self._options.serial}",
                 act="this is another robot; correct robot.options",
+                serial=serial,
             )
         address = f"{self._options.host}:{self._options.port}"
         return Identity(DEVICE, model, str(serial), address, says_simulated(model))
@@ -226,42 +223,41 @@ class KukaC3Robot:
     def _problem(self, name: str) -> DeviceError | None:
         """Read one variable of the controller's state; return what is wrong with it."""
         if name in HEALTH:
-            wanted, act = HEALTH[name]
+            good, code, act = HEALTH[name]
             found = self._value(name)
-            if any(found == value and type(found) is type(value) for value in wanted):
+            if any(found == value and type(found) is type(value) for value in good):
                 return None
-            return self._unwell(
-                name, found, " or ".join(str(value).upper() for value in wanted), act
-            )
+            wanted = " or ".join(str(value).upper() for value in good)
+            return unwell(code, name, found, wanted, act, moving=self._under_way)
         number = self.integer(name)
         if name == "$OV_PRO":
             self._override = number
         elif name == "HC_VER":
             self._version = number
-        low, high, act = {
-            "HC_VER": (PROGRAM_VERSION, SWEEPING_VERSION, "install drivers/krl/hilcell.src anew"),
-            "$OV_PRO": (1, 100, "raise the programme override"),
-            "$ACT_TOOL": (self._options.tool, self._options.tool, "restart the program hilcell"),
-            "$ACT_BASE": (self._options.base, self._options.base, "restart the program hilcell"),
+        tool, base = self._options.tool, self._options.base
+        install = "install drivers/krl/hilcell.src again"
+        code, low, high, act = {
+            "HC_VER": ("HC-B17", PROGRAM_VERSION, SWEEPING_VERSION, install),
+            "$OV_PRO": ("HC-B16", 1, 100, "raise the programme override"),
+            "$ACT_TOOL": ("HC-B07", tool, tool, "restart the program hilcell"),
+            "$ACT_BASE": ("HC-B07", base, base, "restart the program hilcell"),
         }[name]
         if low <= number <= high:
             return None
-        return self._unwell(name, number, str(low) if low == high else f"{low} to {high}", act)
-
-    def _unwell(self, name: str, found: krl.Value, wanted: str, act: str) -> DeviceError:
-        text = str(found).upper() if isinstance(found, bool) else clean(str(found))
-        kind, operation = (DeviceError, "move") if self._under_way else (DeviceRefused, "check")
-        return kind(DEVICE, operation, f"{name} is {text}", wanted=wanted, act=act)
+        wanted = str(low) if low == high else f"{low} to {high}"
+        return unwell(code, name, number, wanted, act, moving=self._under_way)
 
     def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
         found = self._numbers(name, FRAME)
         if not all(abs(f - w) <= FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
-            raise DeviceRefused(
-                DEVICE,
-                "connect",
+            raise _refused(
+                "HC-B06",
                 f"{name} is {_frame_text(found)}",
                 wanted=_frame_text(wanted),
                 act="correct the frame on the controller, or robot.smr_mm in the cell file",
+                variable=name,
+                found_frame=found,
+                wanted_frame=wanted,
             )
 
     def _take_back_stop(self) -> None:
@@ -275,12 +271,13 @@ class KukaC3Robot:
         over = False
         while (acknowledged := self.integer("HC_ACK")) != self._sequence:
             if over:
-                raise DeviceRefused(
-                    DEVICE,
-                    "connect",
+                raise _refused(
+                    "HC-B25",
                     f"HC_ACK {acknowledged}",
                     wanted=f"HC_SEQ {self._sequence}",
                     act="the program hilcell owes an answer; restart it at the panel",
+                    acknowledged=acknowledged,
+                    sequence=self._sequence,
                 )
             over = patience.over()
             self._clock.wait(POLL_S)
@@ -292,7 +289,7 @@ class KukaC3Robot:
     def command(self, target_deg: Array, speed_percent: int) -> int:
         """Start a motion to joints (6,); return its number."""
         if self._stopped:
-            raise DeviceError(DEVICE, "move", "the robot was stopped", act="resume to reconnect")
+            raise _failed("HC-B21", "the robot was stopped", act="resume to reconnect")
         number = self._sequence % MAX_SEQUENCE + 1
         axes = dict(zip(AXES, target_deg.tolist(), strict=True))
         self.wire().write("HC_TGT", krl.structure("E6AXIS", axes))
@@ -325,22 +322,25 @@ class KukaC3Robot:
         now_deg, wanted = self._axes_deg(), f"HC_ACK {number}"
         if limits.stalled(now_deg):
             self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
-            raise DeviceError(
-                DEVICE,
-                "move",
+            raise _failed(
+                "HC-B23",
                 f"no axis moved for {STALL_S:.0f} s at {_joints_text(now_deg)}, "
                 f"HC_ACK {self.integer('HC_ACK')}",
                 wanted=wanted,
                 act="see the panel; is the program hilcell running? resume",
+                waited_s=STALL_S,
+                axes_deg=now_deg,
             )
         if limits.overdue(self._clock.now_s(), self._override):
-            raise DeviceError(
-                DEVICE,
-                "move",
+            raise _failed(
+                "HC-B29",
                 f"still under way after {limits.spent_s:.0f} s at full override, at "
                 f"{_joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}",
                 wanted=f"{wanted} within {limits.limit_s:.0f} s",
                 act="the arm creeps; see the panel and robot.joint.speed_deg_s, resume",
+                spent_s=limits.spent_s,
+                limit_s=limits.limit_s,
+                axes_deg=now_deg,
             )
 
     def _await_rest(self, target_deg: Array) -> RobotReading:
@@ -360,12 +360,13 @@ class KukaC3Robot:
             if over:
                 break
             over = patience.over()
-        raise DeviceError(
-            DEVICE,
-            "move",
+        raise _failed(
+            "HC-B24",
             f"stands or creeps at {_joints_text(axes_deg)}",
             wanted=f"{_joints_text(target_deg)} +-{AXIS_TOLERANCE_DEG} deg, at rest",
             act="the robot stopped short of its target; see the panel, resume",
+            axes_deg=axes_deg,
+            target_deg=target_deg,
         )
 
     # -- what a sweep needs of its robot, too -------------------------------------------------
@@ -395,12 +396,8 @@ class KukaC3Robot:
         """Whether a motion has ended; raises `DeviceError` where the program refused it."""
         if self.integer("HC_ACK") != number:
             return False
-        error = self.integer("HC_ERR")
-        if error != 0:
-            meaning = ERRORS.get(error, "unknown")
-            raise DeviceError(
-                DEVICE, "move", f"HC_ERR {error}: {meaning}", act="see the panel, resume"
-            )
+        if (error := self.integer("HC_ERR")) != 0:
+            raise refused_motion(error)
         return True
 
     # -- variables ----------------------------------------------------------------------------
@@ -408,7 +405,7 @@ class KukaC3Robot:
     def wire(self) -> C3Connection:
         """Return the connection that asks."""
         if self._line is None:
-            raise DeviceError(DEVICE, "use", "not connected", act="connect first")
+            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
         return self._line
 
     def _check_lines(self) -> None:
@@ -466,12 +463,31 @@ class KukaC3Robot:
         self._written = {}
 
 
+def _failed(
+    code: str, found: str, *, wanted: str = "", act: str = "", **fields: object
+) -> DeviceError:
+    return DeviceError(code, DEVICE, "move", found, wanted=wanted, act=act, fields=fields)
+
+
+def _refused(
+    code: str, found: str, *, wanted: str = "", act: str = "", **fields: object
+) -> DeviceRefused:
+    return DeviceRefused(code, DEVICE, "connect", found, wanted=wanted, act=act, fields=fields)
+
+
 def _never() -> None:
     """Let a stop through."""
 
 
 def _unreadable(name: str, error: krl.KrlError) -> DeviceError:
-    return DeviceError(DEVICE, f"read {name}", str(error), act="check the server's version, resume")
+    return DeviceError(
+        "HC-B26",
+        DEVICE,
+        f"read {name}",
+        str(error),
+        act="check the server's version, resume",
+        fields={"variable": name},
+    )
 
 
 def _joints_text(joints_deg: Array) -> str:

@@ -30,15 +30,17 @@ ABSENT = frozenset({0x06020000, 0x06090011})  # no such object, no such sub-inde
 
 
 class Aborted(DeviceError):
-    """The node refused; ``code`` is the abort code of CiA 301, table 22."""
+    """The node refused; ``abort_code`` is that of CiA 301, table 22."""
 
     def __init__(self, device: str, operation: str, error: SdoAbortedError) -> None:
-        self.code = error.code
+        self.abort_code = error.code
         super().__init__(
+            "HC-R09",
             device,
             operation,
             f"SDO abort {str(error).removeprefix('Code ')}",
             act="the device differs from its EDS, or is in the wrong state; see docs/hardware.md",
+            fields={"abort_code": error.code},
         )
 
 
@@ -127,11 +129,18 @@ class SdoChannel:
         found = self.read(index, sub)
         if found != value:
             raise DeviceError(
+                "HC-R09",
                 self._device,
                 operation,
                 f"reads back as {found}",
                 wanted=str(value),
                 act="the device does not take this setting; see its manual",
+                fields={
+                    "node": self._number,
+                    "object": _name(index, sub),
+                    "read": found,
+                    "written": value,
+                },
             )
 
     def _retried(self, operation: str, transfer: Callable[[], bytes]) -> bytes:
@@ -145,10 +154,12 @@ class SdoChannel:
                 except SdoCommunicationError as error:
                     reason = str(error)
         raise DeviceError(
+            "HC-R06",
             self._device,
             operation,
             f"node {self._number}: {reason}, {TRIES} times",
             act=f"check node {self._number}: power, cable, bit rate, node number",
+            fields={"node": self._number, "tries": TRIES, "reason": reason},
         )
 
     def _once(self, transfer: Callable[[], bytes]) -> bytes:

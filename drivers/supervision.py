@@ -41,8 +41,9 @@ class Patience:
 class Supervision:
     """Sees to it that a moving device is looked at; ``look`` belongs into every wait."""
 
-    def __init__(self, device: str, late_s: float = LATE_S) -> None:
-        self._device, self._late_s = device, late_s
+    def __init__(self, device: str, code: str, late_s: float = LATE_S) -> None:
+        """``code`` is that of the alarm where nobody looked."""
+        self._device, self._code, self._late_s = device, code, late_s
         self._looked_s: float | None = None
 
     def begin(self) -> None:
@@ -83,9 +84,11 @@ class Supervision:
     def _check(self, gap_s: float) -> None:
         if not gap_s <= self._late_s:
             raise DeviceError(
+                self._code,
                 self._device,
                 "move",
                 f"PC late: {gap_s:.2f} s without a look at the motion",
                 wanted=f"<= {self._late_s:.2f} s",
                 act="give the engine a PC of its own, or end what keeps this one busy; resume",
+                fields={"gap_s": gap_s, "limit_s": self._late_s},
             )

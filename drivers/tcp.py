@@ -10,6 +10,7 @@ from __future__ import annotations
 import select
 import socket
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from drivers.supervision import Patience
 from hilcell.ports import DeviceError
@@ -21,10 +22,21 @@ KEEPALIVE_S = 5
 UNSENT_MS = 5000
 
 
+@dataclass(frozen=True, slots=True)
+class Alarms:
+    """The codes of a link's two failures."""
+
+    unreachable: str
+    lost: str
+
+
 class TcpLink:
     """A connected socket. One thread receives; any thread may send."""
 
-    def __init__(self, device: str, host: str, port: int, check: Callable[[], None]) -> None:
+    def __init__(
+        self, device: str, host: str, port: int, check: Callable[[], None], alarms: Alarms
+    ) -> None:
+        self._alarms = alarms
         self.device, self.address = device, f"{host}:{port}"
         self._check = check
         check()
@@ -32,10 +44,12 @@ class TcpLink:
             self._socket = socket.create_connection((host, port), timeout=CONNECT_S)
         except OSError as error:
             raise DeviceError(
+                alarms.unreachable,
                 device,
                 "connect",
                 f"{self.address}: {error}",
                 act="check that the device is on, its cable and its address",
+                fields={"address": self.address},
             ) from error
         _watch(self._socket)
         self._socket.settimeout(POLL_S)
@@ -75,10 +89,12 @@ class TcpLink:
     def broken(self, operation: str, found: str) -> DeviceError:
         """Return the error that this link's failure is."""
         return DeviceError(
+            self._alarms.lost,
             self.device,
             operation,
             f"{self.address}: {found}",
             act="check the device and its network, then resume",
+            fields={"address": self.address},
         )
 
     def close(self) -> None:

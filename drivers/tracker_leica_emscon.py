@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from drivers import emscon
 from drivers.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
+from drivers.emscon_errors import ALARMS, DEVICE, failed, no_reading, refused, spoken
 from drivers.emscon_stream import EmsconStream
 from drivers.supervision import Patience
 from drivers.tcp import TcpLink
@@ -27,17 +28,12 @@ from hilcell.ports import (
     Array,
     Clock,
     DeviceError,
-    DeviceRefused,
     Identity,
     NoReading,
     TrackerReading,
     says_simulated,
 )
 
-DEVICE = "Tracker"
-TEMPERATURE_C = (-20.0, 60.0)
-PRESSURE_MBAR = (500.0, 1200.0)
-HUMIDITY_PERCENT = (0.0, 100.0)
 BUSY_PAUSE_S = 0.1
 SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
 SETTING_SHARE = 1e-6
@@ -87,7 +83,7 @@ class LeicaEmsconTracker:
         """Open the wire, initialise, set units, mode and reflector, and read all of them back."""
         self.close()
         options = self._options
-        self._link = TcpLink(DEVICE, options.host, options.port, self._clock.check)
+        self._link = TcpLink(DEVICE, options.host, options.port, self._clock.check, ALARMS)
         self._reader, self._packets, self._reflector = emscon.PacketReader(), deque(), ""
         try:
             identity = self._identify()
@@ -103,7 +99,7 @@ class LeicaEmsconTracker:
         """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times."""
         near_mm = np.asarray(near_mm, dtype=float)
         if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
-            raise DeviceError(DEVICE, "measure", f"{samples} samples at {near_mm} mm")
+            raise DeviceError("HC-T35", DEVICE, "measure", f"{samples} samples at {near_mm} mm")
         self.point_at(near_mm, reflector)
         results = [self._single(near_mm) for _ in range(samples)]
         return self._reading(results, reflector)
@@ -154,23 +150,25 @@ class LeicaEmsconTracker:
         status = self._system_status()
         serial, wanted = str(status.serial), self._options.serial
         if wanted not in ("", serial):
-            raise DeviceRefused(
-                DEVICE,
+            raise refused(
+                "HC-T03",
                 "connect",
                 f"serial {serial}",
                 wanted=wanted,
                 act="this is another tracker; correct tracker.options",
+                serial=serial,
             )
         if status.processor != emscon.INITIALIZED:
             self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
             status = self._system_status()
         if status.processor != emscon.INITIALIZED:
-            raise DeviceRefused(
-                DEVICE,
+            raise refused(
+                "HC-T04",
                 "initialise",
                 f"processor status {status.processor}",
                 wanted=f"{emscon.INITIALIZED} (initialised)",
                 act="look at the tracker, resume",
+                processor=status.processor,
             )
         address = f"{self._options.host}:{self._options.port}"
         name = self._name()
@@ -187,38 +185,25 @@ class LeicaEmsconTracker:
         return self._decoded(emscon.decode_system_status, body)
 
     def _set_up(self) -> None:
-        number, stationary = emscon.NUMBER, emscon.STATIONARY
-        self.set_checked(
-            "units", Command.SET_UNITS, Command.GET_UNITS, emscon.UNITS, emscon.MILLIMETRE_UNITS
+        options, number = self._options, emscon.NUMBER
+        lengths, handed = emscon.MILLIMETRE_UNITS, (emscon.RIGHT_HANDED,)
+        reading, search = (options.measuring_ms, 1), (options.find_radius_mm, SEARCH_MS)
+        set_to, c = self.set_checked, Command
+        set_to("units", c.SET_UNITS, c.GET_UNITS, emscon.UNITS, lengths)
+        set_to(
+            "coordinate system", c.SET_COORDINATE_SYSTEM, c.GET_COORDINATE_SYSTEM, number, handed
         )
-        self.set_checked(
-            "coordinate system",
-            Command.SET_COORDINATE_SYSTEM,
-            Command.GET_COORDINATE_SYSTEM,
-            number,
-            (emscon.RIGHT_HANDED,),
-        )
-        if self._numbers_of(Command.GET_MEASUREMENT_MODE, number) != (emscon.STATIONARY_MODE,):
-            self._request(Command.STOP_MEASUREMENT)  # a stream that was left behind
+        if self._numbers_of(c.GET_MEASUREMENT_MODE, number) != (emscon.STATIONARY_MODE,):
+            self._request(c.STOP_MEASUREMENT)  # a stream that was left behind
         self.set_mode(emscon.STATIONARY_MODE)
-        self.set_checked(
-            "stationary parameters",
-            Command.SET_STATIONARY,
-            Command.GET_STATIONARY,
-            stationary,
-            (self._options.measuring_ms, 1),
+        set_to(
+            "stationary parameters", c.SET_STATIONARY, c.GET_STATIONARY, emscon.STATIONARY, reading
         )
-        self.set_checked(
-            "search",
-            Command.SET_SEARCH,
-            Command.GET_SEARCH,
-            emscon.SEARCH,
-            (self._options.find_radius_mm, SEARCH_MS),
-        )
+        set_to("search", c.SET_SEARCH, c.GET_SEARCH, emscon.SEARCH, search)
         air = self._numbers_of(Command.GET_ENVIRONMENT, emscon.ENVIRONMENT)
-        if problem := _air_problem(*air):
-            raise DeviceRefused(
-                DEVICE,
+        if problem := emscon.air_problem(*air):
+            raise refused(
+                "HC-T05",
                 "connect",
                 problem,
                 act="check the weather station or enter the air's values",
@@ -239,12 +224,15 @@ class LeicaEmsconTracker:
         self._ask(write, layout.pack(*wanted))
         found = self._numbers_of(read, layout)
         if not np.allclose(found, wanted, rtol=SETTING_SHARE, atol=SETTING_SHARE):
-            raise DeviceRefused(
-                DEVICE,
+            raise refused(
+                "HC-T06",
                 f"set {what}",
                 f"reads back as {found}",
                 wanted=f"{wanted}",
                 act="another program holds the tracker? close it, then resume",
+                setting=what,
+                read=found,
+                written=wanted,
             )
 
     def _read_reflectors(self) -> dict[str, int]:
@@ -263,12 +251,14 @@ class LeicaEmsconTracker:
             return
         if reflector not in self._numbers:
             known = ", ".join(repr(name) for name in self._numbers)
-            raise DeviceRefused(
-                DEVICE,
+            raise refused(
+                "HC-T07",
                 "choose reflector",
                 f"the tracker knows {known}",
                 wanted=repr(reflector),
                 act="define it in the tracker, or correct tracker.reflector",
+                reflector=reflector,
+                known=list(self._numbers),
             )
         self.set_checked(
             "reflector",
@@ -294,7 +284,9 @@ class LeicaEmsconTracker:
             self._find(near_mm)
         except NoReading as second:
             found = f"{second.found}, after go position: {first.found}"
-            raise NoReading(DEVICE, "find reflector", found, act=second.act) from second
+            raise NoReading(
+                second.code, DEVICE, "find reflector", found, act=second.act, fields=second.fields
+            ) from second
 
     def _find(self, near_mm: Array) -> None:
         body = emscon.DISTANCE.pack(float(np.linalg.norm(near_mm)))
@@ -309,7 +301,14 @@ class LeicaEmsconTracker:
             status = self._request(Command.STOP_MEASUREMENT).status
             if status != 0:
                 found = f"{error.found}, and it was not stopped: {emscon.status_text(status)}"
-                raise NoReading(DEVICE, error.operation, found, act=error.act) from error
+                raise NoReading(
+                    "HC-T25",
+                    DEVICE,
+                    error.operation,
+                    found,
+                    act=error.act,
+                    fields={"status": status, **error.fields},
+                ) from error
             raise
         self._check(result, near_mm)
         return result
@@ -321,7 +320,7 @@ class LeicaEmsconTracker:
             self._find(near_mm)
             reply = self._request(Command.START_MEASUREMENT)
         if reply.status != 0:
-            raise self.failed(Command.START_MEASUREMENT, reply.status)
+            raise failed(Command.START_MEASUREMENT, reply.status)
 
     def _await_result(self) -> Single:
         limit_s = self._options.measuring_ms / 1000.0 + self.RESULT_S
@@ -329,53 +328,57 @@ class LeicaEmsconTracker:
         while (packet := self.next_packet(patience)) is not None:
             if isinstance(packet, Single):
                 if packet.status != 0:
-                    raise self.failed(Command.START_MEASUREMENT, packet.status)
+                    raise failed(Command.START_MEASUREMENT, packet.status)
                 return packet
             if isinstance(packet, Failure):
-                raise self.failed(Command.START_MEASUREMENT, packet.status)
+                raise failed(Command.START_MEASUREMENT, packet.status)
             if packet == StatusChange(Change.NOT_READY):
-                raise NoReading(DEVICE, "measure", "the beam broke", act="clear the line of sight")
-        raise NoReading(
-            DEVICE,
-            "measure",
+                raise no_reading("HC-T10", "the beam broke", act="clear the line of sight")
+        raise no_reading(
+            "HC-T13",
             f"acknowledged, but no result came within {limit_s:.1f} s",
             act="look at the tracker's state",
+            waited_s=limit_s,
         )
 
     def _check(self, result: Single, near_mm: Array) -> None:
         if not bool(np.all(np.isfinite((*result.xyz, *result.std, result.std_total)))):
-            raise NoReading(DEVICE, "measure", f"the result {result.xyz} is not finite")
+            raise no_reading("HC-T14", f"the result {result.xyz} is not finite", xyz=result.xyz)
         off_mm = float(np.linalg.norm(np.array(result.xyz) - near_mm))
         radius_mm = self._options.find_radius_mm
         if not off_mm <= radius_mm:
             raise self._misplaced(result, near_mm, off_mm)
         if not 0.0 <= result.std_total <= self._options.max_std_mm:
-            raise NoReading(
-                DEVICE,
-                "measure",
+            raise no_reading(
+                "HC-T15",
                 f"standard deviation {result.std_total:.4f} mm",
                 wanted=f"<= {self._options.max_std_mm:.4f} mm",
                 act="something vibrates, or the reflector is dirty",
+                std_mm=result.std_total,
+                limit_mm=self._options.max_std_mm,
             )
-        if problem := _air_problem(result.temperature, result.pressure, result.humidity):
-            raise NoReading(DEVICE, "measure", problem, act="check the weather station")
+        if problem := emscon.air_problem(result.temperature, result.pressure, result.humidity):
+            raise no_reading("HC-T05", problem, act="check the weather station")
 
     def _misplaced(self, result: Single, near_mm: Array, off_mm: float) -> DeviceError:
         in_metres_mm = float(np.linalg.norm(1000.0 * np.array(result.xyz) - near_mm))
         if in_metres_mm <= self._options.find_radius_mm:
             return DeviceError(
+                "HC-T18",
                 DEVICE,
                 "measure",
                 f"the result {result.xyz} is in metres",
                 wanted="mm",
-                act="another program changed the units; resume sets them anew",
+                act="another program changed the units; resume sets them again",
+                fields={"xyz": result.xyz},
             )
-        return NoReading(
-            DEVICE,
-            "measure",
+        return no_reading(
+            "HC-T16",
             f"the reflector is {off_mm:.2f} mm from its expected place",
             wanted=f"<= {self._options.find_radius_mm:.2f} mm",
             act="another reflector was caught, or a late result came; clear the view",
+            off_mm=off_mm,
+            limit_mm=self._options.find_radius_mm,
         )
 
     def _reading(self, results: list[Single], reflector: str) -> TrackerReading:
@@ -383,12 +386,14 @@ class LeicaEmsconTracker:
         std_mm = points_mm.std(axis=0, ddof=1) if len(results) > 1 else np.array(results[0].std)
         spread_mm = float(np.linalg.norm(std_mm))
         if len(results) > 1 and not spread_mm <= self._options.max_std_mm:
-            raise NoReading(
-                DEVICE,
-                "measure",
+            raise no_reading(
+                "HC-T15",
                 f"{len(results)} repeats spread by {spread_mm:.4f} mm (1 sigma)",
                 wanted=f"<= {self._options.max_std_mm:.4f} mm",
                 act="something moves or vibrates",
+                std_mm=spread_mm,
+                limit_mm=self._options.max_std_mm,
+                repeats=len(results),
             )
         last = results[-1]
         return TrackerReading(
@@ -408,7 +413,7 @@ class LeicaEmsconTracker:
         """Send a command and return its reply's body; raises what a refusal means."""
         reply = self._request(command, body, limit_s)
         if reply.status != 0:
-            raise self.failed(command, reply.status)
+            raise failed(command, reply.status)
         return reply.body
 
     def _request(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> Reply:
@@ -416,7 +421,7 @@ class LeicaEmsconTracker:
         limit_s = limit_s or self.REPLY_S
         patience = Patience(limit_s, limit_s)
         while True:
-            self._wire().send(emscon.encode(command, body), _spoken(command))
+            self._wire().send(emscon.encode(command, body), spoken(command))
             reply = self._status(command, Patience(limit_s))
             if reply.status != emscon.BUSY or patience.over():
                 return reply
@@ -428,8 +433,8 @@ class LeicaEmsconTracker:
             if isinstance(packet, Reply | Failure) and packet.command == command:
                 return Reply(command, packet.status, getattr(packet, "body", b""))
             if isinstance(packet, Reply) and packet.command != Command.STOP_MEASUREMENT:
-                raise self._lost(f"a reply to command {packet.command} came", _spoken(command))
-        raise self._lost("no answer in time", _spoken(command))
+                raise self._lost(f"a reply to command {packet.command} came", spoken(command))
+        raise self._lost("no answer in time", spoken(command))
 
     def _numbers_of(self, command: Command, layout: Struct) -> tuple[float, ...]:
         body = self._ask(command)
@@ -440,13 +445,6 @@ class LeicaEmsconTracker:
             return decode(body)
         except emscon.EmsconError as error:
             raise self._lost(str(error), "decode") from error
-
-    def failed(self, command: Command, status: int) -> DeviceError:
-        """Return what a refused command means."""
-        kind = NoReading if status in emscon.RECOVERABLE else DeviceError
-        return kind(
-            DEVICE, _spoken(command), emscon.status_text(status), act="look at the tracker, resume"
-        )
 
     def next_packet(self, patience: Patience) -> Packet | None:
         """Return the next packet, or nothing when ``patience`` is over."""
@@ -476,21 +474,5 @@ class LeicaEmsconTracker:
 
     def _wire(self) -> TcpLink:
         if self._link is None:
-            raise DeviceError(DEVICE, "use", "not connected", act="connect first")
+            raise DeviceError("HC-T34", DEVICE, "use", "not connected", act="connect first")
         return self._link
-
-
-def _spoken(command: Command) -> str:
-    return command.name.lower().replace("_", " ")
-
-
-def _air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: float) -> str:
-    limits = (
-        ("temperature", temperature_c, "C", TEMPERATURE_C),
-        ("pressure", pressure_mbar, "mbar", PRESSURE_MBAR),
-        ("humidity", humidity_percent, "%", HUMIDITY_PERCENT),
-    )
-    for name, value, unit, (low, high) in limits:
-        if not low <= value <= high:
-            return f"{name} {value} {unit} is not between {low:g} and {high:g}"
-    return ""

@@ -142,6 +142,7 @@ class Control:
             self._socket = socket.create_connection(_host_and_port(address), ANSWER_S)
         except OSError as error:
             raise DeviceError(
+                "HC-C18",
                 "Simulated cell",
                 "connect",
                 f"nobody answers at {address}: {error}",
@@ -168,7 +169,7 @@ class Control:
             raise self._gone(do, "it has ended")
         answer = msgspec.json.decode(line, type=dict[str, Any])
         if not answer["ok"]:
-            raise DeviceError("Simulated cell", do, str(answer["error"]))
+            raise DeviceError("HC-C18", "Simulated cell", do, str(answer["error"]))
         return answer
 
     def close(self) -> None:
@@ -178,7 +179,7 @@ class Control:
 
     def _gone(self, do: str, reason: object) -> DeviceError:
         where = f"control channel {self._address} does not answer: {reason}"
-        return DeviceError("Simulated cell", do, where, act="start it anew, then resume")
+        return DeviceError("HC-C18", "Simulated cell", do, where, act="start it again, then resume")
 
 
 def _host_and_port(address: str) -> tuple[str, int]:

@@ -160,6 +160,11 @@ def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     compare.add_argument("second", metavar="RUN", help="the later run")
     _runs_option(compare)
     _json_option(compare, "one object")
+    explain = _command(
+        commands, "explain", "commands.explain:explain", "say what an alarm means, and what to do"
+    )
+    explain.add_argument("code", metavar="CODE", help="as shown beside the alarm: HC-R31")
+    _json_option(explain, "one object")
     show = _command(commands, "show", "commands.past:show", "show a run, computed from its journal")
     _run_argument(show)
     _json_option(show, "one object")

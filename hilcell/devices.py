@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.cell import Cell
 from hilcell.places import places
 from hilcell.ports import Clock, DeviceError, Identity, Rail, Robot, SimulatedCell, Tracker
@@ -94,7 +95,7 @@ def device_places(
 
 
 def check_options(cell: Cell) -> None:
-    """Check the options of all three drivers, and that the simulator is installed.
+    """Check the options of all three drivers, the simulator, and the catalogues of alarms.
 
     Raises `SettingsError` with all problems.
     """
@@ -109,6 +110,10 @@ def check_options(cell: Cell) -> None:
             load_entry("simulators", cell.simulation.simulator)
         except SettingsError as error:
             problems += [f"simulation.simulator: {line}" for line in error.problems]
+    try:
+        catalogue()
+    except CatalogueError as error:
+        problems.append(str(error))
     if problems:
         raise SettingsError(cell.name, problems)
 
@@ -130,11 +135,9 @@ def start_simulation(
 class ConnectFailed(DeviceError):
     """Some devices could not be connected; the message lists all of them as a tree."""
 
-    def __init__(self, failures: Mapping[str, Exception]) -> None:
-        self.failures = dict(failures)
-        names = ", ".join(failures)
-        tree = "\n".join(f"  {name}\n    {error}" for name, error in failures.items())
-        super().__init__("Cell", "connect", f"{names} failed\n{tree}")
+    def __init__(self, failures: Mapping[str, DeviceError]) -> None:
+        found = f"{', '.join(failures)} failed"
+        super().__init__("HC-C15", "Cell", "connect", found, causes=failures)
 
 
 def connect_all(devices: Devices, claim: Callable[[list[Identity]], None]) -> list[Identity]:
@@ -143,7 +146,7 @@ def connect_all(devices: Devices, claim: Callable[[list[Identity]], None]) -> li
     ``claim`` takes what each device says it is, before the next is opened; what it raises ends.
     """
     identities: list[Identity] = []
-    failures: dict[str, Exception] = {}
+    failures: dict[str, DeviceError] = {}
     for name, device in devices.named().items():
         try:
             found = device.connect()

@@ -1,32 +1,86 @@
-"""What hilcell raises: one clear message each, whoever reads it.
+"""What hilcell raises: facts as data, which become one clear message only where one is shown.
 
-Apart from `hilcell.ports`, so that a face can say an error without loading arrays.
+Every error has the code of its entry in the catalogue of alarms (`hilcell.alarms`). Apart from
+`hilcell.ports`, so that an error can be shown without loading arrays.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 
 class HilcellError(Exception):
-    """Anything hilcell says to its user in one clear message."""
+    """Anything that hilcell reports to its user in one clear message.
+
+    ``code`` is its entry in the catalogue of alarms; a class may have one for all its errors.
+    """
+
+    code = "HC-C99"
+
+    def __init__(self, text: str = "", *, code: str = "") -> None:
+        super().__init__(text)
+        self.code = code or self.code
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the journal keeps of the error, plain enough for JSON."""
+        return {"code": self.code, "found": str(self)}
 
 
 class Stopped(HilcellError):
     """The operator, or the program's end, asked everything to stop."""
 
+    code = "HC-C05"
+
 
 class DeviceError(HilcellError):
-    """A device failed: names device, operation, wanted and found values, cause and next act.
+    """A device failed: its code, the device, the operation, what was found and wanted, next act.
 
-    ``told`` is the same without the act, for who advises better.
+    ``fields`` are the values behind the words, for programs: plain, with units in their names.
+    ``causes`` are the errors of several devices that failed together.
     """
 
     def __init__(
-        self, device: str, operation: str, found: str, *, wanted: str = "", act: str = ""
+        self,
+        code: str,
+        device: str,
+        operation: str,
+        found: str,
+        *,
+        wanted: str = "",
+        act: str = "",
+        causes: Mapping[str, HilcellError] | None = None,
+        fields: Mapping[str, object] | None = None,
     ) -> None:
         self.device, self.operation, self.found = device, operation, found
         self.wanted, self.act = wanted, act
-        self.told = f"{device}: {operation}: {found}" + (f", wanted {wanted}" if wanted else "")
-        super().__init__(self.told + (f"; {act}" if act else ""))
+        self.causes, self.fields = dict(causes or {}), dict(fields or {})
+        super().__init__(code=code)
+
+    @property
+    def summary(self) -> str:
+        """Return the message without the act, for those who advise better."""
+        wanted = f", wanted {self.wanted}" if self.wanted else ""
+        return f"{self.device}: {self.operation}: {self.found}{wanted}"
+
+    def __str__(self) -> str:
+        """Return the message; causes stand below it as a tree."""
+        tree = "".join(f"\n  {name}\n    {error}" for name, error in self.causes.items())
+        return self.summary + (f"; {self.act}" if self.act else "") + tree
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the journal keeps of the error, plain enough for JSON."""
+        return {
+            "code": self.code,
+            "device": self.device,
+            "operation": self.operation,
+            "found": self.found,
+            "wanted": self.wanted,
+            "act": self.act,
+            "fields": {name: _plain(value) for name, value in self.fields.items()},
+            "causes": [cause.facts() for cause in self.causes.values()],
+        }
 
 
 class DeviceRefused(DeviceError):
@@ -35,3 +89,40 @@ class DeviceRefused(DeviceError):
 
 class NoReading(DeviceError):
     """The device is well, yet this one measurement failed and may be tried again."""
+
+    def of_point(self, key: str) -> NoReading:
+        """Return the same error, whose operation names the point that was measured."""
+        return NoReading(
+            self.code,
+            self.device,
+            f"{self.operation} {key}",
+            self.found,
+            wanted=self.wanted,
+            act=self.act,
+            fields=self.fields | {"point": key},
+        )
+
+
+def facts_of(error: Exception) -> dict[str, Any]:
+    """Return an error's facts; one that hilcell did not expect is a defect."""
+    if isinstance(error, HilcellError):
+        return error.facts()
+    return {
+        "code": "HC-C07",
+        "device": "Cell",
+        "operation": "internal error",
+        "found": f"{type(error).__name__}: {error}",
+    }
+
+
+def _plain(value: object) -> object:
+    """Return a value as JSON has it, which knows no NaN and no infinity."""
+    if hasattr(value, "tolist"):  # arrays and their numbers
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, bool | int | float | str) or value is None:
+        return value
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return str(value)

@@ -24,6 +24,6 @@ _TABLE: tuple[tuple[type[Exception], int], ...] = (
 def exit_code(error: Exception) -> int:
     """Return the exit code that says how ``error`` ended a run or a command."""
     if isinstance(error, ConnectFailed):
-        refused = all(isinstance(each, DeviceRefused) for each in error.failures.values())
+        refused = all(isinstance(each, DeviceRefused) for each in error.causes.values())
         return EXIT_REFUSED if refused else EXIT_FAULT
     return next((code for kind, code in _TABLE if isinstance(error, kind)), EXIT_INTERNAL)

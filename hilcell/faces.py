@@ -15,6 +15,7 @@ from typing import Any, Self
 import msgspec
 
 from hilcell.cell import Cell
+from hilcell.errors import facts_of
 from hilcell.report.words import harmless
 from hilcell.run.journal import Record
 from hilcell.run.log import Log
@@ -76,9 +77,16 @@ class _JsonFace(Face):
 
     def close(self, code: int, log: Log, fault: Exception | None) -> None:
         if log.end is None and not self._lost:
-            end = {"run": self._run, "kind": "end", "state": log.states["run"], "exit": code}
+            end: dict[str, Any] = {
+                "run": self._run,
+                "kind": "end",
+                "state": log.states["run"],
+                "exit": code,
+            }
+            end |= {"result": {}, "reason": str(fault)}
+            end |= {} if fault is None else {"error": facts_of(fault)}
             with suppress(OSError, ValueError):
-                self._write(end | {"result": {}, "reason": str(fault)})
+                self._write(end)
 
     def _write(self, event: dict[str, Any]) -> None:
         sys.stdout.buffer.write(msgspec.json.encode(event) + b"\n")

@@ -33,6 +33,8 @@ CONVERGED = 1e-9
 class FitError(HilcellError):
     """Measurements that cannot be learnt from."""
 
+    code = "HC-C22"
+
 
 class Figures(TypedDict):
     """Distances between predicted and measured positions."""

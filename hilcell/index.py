@@ -253,7 +253,10 @@ def _told(name: str, records: Iterable[Record]) -> RunRow:
                     if state == "checking":
                         end, fault = None, ""
     if plan is None:
-        raise StorageError("the journal holds no plan: the run died before its first record")
+        raise StorageError(
+            "the journal holds no plan: the run died before its first record",
+            code="HC-J06",
+        )
     row = _row(name, plan, state, end, fault, len(points))
     return msgspec.structs.replace(row, simulated=row.simulated or simulated)
 

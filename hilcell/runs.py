@@ -61,9 +61,15 @@ def find_run(runs: Path, name: str) -> Path:
     if len(meant) == 1:
         return meant[0]
     if meant:
-        raise HilcellError(f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which")
+        raise HilcellError(
+            f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which",
+            code="HC-J09",
+        )
     newest = ", ".join(folder.name for folder in folders[-3:]) or "none"
-    raise HilcellError(f"run {name[:80]!r} is not in {runs}; newest there: {newest}")
+    raise HilcellError(
+        f"run {name[:80]!r} is not in {runs}; newest there: {newest}",
+        code="HC-J09",
+    )
 
 
 def _written_s(folder: Path) -> float:

@@ -26,6 +26,8 @@ T = TypeVar("T", bound=msgspec.Struct)
 class SettingsError(HilcellError):
     """Settings refused; ``problems`` lists every one of them."""
 
+    code = "HC-C11"
+
     def __init__(self, source: str, problems: list[str]) -> None:
         self.source, self.problems = source, problems
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"

@@ -20,6 +20,8 @@ from hilcell.ports import HilcellError
 class NotWritten(HilcellError):
     """A file that cannot, or must not, be written."""
 
+    code = "HC-J07"
+
 
 def write_whole(path: Path, content: bytes, *, inputs: Iterable[Path] = ()) -> None:
     """Write one file; raises `NotWritten` as `write_together` does."""

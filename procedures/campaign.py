@@ -35,7 +35,10 @@ class Campaign:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse poses outside the joint limits, and a reflector that would have to be carried."""
         if cell.layout.by_hand:
-            raise HilcellError("reflectors are by_hand: those of a campaign must be mounted")
+            raise HilcellError(
+                "reflectors are by_hand: those of a campaign must be mounted",
+                code="HC-C16",
+            )
         rows = poses_of(cell)
         for pose, joints in zip(rows.pose, rows.joints_rad, strict=True):
             check_joint_limits(cell, joints, f"pose {pose}")
@@ -60,7 +63,10 @@ class Campaign:
 def poses_of(cell: Cell) -> Measurements:
     """Return the file's poses; raises `HilcellError` where the cell names none."""
     if cell.campaign is None:
-        raise HilcellError("campaign.poses is missing: give a CSV with --set campaign.poses=FILE")
+        raise HilcellError(
+            "campaign.poses is missing: give a CSV with --set campaign.poses=FILE",
+            code="HC-C13",
+        )
     return read_measurements(Path(cell.campaign.poses))
 
 

@@ -28,7 +28,8 @@ class Fit:
         if max(shape) < 3:
             raise HilcellError(
                 f"grid of {' x '.join(map(str, shape))} vertices, wanted three along one axis "
-                "at least; choose a smaller pitch_mm"
+                "at least; choose a smaller pitch_mm",
+                code="HC-C10",
             )
         return Step(self.name, 0, 0.0)
 

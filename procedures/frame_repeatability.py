@@ -39,7 +39,10 @@ class FrameRepeatability:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a cell with one station: frames are compared between stations."""
         if len(cell.station) < 2:
-            raise HilcellError("one station, wanted two or more: frames are compared between them")
+            raise HilcellError(
+                "one station, wanted two or more: frames are compared between them",
+                code="HC-C10",
+            )
         here, spans = other_stations(cell)[-1], []  # where the last step left the slide
         six = readings(cell, SIX, MORE_READINGS * cell.layout.nest_samples)
         for station in cell.station:

@@ -39,7 +39,10 @@ def check_reach(cell: Cell, points_mm: Array, what: str) -> Array:
     try:
         return joints_for(cell, points_mm)
     except ReachError as error:
-        raise HilcellError(f"{what}: {error}") from error
+        raise HilcellError(
+            f"{what}: {error}",
+            code="HC-C10",
+        ) from error
 
 
 def check_range(cell: Cell, points_mm: Array, what: str) -> None:
@@ -51,5 +54,6 @@ def check_range(cell: Cell, points_mm: Array, what: str) -> None:
         worst = int(np.argmin(seen))
         raise HilcellError(
             f"{what}: {int(np.sum(~seen))} of {len(seen)} out of the tracker's range; the first at "
-            f"{range_mm[worst]:.0f} mm, wanted {low:.0f} .. {high:.0f} mm; move the tracker"
+            f"{range_mm[worst]:.0f} mm, wanted {low:.0f} .. {high:.0f} mm; move the tracker",
+            code="HC-C10",
         )

@@ -68,11 +68,18 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
         found_mm = float(np.linalg.norm(measured_mm[i] - measured_mm[j]))
         if not abs(found_mm - wanted_mm) <= limit_mm:
             raise DeviceError(
+                "HC-T32",
                 "Tracker",
                 "world frame",
                 f"{nests[i].name} to {nests[j].name} is {found_mm:.2f} mm",
                 wanted=f"{wanted_mm:.2f} +-{limit_mm:.1f} mm",
                 act="nests swapped, a reflector not seated, or wrong units; check, then resume",
+                fields={
+                    "nests": [nests[i].name, nests[j].name],
+                    "distance_mm": found_mm,
+                    "wanted_mm": wanted_mm,
+                    "limit_mm": limit_mm,
+                },
             )
 
 
@@ -88,9 +95,11 @@ def check_control_points(bench: Bench) -> None:
         off_mm = float(np.linalg.norm(moved_mm))
         if not off_mm <= CONTROL_LIMIT_MM:
             raise DeviceError(
+                "HC-T33",
                 "Tracker",
                 f"control point {nest.name}",
                 f"moved by {off_mm:.3f} mm",
                 wanted=f"<= {CONTROL_LIMIT_MM:.2f} mm",
-                act="tracker or nest was bumped: points of two set-ups are never mixed; start anew",
+                act="tracker or nest was bumped: two set-ups are never mixed; start a new run",
+                fields={"nest": nest.name, "moved_mm": off_mm, "limit_mm": CONTROL_LIMIT_MM},
             )

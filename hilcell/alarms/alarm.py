@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hilcell.alarms.catalogue import Entry, Severity, entry_of
+from hilcell.alarms.catalogue import Entry, Severity, code_of_verdict, entry_of
 from hilcell.alarms.finding import Finding, findings_of, line
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ STRAYED = 0.5  # of rail.slip_limit_mm: drive against strip, from one hold to th
 LOSSY = 0.005  # of the frames on the rail's wire
 OVER = ("aborted", "faulted", "finished")
 REFUSED_EXITS = (2, 3, 5, 6, 7)
+PROBLEMS = {"safe stop": "HC-C02", "closed": "HC-C03"}
+REFUSALS = {"answer refused": "HC-C09", "retake refused": "HC-C14"}
 GO_ON = "space"  # the usual key
 
 
@@ -39,13 +41,13 @@ class Alarm:
     do: tuple[str, ...]
     t: str
     seq: int
-    anew: bool = False  # the run cannot go on: a new one is needed
+    ended: bool = False  # the run cannot go on: a new one is needed
     passes: bool = False  # it goes when its cause has gone
 
 
 @dataclass(frozen=True, slots=True)
 class _Moment:
-    """A finding and the record that tells it; ``severity`` only where it is not the entry's."""
+    """A finding and its record; ``severity`` only where it is not the entry's."""
 
     finding: Finding
     t: str = ""
@@ -76,9 +78,10 @@ def alarms_of(
 
 
 def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
-    entry, finding = entry_of(moment.finding), moment.finding
+    finding = moment.finding
+    entry = entry_of(finding.code, finding.device)
     severity = moment.severity or entry.severity
-    # What an error itself advises is said by an entry that knows it, for a technician.
+    # An entry that knows its fault advises better than the error itself.
     steps = [*entry.do] if entry.specific else [finding.advice, *entry.do]
     if severity != "notice":
         steps.append(_then(entry, run, go_on, over=over))
@@ -87,12 +90,12 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         severity,
         entry.title,
         finding.where,
-        finding.told,
+        finding.text,
         entry.means,
         tuple(step for step in steps if step),
         moment.t,
         moment.seq,
-        entry.then == "anew",
+        entry.then == "new run",
         entry.passes,
     )
 
@@ -102,13 +105,13 @@ def _then(entry: Entry, run: str, go_on: str, *, over: bool) -> str:
         case "resume":
             command = f", or `hilcell resume {line(run)}`" if over else ""
             return f"Continue: {go_on}{command}."
-        case "anew":
+        case "new run":
             return "Start a new run: `hilcell run`."
         case _:
             return ""
 
 
-# -- what the journal tells -----------------------------------------------------------------------
+# -- what the journal says ------------------------------------------------------------------------
 
 
 def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
@@ -116,31 +119,45 @@ def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
     for record in session:
         body, t, seq = record.body, record.t, record.seq
         match body["what"]:
-            case "no reading":  # tried again at once; whether that helped is told elsewhere
-                (finding,) = findings_of(f"{body['key']}: {body['reason']}")
-                yield _Moment(finding, t, seq, "notice")
+            case "no reading":  # tried again at once; whether that helped is said elsewhere
+                yield from _moments(body, t, seq, "notice")
             case "safe stop" | "closed" as what:
-                for name, problem in body["problems"].items():
-                    yield _Moment(Finding("Cell", what, _problem(name, problem)), t, seq)
+                for name in body["problems"]:
+                    yield _Moment(_cell(PROBLEMS[what], what, _problem(name, body)), t, seq)
             case "command refused":
                 found = f"{body['command']} is not possible while {body['in']}"
-                yield _Moment(Finding("Cell", "command", found), t, seq)
+                yield _Moment(_cell("HC-C06", "command", found), t, seq)
             case "screen lost" if seq > back:
-                yield _Moment(Finding("Cell", "screen lost", "nobody watches any more"), t, seq)
+                found = "nobody watches any more"
+                yield _Moment(_cell("HC-C08", "screen lost", found), t, seq)
             case "answer refused" | "retake refused" as what:
                 found = ": ".join(str(body[name]) for name in ("key", "reason") if name in body)
-                yield _Moment(Finding("Cell", what, found), t, seq)
+                yield _Moment(_cell(REFUSALS[what], what, found), t, seq)
             case "link" if log.link is not None and not log.link.lost_share < LOSSY:
-                yield _Moment(Finding("Cell", "link", log.link.text), t, seq)
+                yield _Moment(_cell("HC-R12", "link", log.link.text), t, seq)
             case "outlier measured again":
                 found = f"{body['key']} stands out from its neighbours and was measured again"
-                yield _Moment(Finding("Cell", "outlier", found), t, seq)
+                yield _Moment(_cell("HC-V05", "outlier", found), t, seq)
 
 
-def _problem(name: str, problem: str) -> str:
+def _moments(
+    body: dict[str, Any], t: str, seq: int, severity: Severity | None = None
+) -> Iterator[_Moment]:
+    """Yield what the error of a record says."""
+    for finding in findings_of(body):
+        yield _Moment(finding, t, seq, severity)
+
+
+def _cell(code: str, operation: str, found: str, wanted: str = "") -> Finding:
+    return Finding(code, "Cell", operation, found, wanted)
+
+
+def _problem(name: str, body: dict[str, Any]) -> str:
     """Return what a device's error says, with its name once and without its advice."""
-    finding = findings_of(problem)[0]
-    return f"{finding.where or name}: {finding.told}"
+    error = body.get("errors", {}).get(name, {})
+    (finding,) = findings_of({"error": error} if error else {"reason": body["problems"][name]})
+    text = f"{finding.where}: {finding.text}" if finding.where else finding.text
+    return text if text.startswith(f"{name}: ") else f"{name}: {text}"
 
 
 def _strip(log: Log, session: list[Record]) -> Iterator[_Moment]:
@@ -153,12 +170,12 @@ def _strip(log: Log, session: list[Record]) -> Iterator[_Moment]:
         name, tries = str(body["station"]), int(body["tries"])
         if tries > MANY_APPROACHES * rail.max_approaches:
             found = f"{name} held only after {tries} approaches, {rail.max_approaches} are allowed"
-            yield _Moment(Finding("Cell", "strip approaches", found), record.t, record.seq)
+            yield _Moment(_cell("HC-S08", "strip approaches", found), record.t, record.seq)
         apart_mm = float(body["rail_mm"]) - float(body["strip_mm"])
         strayed_mm = apart_mm - first_mm.setdefault(name, apart_mm)
         if not abs(strayed_mm) <= STRAYED * rail.slip_limit_mm:
             found = f"{name}: drive and strip have moved {strayed_mm:+.2f} mm apart"
-            yield _Moment(Finding("Cell", "strip apart", found), record.t, record.seq)
+            yield _Moment(_cell("HC-S09", "strip apart", found), record.t, record.seq)
 
 
 def _temperature(log: Log) -> Iterator[_Moment]:
@@ -168,25 +185,27 @@ def _temperature(log: Log) -> Iterator[_Moment]:
         off_k = point.temperature_c - points[0].temperature_c
         if not abs(off_k) <= DRIFT_LIMIT_K:
             found = f"{point.temperature_c:.1f} C at {point.key}, {off_k:+.1f} K from the start"
-            yield _Moment(Finding("Cell", "temperature", found, f"within {DRIFT_LIMIT_K:.0f} K"))
+            wanted = f"within {DRIFT_LIMIT_K:.0f} K"
+            yield _Moment(_cell("HC-V04", "temperature", found, wanted))
             return
 
 
 def _verdicts(log: Log) -> Iterator[_Moment]:
     for key, record in log.judged.items():
         if not record.body["holds"]:
-            finding = Finding("Cell", f"verdict {key}", _figures(record.body))
+            code = code_of_verdict(key)
+            finding = _cell(code, f"verdict {key}", _figures(record.body))
             yield _Moment(finding, record.t, record.seq)
 
 
 def _figures(body: dict[str, Any]) -> str:
     """Return the numbers of a verdict: ``max_mm`` 0.4 as ``max 0.400 mm``."""
-    told = []
+    figures = []
     for name, value in body.items():
         if isinstance(value, float):
             unit = " mm" if name.endswith("_mm") else ""
-            told.append(f"{name.removesuffix('_mm').replace('_', ' ')} {value:.3f}{unit}")
-    return ", ".join(told)
+            figures.append(f"{name.removesuffix('_mm').replace('_', ' ')} {value:.3f}{unit}")
+    return ", ".join(figures)
 
 
 def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
@@ -195,41 +214,30 @@ def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
     last = log.life[-1] if log.life else None
     body = last.body if last is not None else {}
     t, seq = (last.t, last.seq) if last is not None else ("", 0)
-    told = str(body.get("reason", ""))
+    reason = str(body.get("reason", ""))
     if state == "faulted":
-        broken = any(record.body["what"] == "internal error" for record in session)
-        for finding in _causes(told, body, broken=broken):
-            yield _Moment(finding, t, seq, "fault")
-    elif state == "suspended" and live:
-        for finding in findings_of(told):
-            if finding.device:  # a question that no device's error has raised is no alarm
-                yield _Moment(finding, t, seq)
+        yield from _moments(body, t, seq, "fault")
+    elif state == "suspended" and live and "error" in body:
+        yield from _moments(body, t, seq)
     elif state == "aborted":
-        yield _Moment(Finding("Cell", "stopped", told or "the run was stopped"), t, seq)
+        yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), t, seq)
     elif end is None and not live:
         found = f"the journal ends while the run was {state}, with {len(log.points)} points"
         final = log.newest
         t, seq = (final.t, final.seq) if final is not None else (t, seq)
-        yield _Moment(Finding("Cell", "crash", found), t, seq)
-    yield from _refused(end, told, t, seq)
+        yield _Moment(_cell("HC-J05", "crash", found), t, seq)
+    yield from _refused(end, reason, t, seq)
 
 
 def _lost(log: Log) -> Iterator[_Moment]:
     """Yield that the calibration's file is not there, where the run has ended with one."""
     if log.calibrates:
         final = log.life[-1]
-        yield _Moment(Finding("Cell", "calibration", "it has no file"), final.t, final.seq)
+        finding = _cell("HC-J11", "calibration", "it has no file")
+        yield _Moment(finding, final.t, final.seq)
 
 
-def _causes(reason: str, body: dict[str, Any], *, broken: bool) -> list[Finding]:
-    if broken:
-        return [Finding("Cell", "internal error", reason)]
-    return findings_of(reason, body)
-
-
-def _refused(end: dict[str, Any] | None, told: str, t: str, seq: int) -> Iterator[_Moment]:
-    """Yield why a session did not begin, where its end alone tells."""
-    reason = str(end.get("reason", "")) if end is not None else ""
-    if end is not None and reason != told and end["exit"] in REFUSED_EXITS:
-        for finding in findings_of(reason):
-            yield _Moment(finding, t, seq, "fault")
+def _refused(end: dict[str, Any] | None, known: str, t: str, seq: int) -> Iterator[_Moment]:
+    """Yield why a session did not begin, where its end alone says so."""
+    if end is not None and end.get("reason", "") != known and end["exit"] in REFUSED_EXITS:
+        yield from _moments(end, t, seq, "fault")

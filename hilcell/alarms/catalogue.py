@@ -1,39 +1,31 @@
-"""The catalogue: what each fault means to a technician, and what he does about it.
+"""The catalogue: what each code means to a technician, and what to do about it.
 
-The entries stand in TOML beside this module, one file a kind. A finding belongs to the
-first entry whose ``when`` fits it, so the one that takes everything is the last of its kind.
+Entries are TOML files in packages: this one has those of the core; the entry points
+``hilcell.alarms`` name the packages beside the code of drivers and procedures. An error says its
+code itself, so nothing here has to recognise it.
 """
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
-from hilcell.alarms.finding import Finding
+from hilcell.errors import HilcellError
 
 Severity = Literal["notice", "warning", "fault"]
 SEVERITIES: tuple[Severity, ...] = ("notice", "warning", "fault")
-FILES = ("strip", "rail", "robot", "tracker", "verdict", "journal", "cell")
-REST = "99"  # the end of the codes that take what no other entry takes
+GROUP = "hilcell.alarms"
+# By device, for errors whose code no catalogue has: their own words and advice are shown.
+UNKNOWN = {"Rail": "HC-R99", "Robot": "HC-B99", "Tracker": "HC-T99", "": "HC-C99"}
+UNKNOWN_VERDICT = "HC-V99"
 
 
-@dataclass(frozen=True, slots=True)
-class When:
-    """What fits: a device by name ("" for none, "*" for any), the others by regular expressions."""
+class CatalogueError(HilcellError):
+    """A package's catalogue cannot be read, or has a code that another one has."""
 
-    device: str = ""
-    operation: str = ""
-    found: str = ""
-
-    def fits(self, finding: Finding) -> bool:
-        """Whether ``finding`` is one of these."""
-        return (
-            self.device in (finding.device, "*")
-            and re.search(self.operation, finding.operation) is not None
-            and re.search(self.found, finding.found) is not None
-        )
+    code = "HC-C11"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,31 +36,59 @@ class Entry:
     title: str
     means: str
     do: tuple[str, ...]
-    when: tuple[When, ...]
     severity: Severity = "fault"
-    then: Literal["resume", "anew", "nothing"] = "resume"
+    then: Literal["resume", "new run", "nothing"] = "resume"
     passes: bool = False  # it tells how something stands, and goes when that is put right
+    verdict: str = ""  # the verdict that raises it where it does not hold
 
     @property
     def specific(self) -> bool:
-        """Whether this entry knows its fault, and does not just take the rest."""
-        return not self.code.endswith(REST)
+        """Whether this entry knows its fault."""
+        return self.code not in (*UNKNOWN.values(), UNKNOWN_VERDICT)
 
 
 @cache
-def catalogue() -> tuple[Entry, ...]:
-    """Return all entries, in the order in which they are asked."""
+def catalogue() -> Mapping[str, Entry]:
+    """Return all entries by their codes; raises `CatalogueError`."""
+    entries: dict[str, Entry] = {}
+    for package in packages():
+        for entry in entries_of(package):
+            if entry.code in entries:
+                raise CatalogueError(f"alarms of {package}: {entry.code} is there already")
+            entries[entry.code] = entry
+    return entries
+
+
+def packages() -> list[str]:
+    """Return the names of the packages that have entries."""
+    from importlib.metadata import entry_points
+
+    return ["hilcell.alarms", *sorted({point.module for point in entry_points(group=GROUP)})]
+
+
+def entries_of(package: str) -> list[Entry]:
+    """Return the entries of one package; raises `CatalogueError`."""
     import tomllib  # here and not above: the screen shows itself before it shows alarms
     from importlib import resources
 
     import msgspec
 
-    folder = resources.files(__package__)
-    pages = (tomllib.loads((folder / f"{name}.toml").read_text("utf-8")) for name in FILES)
-    rows = [row for page in pages for row in page["alarm"]]
-    return tuple(msgspec.convert(rows, list[Entry]))
+    try:
+        files = (each for each in resources.files(package).iterdir() if each.name.endswith(".toml"))
+        pages = [tomllib.loads(file.read_text("utf-8")) for file in files]
+        return [msgspec.convert(row, Entry) for page in pages for row in page["alarm"]]
+    except (ImportError, OSError, ValueError, KeyError) as error:
+        raise CatalogueError(f"alarms of {package} cannot be read: {error}") from error
 
 
-def entry_of(finding: Finding) -> Entry:
-    """Return the entry that a finding belongs to; the last one takes everything."""
-    return next(entry for entry in catalogue() if any(when.fits(finding) for when in entry.when))
+def entry_of(code: str, device: str = "") -> Entry:
+    """Return the entry of a code; of one that no catalogue has, the device's general one."""
+    entries = catalogue()
+    return entries.get(code) or entries[UNKNOWN.get(device, UNKNOWN[""])]
+
+
+def code_of_verdict(name: str) -> str:
+    """Return the code that a verdict raises: by its name, or by the part before its first dot."""
+    kind = name.partition(".")[0]
+    found = (entry.code for entry in catalogue().values() if entry.verdict == kind)
+    return next(found, UNKNOWN_VERDICT)

@@ -17,18 +17,18 @@ CHAPTERS = {
 }
 THEN = {
     "resume": "Continue: space, or `hilcell resume RUN`.",
-    "anew": "Start a new run: `hilcell run`.",
+    "new run": "Start a new run: `hilcell run`.",
     "nothing": "The run needs nothing to go on.",
 }
 HEAD = """# Alarms
 
 Every alarm of hilcell: its code, what it means, what to do. This page is written from the
-catalogue in `hilcell/alarms/` by `python -m hilcell.alarms.page`.
+catalogues of hilcell, its drivers and its procedures by `python -m hilcell.alarms.page`.
 
 A **fault** has stopped the run; devices are stopped, measured points are kept. A **warning** asks
 for somebody: the run waits, or its result is in doubt. A **notice** is worth knowing. A warning
 that nobody can answer, because the run is unattended, ends it as a fault; what a repetition has
-healed is told as a notice.
+healed is shown as a notice. `hilcell explain CODE` prints one entry.
 
 On the screen an alarm also says where it was found, what was read and what was wanted. Where this
 list does not know a fault (codes that end in 99), the first step there is what the failing
@@ -40,7 +40,7 @@ def page() -> str:
     """Return the page as Markdown."""
     parts = [HEAD]
     for letter, title in CHAPTERS.items():
-        entries = [entry for entry in catalogue() if entry.code.startswith(f"HC-{letter}")]
+        entries = [entry for entry in catalogue().values() if entry.code.startswith(f"HC-{letter}")]
         parts += [f"## {title}\n", *map(_section, sorted(entries, key=lambda each: each.code))]
     return "\n".join(parts)
 

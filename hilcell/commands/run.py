@@ -50,7 +50,9 @@ def run(args: argparse.Namespace) -> int:
     """Perform a procedure on a cell."""
     cell = load_cell(args.cell, dict(args.set))
     if args.speed is not None and cell.simulation is None:
-        raise HilcellError(f"--speed is for simulated cells; cell {cell.name} is real")
+        raise HilcellError(
+            f"--speed is for simulated cells; cell {cell.name} is real", code="HC-C12"
+        )
     _check_machine_seed(cell, args)
     check_attended(cell, unattended=args.unattended)
     if warning := check_copied(args.cell, cell):
@@ -65,7 +67,9 @@ def run(args: argparse.Namespace) -> int:
     folder: Path = args.runs / name
     with locked(lock_of_name(args.runs, cell.name), f"cell {cell.name}", name):
         if is_run(folder):
-            raise HilcellError(f"run {name} exists already in {args.runs}; choose another --name")
+            raise HilcellError(
+                f"run {name} exists already in {args.runs}; choose another --name", code="HC-J09"
+            )
         make_folder(folder)
         journal = Journal(folder / JOURNAL, name, create=True)
         log = Log()
@@ -88,7 +92,9 @@ def resume(args: argparse.Namespace) -> int:
     written = not log.calibrates or (folder / CALIBRATION).is_file()
     over = log.states["run"] == "finished" and log.end is not None and written
     if over and not (anew or log.retakes):
-        raise HilcellError(f"run {folder.name} is finished; start a new one with `hilcell run`")
+        raise HilcellError(
+            f"run {folder.name} is finished; start a new one with `hilcell run`", code="HC-J09"
+        )
     check_attended(cell, unattended=args.unattended)
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     with locked(lock_of_name(folder.parent, cell.name), f"cell {cell.name}", folder.name):
@@ -110,11 +116,14 @@ def _check_machine_seed(cell: Cell, args: argparse.Namespace) -> None:
     if args.machine_seed is None:
         return
     if cell.simulation is None:
-        raise HilcellError(f"--machine-seed is for simulated cells; cell {cell.name} is real")
+        raise HilcellError(
+            f"--machine-seed is for simulated cells; cell {cell.name} is real", code="HC-C12"
+        )
     if cell.simulation.address:
         raise HilcellError(
             f"--machine-seed: the simulated cell at {cell.simulation.address} runs already; "
-            "give the seed to its `hilcell sim`"
+            "give the seed to its `hilcell sim`",
+            code="HC-C17",
         )
 
 
@@ -123,7 +132,8 @@ def check_attended(cell: Cell, *, unattended: bool) -> None:
     if unattended and cell.layout.by_hand:
         raise HilcellError(
             f"cell {cell.name}: layout.reflectors is by_hand: somebody must be there to carry the "
-            "reflector; leave out --unattended, or mount reflectors in all nests"
+            "reflector; leave out --unattended, or mount reflectors in all nests",
+            code="HC-C16",
         )
 
 
@@ -201,6 +211,7 @@ def _run(
     except (HilcellError, Stopped) as error:
         code, state = exit_code(error), log.states["run"]
         body = {"state": state, "exit": code, "result": {}, "reason": str(error)}
+        body["error"] = error.facts()
         try:
             journal.append("end", "", body)
         except StorageError as unwritten:  # a disk that takes no engine takes no end either

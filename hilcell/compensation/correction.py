@@ -23,6 +23,8 @@ NEGLIGIBLE_MM = 1e-3
 class CorrectionError(HilcellError):
     """An error map that changes too fast to be inverted."""
 
+    code = "HC-C21"
+
 
 def corrected(
     grid: Grid,

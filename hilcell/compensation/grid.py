@@ -23,6 +23,8 @@ Ints = NDArray[np.int_]
 class GridError(HilcellError):
     """A lattice, or errors on it, that cannot be used."""
 
+    code = "HC-C21"
+
 
 class OutsideGrid(GridError):
     """Targets outside the measured volume."""

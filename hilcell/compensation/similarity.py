@@ -20,6 +20,8 @@ from hilcell.ports import HilcellError
 class SimilarityError(HilcellError):
     """Poses or bins of which no similarity can be stated."""
 
+    code = "HC-C21"
+
 
 def similarity(first_mm: ArrayLike, second_mm: ArrayLike) -> Array:
     """Return eq 8's similarity (...) in 1/mm of errors (..., 3); infinite where they are equal."""

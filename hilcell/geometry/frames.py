@@ -26,6 +26,8 @@ CONVERGED = 1e-13
 class FrameError(HilcellError):
     """Points that define no frame, or not the frame that they should."""
 
+    code = "HC-C20"
+
 
 @dataclass(frozen=True, slots=True)
 class RigidFit:

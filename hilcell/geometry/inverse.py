@@ -31,6 +31,8 @@ NAMED = 3  # poses that one message names
 class ReachError(HilcellError):
     """Poses that the arm cannot take, or an arm that this inverse does not cover."""
 
+    code = "HC-C10"
+
 
 def inverse_kinematics(arm: Arm, poses: ArrayLike, status: int) -> Array:
     """Return joints (..., 6), each within -pi..pi, for {T} in {B} (..., 4, 4) by ``status``.

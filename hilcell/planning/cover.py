@@ -13,6 +13,8 @@ from hilcell.ports import HilcellError
 class CoverError(HilcellError):
     """Holes that no set of stations covers."""
 
+    code = "HC-C10"
+
 
 def fewest(ok: NDArray[np.bool_], burden: Array) -> NDArray[np.int_]:
     """Return the columns of ``ok`` (N, S), a least number of them, that reach every row.

@@ -52,6 +52,8 @@ def cut_bound(distance: Array, order: Ints, enough_mm: float) -> float:
 class CutError(HilcellError):
     """A linear program that the solver gave up."""
 
+    code = "HC-C10"
+
 
 class _Program:
     """Shares of edges between holes and a hub, the last node, at distance 0 from each."""

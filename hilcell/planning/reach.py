@@ -27,6 +27,8 @@ Ints = NDArray[np.int_]
 class UnreachableHoles(HilcellError):
     """Holes that no candidate station can serve."""
 
+    code = "HC-C10"
+
 
 @dataclass(frozen=True, slots=True)
 class Reach:

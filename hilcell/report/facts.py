@@ -63,7 +63,10 @@ def read_facts(folder: Path) -> Facts:
     records = read_journal(folder / JOURNAL)
     log, run = Log(records), encodable(folder.resolve().name)
     if log.plan is None:
-        raise HilcellError(f"run {run}: its journal holds no plan yet; there is nothing to report")
+        raise HilcellError(
+            f"run {run}: its journal holds no plan yet; there is nothing to report",
+            code="HC-J06",
+        )
     procedure: Procedure = load_entry("procedures", log.plan.procedure)
     result = _result(run, procedure, log)
     return Facts(run, records, log, log.cell, procedure, result, fingerprint_of(records))
@@ -78,7 +81,8 @@ def _result(run: str, procedure: Procedure, log: Log) -> dict[str, Any]:
         wrote = log.inputs.versions.get("hilcell", "unknown")
         raise HilcellError(
             f"run {run}: its journal, of hilcell {wrote}, lacks {error} that this version's "
-            f"{procedure.name} needs for its result; open it with the version that wrote it"
+            f"{procedure.name} needs for its result; open it with the version that wrote it",
+            code="HC-J03",
         ) from error
 
 

@@ -62,7 +62,7 @@ class Bench:
         log: Log,
         *,
         checkpoint: Callable[[], None],
-        ask: Callable[[Prompt, Callable[[], Look]], Look],
+        ask: Callable[[Prompt, Callable[[], Look], NoReading | None], Look],
     ) -> None:
         self.cell, self.devices, self.clock = cell, devices, clock
         self.log, self.frames = log, Frames(cell, log)
@@ -369,7 +369,7 @@ class Bench:
         check_held(self.cell, rail, self._held, f"seat the reflector at {place}")
         near_mm, limit_mm = self._expected(place, nominal_mm, rail.strip_mm)
         prompt = seat_prompt(self.cell, place, self.log.seated, near_mm, limit_mm)
-        seen = self._ask(prompt, lambda: self._look(f"look at {place}", near_mm))
+        seen = self._ask(prompt, lambda: self._look(f"look at {place}", near_mm), None)
         self.event("seated", place=place, xyz_mm=seen.xyz_mm, strip_mm=rail.strip_mm)
 
     def _expected(self, place: str, nominal_mm: Array, strip_mm: float) -> tuple[Array, float]:
@@ -405,11 +405,12 @@ class Bench:
                 try:
                     return self._reading(key, near_mm, samples)
                 except NoReading as error:
-                    self.event("no reading", key=key, tries=tries, reason=str(error))
-                    reason = error.told
+                    cause, reason = error.of_point(key), error.summary
+                    facts = cause.facts()
+                    self.event("no reading", key=key, tries=tries, reason=str(error), error=facts)
             limit_mm = self.cell.tracker.find_radius_mm
             prompt = beam_prompt(self.cell, key, place, near_mm, limit_mm, reason)
-            self._ask(prompt, lambda: self._look(key, near_mm))
+            self._ask(prompt, lambda: self._look(key, near_mm), cause)
 
     def _reading(self, key: str, near_mm: Array, samples: int) -> TrackerReading:
         """Return one measurement; raises `NoReading`."""
@@ -423,7 +424,7 @@ class Bench:
         try:
             reading = self._reading(key, near_mm, 1)
         except DeviceError as error:
-            return Look(None, error.told, time.monotonic())
+            return Look(None, error.summary, time.monotonic())
         x, y, z = (float(value) for value in reading.xyz_mm)
         off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
         return Look(off_mm, "", reading.taken_s, (x, y, z))
@@ -435,12 +436,14 @@ class Bench:
         off_mm = float(np.linalg.norm(found_mm - expected_mm))
         if not off_mm <= limit_mm:
             raise DeviceError(
+                "HC-T17",
                 "Tracker",
                 f"measure {key}",
                 f"reflector {off_mm:.2f} mm from its expected place",
                 wanted=f"<= {limit_mm:.1f} mm",
                 act="another reflector was caught, tool, base or tracker moved, or an axis lost "
                 "its zero; check, resume",
+                fields={"point": key, "off_mm": off_mm, "limit_mm": limit_mm},
             )
 
     def _keep(
@@ -471,8 +474,10 @@ class Bench:
 def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:
     if not reading.taken_s >= began_s:
         raise DeviceError(
+            "HC-T31",
             "Tracker",
             f"measure {key}",
             f"result is {began_s - reading.taken_s:.3f} s older than its request",
             act="an answer of an earlier measurement was still under way; resume",
+            fields={"point": key, "late_s": began_s - reading.taken_s},
         )

@@ -119,7 +119,8 @@ def _say_where(file: Path, where: EngineFile) -> None:
     except NotWritten as error:
         raise StorageError(
             f"the engine could not say where it listens: {error}; make room or mend the disk, "
-            f"then `hilcell resume {file.parent.name}`"
+            f"then `hilcell resume {file.parent.name}`",
+            code="HC-J01",
         ) from error
 
 
@@ -251,7 +252,10 @@ def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
     """
     engine = live_engine(folder)
     if engine is None:
-        raise HilcellError(f"run {folder.name}: {_missing(folder)}")
+        raise HilcellError(
+            f"run {folder.name}: {_missing(folder)}",
+            code="HC-J08",
+        )
     words = {"command": command} | in_time(command, ANSWER_S) | facts
     with socket.socket(socket.AF_UNIX) as link:
         link.settimeout(ANSWER_S)
@@ -263,10 +267,14 @@ def send_command(folder: Path, command: str, **facts: str) -> dict[str, object]:
             raise HilcellError(
                 f"run {folder.name}: {command}: its engine, process {engine.pid}, has not answered"
                 f" within {ANSWER_S:.0f} s ({error}): it stands still, or the machine has too much"
-                " to do; where anything moves use the E-stop"
+                " to do; where anything moves use the E-stop",
+                code="HC-J08",
             ) from error
     if not answer:
-        raise HilcellError(f"run {folder.name}: the engine has just ended; `hilcell show` tells")
+        raise HilcellError(
+            f"run {folder.name}: the engine has just ended; `hilcell show` tells",
+            code="HC-J08",
+        )
     return msgspec.json.decode(answer, type=dict[str, object])
 
 

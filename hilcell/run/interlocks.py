@@ -26,6 +26,11 @@ RAIL_BLOCKED, ROBOT_BLOCKED, MEASURE_BLOCKED = (
 )
 
 
+# By device: a reading that is too old, and a motion where there should be none.
+TOO_OLD = {"Rail": "HC-R40", "Robot": "HC-B30"}
+MOVES = {"Rail": "HC-R41", "Robot": "HC-B31"}
+
+
 class Blocked(DeviceError):
     """An interlock forbids the motion or the measurement."""
 
@@ -35,11 +40,13 @@ def check_age(device: str, operation: str, taken_s: float, now_s: float, limit_s
     age_s = now_s - taken_s
     if not -0.001 <= age_s <= limit_s:
         raise Blocked(
+            TOO_OLD[device],
             device,
             operation,
             f"reading is {age_s * 1000:.0f} ms old",
             wanted=f"<= {limit_s * 1000:.0f} ms",
             act="the link is slow or stalled; check it",
+            fields={"age_s": age_s, "limit_s": limit_s},
         )
 
 
@@ -53,17 +60,27 @@ def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
     """Refuse a robot that moves or is not at its safe pose."""
     if not robot.still:
         raise Blocked(
-            "Robot", RAIL_BLOCKED, "the robot is moving", wanted="at rest at its safe pose"
+            "HC-B31",
+            "Robot",
+            RAIL_BLOCKED,
+            "the robot is moving",
+            wanted="at rest at its safe pose",
         )
     off_deg = np.abs(np.degrees(robot.joints_rad) - cell.robot.safe_deg)
     if not bool(np.all(off_deg <= SAFE_POSE_TOLERANCE_DEG)):
         worst = int(np.argmax(np.nan_to_num(off_deg, nan=np.inf)))
         raise Blocked(
+            "HC-B32",
             "Robot",
             RAIL_BLOCKED,
             f"robot not at safe pose, A{worst + 1} {np.degrees(robot.joints_rad[worst]):.3f} deg",
             wanted=f"{cell.robot.safe_deg[worst]:.3f} +-{SAFE_POSE_TOLERANCE_DEG} deg",
             act="move the robot to its safe pose",
+            fields={
+                "axis": worst + 1,
+                "angle_deg": np.degrees(robot.joints_rad[worst]),
+                "wanted_deg": cell.robot.safe_deg[worst],
+            },
         )
 
 
@@ -78,10 +95,17 @@ def check_held(cell: Cell, rail: RailReading, station: Station | None, operation
     readings = (rail.position_mm, rail.strip_mm, rail.velocity_mm_s)
     if not (rail.still and all(map(math.isfinite, readings))):
         raise Blocked(
-            "Rail", operation, f"slide moves at {rail.velocity_mm_s:.3f} mm/s", wanted="at rest"
+            "HC-R41",
+            "Rail",
+            operation,
+            f"slide moves at {rail.velocity_mm_s:.3f} mm/s",
+            wanted="at rest",
+            fields={"speed_mm_s": rail.velocity_mm_s},
         )
     if rail.powered:
-        raise Blocked("Rail", operation, "the drive has power to move", wanted="held by the brake")
+        raise Blocked(
+            "HC-R42", "Rail", operation, "the drive has power to move", wanted="held by the brake"
+        )
     if station is not None:
         check_strip(cell, rail, station, operation)
 
@@ -93,11 +117,18 @@ def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str)
     limit_mm = 2.0 * cell.rail.strip_tolerance_mm + 1e-9
     if not abs(rail.strip_mm - station.strip_mm) <= limit_mm:
         raise Blocked(
+            "HC-S05",
             "Rail",
             operation,
             f"station {station.name} not held: strip {rail.strip_mm:.2f} mm",
             wanted=f"{station.strip_mm:.2f} +-{limit_mm:.2f} mm",
             act="the slide has moved; resume to approach the station again",
+            fields={
+                "station": station.name,
+                "strip_mm": rail.strip_mm,
+                "wanted_mm": station.strip_mm,
+                "limit_mm": limit_mm,
+            },
         )
 
 
@@ -108,11 +139,13 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
     if not bool(np.all(inside)):
         axis = int(np.argmin(inside))
         raise Blocked(
+            "HC-B33",
             "Robot",
             what,
             f"A{axis + 1} {np.degrees(joints_rad[axis]):.2f} deg",
             wanted=f"{np.degrees(low[axis]):.1f} .. {np.degrees(high[axis]):.1f} deg",
             act="move the target or choose another status",
+            fields={"axis": axis + 1, "angle_deg": np.degrees(joints_rad[axis])},
         )
 
 
@@ -145,7 +178,9 @@ def overview(cell: Cell, sight: Sight) -> list[dict[str, str]]:
         held(MEASURE_BLOCKED)
         _check_known("Robot", MEASURE_BLOCKED, sight.robot, sight.robot_moves, sight.now_s)
         if sight.robot is not None and not sight.robot.still:
-            raise Blocked("Robot", MEASURE_BLOCKED, "the robot is moving", wanted="at rest")
+            raise Blocked(
+                "HC-B31", "Robot", MEASURE_BLOCKED, "the robot is moving", wanted="at rest"
+            )
 
     return [
         {"name": "rail move", "blocked": _reason(parked)},
@@ -162,12 +197,20 @@ def _check_known(
     now_s: float,
 ) -> None:
     if moves:
-        raise Blocked(device, operation, f"the {device.lower()} is moving", wanted="at rest")
+        raise Blocked(
+            MOVES[device], device, operation, f"the {device.lower()} is moving", wanted="at rest"
+        )
     if reading is None:
-        raise Blocked(device, operation, f"the {device.lower()} was not read yet")
+        raise Blocked(TOO_OLD[device], device, operation, f"the {device.lower()} was not read yet")
     age_s = now_s - reading.taken_s
-    if not -0.001 <= age_s <= OVERVIEW_AGE_S:  # it is read anew before anything moves
-        raise Blocked(device, operation, f"the {device.lower()} was last read {age_s:.0f} s ago")
+    if not -0.001 <= age_s <= OVERVIEW_AGE_S:  # it is read again before anything moves
+        raise Blocked(
+            TOO_OLD[device],
+            device,
+            operation,
+            f"the {device.lower()} was last read {age_s:.0f} s ago",
+            fields={"age_s": age_s},
+        )
 
 
 def _reason(check: Callable[[], None]) -> str:

@@ -45,9 +45,13 @@ BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
 class StorageError(HilcellError):
     """The journal cannot be written or read."""
 
+    code = "HC-J04"
+
 
 class NotFinite(HilcellError):
     """A record holds a NaN or an infinity, which JSON cannot state; nothing was written."""
+
+    code = "HC-J12"
 
 
 class Record(msgspec.Struct, frozen=True):
@@ -126,7 +130,8 @@ class Journal:
             except sqlite3.Error as error:
                 raise StorageError(
                     f"journal {self.path}: record {record.seq} could not be stored: {error}; "
-                    f"make room or mend the disk, then `hilcell resume {self.run}`"
+                    f"make room or mend the disk, then `hilcell resume {self.run}`",
+                    code="HC-J01",
                 ) from error
             self._seq, self._hash = record.seq, digest
             for listener in self._listeners:
@@ -138,7 +143,8 @@ class Journal:
         if _place(self.path) != self._place:
             raise StorageError(
                 f"journal {self.path}: the file was taken away or replaced while run {self.run} "
-                f"wrote it; put it back, then `hilcell resume {self.run}`"
+                f"wrote it; put it back, then `hilcell resume {self.run}`",
+                code="HC-J10",
             )
 
     def close(self) -> None:
@@ -229,7 +235,8 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
         if found != str(SCHEMA):
             raise StorageError(
                 f"journal {path}: schema {found!r}, this hilcell reads {SCHEMA}; "
-                "open it with the version that wrote it"
+                "open it with the version that wrote it",
+                code="HC-J03",
             )
         first = base.execute("SELECT hash FROM record WHERE seq = ?", (after,)).fetchone()
         before = first[0] if first else b""
@@ -240,8 +247,12 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
             if seq != wanted or before != stored:
                 raise StorageError(
                     f"journal {path}: record {seq} is not the one that was written; "
-                    "the file was changed or damaged, and its results cannot be trusted"
+                    "the file was changed or damaged, and its results cannot be trusted",
+                    code="HC-J02",
                 )
             yield record, stored
     except (sqlite3.DatabaseError, msgspec.DecodeError) as error:
-        raise StorageError(f"journal {path}: damaged or not a journal: {error}") from error
+        raise StorageError(
+            f"journal {path}: damaged or not a journal: {error}",
+            code="HC-J02",
+        ) from error

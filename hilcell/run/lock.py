@@ -21,6 +21,8 @@ from hilcell.run.journal import StorageError
 class CellLocked(HilcellError):
     """Another run holds the cell."""
 
+    code = "HC-C04"
+
 
 def lock_of_name(runs: Path, cell: str) -> Path:
     """Return the lock of a cell's name among the runs of one folder."""

@@ -196,7 +196,10 @@ class Log:
     def inputs(self) -> PlanRecord:
         """Return the frozen inputs; a run writes them first."""
         if self.plan is None:
-            raise StorageError("the journal holds no plan: the run died before its first record")
+            raise StorageError(
+                "the journal holds no plan: the run died before its first record",
+                code="HC-J06",
+            )
         return self.plan
 
     def group(self, name: str, station: str = "") -> list[Point]:

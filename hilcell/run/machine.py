@@ -18,6 +18,8 @@ from hilcell.ports import HilcellError
 class TransitionRefused(HilcellError):
     """A trigger that the machine's table does not allow in this state."""
 
+    code = "HC-C06"
+
 
 @dataclass(frozen=True, slots=True)
 class Table:

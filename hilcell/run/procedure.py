@@ -89,7 +89,10 @@ class Procedure:
             except HilcellError as error:
                 refusals.append(f"{part.name}: {error}")
         if refusals:
-            raise HilcellError(f"{self.name} refused before anything moves\n" + "\n".join(refusals))
+            raise HilcellError(
+                f"{self.name} refused before anything moves\n" + "\n".join(refusals),
+                code="HC-C10",
+            )
         return Plan(steps)
 
     def perform(self, bench: Bench) -> None:

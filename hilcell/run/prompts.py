@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import msgspec
 
+from hilcell.errors import DeviceError, NoReading
+
 LOOK_S = 0.5
 NOTHING_ASKED = "nothing is asked now"
 
@@ -123,4 +125,19 @@ def refusal(prompt: Prompt, look: Look) -> str:
     return (
         f"the tracker sees a reflector {look.seen_mm:.2f} mm from {prompt.place}, "
         f"wanted <= {prompt.limit_mm:.1f} mm"
+    )
+
+
+def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
+    """Return the fault of a run that asks while nobody is there to answer."""
+    if cause is None:
+        return DeviceError("HC-C16", "Tracker", "measure", prompt.reason, act="run it attended")
+    return DeviceError(
+        cause.code,
+        cause.device,
+        cause.operation,
+        cause.found,
+        wanted=cause.wanted,
+        act="clear the beam or seat the reflector, resume",
+        fields=cause.fields,
     )

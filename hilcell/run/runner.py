@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 
 from hilcell.cell import Cell
 from hilcell.devices import Devices, connect_all
+from hilcell.errors import facts_of
 from hilcell.exits import (
     EXIT_FAULT,
     EXIT_OK,
@@ -27,7 +28,7 @@ from hilcell.exits import (
     EXIT_STORAGE,
     exit_code,
 )
-from hilcell.ports import Clock, DeviceError, HilcellError, Identity, Stopped
+from hilcell.ports import Clock, DeviceError, HilcellError, Identity, NoReading, Stopped
 from hilcell.run.bench import Bench
 from hilcell.run.gate import REST_S, Gate
 from hilcell.run.interlocks import Sight, overview
@@ -37,13 +38,14 @@ from hilcell.run.lock import lock_of_device, locked
 from hilcell.run.log import Log
 from hilcell.run.machine import RUN, StateMachine
 from hilcell.run.procedure import Procedure
-from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal
+from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
 from hilcell.run.retake import retake_refusal
 from hilcell.run.signals import signals_as_commands
-from hilcell.run.stopping import SafeStop, close_all
+from hilcell.run.stopping import SafeStop, close_all, facts_of_problems
 
 SIGNAL_S = 0.05
 ENDED = "the run has ended"
+PARTS = ("device", "operation", "found", "wanted", "act")  # of a fault, for readers of schema 1
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
 SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
 
@@ -59,9 +61,10 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """The worker asks the operator, and waits."""
+    """The worker asks the operator, and waits; ``cause`` where an error made it ask."""
 
     prompt: Prompt
+    cause: NoReading | None
 
 
 Message = str | Ended | Asked
@@ -271,21 +274,16 @@ class Runner:
         if self._aborting:
             raise Stopped("aborted by the operator")
 
-    def _ask(self, prompt: Prompt, look: Callable[[], Look]) -> Look:
+    def _ask(self, prompt: Prompt, look: Callable[[], Look], cause: NoReading | None) -> Look:
         """Suspend the run until the operator's answer is proven; return the look that proves it.
 
         Unattended it is a fault.
         """
         if self._unattended:
-            raise DeviceError(
-                "Tracker",
-                "measure",
-                prompt.reason,
-                act="clear the beam or seat the reflector, resume",
-            )
+            raise unanswered(prompt, cause) from cause
         self._proven.clear()
         self._asking.open(prompt)
-        self._messages.put(Asked(prompt))
+        self._messages.put(Asked(prompt, cause))
         looked_s = -LOOK_S
         while True:
             self._at_rest()
@@ -332,9 +330,13 @@ class Runner:
                 case "stop":
                     return self._stop_worker(worker)
                 case Asked():
-                    self._life.fire("suspend", reason=message.prompt.reason, prompt=message.prompt)
+                    self._suspend(message)
                 case _:
                     self._obey(message)
+
+    def _suspend(self, asked: Asked) -> None:
+        error = {} if asked.cause is None else {"error": asked.cause.facts()}
+        self._life.fire("suspend", reason=asked.prompt.reason, prompt=asked.prompt, **error)
 
     def _next(self) -> Message:
         """Wait for a message.
@@ -424,7 +426,11 @@ class Runner:
         worker.join(WORKER_S)
         if worker.is_alive():
             return DeviceError(
-                "Cell", "stop", f"a device call hangs {WORKER_S:.0f} s after the stop"
+                "HC-C01",
+                "Cell",
+                "stop",
+                f"a device call hangs {WORKER_S:.0f} s after the stop",
+                fields={"waited_s": WORKER_S},
             )
         return Stopped("stopped by the operator")
 
@@ -449,7 +455,7 @@ class Runner:
         if code == EXIT_REFUSED and self.log.moved:
             code = EXIT_FAULT  # "refused" is said only before anything moved
         body = {"state": self._life.state, "exit": code, "result": {}, "reason": str(error)}
-        self._journal.append("end", "", body)
+        self._journal.append("end", "", body | {"error": facts_of(error)})
         return code
 
     def _finish(self) -> int:
@@ -462,22 +468,17 @@ class Runner:
         if isinstance(error, Stopped):
             self._life.fire("abort")
             return
-        self._life.fire("fault", reason=str(error), **facts_of(error))
+        parts = {name: str(getattr(error, name, "")) for name in PARTS}
+        self._life.fire("fault", reason=str(error), **parts, error=facts_of(error))
         if not isinstance(error, HilcellError):
             trace = "".join(traceback.format_exception(error))
             self._journal.append("event", "", {"what": "internal error", "trace": trace})
 
-    def _note(self, what: str, problems: dict[str, str]) -> None:
+    def _note(self, what: str, problems: dict[str, Exception]) -> None:
         try:
-            self._journal.append("event", "", {"what": what, "problems": problems})
+            self._journal.append("event", "", {"what": what} | facts_of_problems(problems))
         except StorageError as error:
             self._fault = self._fault or error
-
-
-def facts_of(error: Exception) -> dict[str, str]:
-    """Return the fields of a device's error, empty for any other."""
-    names = ("device", "operation", "found", "wanted", "act")
-    return {name: str(getattr(error, name, "")) for name in names}
 
 
 def finish(procedure: Procedure, journal: Journal, log: Log) -> int:

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from hilcell.devices import Devices
+from hilcell.errors import HilcellError, facts_of
 
 STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
 CLOSE_S = 10.0
@@ -30,16 +31,25 @@ class SafeStop:
         self._go.set()
         self._acts.help()
 
-    def wait(self) -> dict[str, str]:
+    def wait(self) -> dict[str, Exception]:
         """Stop, wait until all frames are on their wires, and return the problems by device."""
         self._go.set()
         return self._acts.wait(STOP_S)
 
 
-def close_all(devices: Devices) -> dict[str, str]:
+def close_all(devices: Devices) -> dict[str, Exception]:
     """Close all devices at once, in bounded time; return the problems by device."""
     closes = {name: device.close for name, device in devices.named().items()}
     return Acts(closes).wait(CLOSE_S)
+
+
+def facts_of_problems(problems: Mapping[str, Exception]) -> dict[str, object]:
+    """Return what the journal keeps of problems by device: their words, and their facts."""
+    words: dict[str, object] = {
+        "problems": {name: str(error) for name, error in problems.items()},
+    }
+    errors = {name: facts_of(error) for name, error in problems.items()}
+    return words | ({"errors": errors} if errors else {})
 
 
 class Acts:
@@ -50,7 +60,7 @@ class Acts:
     ) -> None:
         self._go = go
         self._waiting = deque(acts.items())
-        self._problems: dict[str, str] = {}
+        self._problems: dict[str, Exception] = {}
         self._done = {name: threading.Event() for name in acts}
         for name in acts:
             threading.Thread(target=self._work, name=f"act {name}", daemon=True).start()
@@ -65,16 +75,16 @@ class Acts:
             try:
                 act()
             except Exception as error:  # noqa: BLE001 - one device's failure must not keep the others
-                self._problems[name] = str(error)
+                self._problems[name] = error
             self._done[name].set()
 
-    def wait(self, limit_s: float) -> dict[str, str]:
+    def wait(self, limit_s: float) -> dict[str, Exception]:
         """Return the problems by name, among them the acts that take longer than ``limit_s``."""
         deadline_s = time.monotonic() + limit_s
-        late = {}
+        late: dict[str, Exception] = {}
         for name, done in self._done.items():
             if not done.wait(max(0.0, deadline_s - time.monotonic())):
-                late[name] = f"no answer within {limit_s:g} s"
+                late[name] = HilcellError(f"no answer within {limit_s:g} s")
         return self._problems | late
 
     def _work(self) -> None:

@@ -41,11 +41,19 @@ def approach_station(rail: Rail, table: RailTable, station: Station) -> Approach
         error_mm = found_mm
         command_mm += found_mm
     raise DeviceError(
+        "HC-S04",
         "Rail",
         f"station {station.name} not held",
         f"strip {reading.strip_mm:.2f} mm",
         wanted=f"{station.strip_mm:.2f} +-{table.strip_tolerance_mm:.2f} mm in {tries} approaches",
         act="check the strip head and the slide's friction, then resume",
+        fields={
+            "station": station.name,
+            "strip_mm": reading.strip_mm,
+            "wanted_mm": station.strip_mm,
+            "tolerance_mm": table.strip_tolerance_mm,
+            "tries": tries,
+        },
     )
 
 
@@ -60,18 +68,27 @@ def _check_strip_follows(
     slip_mm = reading.position_mm - reading.strip_mm
     if not abs(slip_mm) <= table.slip_limit_mm:
         raise DeviceError(
+            "HC-S03",
             "Rail",
             f"approach of {station.name}",
             f"drive {reading.position_mm:.2f} mm and strip {reading.strip_mm:.2f} mm differ",
             wanted=f"<= {table.slip_limit_mm:.2f} mm apart",
             act="the slide slipped or this is another station; home and check the coupling",
+            fields={
+                "station": station.name,
+                "drive_mm": reading.position_mm,
+                "strip_mm": reading.strip_mm,
+                "limit_mm": table.slip_limit_mm,
+            },
         )
     motor_mm = abs(reading.position_mm - before.position_mm)
     strip_mm = abs(reading.strip_mm - before.strip_mm)
     if motor_mm > 0.4 and not strip_mm > 0.0:
         raise DeviceError(
+            "HC-S02",
             "Rail",
             f"approach of {station.name}",
             f"strip frozen at {reading.strip_mm:.2f} mm while the drive moved {motor_mm:.2f} mm",
             act="check the strip head and its cable",
+            fields={"station": station.name, "strip_mm": reading.strip_mm, "moved_mm": motor_mm},
         )

@@ -136,9 +136,13 @@ def stop_engine(folder: Path) -> bool:
 class LinkSilentError(HilcellError):
     """The engine's process lives, and has not answered in time."""
 
+    code = "HC-J08"
+
 
 class LinkLostError(HilcellError):
     """The engine has hung up, or answers nonsense; the link is closed."""
+
+    code = "HC-J08"
 
 
 def _connect(path: str) -> socket.socket:

@@ -14,7 +14,18 @@ COLUMNS = (
     Column("what", 200),
 )
 _TONES = {"faulted": "bad", "suspended": "warn", "aborted": "warn"}
-_LONG = ("matrix", "pose", "xyz_mm", "covariance", "trace", "result", "cell", "joints_deg")
+_LONG = (
+    "matrix",
+    "pose",
+    "xyz_mm",
+    "covariance",
+    "trace",
+    "result",
+    "cell",
+    "joints_deg",
+    "error",
+    "errors",
+)
 
 
 def record_row(record: Record) -> Row:

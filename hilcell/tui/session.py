@@ -118,7 +118,10 @@ class Session:
         apart = patience_s is not None  # so that the lamps do not wait for it
         link = Link.to(self.folder, patience_s) if apart else self.feed.link
         if link is None:
-            raise HilcellError(f"{command}: no engine is running for {self.folder.name}")
+            raise HilcellError(
+                f"{command}: no engine is running for {self.folder.name}",
+                code="HC-J08",
+            )
         try:
             link.ask(command, **facts)
         finally:

@@ -336,7 +336,7 @@ def prospect(scene: Scene | None) -> str:
     """Return what a resumed run will meet."""
     if scene is not None and scene.lost:
         return "Its calibration file is written; nothing moves."
-    if scene is not None and any(alarm.anew for alarm in scene.alarms):
+    if scene is not None and any(alarm.ended for alarm in scene.alarms):
         return f"{MOVES}. Its fault wants a new run: resumed, it will most likely fault again."
     return (
         f"{MOVES}: the devices are connected again, and the tracker's control points proved "

@@ -64,7 +64,7 @@ def writes(peer: KukaPeer) -> list[str]:
 
 
 def lose_beam() -> None:
-    raise NoReading("Tracker", "stream", "the beam broke")
+    raise NoReading("HC-T10", "Tracker", "stream", "the beam broke")
 
 
 def test_a_sweep_lowers_the_override_and_gives_it_back(peer: KukaPeer, robot: KukaC3Robot) -> None:

@@ -249,7 +249,7 @@ def test_a_stop_gets_through_while_a_call_hangs(rail: CanopenRail, peer: CanPeer
 
 def test_after_a_stop_only_a_new_connect_moves(rail: CanopenRail, peer: CanPeer) -> None:
     rail.stop()
-    with pytest.raises(DeviceError, match="the rail was stopped; resume to connect anew"):
+    with pytest.raises(DeviceError, match="the rail was stopped; resume to reconnect"):
         rail.move_to(600.0)
     rail.connect()
     rail.move_to(600.0)

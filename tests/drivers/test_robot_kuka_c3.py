@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers import c3, keep_alive, robot_kuka_c3, supervision
+from drivers import c3, keep_alive, kuka_health, robot_kuka_c3, supervision
 from drivers.robot_kuka_c3 import KukaC3Robot
 from hilcell.cell import Joint
 from hilcell.clock import WallClock
@@ -107,7 +107,7 @@ def test_all_that_is_watched_is_seen_within_eight_polls(robot: KukaC3Robot, peer
         robot.move_to(TARGET_RAD, 30.0)
     polls = " ".join(peer.requests[began:]).split("read HC_ACK")[1:]
     assert len(polls) > 24
-    for name in (*robot_kuka_c3.HEALTH, "$OV_PRO", "$AXIS_ACT"):
+    for name in (*kuka_health.HEALTH, "$OV_PRO", "$AXIS_ACT"):
         seen = [number for number, poll in enumerate(polls) if f"{name} " in poll]
         assert seen[0] < 8
         assert max(np.diff(seen)) <= 8

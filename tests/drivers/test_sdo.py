@@ -114,7 +114,7 @@ def test_an_abort_is_told_and_taints_nothing(peer: CanPeer, code: int, words: st
     with channel_to(peer) as channel:
         with pytest.raises(Aborted, match=f"0x{code:08X}, .*{words}") as caught:
             channel.read(0x6007)
-        assert caught.value.code == code
+        assert caught.value.abort_code == code
         assert channel.read(*PROFILE_VELOCITY) == 111
 
 

@@ -48,7 +48,7 @@ def test_a_limit_that_is_no_number_is_over_at_once(time: Time) -> None:
 
 
 def test_a_motion_without_a_look_stops(time: Time) -> None:
-    watch = Supervision("Robot")
+    watch = Supervision("Robot", "HC-B27")
     watch.begin()
     time.now_s += LATE_S - 0.01
     watch.look()
@@ -58,7 +58,7 @@ def test_a_motion_without_a_look_stops(time: Time) -> None:
 
 
 def test_nobody_needs_to_look_at_what_stands(time: Time) -> None:
-    watch = Supervision("Robot")
+    watch = Supervision("Robot", "HC-B27")
     watch.look()
     watch.begin()
     watch.end()
@@ -67,7 +67,7 @@ def test_nobody_needs_to_look_at_what_stands(time: Time) -> None:
 
 
 def test_a_heartbeat_pauses_when_nobody_looks_at_the_motion(time: Time) -> None:
-    watch = Supervision("Rail", late_s=0.8)
+    watch = Supervision("Rail", "HC-R39", late_s=0.8)
     with watch.motion():
         time.now_s += 0.41
         assert not watch.attended()

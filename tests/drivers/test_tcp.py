@@ -10,9 +10,11 @@ import pytest
 
 from drivers import supervision
 from drivers.supervision import Patience
-from drivers.tcp import TcpLink
+from drivers.tcp import Alarms, TcpLink
 from hilcell.ports import DeviceError
 from tests.drivers.peers import Server
+
+ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
 
 
 def keep_silent(connection: socket.socket) -> None:
@@ -43,7 +45,7 @@ def test_an_answer_that_comes_before_the_next_look_is_taken() -> None:
             asked.set()
 
     with Server(answer) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, check)
+        link = TcpLink("Robot", "127.0.0.1", server.port, check, ALARMS)
         assert link.receive(10, Patience(2.0)) == b"here"
         link.close()
 
@@ -51,7 +53,7 @@ def test_an_answer_that_comes_before_the_next_look_is_taken() -> None:
 @pytest.mark.usefixtures("starved")
 def test_a_silent_device_is_silent_all_the_same() -> None:
     with Server(keep_silent) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None)
+        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
         assert link.receive(10, Patience(0.3)) == b""
         link.close()
 
@@ -65,7 +67,7 @@ def test_what_has_arrived_is_taken_though_the_time_is_up() -> None:
         connection.recv(1)
 
     with Server(speak) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None)
+        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
         assert sent.wait(5)
         assert link.receive(10, Patience(0.0)) == b"here"
         link.close()
@@ -79,7 +81,7 @@ def test_a_device_that_takes_no_bytes_is_told(monkeypatch: pytest.MonkeyPatch) -
         end.wait(5)
 
     with Server(take_nothing) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None)
+        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
         with pytest.raises(DeviceError, match="takes no bytes"):
             link.send(bytes(64_000_000), "write HC_TGT")
         end.set()

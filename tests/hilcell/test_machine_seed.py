@@ -30,7 +30,7 @@ def test_a_resumed_run_has_the_machine_that_it_began_with(
 
     def start(*_: object, seed: int, **__: object) -> None:
         started.append(seed)
-        raise DeviceError("Simulated cell", "start", "not here")
+        raise DeviceError("HC-C18", "Simulated cell", "start", "not here")
 
     monkeypatch.setattr(run, "start_simulation", start)
     words = ["--machine-seed", "5", "--seed", "2", "--name", "R", "--runs", str(tmp_path)]

@@ -110,7 +110,7 @@ LASTING = (
     ".late_tpdo",
     ".late_reply",
 )
-SPECIFIC = {entry.code for entry in catalogue() if entry.specific}
+SPECIFIC = {entry.code for entry in catalogue().values() if entry.specific}
 
 
 class Cells:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from hilcell.alarms import Alarm, alarms_of
-from hilcell.ports import DeviceError
+from hilcell.errors import HilcellError, facts_of
+from hilcell.ports import NoReading
 from hilcell.run.journal import Kind, Record
 from hilcell.run.log import Log
-from hilcell.run.runner import facts_of
 from tests.hilcell.report.journals import plan_record
 
 Row = tuple[Kind, str, dict[str, Any]]
@@ -27,11 +27,27 @@ def event(what: str, **facts: Any) -> Row:
 
 
 def faulted(error: Exception) -> Row:
-    return state("faulted", reason=str(error), **facts_of(error))
+    return state("faulted", reason=str(error), error=facts_of(error))
 
 
-def ended(reason: str, code: int = 3, to: str = "faulted") -> Row:
-    return ("end", "", END | {"reason": reason, "exit": code, "state": to})
+def no_reading(key: str, error: NoReading) -> Row:
+    """Return the record of a measurement that failed and is tried again."""
+    facts = error.of_point(key).facts()
+    return event("no reading", key=key, tries=1, reason=str(error), error=facts)
+
+
+def asks(key: str, error: NoReading) -> Row:
+    """Return the record of a run that asks what to do about it."""
+    return state("suspended", reason=f"{key}: {error.summary}", error=error.of_point(key).facts())
+
+
+def problem(what: str, device: str, error: HilcellError) -> Row:
+    return event(what, problems={device: str(error)}, errors={device: error.facts()})
+
+
+def ended(error: HilcellError | None, code: int = 3, to: str = "faulted") -> Row:
+    said = {} if error is None else {"reason": str(error), "error": error.facts()}
+    return ("end", "", END | said | {"exit": code, "state": to})
 
 
 def point(key: str, temperature_c: float = 20.0) -> Row:
@@ -43,7 +59,7 @@ def point(key: str, temperature_c: float = 20.0) -> Row:
 
 
 BEGUN = (state("checking"), CONNECTED, state("running"))
-BEAM = DeviceError("Tracker", "measure", "the beam broke", act="clear the line of sight")
+BEAM = NoReading("HC-T10", "Tracker", "measure", "the beam broke", act="clear the line of sight")
 
 
 def log_of(*rows: Row) -> Log:

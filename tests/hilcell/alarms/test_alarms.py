@@ -9,8 +9,11 @@ import pytest
 
 from hilcell.alarms import Alarm, alarms_of
 from hilcell.devices import ConnectFailed
-from hilcell.ports import DeviceError, DeviceRefused
+from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
+from hilcell.geometry.inverse import ReachError
+from hilcell.run.lock import CellLocked
 from hilcell.run.log import Log
+from hilcell.settings import SettingsError
 from tests.hilcell.alarms.journals import (
     BEAM,
     BEGUN,
@@ -18,31 +21,44 @@ from tests.hilcell.alarms.journals import (
     RUN,
     Row,
     alarms,
+    asks,
     ended,
     event,
     faulted,
     log_of,
+    no_reading,
     point,
+    problem,
     state,
 )
 
 STALLED = DeviceError(
+    "HC-R31",
     "Rail",
     "move to 500.000 mm",
     "no progress for 3 s at 480.000 mm",
     wanted="target reached at 500.000 mm",
     act="check the slide for an obstacle",
 )
+LOST = DeviceError(
+    "HC-R01",
+    "Rail",
+    "CAN",
+    "link lost: [Errno 32] Broken pipe",
+    wanted="a link",
+    act="check the gateway, the cable and the terminators, then resume",
+)
+LATE = HilcellError("no answer within 10 s")
 HELD = {"station": "S1100", "tries": 2, "rail_mm": 1100.0, "strip_mm": 1100.0}
-DONE = (CLOSED, state("finished"), ended("", 0, "finished"))
+DONE = (CLOSED, state("finished"), ended(None, 0, "finished"))
 OVER = (*BEGUN, *DONE)
 
 NO_FILE = "HC-J11"  # no record tells of it, but the run's folder
 
 # What each of these records becomes; the sites that raise errors are another test's.
 BY_EVENTS: dict[str, tuple[Row, ...]] = {
-    "HC-C02": (*BEGUN, event("safe stop", problems={"Robot": "Robot: write HC_STOP: gone"}), *DONE),
-    "HC-C03": (*BEGUN, event("closed", problems={"Rail": "no answer within 10 s"}), *DONE[1:]),
+    "HC-C02": (*BEGUN, problem("safe stop", "Rail", LOST), *DONE),
+    "HC-C03": (*BEGUN, problem("closed", "Rail", LATE), *DONE[1:]),
     "HC-C05": (*BEGUN, state("stopping"), CLOSED, state("aborted")),
     "HC-C06": (*BEGUN, event("command refused", command="proceed", **{"in": "running"}), *DONE),
     "HC-C07": (*BEGUN, CLOSED, faulted(KeyError("x")), event("internal error", trace="...")),
@@ -96,7 +112,7 @@ def test_a_good_run_has_none() -> None:
 
 
 def test_a_fault_says_code_place_words_and_steps() -> None:
-    (alarm,) = alarms(*BEGUN, CLOSED, faulted(STALLED), ended(str(STALLED)))
+    (alarm,) = alarms(*BEGUN, CLOSED, faulted(STALLED), ended(STALLED))
     assert alarm == Alarm(
         code="HC-R31",
         severity="fault",
@@ -114,15 +130,36 @@ def test_a_fault_says_code_place_words_and_steps() -> None:
     )
 
 
-def test_an_older_journal_without_the_parts_says_the_same() -> None:
-    now = alarms(*BEGUN, CLOSED, faulted(STALLED))
-    then = alarms(*BEGUN, CLOSED, state("faulted", reason=str(STALLED)))
-    assert now == then
+@pytest.mark.parametrize(
+    ("parts", "where", "found"),
+    [
+        (
+            {"device": "Rail", "operation": "move", "found": "no progress", "wanted": "some"},
+            "Rail: move",
+            "no progress, wanted some",
+        ),
+        ({}, "", "Rail: move: no progress"),
+    ],
+)
+def test_an_older_journal_has_the_device_s_general_alarm_with_its_words(
+    parts: dict[str, str], where: str, found: str
+) -> None:
+    """Version 0.1 journalled neither codes nor, at first, the parts."""
+    (alarm,) = alarms(*BEGUN, CLOSED, state("faulted", reason="Rail: move: no progress", **parts))
+    assert (alarm.code, alarm.severity) == ("HC-R99", "fault")
+    assert (alarm.where, alarm.found) == (where, found)
 
 
-def test_parts_are_believed_before_the_text() -> None:
-    """A device's words may look like the text's marks; the parts tell where they end."""
-    error = DeviceError("Robot", "read $X", "it says: a, wanted b; c", act="restart it")
+def test_an_older_journal_s_notices_have_their_words() -> None:
+    tried = event("no reading", key="a", tries=1, reason="Tracker: measure: the beam broke")
+    closed = event("closed", problems={"Rail": "no answer within 10 s"})
+    notice, warning = alarms(*BEGUN, tried, closed, *DONE[1:])
+    assert (notice.code, notice.found) == ("HC-T99", "Tracker: measure: the beam broke")
+    assert (warning.code, warning.found) == ("HC-C03", "Rail: no answer within 10 s")
+
+
+def test_a_device_s_words_may_look_like_marks_of_a_text() -> None:
+    error = DeviceError("HC-B26", "Robot", "read $X", "it says: a, wanted b; c", act="restart it")
     (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
     assert alarm.code == "HC-B26"
     assert alarm.found == "it says: a, wanted b; c"
@@ -130,6 +167,7 @@ def test_parts_are_believed_before_the_text() -> None:
 
 def test_what_the_list_knows_is_advised_once() -> None:
     error = DeviceError(
+        "HC-T02",
         "Tracker",
         "receive",
         "10.0.0.3:700: the device closed the connection",
@@ -144,55 +182,41 @@ def test_what_the_list_knows_is_advised_once() -> None:
 @pytest.mark.parametrize(
     ("act", "step"),
     [
-        ("feed it, then resume", "Feed it."),
-        ("feed it; resume", "Feed it."),
-        ("feed it, resume", "Feed it."),
-        ("is it fed? resume", "Is it fed?"),
+        ("feed it, then resume", "Feed it, then resume."),
+        ("is it fed?", "Is it fed?"),
         ("it starves; feed it", "It starves; feed it."),
         ("$FOOD must be TRUE", "$FOOD must be TRUE."),
-        ("resume", "Look at the drive, the strip and the gateway."),
         ("", "Look at the drive, the strip and the gateway."),
     ],
 )
 def test_what_no_entry_knows_says_its_own_advice_as_a_sentence(act: str, step: str) -> None:
     """A plant's own driver names faults that are in no list."""
-    error = DeviceError("Rail", "move", "the horse is hungry", act=act)
+    error = DeviceError("HC-R98", "Rail", "move", "the horse is hungry", act=act)
     (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
     assert alarm.code == "HC-R99"
     assert alarm.do[0] == step
     assert len(alarm.do) == 3 if step.startswith(("Feed", "Is", "It", "$")) else 2
 
 
-LOST = (
-    "Rail: CAN: link lost: [Errno 32] Broken pipe; "
-    "check the gateway, the cable and the terminators, then resume"
-)
-
-
 @pytest.mark.parametrize(
-    ("what", "problem", "found"),
+    ("what", "error", "found"),
     [
-        ("closed", LOST, "Rail: CAN: link lost: [Errno 32] Broken pipe"),
-        ("safe stop", LOST, "Rail: CAN: link lost: [Errno 32] Broken pipe"),
-        ("closed", "no answer within 10 s", "Rail: no answer within 10 s"),
-        (
-            "closed",
-            "Rail: close: the drive keeps its power, wanted off; switch the drive off",
-            "Rail: close: the drive keeps its power, wanted off",
-        ),
+        ("closed", LOST, "Rail: CAN: link lost: [Errno 32] Broken pipe, wanted a link"),
+        ("safe stop", LOST, "Rail: CAN: link lost: [Errno 32] Broken pipe, wanted a link"),
+        ("closed", LATE, "Rail: no answer within 10 s"),
     ],
 )
 def test_a_device_s_problem_names_it_once_and_advises_nothing(
-    what: str, problem: str, found: str
+    what: str, error: HilcellError, found: str
 ) -> None:
-    (alarm,) = alarms(*BEGUN, event(what, problems={"Rail": problem}), *DONE[1:])
+    (alarm,) = alarms(*BEGUN, problem(what, "Rail", error), *DONE[1:])
     assert alarm.where == f"Cell: {what}"
     assert alarm.found == found
 
 
 def test_several_problems_are_told_whole() -> None:
-    reason = "paper: 2 problems\n  a: unknown key; known here: b\n  c: missing"
-    (alarm,) = alarms(ended(reason, 2, "idle"))
+    error = SettingsError("paper", ["a: unknown key; known here: b", "c: missing"])
+    (alarm,) = alarms(ended(error, 2, "idle"))
     assert alarm.found == "paper: 2 problems; a: unknown key; known here: b; c: missing"
 
 
@@ -200,9 +224,9 @@ def test_devices_that_failed_together_are_told_one_by_one() -> None:
     error = ConnectFailed(
         {
             "Rail": DeviceError(
-                "Rail", "connect", "slcan x:1: refused", act="check the CAN gateway"
+                "HC-R04", "Rail", "connect", "slcan x:1: refused", act="check the CAN gateway"
             ),
-            "Tracker": DeviceRefused("Tracker", "connect", "serial 7", wanted="8"),
+            "Tracker": DeviceRefused("HC-T03", "Tracker", "connect", "serial 7", wanted="8"),
         }
     )
     rows = (state("checking"), CLOSED, faulted(error))
@@ -213,7 +237,7 @@ def test_devices_that_failed_together_are_told_one_by_one() -> None:
     assert {a.seq for a in alarms(*rows)} == {4}
 
 
-NO_READING = event("no reading", key="grid/1", tries=1, reason=str(BEAM))
+NO_READING = no_reading("grid/1", BEAM)
 
 
 def test_a_reading_that_came_at_the_second_try_is_a_notice() -> None:
@@ -225,25 +249,24 @@ def test_a_reading_that_came_at_the_second_try_is_a_notice() -> None:
 
 
 def test_a_run_that_asks_for_it_is_a_warning_while_it_asks() -> None:
-    asks = (*BEGUN, NO_READING, state("suspended", reason=f"grid/1: {BEAM}"))
-    *_, alarm = alarms(*asks, live=True)
+    asking = (*BEGUN, NO_READING, asks("grid/1", BEAM))
+    *_, alarm = alarms(*asking, live=True)
     assert (alarm.code, alarm.severity, alarm.where) == (
         "HC-T10",
         "warning",
         "Tracker: measure grid/1",
     )
     assert alarm.do[-1] == "Continue: space."
-    assert [a.severity for a in alarms(*asks, state("running"), live=True)] == ["notice"]
+    assert [a.severity for a in alarms(*asking, state("running"), live=True)] == ["notice"]
 
 
 def test_a_question_that_no_error_raised_is_no_alarm() -> None:
-    asks = (*BEGUN, state("suspended", reason="move the reflector to nest F2"))
-    assert alarms(*asks, live=True) == []
+    asking = (*BEGUN, state("suspended", reason="move the reflector to nest F2"))
+    assert alarms(*asking, live=True) == []
 
 
 def test_unattended_it_is_the_run_s_fault() -> None:
-    error = DeviceError("Tracker", "measure", f"grid/1: {BEAM}", act="clear the beam, resume")
-    *_, alarm = alarms(*BEGUN, NO_READING, CLOSED, faulted(error))
+    *_, alarm = alarms(*BEGUN, NO_READING, CLOSED, faulted(BEAM.of_point("grid/1")))
     assert (alarm.code, alarm.severity, alarm.found) == ("HC-T10", "fault", "the beam broke")
     assert alarm.where == "Tracker: measure grid/1"
 
@@ -252,24 +275,26 @@ def test_what_stopped_an_earlier_session_was_dealt_with() -> None:
     first = (
         *BEGUN,
         NO_READING,
-        event("safe stop", problems={"Rail": "gone"}),
+        problem("safe stop", "Rail", LOST),
         CLOSED,
         faulted(STALLED),
-        ended(str(STALLED)),
+        ended(STALLED),
     )
     assert alarms(*first, *BEGUN, live=True) == []
-    later = alarms(*first, state("checking"), CLOSED, faulted(BEAM), ended(str(BEAM)))
+    later = alarms(*first, state("checking"), CLOSED, faulted(BEAM), ended(BEAM))
     assert [alarm.code for alarm in later] == ["HC-T10"]
 
 
 def test_a_resume_that_was_refused_stands_beside_the_fault() -> None:
-    first = (*BEGUN, CLOSED, faulted(STALLED), ended(str(STALLED)))
-    found = alarms(*first, ended("device rail is locked by run x (pid 1); wait for its end", 6))
+    first = (*BEGUN, CLOSED, faulted(STALLED), ended(STALLED))
+    locked = CellLocked("device rail is locked by run x (pid 1); wait for its end")
+    found = alarms(*first, ended(locked, 6))
     assert [alarm.code for alarm in found] == ["HC-R31", "HC-C04"]
 
 
 def test_a_run_that_never_began_says_why() -> None:
-    (alarm,) = alarms(ended("robot: 1 problem\n  port: a whole number is expected", 2, "idle"))
+    error = SettingsError("robot", ["port: a whole number is expected"])
+    (alarm,) = alarms(ended(error, 2, "idle"))
     assert (alarm.code, alarm.severity) == ("HC-C11", "fault")
     assert alarm.found == "robot: 1 problem; port: a whole number is expected"
 
@@ -299,7 +324,7 @@ def test_newest_is_last() -> None:
         *BEGUN,
         NO_READING,
         event("command refused", command="abort", **{"in": "x"}),
-        event("safe stop", problems={"Rail": "gone"}),
+        problem("safe stop", "Rail", LOST),
         CLOSED,
         faulted(STALLED),
         ("verdict", "sign", {"holds": False}),
@@ -310,11 +335,13 @@ def test_newest_is_last() -> None:
 
 def test_a_device_s_hostile_words_stay_words() -> None:
     hostile = "\x1b]0;owned\x07[bold][/nope][@click=app.quit]x[/]\u202e\x9b2J\ninjected: line\r"
-    error = DeviceError(hostile, hostile, hostile, wanted=hostile, act=hostile)
-    told = DeviceError("Tracker", hostile, hostile, wanted=hostile, act=hostile)
+    error = DeviceError("HC-R98", hostile, hostile, hostile, wanted=hostile, act=hostile)
+    told = DeviceError("HC-R98", "Tracker", hostile, hostile, wanted=hostile, act=hostile)
+    failed = NoReading("HC-T10", hostile, hostile, hostile)
     rows = (
         *BEGUN,
         event("no reading", key=hostile, tries=1, reason=hostile),
+        no_reading(hostile, failed),
         event("closed", problems={"Rail": hostile}),
     )
     for found in (
@@ -331,15 +358,15 @@ def test_a_device_s_hostile_words_stay_words() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reason", "code"),
+    ("error", "code"),
     [
-        ("run x: no engine is running; `hilcell show` tells how it ended", "HC-J08"),
-        ("", "HC-C99"),
-        ("calibrate refused before anything moves\ngrid: x", "HC-C10"),
+        (HilcellError("run x: no engine is running", code="HC-J08"), "HC-J08"),
+        (HilcellError(""), "HC-C99"),
+        (ReachError("1 pose is out of reach"), "HC-C10"),
     ],
 )
-def test_a_reason_that_names_no_device_has_its_alarm(reason: str, code: str) -> None:
-    (alarm,) = alarms(*BEGUN, state("faulted", reason=reason))
+def test_an_error_of_no_device_has_its_alarm(error: HilcellError, code: str) -> None:
+    (alarm,) = alarms(*BEGUN, faulted(error))
     assert alarm.code == code
 
 

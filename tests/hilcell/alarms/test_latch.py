@@ -6,7 +6,17 @@ from dataclasses import replace
 
 from hilcell.alarms import Alarm, Latch
 from hilcell.alarms.catalogue import Severity
-from tests.hilcell.alarms.journals import BEAM, BEGUN, CLOSED, alarms, event, faulted, state
+from tests.hilcell.alarms.journals import (
+    BEAM,
+    BEGUN,
+    CLOSED,
+    alarms,
+    asks,
+    event,
+    faulted,
+    no_reading,
+    state,
+)
 
 ONE = Alarm("HC-T10", "warning", "Beam broken", "Tracker", "broke", "means", ("do",), "t", 5)
 
@@ -108,10 +118,10 @@ def test_the_worst_stands_first_and_of_these_the_newest() -> None:
 
 def test_a_healed_reading_that_comes_back_as_a_fault_is_one_alarm() -> None:
     latch = Latch()
-    tried = (*BEGUN, event("no reading", key="grid/1", tries=1, reason=str(BEAM)))
+    tried = (*BEGUN, no_reading("grid/1", BEAM))
     latch.take(alarms(*tried, live=True))
     assert standing(latch) == [("HC-T10", "notice", 1)]
-    asks = (*tried, state("suspended", reason=f"grid/1: {BEAM}"))
-    latch.take(alarms(*asks, live=True))
-    latch.take(alarms(*asks, state("stopping"), CLOSED, faulted(BEAM)))
+    asking = (*tried, asks("grid/1", BEAM))
+    latch.take(alarms(*asking, live=True))
+    latch.take(alarms(*asking, state("stopping"), CLOSED, faulted(BEAM)))
     assert standing(latch) == [("HC-T10", "fault", 3)]

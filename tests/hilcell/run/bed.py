@@ -168,6 +168,6 @@ def broken_beam(times: int) -> Callable[[], None]:
     def answer() -> None:
         if left[0]:
             left[0] -= 1
-            raise NoReading("Tracker", "measure", "beam broken")
+            raise NoReading("HC-T10", "Tracker", "measure", "beam broken")
 
     return answer

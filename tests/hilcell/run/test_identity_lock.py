@@ -5,8 +5,6 @@ from uuid import uuid4
 
 import pytest
 
-from hilcell.alarms.catalogue import entry_of
-from hilcell.alarms.finding import findings_of
 from hilcell.ports import Identity
 from hilcell.run.lock import CellLocked
 from tests.hilcell.run.bed import Bed, Live
@@ -43,8 +41,7 @@ def test_one_device_at_two_addresses_is_locked(tmp_path: Path) -> None:
     assert code == 6
     fault = bed.log().fault
     assert fault.startswith(f"Rail (drive, serial {serial}) is locked by run r (pid ")
-    (finding,) = findings_of(fault)
-    assert entry_of(finding).code == "HC-C04"
+    assert bed.log().life[-1].body["error"]["code"] == "HC-C04"
     assert bed.robot.moves == 0
     assert bed.run(procedure(Points(1))) == 0  # free again
 

@@ -94,7 +94,7 @@ def test_a_device_that_fails_is_lost_until_it_answers(
     board: Board, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def gone() -> None:
-        raise DeviceError("Robot", "read", "no answer")
+        raise DeviceError("HC-B02", "Robot", "read", "no answer")
 
     board.devices.robot.read()
     with monkeypatch.context() as patched:
@@ -110,7 +110,7 @@ def test_a_device_that_fails_is_lost_until_it_answers(
 
 def test_a_measurement_that_fails_leaves_the_tracker_well(board: Board) -> None:
     def broken() -> None:
-        raise NoReading("Tracker", "measure", "beam broken")
+        raise NoReading("HC-T10", "Tracker", "measure", "beam broken")
 
     board.tracker.answer = broken
     with pytest.raises(NoReading):

@@ -283,7 +283,7 @@ def test_a_device_lost_while_paused_is_a_dark_lamp_and_no_fault(
     bed: Bed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def gone() -> None:
-        raise DeviceError("Rail", "read", "link lost")
+        raise DeviceError("HC-R01", "Rail", "read", "link lost")
 
     read = bed.rail.read
     with Live(bed, procedure(Points(MANY))) as live:

@@ -20,7 +20,7 @@ def bed(tmp_path: Path) -> Bed:
 
 
 def blocked() -> None:
-    raise NoReading("Tracker", "measure", "the beam broke", act="clear the line of sight")
+    raise NoReading("HC-T10", "Tracker", "measure", "the beam broke", act="clear the line of sight")
 
 
 def clear() -> None:
@@ -53,6 +53,8 @@ def test_a_lasting_break_asks_and_goes_on_when_the_reflector_is_seen(bed: Bed) -
     assert bed.states() == ["checking", "running", "suspended", "running", "finished"]
     suspended = next(r.body for r in bed.records("state") if r.body["to"] == "suspended")
     assert suspended["reason"] == "p/0: Tracker: measure: the beam broke"
+    assert suspended["error"]["code"] == "HC-T10"
+    assert suspended["error"]["operation"] == "measure p/0"
     assert suspended["prompt"]["place"] == "F1"
     assert suspended["prompt"]["title"] == "Clear the beam to F1"
     assert len(bed.events("answer refused")) == 1
@@ -106,7 +108,7 @@ def test_a_reflector_far_off_is_refused_with_its_distance(
 
 def test_a_tracker_that_is_lost_at_a_prompt_refuses_and_is_no_fault(bed: Bed) -> None:
     def gone() -> None:
-        raise DeviceError("Tracker", "receive", "link lost")
+        raise DeviceError("HC-R01", "Tracker", "receive", "link lost")
 
     with Live(bed, procedure(Points(1))) as live:
         live.until("state", "suspended")
@@ -203,4 +205,9 @@ def test_unattended_nobody_is_asked(tmp_path: Path) -> None:
     bed.tracker.answer = broken_beam(3)
     assert bed.run(procedure(Points(1))) == 3
     assert "suspended" not in bed.states()
-    assert "p/0: Tracker: measure: beam broken" in bed.log().fault
+    assert bed.log().fault.startswith("Tracker: measure p/0: beam broken; ")
+    error = bed.log().life[-1].body["error"]
+    assert (error["code"], error["fields"]) == ("HC-T10", {"point": "p/0"})
+    end = bed.log().end
+    assert end is not None
+    assert end["error"] == error

@@ -38,8 +38,8 @@ def test_a_verdict_that_does_not_hold_is_exit_1(bed: Bed) -> None:
 @pytest.mark.parametrize(
     ("error", "code"),
     [
-        (DeviceError("Rail", "move", "frozen"), 3),
-        (DeviceRefused("Robot", "connect", "model X", wanted="model Y"), 2),
+        (DeviceError("HC-R31", "Rail", "move", "frozen"), 3),
+        (DeviceRefused("HC-B05", "Robot", "connect", "model X", wanted="model Y"), 2),
         (RuntimeError("a defect"), 5),
     ],
 )
@@ -64,7 +64,7 @@ def test_a_fault_stops_everything_once_and_is_kept(bed: Bed, error: Exception, c
 def test_resume_measures_only_what_is_missing(bed: Bed) -> None:
     def fail(bench: Bench, number: int) -> None:
         if number == 2:
-            raise DeviceError("Tracker", "measure", "gone")
+            raise DeviceError("HC-T02", "Tracker", "measure", "gone")
 
     assert bed.run(procedure(Points(4, fail))) == 3
     before = bed.tracker.measured

@@ -62,11 +62,12 @@ def test_a_device_that_hangs_keeps_no_other_waiting(
 
 def test_problems_are_told_by_device(monkeypatch: pytest.MonkeyPatch) -> None:
     def gone() -> None:
-        raise DeviceError("Rail", "stop", "link lost")
+        raise DeviceError("HC-R01", "Rail", "stop", "link lost")
 
     devices = desk(CELL)
     monkeypatch.setattr(devices.rail, "stop", gone)
-    assert SafeStop(devices).wait() == {"Rail": "Rail: stop: link lost"}
+    (problem,) = SafeStop(devices).wait().items()
+    assert (problem[0], str(problem[1])) == ("Rail", "Rail: stop: link lost")
     assert isinstance(devices.robot, DeskRobot)
     assert devices.robot.stopped == 1
 
@@ -75,7 +76,8 @@ def test_a_late_one_is_told_and_left() -> None:
     entered, release = threading.Event(), threading.Event()
     acts = Acts({"slow": hang(entered, release)})
     began_s = time.monotonic()
-    assert acts.wait(0.1) == {"slow": "no answer within 0.1 s"}
+    (problem,) = acts.wait(0.1).items()
+    assert (problem[0], str(problem[1])) == ("slow", "no answer within 0.1 s")
     assert time.monotonic() - began_s < 5.0
     release.set()
 

@@ -28,11 +28,12 @@ STEPS = (
 )
 UNIT = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 FAULT = {
+    "code": "HC-T99",
     "device": "Tracker",
     "operation": "measure grid/1-0-0",
     "found": "beam broken",
     "wanted": "a reflector",
-    "act": "clear the beam, resume",
+    "act": "clear the beam",
 }
 FAULT_TEXT = "Tracker: measure grid/1-0-0: beam broken, wanted a reflector; clear the beam, resume"
 
@@ -150,7 +151,7 @@ def stories() -> dict[str, Story]:
         "running": measuring(),
         "pausing": measuring(),
         "paused": measuring().state("paused"),
-        "suspended": measuring().state("suspended", reason=FAULT_TEXT),
+        "suspended": measuring().state("suspended", reason=FAULT_TEXT, error=FAULT),
         "stopping": measuring().state("stopping"),
         "done": validated().state("finished").add(
             "end", state="finished", exit=0, result=RESULT),
@@ -159,7 +160,7 @@ def stories() -> dict[str, Story]:
         ).state("finished").add("end", state="finished", exit=1, result=RESULT),
         "aborted": measuring().state("stopping").state("aborted").add(
             "end", state="aborted", exit=4, result={}, reason="stopped by the operator"),
-        "fault": measuring().state("faulted", reason=FAULT_TEXT, **FAULT).add(
+        "fault": measuring().state("faulted", reason=FAULT_TEXT, error=FAULT).add(
             "end", state="faulted", exit=3, result={}, reason=FAULT_TEXT),
         "silent": measuring(),
         "gone": measuring(),

@@ -1,0 +1,62 @@
+"""What a KUKA controller and the program hilcell must show for work to go on, and their alarms."""
+
+from __future__ import annotations
+
+from drivers import krl
+from hilcell.clean import clean
+from hilcell.ports import DeviceError, DeviceRefused
+
+DEVICE = "Robot"
+STOPPED = 9
+ERRORS = {
+    1: "unknown command",
+    2: "target outside the software limits",
+    STOPPED: "stopped by HC_STOP",
+}
+
+# Variable, the values with which work may go on, the alarm otherwise and what to do; causes first.
+HEALTH: dict[str, tuple[tuple[str | bool, ...], str, str]] = {
+    "$ALARM_STOP": (
+        (True,),
+        "HC-B10",
+        "emergency stop is pressed; release it and acknowledge the message",
+    ),
+    "$USER_SAF": ((True,), "HC-B11", "the guard is open; close it and acknowledge the message"),
+    "$MODE_OP": (
+        ("#EX", "#AUT"),
+        "HC-B12",
+        "the program moves the robot by itself; turn the key to AUT or EXT",
+    ),
+    "$PERI_RDY": ((True,), "HC-B13", "the drives have no power; switch them on"),
+    "$STOPMESS": ((False,), "HC-B14", "a stop message is pending; acknowledge it at the panel"),
+    "$PRO_STATE1": (("#P_ACTIVE",), "HC-B15", "start the program hilcell at the panel"),
+}
+
+
+def refused_motion(error: int) -> DeviceError:
+    """Return what HC_ERR of a motion means."""
+    return DeviceError(
+        "HC-B21" if error == STOPPED else "HC-B20",
+        DEVICE,
+        "move",
+        f"HC_ERR {error}: {ERRORS.get(error, 'unknown')}",
+        act="see the panel, resume",
+        fields={"error": error},
+    )
+
+
+def unwell(
+    code: str, name: str, found: krl.Value, wanted: str, act: str, *, moving: bool
+) -> DeviceError:
+    """Return what a variable shows that forbids to go on; ``moving`` makes it a fault."""
+    text = str(found).upper() if isinstance(found, bool) else clean(str(found))
+    kind, operation = (DeviceError, "move") if moving else (DeviceRefused, "check")
+    return kind(
+        code,
+        DEVICE,
+        operation,
+        f"{name} is {text}",
+        wanted=wanted,
+        act=act,
+        fields={"variable": name},
+    )

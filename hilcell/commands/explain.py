@@ -1,0 +1,33 @@
+"""``explain``: what an alarm's code means, and what to do about it."""
+
+from __future__ import annotations
+
+import argparse
+from difflib import get_close_matches
+
+from hilcell.alarms.catalogue import Entry, catalogue
+from hilcell.commands.common import say
+from hilcell.errors import HilcellError
+
+NEAREST = 3
+
+
+def explain(args: argparse.Namespace) -> int:
+    """Print one entry of the catalogue."""
+    entry = _entry(args.code)
+    facts = {"code": entry.code, "title": entry.title, "means": entry.means, "do": entry.do}
+    if args.json:
+        say(facts, "", as_json=True)
+    else:
+        steps = (f"  {number}. {step}" for number, step in enumerate(entry.do, start=1))
+        print(f"{entry.code} {entry.title}", entry.means, *steps, sep="\n")
+    return 0
+
+
+def _entry(code: str) -> Entry:
+    """Return the entry; raises `HilcellError` with the codes that are most like an unknown one."""
+    known = catalogue()
+    if code.upper() in known:
+        return known[code.upper()]
+    nearest = ", ".join(get_close_matches(code.upper(), known, NEAREST, 0.0))
+    raise HilcellError(f"alarm {code[:80]!r} is unknown; the nearest known: {nearest}")

@@ -1,0 +1,1 @@
+"""The alarms of the procedures; found by the entry point ``hilcell.alarms``."""

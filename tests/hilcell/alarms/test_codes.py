@@ -1,0 +1,113 @@
+"""An error says its alarm by a code: each code has an entry, each entry is raised somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from drivers import emcy, emscon
+from hilcell.alarms.catalogue import Entry, catalogue, entries_of, entry_of, packages
+
+ROOT = Path(__file__).parents[3]
+ROOMS = ("hilcell", "drivers", "procedures", "fakes")
+CODE = re.compile(r'"(HC-[A-Z]\d\d)"')
+FAMILY = re.compile(r"class (\w+)\((?:DeviceError|DeviceRefused|NoReading)\)")
+OWN_WORDS = {"Aborted", "ConnectFailed"}  # their own __init__ names the code
+EVENT = re.compile(r'"what": "([\w ]+)"|(?:\.event|\._note)\(\s*"([\w ]+)"')
+
+
+def sources(room: str) -> dict[str, str]:
+    """Return the text of each module of a room, by its path."""
+    found = sorted((ROOT / room).rglob("*.py"))
+    return {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in found}
+
+
+def entries(room: str) -> list[Entry]:
+    return entries_of(f"{room}.alarms")
+
+
+def named(room: str) -> set[str]:
+    """Return the codes that the room's source names."""
+    return {code for text in sources(room).values() for code in CODE.findall(text)}
+
+
+def test_the_rooms_are_all_that_have_entries() -> None:
+    assert {f"{room}.alarms" for room in ROOMS} == set(packages())
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_code_that_is_named_has_an_entry_of_this_room_or_of_the_core(room: str) -> None:
+    known = {entry.code for entry in (*entries(room), *entries("hilcell"))}
+    assert named(room) <= known
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_entry_is_raised_in_its_own_room(room: str) -> None:
+    assert {entry.code for entry in entries(room) if not entry.verdict} <= named(room)
+
+
+@pytest.mark.parametrize("entry", [e for e in catalogue().values() if e.verdict], ids=str)
+def test_every_verdict_of_an_entry_is_judged_somewhere(entry: Entry) -> None:
+    judged = re.compile(rf'verdict\(\s*f?"{entry.verdict}["./]')
+    assert any(judged.search(text) for text in sources("procedures").values())
+
+
+def test_every_error_of_a_device_names_its_code_first() -> None:
+    modules = {path: text for room in ROOMS for path, text in sources(room).items()}
+    family = {name for text in modules.values() for name in FAMILY.findall(text)}
+    family |= {"DeviceError"}
+    family -= OWN_WORDS
+    raised = re.compile(rf"(?<!class )\b(?:{'|'.join(family)})\(\s*([^,\s]+)")
+    first = [found for text in modules.values() for found in raised.findall(text)]
+    assert len(first) > 60
+    chosen = re.compile(r'"HC-[A-Z]\d\d"$|[\w.]*(code|alarm|alarms)\b|TOO_OLD|MOVES')
+    assert [each for each in first if not chosen.match(each)] == []
+
+
+@pytest.mark.parametrize("code", [*emcy.CODES, *(f << 8 for f in emcy.FAMILIES), 0x1234])
+def test_every_error_code_of_a_drive_has_an_alarm(code: int) -> None:
+    assert entry_of(emcy.alarm(code)).specific
+
+
+@pytest.mark.parametrize(
+    ("code", "alarm"),
+    [
+        (0x5441, "HC-R20"), (0x2310, "HC-R21"), (0x7121, "HC-R21"), (0x3210, "HC-R22"),
+        (0x4310, "HC-R23"), (0x7305, "HC-R24"), (0x8130, "HC-R25"), (0x8210, "HC-R25"),
+        (0x8500, "HC-R26"), (0x8611, "HC-R26"), (0x8612, "HC-R32"), (0x1000, "HC-R27"),
+        (0x7122, "HC-R27"), (0x0000, "HC-R27"),
+    ],
+)  # fmt: skip
+def test_an_error_code_raises_the_alarm_of_its_family(code: int, alarm: str) -> None:
+    assert emcy.alarm(code) == alarm
+
+
+@pytest.mark.parametrize("status", [*emscon.STATUS, 777])
+def test_every_status_of_the_tracker_has_an_alarm(status: int) -> None:
+    assert entry_of(emscon.alarm(status)).specific
+    assert (emscon.alarm(status) == emscon.UNKNOWN) == (status not in emscon.STATUS)
+
+
+def test_a_code_that_no_catalogue_has_is_the_device_s_general_alarm() -> None:
+    """A second make's driver may be newer than its catalogue."""
+    general = {device: entry_of("HC-X01", device).code for device in ("Rail", "Robot", "Horse", "")}
+    assert general == {"Rail": "HC-R99", "Robot": "HC-B99", "Horse": "HC-C99", "": "HC-C99"}
+    assert not entry_of("HC-X01", "Rail").specific
+
+
+# Events that are the run's ordinary course; every other one becomes an alarm.
+ORDINARY = {"connected", "station found held", "step", "retake asked", "seated", "screen back"}
+ALARMING = {
+    "no reading", "safe stop", "closed", "command refused", "screen lost", "answer refused",
+    "retake refused", "outlier measured again", "station held", "link",
+}  # fmt: skip
+
+
+def test_every_event_is_either_ordinary_or_an_alarm() -> None:
+    texts = [*sources("hilcell").values(), *sources("procedures").values()]
+    found = {one or other for text in texts for one, other in EVENT.findall(text)}
+    assert found == ORDINARY | ALARMING | {"internal error"}  # of which the fault's record speaks
+    judged = (ROOT / "hilcell/alarms/alarm.py").read_text("utf-8")
+    assert all(f'"{name}"' in judged for name in ALARMING)
