@@ -119,6 +119,12 @@ MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], None], str]] = {
     "early": (lambda p: setattr(p.axis, "lies", True), "no progress for .* wanted target reached"),
     "end of stream": (lambda p: p.server.drop(), "link lost"),
 }
+MOTION_ALARMS = {
+    "following error": "HC-R26", "limit": "HC-R32", "runaway": "HC-R33", "outside": "HC-R34",
+    "fault": "HC-R27", "power lost": "HC-R30", "magnet": "HC-S01", "emcy": "HC-R24",
+    "strip emcy": "HC-R27", "reset": "HC-R03", "heartbeat": "HC-R02", "nmt stop": "HC-R03",
+    "freeze": "HC-R31", "early": "HC-R31", "end of stream": "HC-R01",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MOTION_FAULTS)
@@ -137,8 +143,9 @@ def test_a_fault_in_motion_stops_and_is_named(
     peer.on_sync = strike
     if name in ("freeze", "early"):
         cause(peer)
-    with pytest.raises(DeviceError, match=message):
+    with pytest.raises(DeviceError, match=message) as caught:
         rail.move_to(1100.0)
+    assert caught.value.code == MOTION_ALARMS[name]
     if name != "end of stream":
         assert peer.quick_stopped.wait(5)
     with pytest.raises(DeviceError):

@@ -212,6 +212,14 @@ def test_the_pose_is_in_kukas_angles(robot: KukaC3Robot) -> None:
     np.testing.assert_array_equal(pose[3], [0, 0, 0, 1])
 
 
+ALARMS = {
+    "$TRAFONAME[]": "HC-B05", "$TOOL": "HC-B06", "$BASE": "HC-B06", "$ACT_TOOL": "HC-B07",
+    "$ACT_BASE": "HC-B07", "$ALARM_STOP": "HC-B10", "$USER_SAF": "HC-B11", "$MODE_OP": "HC-B12",
+    "$PERI_RDY": "HC-B13", "$STOPMESS": "HC-B14", "$PRO_STATE1": "HC-B15", "$OV_PRO": "HC-B16",
+    "HC_VER": "HC-B17", "HC_ACK": "HC-B25",
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
@@ -235,8 +243,9 @@ def test_the_pose_is_in_kukas_angles(robot: KukaC3Robot) -> None:
 def test_a_wrong_robot_is_refused(name: str, value: str, message: str) -> None:
     with KukaPeer(**{name: value}) as peer:
         robot = robot_for(peer)
-        with pytest.raises(DeviceRefused, match=message):
+        with pytest.raises(DeviceRefused, match=message) as caught:
             robot.connect()
+        assert caught.value.code == ALARMS[name]
         with pytest.raises(DeviceError, match="not connected"):
             robot.read()
 

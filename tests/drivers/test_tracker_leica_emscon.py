@@ -187,24 +187,26 @@ def test_a_broken_beam_is_no_reading(tracker: Quick, peer: EmsconPeer, answer: l
 
 
 @pytest.mark.parametrize(
-    ("answer", "message"),
+    ("answer", "code", "message"),
     [
         (
             [reply(49), result(POINT, std=0.051)],
+            "HC-T15",
             r"standard deviation 0\.0510 mm, wanted <= 0\.0500",
         ),
-        ([reply(49), result(POINT, std=float("nan"))], "not finite"),
-        ([reply(49), result((float("inf"), 0, 0))], "not finite"),
-        ([reply(49), result(POINT, air=(22.5, 0.0, 45.0))], "pressure 0.0 mbar"),
-        ([reply(49), result(POINT, air=(float("nan"), 1000.0, 45.0))], "temperature nan"),
+        ([reply(49), result(POINT, std=float("nan"))], "HC-T14", "not finite"),
+        ([reply(49), result((float("inf"), 0, 0))], "HC-T14", "not finite"),
+        ([reply(49), result(POINT, air=(22.5, 0.0, 45.0))], "HC-T05", "pressure 0.0 mbar"),
+        ([reply(49), result(POINT, air=(float("nan"), 1000.0, 45.0))], "HC-T05", "temperature nan"),
     ],
 )
 def test_bad_results_are_no_readings(
-    tracker: Quick, peer: EmsconPeer, answer: list[bytes], message: str
+    tracker: Quick, peer: EmsconPeer, answer: list[bytes], code: str, message: str
 ) -> None:
     peer.answers[49] = lambda _: answer
-    with pytest.raises(NoReading, match=message):
+    with pytest.raises(NoReading, match=message) as caught:
         tracker.measure(POINT, SMR, 1)
+    assert caught.value.code == code
 
 
 def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: EmsconPeer) -> None:
