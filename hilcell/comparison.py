@@ -171,7 +171,8 @@ def _unfinished(first: Log, second: Log, live: tuple[bool, bool]) -> Iterator[st
 
 def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
     yield "the tracker's place in {W} is of its set-up and is not compared"
-    if first.inputs.simulated and first.inputs.truth_seed != second.inputs.truth_seed:
+    seeds = (first.inputs.truth_seed, second.inputs.truth_seed)
+    if None not in seeds and seeds[0] != seeds[1]:
         yield "the machines' seeds differ: these are two simulated cells, not one that drifted"
     if not grids and all(log.group("grid") for log in (first, second)):
         yield "the grids differ: their vertices are not compared"
@@ -192,7 +193,7 @@ def _inputs(log: Log) -> dict[str, str]:
     inputs = log.inputs
     cell = {key: value for key, value in inputs.cell.items() if key != "simulation"}
     run = {"procedure": inputs.procedure, "seed": inputs.seed, "unattended": inputs.unattended}
-    machine = {"machine_seed": inputs.truth_seed} if inputs.simulated else {}
+    machine = {} if inputs.truth_seed is None else {"machine_seed": inputs.truth_seed}
     versions = {"versions": {"hilcell": inputs.versions.get("hilcell", "")}}
     return dict(_leaves(run | machine | versions | cell, ""))
 

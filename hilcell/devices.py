@@ -119,11 +119,12 @@ def check_options(cell: Cell) -> None:
 
 
 def start_simulation(
-    cell: Cell, *, seed: int, speed: float, **more: object
+    cell: Cell, *, seed: int | None, speed: float, **more: object
 ) -> SimulatedCell | None:
     """Start the simulated cell beside the engine, where the cell file asks for one.
 
-    ``seed`` is its machine's. ``more`` is for `hilcell sim` alone: faults, ports, truth.
+    ``seed`` is its machine's, None for one that runs already. ``more`` is for `hilcell sim` alone:
+    faults, ports, truth.
     """
     if cell.simulation is None:
         return None

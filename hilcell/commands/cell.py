@@ -49,7 +49,7 @@ def sim(args: argparse.Namespace) -> int:
     cell = load_cell(args.cell, dict(args.set))
     simulated = start_simulation(
         cell,
-        seed=machine_seed(args),
+        seed=machine_seed(cell, args),
         speed=args.speed,
         faults=args.faults,
         truth=args.truth,

@@ -63,7 +63,7 @@ def show(args: argparse.Namespace) -> int:
     summary = _summary(row_of(folder)) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
-        "machine_seed": inputs.truth_seed if inputs.simulated else None,
+        "machine_seed": inputs.truth_seed,
         "calibration": log.states["calibration"],
         "fault": log.fault,
         "sessions": log.session,

@@ -49,11 +49,8 @@ SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms
 def run(args: argparse.Namespace) -> int:
     """Perform a procedure on a cell."""
     cell = load_cell(args.cell, dict(args.set))
-    if args.speed is not None and cell.simulation is None:
-        raise HilcellError(
-            f"--speed is for simulated cells; cell {cell.name} is real", code="HC-C12"
-        )
-    _check_machine_seed(cell, args)
+    _check_of_simulator(cell, "--speed", args.speed)
+    _check_of_simulator(cell, "--machine-seed", args.machine_seed)
     check_attended(cell, unattended=args.unattended)
     if warning := check_copied(args.cell, cell):
         tell(warning)
@@ -107,22 +104,28 @@ def resume(args: argparse.Namespace) -> int:
         return _perform(cell, procedure, journal, log, face, folder, args)
 
 
-def machine_seed(args: argparse.Namespace) -> int:
-    """Return the seed of a simulated cell's machine: its own, or else the run's."""
+def machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
+    """Return the seed of the machine that is started: its own, or else the run's.
+
+    None where no simulator is started: nobody knows it.
+    """
+    if cell.simulation is None or cell.simulation.address:
+        return None
     return int(args.seed if args.machine_seed is None else args.machine_seed)
 
 
-def _check_machine_seed(cell: Cell, args: argparse.Namespace) -> None:
-    if args.machine_seed is None:
+def _check_of_simulator(cell: Cell, option: str, value: float | None) -> None:
+    """Refuse what is said to a simulator where this run starts none."""
+    if value is None:
         return
     if cell.simulation is None:
         raise HilcellError(
-            f"--machine-seed is for simulated cells; cell {cell.name} is real", code="HC-C12"
+            f"{option} is for simulated cells; cell {cell.name} is real", code="HC-C12"
         )
     if cell.simulation.address:
         raise HilcellError(
-            f"--machine-seed: the simulated cell at {cell.simulation.address} runs already; "
-            "give the seed to its `hilcell sim`",
+            f"{option}: the simulated cell at {cell.simulation.address} runs already; "
+            f"give {option} to its `hilcell sim`",
             code="HC-C17",
         )
 
@@ -248,7 +251,7 @@ def _plan_record(
         "cell": msgspec.to_builtins(cell),
         "digest": cell.digest,
         "seed": args.seed,
-        "machine_seed": machine_seed(args),
+        "machine_seed": machine_seed(cell, args),
         "speed": speed,
         "unattended": args.unattended,
         "operator": args.operator,

@@ -113,7 +113,7 @@ def run_table(facts: Facts) -> list[Row]:
         ["digest", inputs.digest],
         ["journal", facts.fingerprint],
         ["seed", inputs.seed],
-        ["machine_seed", inputs.truth_seed if inputs.simulated else ""],
+        ["machine_seed", "" if inputs.truth_seed is None else inputs.truth_seed],
         ["simulated", "yes" if inputs.simulated else "no"],
         ["operator", inputs.operator],
         ["job", inputs.job],

@@ -75,8 +75,14 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     machine_seed: int | None = None
 
     @property
-    def truth_seed(self) -> int:
-        """The seed of a simulated cell's machine; runs of old had one seed for both."""
+    def truth_seed(self) -> int | None:
+        """The seed of the simulated machine; only a run that started the simulator knows it.
+
+        Runs of old had one seed for both, and some recorded it where nobody knew it.
+        """
+        simulation = self.cell.get("simulation")
+        if simulation is None or simulation.get("address"):
+            return None
         return self.seed if self.machine_seed is None else self.machine_seed
 
 

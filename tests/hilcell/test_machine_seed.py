@@ -5,6 +5,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from hilcell.cell import Cell, load_cell
 from hilcell.cli import _parser, main
 from hilcell.commands import run
 from hilcell.ports import DeviceError
@@ -20,7 +21,7 @@ from hilcell.runs import read_log
     ],
 )
 def test_the_machine_has_a_seed_of_its_own_or_the_runs(words: list[str], wanted: int) -> None:
-    assert run.machine_seed(_parser().parse_args(words)) == wanted
+    assert run.machine_seed(load_cell("paper"), _parser().parse_args(words)) == wanted
 
 
 def test_a_resumed_run_has_the_machine_that_it_began_with(
@@ -43,14 +44,32 @@ def test_a_resumed_run_has_the_machine_that_it_began_with(
     assert of_old.truth_seed == 2  # journals of schema 1 had one seed for both
 
 
-@pytest.mark.parametrize(
-    "settings", [["simulation.address=127.0.0.1:9"], ["simulation.simulator=replay"]]
-)
-def test_a_cell_that_runs_already_takes_no_machine_seed(
-    settings: list[str], capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("address", ["", "127.0.0.1:9"])
+def test_a_machine_that_this_run_did_not_start_has_no_seed_in_the_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
-    sets = [f"--set={each}" for each in settings]
-    code = main(["run", "home", "--machine-seed", "3", "--dry-run", *sets])
-    refused = "address" in settings[0]
-    assert code == (2 if refused else 0)
-    assert ("give the seed to its `hilcell sim`" in capsys.readouterr().err) == refused
+    def start(*_: object, **__: object) -> None:
+        raise DeviceError("HC-C18", "Simulated cell", "start", "not here")
+
+    def real(*_: object) -> Cell:
+        return msgspec.structs.replace(load_cell("paper"), simulation=None, name="n", serial="s")
+
+    monkeypatch.setattr(run, "start_simulation", start)
+    if not address:
+        monkeypatch.setattr(run, "load_cell", real)
+    words = ["--name", "R", "--runs", str(tmp_path), f"--set=simulation.address={address}"]
+    assert main(["run", "home", *words]) == 3
+    inputs = read_log(tmp_path / "R").inputs
+    assert (inputs.seed, inputs.machine_seed, inputs.truth_seed) == (1, None, None)
+    of_old = msgspec.structs.replace(inputs, machine_seed=1)  # recorded, though nobody knew it
+    assert of_old.truth_seed is None
+
+
+@pytest.mark.parametrize("option", ["--machine-seed", "--speed"])
+def test_a_cell_that_runs_already_has_its_machine_and_its_pace(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", "home", option, "3", "--dry-run"]
+    assert main(words) == 0
+    assert main([*words, "--set=simulation.address=127.0.0.1:9"]) == 2
+    assert f"give {option} to its `hilcell sim`" in capsys.readouterr().err
