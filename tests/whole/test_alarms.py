@@ -193,5 +193,6 @@ def test_a_fault_that_is_survived_is_a_notice_at_most(injected: list[Alarm]) -> 
 
 
 def test_no_fault_is_left_out() -> None:
-    assert set(ENDS) | set(SURVIVED) == set(KNOWN)
+    streamed = {"tracker.stream_break"}  # no procedure streams; tests of the driver break one
+    assert set(ENDS) | set(SURVIVED) | streamed == set(KNOWN)
     assert not set(ENDS) & set(SURVIVED)
