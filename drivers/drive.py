@@ -20,13 +20,12 @@ from drivers.cia402 import State
 from drivers.motion_limits import MotionLimits
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.sdo import SdoChannel
-from drivers.standstill import READINGS, Rest, Standstill, Windows
+from drivers.standstill import Rest, Standstill, Windows
 from drivers.supervision import Supervision
 from hilcell.ports import Clock, DeviceError
 
 POLL_S = 0.02
-ROUNDING_S = 0.001  # of the cell's time
-STALL_S = 3.0  # wire deadline: neither the wanted state nor progress
+STALL_S = 3.0  # wire deadline, beside the dwell: neither the wanted state nor progress
 OVERSPEED = 1.2
 FULL_SPEED = 100.0  # percent: the drive has no override
 
@@ -120,7 +119,7 @@ class Drive:
     def confirm(self, operation: str) -> Snapshot:
         """Poll once, or for a dwell where older polls do not prove that the slide stands."""
         now = self.poll(operation)
-        for _ in range(READINGS):
+        for _ in range(self._limits.windows.polls):
             if self.rest is not None or not self._standstill.begun:
                 break
             self.pause()
@@ -129,8 +128,7 @@ class Drive:
 
     def pause(self) -> None:
         """Wait for the next poll; a slide that seems to stand is polled as its dwell needs it."""
-        dwell_s = self._limits.windows.dwell_s
-        apart_s = dwell_s / (READINGS - 1) + ROUNDING_S if self._standstill.begun else 0.0
+        apart_s = self._limits.windows.apart_s if self._standstill.begun else 0.0
         self._clock.wait(max(POLL_S, apart_s))
 
     def reset_fault(self) -> None:
@@ -162,9 +160,8 @@ class Drive:
         now = self.confirm(operation)
         if now.powered and self.rest is None:
             self._image.quick_stop()
-            now = self._until(
-                operation, "standstill", lambda _: self.rest is not None, self._limits.ramp_s
-            )
+            ramp_s = self._limits.ramp_s
+            now = self._until(operation, "standstill", lambda _: True, ramp_s, at_rest=True)
         if not now.powered:
             return
         quick = now.state is State.QUICK_STOP_ACTIVE
@@ -183,8 +180,9 @@ class Drive:
             now = self._moving(
                 operation,
                 "homing attained at standstill",
-                lambda s: s.has(attained) and self.rest is not None,
+                lambda s: s.has(attained),
                 self._limits.homing_s,
+                at_rest=True,
             )
         self._image.control(cia402.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
@@ -214,7 +212,9 @@ class Drive:
             self._image.control(cia402.ENABLE_OPERATION, target)
             wanted = f"target reached at {self._limits.mm(target)}, at standstill"
             planned_s = self._limits.travel_s(target - before.position)
-            self._moving(operation, wanted, lambda now: self._arrived(now, target), planned_s)
+            self._moving(
+                operation, wanted, lambda now: self._arrived(now, target), planned_s, at_rest=True
+            )
 
     def _homes(self, before: Snapshot, now: Snapshot) -> bool:
         """Whether homing has begun, or has ended already within one poll.
@@ -226,10 +226,9 @@ class Drive:
         return not stale or abs(now.position - before.position) > self._limits.window
 
     def _arrived(self, now: Snapshot, target: int) -> bool:
-        """Whether a motion has ended; the drive's bit alone may be the last motion's, or a lie."""
+        """Whether the slide is there; the drive's bit alone may be the last motion's, or a lie."""
         reached = now.has(cia402.TARGET_REACHED) and not now.has(cia402.ACKNOWLEDGED)
-        at_rest = self.rest is not None
-        return reached and at_rest and abs(now.position - target) <= self._limits.window
+        return reached and abs(now.position - target) <= self._limits.window
 
     # -- steps --------------------------------------------------------------------------------
 
@@ -251,8 +250,10 @@ class Drive:
         wanted: str,
         done: Callable[[Snapshot], bool],
         planned_s: float = 0.0,
+        *,
+        at_rest: bool = False,
     ) -> Snapshot:
-        return self._until(operation, wanted, done, planned_s, moving=True)
+        return self._until(operation, wanted, done, planned_s, moving=True, at_rest=at_rest)
 
     def _until(
         self,
@@ -262,24 +263,29 @@ class Drive:
         planned_s: float = 0.0,
         *,
         moving: bool = False,
+        at_rest: bool = False,
     ) -> Snapshot:
         """Poll by SYNC until ``done``; raises when neither that nor progress comes in time.
 
         Progress alone does not go on for ever: ``planned_s`` of the cell bounds it.
         """
-        limits = MotionLimits(planned_s, STALL_S, self._limits.window)
+        stall_s = STALL_S + self._limits.windows.dwell_s * at_rest
+        limits = MotionLimits(planned_s, stall_s, self._limits.window)
         while True:
             now = self.poll(operation)
             if moving:
                 self._check_motion(operation, now)
-            if done(now):
+            stands = self.rest is not None or not at_rest
+            if stands and done(now):
                 return now
             if limits.stalled(np.array([now.position], dtype=float)):
+                if done(now):
+                    raise self._restless(operation, stall_s)
                 raise DeviceError(
                     "HC-R31",
                     DEVICE,
                     operation,
-                    f"no progress for {STALL_S:.0f} s at {self._seen(now)}",
+                    f"no progress for {stall_s:.0f} s at {self._seen(now)}",
                     wanted=wanted,
                     act="check the slide for an obstacle and the drive, then resume",
                     fields={"waited_s": STALL_S, **self._fields(now)},
@@ -299,6 +305,19 @@ class Drive:
                     },
                 )
             self.pause()
+
+    def _restless(self, operation: str, waited_s: float) -> DeviceError:
+        limits, windows, seen = self._limits, self._limits.windows, self._standstill.unrest
+        return DeviceError(
+            DEVICE,
+            operation,
+            f"the slide does not come to rest: speed {limits.mm(seen.speed)}/s, "
+            f"drive within {limits.mm(seen.spread)}, strip within {seen.strip_spread} counts",
+            wanted=f"<= {limits.mm(windows.speed)}/s, {limits.mm(windows.spread)} and "
+            f"{windows.strip_spread} counts for {windows.dwell_s:.2f} s, within {waited_s:.0f} s",
+            act="check the slide for creep and the servo for hunting; where both are well, widen "
+            "rail.options standstill_speed_mm_s or standstill_window_mm; then resume",
+        )
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:
         limits, code, found = self._limits, "", ""

@@ -27,9 +27,9 @@ from drivers.standstill import READINGS, Standstill, Windows
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 
-SETTLE_S = 10.0  # wire deadline
+SETTLE_S = 10.0  # wire deadline, beside the dwell
 LATE_S = 0.8  # below the consumer time of the drive (1016h)
-RELEASE_S = 5.0  # wire deadline
+RELEASE_S = 5.0  # wire deadline, beside two dwells
 POLL_S = 0.02
 WINDOW_MM = 0.05
 STRIP_SPREAD_COUNTS, STRIP_SPREAD_MM = 2, 0.02  # at rest: one count about the middle
@@ -65,9 +65,9 @@ class CanopenRail:
         strip_vendor: U32 = 0x484
         strip_product: U32 = 0x406
         strip_serial: U32 = 0
-        standstill_speed_mm_s: Positive = 0.5
-        standstill_window_mm: Positive = 0.01
-        standstill_dwell_s: Annotated[float, Meta(gt=0, le=5)] = 0.4
+        standstill_speed_mm_s: Annotated[float, Meta(ge=0.01, le=5)] = 0.5
+        standstill_window_mm: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.01
+        standstill_dwell_s: Annotated[float, Meta(ge=0.05, le=5)] = 0.4
         homing_mm_s: Positive = 100.0
 
         def __post_init__(self) -> None:
@@ -137,7 +137,8 @@ class CanopenRail:
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
         options, drive = self._options, self._used()
-        patience = Patience(SETTLE_S)
+        limit_s = SETTLE_S + options.standstill_dwell_s
+        patience = Patience(limit_s)
         while True:
             over = patience.over()
             now = drive.poll("settle")
@@ -151,8 +152,9 @@ class CanopenRail:
                     f"strip {now.strip / options.strip_counts_per_mm:.2f} mm, "
                     f"speed {now.velocity / options.counts_per_mm:.3f} mm/s",
                     wanted=f"{READINGS} readings within +-1 count, the drive's within "
-                    f"{options.standstill_window_mm:.3f} mm, over "
-                    f"{options.standstill_dwell_s:.2f} s, within {SETTLE_S:.0f} s",
+                    f"{options.standstill_window_mm:.3f} mm, <= "
+                    f"{options.standstill_speed_mm_s:.3f} mm/s, over "
+                    f"{options.standstill_dwell_s:.2f} s, within {limit_s:.0f} s",
                     act="the slide creeps or the strip's head is loose; check, then resume",
                     fields={
                         "strip_mm": now.strip / options.strip_counts_per_mm,
@@ -330,7 +332,8 @@ class CanopenRail:
         link.check()
         windows = self._limits().windows
         standstill = Standstill(windows)
-        began_s, patience = time.monotonic(), Patience(RELEASE_S)
+        limit_s = RELEASE_S + 2 * windows.dwell_s
+        began_s, patience = time.monotonic(), Patience(limit_s)
         while (now := image.refresh(_go_on)).powered:
             passed_s = time.monotonic() - began_s
             standstill.take(now, passed_s)
@@ -346,7 +349,7 @@ class CanopenRail:
                     DEVICE,
                     "close",
                     f"the drive keeps its power: {now.state.value}",
-                    wanted=f"held within {RELEASE_S:.0f} s",
+                    wanted=f"held within {limit_s:.0f} s",
                     act="switch the drive off",
                     fields={"state": now.state.value, "waited_s": RELEASE_S},
                 )

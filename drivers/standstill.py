@@ -8,6 +8,7 @@ that has stood since the last reading is confirmed by one poll and not by one mo
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from statistics import median
@@ -16,6 +17,8 @@ from drivers.process_image import Snapshot
 
 READINGS = 5  # at least, of one dwell; what they show is told by their median
 HISTORY_S = 60.0  # of the cell; an older poll counts for nothing
+LONGEST_PAUSE_S = 0.1  # far below the time after which a motion counts as unattended
+ROUNDING_S = 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +30,16 @@ class Windows:
     strip_spread: int
     dwell_s: float
 
+    @property
+    def apart_s(self) -> float:
+        """Return how far apart the polls of a dwell are at most: a long dwell has more of them."""
+        return min(self.dwell_s / (READINGS - 1), LONGEST_PAUSE_S) + ROUNDING_S
+
+    @property
+    def polls(self) -> int:
+        """Return how many polls see a whole dwell."""
+        return max(READINGS, math.ceil(self.dwell_s / self.apart_s) + 1)
+
 
 @dataclass(frozen=True, slots=True)
 class Rest:
@@ -36,25 +49,38 @@ class Rest:
     strip: float
 
 
+@dataclass(frozen=True, slots=True)
+class Unrest:
+    """The most that the polls of the last dwell have shown, in counts/s and counts."""
+
+    speed: int
+    spread: int
+    strip_spread: int
+
+
 class Standstill:
     """The polls since the slide last moved, in the cell's time."""
 
     def __init__(self, windows: Windows) -> None:
         self._windows = windows
         self._polls: deque[tuple[float, Snapshot]] = deque()
+        self._recent: deque[tuple[float, Snapshot]] = deque()  # of a dwell, whatever they show
 
     def forget(self) -> None:
         """Begin again: the slide is about to move."""
         self._polls.clear()
+        self._recent.clear()
 
     def take(self, poll: Snapshot, now_s: float) -> None:
         """Take a poll made at ``now_s``, and drop those that no longer count."""
+        self._recent.append((now_s, poll))
+        self._drop_needless(self._recent, now_s)
         if not abs(poll.velocity) <= self._windows.speed:
             self._polls.clear()
             return
         self._polls.append((now_s, poll))
         self._drop_moved()
-        self._drop_needless(now_s)
+        self._drop_needless(self._polls, now_s)
 
     @property
     def begun(self) -> bool:
@@ -69,6 +95,17 @@ class Standstill:
             return None
         last = [poll for _, poll in polls][-READINGS:]
         return Rest(median(poll.position for poll in last), median(poll.strip for poll in last))
+
+    @property
+    def unrest(self) -> Unrest:
+        """Return what keeps the slide from standing; raises `ValueError` before the first poll."""
+        polls = [poll for _, poll in self._recent]
+        positions, strips = [poll.position for poll in polls], [poll.strip for poll in polls]
+        return Unrest(
+            max(abs(poll.velocity) for poll in polls),
+            max(positions) - min(positions),
+            max(strips) - min(strips),
+        )
 
     def _drop_moved(self) -> None:
         """Keep the newest polls whose positions all lie within the windows."""
@@ -87,9 +124,8 @@ class Standstill:
         while len(self._polls) > kept:
             self._polls.popleft()
 
-    def _drop_needless(self, now_s: float) -> None:
+    def _drop_needless(self, polls: deque[tuple[float, Snapshot]], now_s: float) -> None:
         """Drop what is too old, and what the dwell and the medians do not need."""
-        polls = self._polls
         while not now_s - polls[0][0] <= HISTORY_S:
             polls.popleft()
         while len(polls) > READINGS and now_s - polls[1][0] >= self._windows.dwell_s:

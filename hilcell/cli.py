@@ -18,7 +18,7 @@ from hilcell import __version__
 from hilcell.clean import clean
 from hilcell.telling import tell
 
-LEAST_SPEED, MOST_SPEED = 0.001, 1e6
+LEAST_SPEED, MOST_SPEED = 1.0, 1e6  # watchdogs on the wires run in real time
 MOST_SEED = 2**63 - 1
 MOST_PORT = 65535
 SIMULATED = ("rail", "robot", "tracker", "control")
