@@ -7,6 +7,7 @@ link raises it. A link is never repaired: connect builds a new one.
 
 from __future__ import annotations
 
+import math
 import struct
 import threading
 import time
@@ -21,6 +22,7 @@ from hilcell.ports import DeviceError, LinkStatistics
 
 RECEIVE_S = 0.02
 HEARTBEAT_PERIOD_S = 0.05
+RECENT_S = 5.0  # a pause that ended before does not explain what a node reports now
 JOIN_S = 1.0
 OPERATIONAL = b"\x05"
 
@@ -75,7 +77,7 @@ class CanLink:
         self._frames = self._malformed = 0
         self._bus = bus
         self._beat_s: float | None = None  # when the PC's last heartbeat went out
-        self._longest_pause_s = 0.0
+        self._pause_s, self._paused_s = 0.0, -math.inf  # the longest recent pause, and its end
         self._failure = ""
         self._end = threading.Event()
         self._threads = [threading.Thread(target=self._receive, name="CAN receive", daemon=True)]
@@ -119,10 +121,11 @@ class CanLink:
         return LinkStatistics(self._frames, bad, refused, self._malformed)
 
     @property
-    def longest_pause_s(self) -> float:
-        """Return the longest time between two heartbeats of the PC."""
-        now_s = time.monotonic()
-        return max(self._longest_pause_s, now_s - (self._beat_s or now_s))
+    def pause_s(self) -> float:
+        """Return the longest time without a heartbeat of the PC that ended at most 5 s ago."""
+        now_s, beat_s = time.monotonic(), self._beat_s
+        recent_s = self._pause_s if now_s - self._paused_s <= RECENT_S else 0.0
+        return max(recent_s, 0.0 if beat_s is None else now_s - beat_s)
 
     def close(self) -> None:
         """End both threads and close the bus; what the dying bus says is of no use any more."""
@@ -173,8 +176,10 @@ class CanLink:
 
     def _send_beat(self, cob_id: int) -> None:
         self.send(cob_id, OPERATIONAL)
-        self._longest_pause_s = self.longest_pause_s
-        self._beat_s = time.monotonic()
+        now_s, longest_s = time.monotonic(), self.pause_s
+        if longest_s > self._pause_s or not now_s - self._paused_s <= RECENT_S:
+            self._pause_s, self._paused_s = longest_s, now_s
+        self._beat_s = now_s
 
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or str(error)

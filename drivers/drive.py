@@ -288,7 +288,7 @@ class Drive:
                     f"no progress for {stall_s:.0f} s at {self._seen(now)}",
                     wanted=wanted,
                     act="check the slide for an obstacle and the drive, then resume",
-                    fields={"waited_s": STALL_S, **self._fields(now)},
+                    fields={"waited_s": stall_s, **self._fields(now)},
                 )
             if limits.overdue(self._now_s, FULL_SPEED):
                 raise DeviceError(
@@ -309,6 +309,7 @@ class Drive:
     def _restless(self, operation: str, waited_s: float) -> DeviceError:
         limits, windows, seen = self._limits, self._limits.windows, self._standstill.unrest
         return DeviceError(
+            "HC-R43",
             DEVICE,
             operation,
             f"the slide does not come to rest: speed {limits.mm(seen.speed)}/s, "
@@ -317,6 +318,12 @@ class Drive:
             f"{windows.strip_spread} counts for {windows.dwell_s:.2f} s, within {waited_s:.0f} s",
             act="check the slide for creep and the servo for hunting; where both are well, widen "
             "rail.options standstill_speed_mm_s or standstill_window_mm; then resume",
+            fields={
+                "speed_mm_s": seen.speed / limits.counts_per_mm,
+                "spread_mm": seen.spread / limits.counts_per_mm,
+                "strip_spread_counts": seen.strip_spread,
+                "waited_s": waited_s,
+            },
         )
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:

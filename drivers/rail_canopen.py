@@ -201,7 +201,7 @@ class CanopenRail:
         )
         image = ProcessImage(link, options.drive_node, options.strip_node)
         supervision = Supervision(DEVICE, "HC-R39", LATE_S)
-        identities = self._identify(drive_sdo, strip_sdo)
+        identities = self._identify(link, drive_sdo, strip_sdo)
         for watch in self._watches:
             watch.begin_set_up()
         try:
@@ -260,7 +260,9 @@ class CanopenRail:
         link.network.add_node(remote)
         return channel
 
-    def _identify(self, drive_sdo: SdoChannel, strip_sdo: SdoChannel) -> list[Identity]:
+    def _identify(
+        self, link: CanLink, drive_sdo: SdoChannel, strip_sdo: SdoChannel
+    ) -> list[Identity]:
         o = self._options
         found = []
         for sdo, expected in (
@@ -269,7 +271,7 @@ class CanopenRail:
             (strip_sdo, Expected("strip", o.strip_node, cia406.DEVICE_PROFILE, o.strip_vendor,
                                  o.strip_product, o.strip_serial)),
         ):  # fmt: skip
-            device_type = rail_setup.find_node(sdo, expected, self._clock)
+            device_type = rail_setup.find_node(link, sdo, expected, self._clock)
             found.append(rail_setup.identify(sdo, expected, device_type, o.channel))
         rail_setup.check_strip_step(strip_sdo, o.strip_counts_per_mm)
         return found

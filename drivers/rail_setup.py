@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from drivers import cia402, cia406, nmt
 from drivers.can_link import CanLink, LinkLost
-from drivers.node_watch import HEARTBEAT_PERIOD_MS, NodeWatch
+from drivers.node_watch import HEARTBEAT_PERIOD_MS, PC_HEARTBEAT_LIMIT_MS, NodeWatch
 from drivers.sdo import ABSENT, Aborted, SdoChannel
 from hilcell.clean import clean
 from hilcell.ports import Clock, DeviceError, DeviceRefused, Identity, says_simulated
@@ -26,7 +26,6 @@ FIND_S = 5.0
 OPERATIONAL_S = 3.0  # wire deadline
 START_PERIOD_S = 0.5
 POLL_S = 0.02
-PC_HEARTBEAT_LIMIT_MS = 1000
 HOMING_SLOW_MM_S, HOMING_SLOW_MM = 5.0, 20.0  # off the switch, at most so far
 LARGEST_U16 = 0xFFFF
 
@@ -43,7 +42,7 @@ class Expected:
     serial: int
 
 
-def find_node(sdo: SdoChannel, expected: Expected, clock: Clock) -> int:
+def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, clock: Clock) -> int:
     """Return the node's device type as soon as it answers; raises `DeviceError` after `FIND_S`.
 
     A lost link is told at once as `LinkLost`.
@@ -60,12 +59,21 @@ def find_node(sdo: SdoChannel, expected: Expected, clock: Clock) -> int:
                     "HC-R05",
                     "Rail",
                     "connect",
-                    f"node {expected.node} ({expected.name}) does not answer",
+                    f"node {expected.node} ({expected.name}) does not answer{_losses(link)}",
                     wanted=f"an answer within {FIND_S:.0f} s",
                     act="check its power, cable, terminators, bit rate and node number",
                     fields={"node": expected.node, "name": expected.name, "waited_s": FIND_S},
                 ) from error
         clock.check()
+
+
+def _losses(link: CanLink) -> str:
+    """Return what was lost on a link, to be said behind a node's silence; "" where nothing was."""
+    lost = link.statistics()
+    if not lost.bad_lines + lost.refused + lost.malformed:
+        return ""
+    malformed = f", {lost.malformed} malformed" if lost.malformed else ""
+    return f"; {lost.bad_lines} bad lines, {lost.refused} refused{malformed} on this link"
 
 
 def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str) -> Identity:

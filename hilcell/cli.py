@@ -18,7 +18,7 @@ from hilcell import __version__
 from hilcell.clean import clean
 from hilcell.telling import tell
 
-LEAST_SPEED, MOST_SPEED = 1.0, 1e6  # watchdogs on the wires run in real time
+LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
 MOST_PORT = 65535
 SIMULATED = ("rail", "robot", "tracker", "control")
@@ -340,7 +340,8 @@ def _speed(text: str) -> float:
     value = math.inf if text == "max" else _number(text)
     if not (text == "max" or LEAST_SPEED <= value <= MOST_SPEED):
         raise argparse.ArgumentTypeError(
-            f"a factor of {LEAST_SPEED:g} .. {MOST_SPEED:g}, or max, is wanted, found {text[:80]!r}"
+            f"a factor of {LEAST_SPEED:g} .. {MOST_SPEED:g}, or max, is wanted (not slower than "
+            f"real time, in which the devices' watchdogs run), found {text[:80]!r}"
         )
     return value
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import struct
 import sys
 import threading
 import time
@@ -12,8 +13,9 @@ from itertools import pairwise
 
 import pytest
 
+from drivers.can_link import RECENT_S
+from drivers.node_watch import PC_HEARTBEAT_LIMIT_MS
 from drivers.rail_canopen import LATE_S
-from drivers.rail_setup import PC_HEARTBEAT_LIMIT_MS
 from hilcell.commands.run import SWITCH_S
 from hilcell.ports import DeviceError
 from tests.drivers.can_peer import CanPeer
@@ -159,3 +161,52 @@ def test_nothing_is_started_by_a_reading_that_is_old(
         image.control(0x000F)
     assert len(cell.peer.frames(0x205)) == sent
     image.control(0x0000)  # what takes the power away always goes
+
+
+def emergency(cell: Cell) -> DeviceError:
+    """Return the error of a drive that reports a lost heartbeat."""
+    cell.let_go.set()
+    cell.peer.send(0x085, struct.pack("<HB5x", 0x8130, 0x11))
+    end_s = time.monotonic() + WAIT_S
+    while time.monotonic() < end_s:
+        try:
+            cell.rail.read()
+        except DeviceError as error:
+            return error
+    raise AssertionError("no error")
+
+
+def test_a_pause_of_the_pc_is_named_before_what_the_drive_reports_of_it(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = cell.rail._link
+    assert link is not None
+    monkeypatch.setattr(link, "_send_beat", lambda _cob_id: None)
+    assert link._beat_s is not None
+    link._beat_s -= 2.0
+    error = emergency(cell)
+    assert error.code == "HC-R44"
+    assert error.found.startswith("PC late: its heartbeat paused for 2.")
+    assert error.found.endswith("so node 5 reports 0x8130 (heartbeat or life guard error)")
+    assert error.act.startswith("give the engine a PC of its own")
+
+
+def test_a_heartbeat_that_was_lost_on_the_wire_is_the_drives_word(cell: Cell) -> None:
+    error = emergency(cell)
+    assert error.code == "HC-R25"
+    assert error.found.startswith("node 5: EMCY 0x8130")
+
+
+def test_a_pause_is_remembered_for_a_while_only(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = cell.rail._link
+    assert link is not None
+    send, now_s = link._send_beat, time.monotonic()
+    monkeypatch.setattr(link, "_send_beat", lambda _cob_id: None)
+    link._beat_s = now_s - 2.0
+    send(BEAT)
+    send(BEAT)
+    assert 2.0 <= link.pause_s < 2.5
+    link._paused_s -= RECENT_S
+    assert link.pause_s < 1.0

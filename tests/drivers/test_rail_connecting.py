@@ -99,6 +99,18 @@ def test_a_missing_node_is_named(peer: CanPeer) -> None:
         rail_for(peer).connect()
 
 
+def test_a_missing_node_on_a_line_full_of_garbage_is_told_with_what_was_lost(
+    peer: CanPeer,
+) -> None:
+    peer.ignore.add((0x1000, 0))
+    peer.tamper = lambda line: [line[:-2] + b"?\r"]
+    with pytest.raises(
+        DeviceError,
+        match=r"node 5 \(drive\) does not answer; \d+ bad lines, 0 refused on this link",
+    ):
+        rail_for(peer).connect()
+
+
 def test_an_abort_is_told_in_the_standards_words(peer: CanPeer) -> None:
     peer.abort[0x6007, 0] = 0x06010002
     with pytest.raises(

@@ -16,6 +16,11 @@ from hilcell.settings import SettingsError, convert
         ({"counts_per_mm": 1e9}, "does not fit 32 bits"),
         ({"interface": "virtual"}, "interface"),
         ({"strip_counts": 1}, "did you mean"),
+        ({"standstill_window_mm": 1000.0}, "standstill_window_mm.*allowed: >= 0.001, <= 0.1"),
+        ({"standstill_window_mm": 1e-9}, "standstill_window_mm.*allowed"),
+        ({"standstill_speed_mm_s": 1e9}, "standstill_speed_mm_s.*allowed: >= 0.01, <= 5"),
+        ({"standstill_speed_mm_s": 1e-9}, "standstill_speed_mm_s.*allowed"),
+        ({"standstill_dwell_s": 0.0001}, "standstill_dwell_s.*allowed: >= 0.05, <= 5"),
     ],
 )
 def test_options_are_strict(changed: dict[str, object], message: str) -> None:

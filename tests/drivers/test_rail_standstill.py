@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers import drive, motion_limits, rail_canopen
+from drivers import drive, motion_limits, rail_canopen, standstill
 from drivers.rail_canopen import CanopenRail
 from hilcell.cell import load_cell
 from hilcell.ports import DeviceError
@@ -30,7 +30,7 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, name, value)
 
 
-def rail_for(peer: CanPeer, dwell_s: float = 0.01) -> CanopenRail:
+def rail_for(peer: CanPeer, dwell_s: float = 0.01, **windows: float) -> CanopenRail:
     options = CanopenRail.Options(
         channel=peer.channel,
         travel_min_mm=0.0,
@@ -38,6 +38,7 @@ def rail_for(peer: CanPeer, dwell_s: float = 0.01) -> CanopenRail:
         speed_mm_s=250.0,
         acceleration_mm_s2=200.0,
         standstill_dwell_s=dwell_s,
+        **windows,
     )
     return CanopenRail(options, wall_clock())
 
@@ -94,6 +95,42 @@ def test_a_slide_that_creeps_is_refused(peer: CanPeer, powered: bool) -> None:
         check_held(CELL, reading, None, ROBOT_BLOCKED)
     peer.on_sync = lambda: None
     rail.close()
+
+
+@pytest.mark.parametrize(
+    ("narrow", "found", "wanted"),
+    [
+        ({"standstill_speed_mm_s": 0.05}, r"speed 0\.060 mm/s", r"<= 0\.050 mm/s"),
+        ({"standstill_window_mm": 0.002}, r"drive within 0\.00[3-5] mm", r"0\.002 mm and"),
+    ],
+)
+def test_a_window_too_narrow_for_this_servo_is_named_with_its_option(
+    peer: CanPeer, narrow: dict[str, float], found: str, wanted: str
+) -> None:
+    rail = rail_for(peer, **narrow)
+    rail.connect()
+    (option,) = narrow
+    with pytest.raises(
+        DeviceError, match=f"not come to rest: .*{found}.*, wanted .*{wanted}.*{option}"
+    ) as told:
+        rail.move_to(700.0)
+    assert told.value.code == "HC-R43"
+    assert abs(peer.axis.position - 700_000) < 10
+    rail.close()
+
+
+def test_a_long_dwell_is_no_lack_of_progress(
+    peer: CanPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(standstill, "LONGEST_PAUSE_S", 0.01)
+    monkeypatch.setattr(drive, "STALL_S", 0.1)
+    monkeypatch.setattr(rail_canopen, "RELEASE_S", 0.1)
+    rail = rail_for(peer, dwell_s=0.3)
+    rail.connect()
+    rail.move_to(700.0)
+    assert rail.settle().still
+    rail.close()
+    assert peer.axis.state == DISABLED
 
 
 def test_a_strip_that_creeps_alone_is_refused(peer: CanPeer) -> None:

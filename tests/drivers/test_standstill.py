@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from drivers.process_image import Snapshot
-from drivers.standstill import HISTORY_S, Rest, Standstill, Windows
+from drivers.standstill import HISTORY_S, Rest, Standstill, Unrest, Windows
+from drivers.supervision import ATTENDED_S
 
 WINDOWS = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.25)
 
@@ -78,3 +79,18 @@ def test_what_was_before_a_motion_is_forgotten() -> None:
 def test_a_slide_that_came_to_rest_is_told_by_what_came_after() -> None:
     way = [poll(1000 * n, 100 * n, velocity=400) for n in range(9)]
     assert after(*way, *[poll(9000, 900)] * 5).rest == Rest(9000, 900)
+
+
+@pytest.mark.parametrize("dwell_s", [0.05, 0.25, 0.4, 1.0, 5.0])
+def test_a_dwell_of_any_length_is_polled_often_enough_for_the_heartbeat(dwell_s: float) -> None:
+    windows = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=dwell_s)
+    assert windows.apart_s < ATTENDED_S / 2
+    standstill = Standstill(windows)
+    for n in range(windows.polls):
+        standstill.take(poll(), n * windows.apart_s)
+    assert standstill.rest == Rest(1000, 100)
+
+
+def test_what_keeps_a_slide_from_standing_is_seen() -> None:
+    polls = [poll(1000 + 7 * n, 100 - n, (-1) ** n * 600) for n in range(4)]
+    assert after(poll(velocity=9000), *polls, poll(1000, 100)).unrest == Unrest(600, 21, 3)

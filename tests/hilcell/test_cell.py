@@ -85,6 +85,7 @@ def test_collinear_slide_nests_are_refused() -> None:
         ("survey.step_mm", "0.01", "200000 steps, at most 10000"),
         ("settle.robot_s", "3601.0", "allowed: >= 0, <= 3600"),
         ("settle.rail_s", "-1.0", "allowed: >= 0, <= 3600"),
+        ("rail.standstill_dwell_s", "0.0001", "allowed: >= 0.05, <= 5"),
         ("settle.reading_age_s", "0.001", "allowed: >= 0.01, <= 10"),
         ("settle.reading_age_s", "11.0", "allowed: >= 0.01, <= 10"),
         ("rail.acceleration_mm_s2", "0.5", "allowed: >= 1, <= 1e+06"),
