@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -30,7 +31,7 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, name, value)
 
 
-def rail_for(peer: CanPeer, dwell_s: float = 0.01, **windows: float) -> CanopenRail:
+def rail_for(peer: CanPeer, dwell_s: float = 0.01, **windows: Any) -> CanopenRail:
     options = CanopenRail.Options(
         channel=peer.channel,
         travel_min_mm=0.0,
