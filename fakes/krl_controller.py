@@ -175,8 +175,8 @@ class KrlController:
     def _position_text(self, which: str, state: RobotState) -> str:
         off, joints_rad = np.zeros(6), state.joints_rad
         if state.moving and which == "$AXIS_ACT_MEAS":
-            joints_rad = self._motion.measured(CYCLE_S)
-            off = flicker(joints_rad.tobytes(), 0, 6)
+            joints_rad, tick = self._motion.measured(CYCLE_S)
+            off = flicker(state.landing_rad.tobytes(), tick, 6)
         elif not state.moving:
             self._looks += 1
             landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()

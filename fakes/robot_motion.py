@@ -6,7 +6,6 @@ goes what the joints do beside it: from which side each comes, and by how much i
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -137,11 +136,16 @@ class RobotMotion:
             joints = self._joints(self._time.now_s())
             return RobotState(joints, self._side, self._landing, self.moving)
 
-    def measured(self, cycle_s: float) -> Array:
-        """Return the joints (6,) as they were at the last tick of a controller's cycle."""
-        ticked_s = math.floor(self._time.now_s() / cycle_s) * cycle_s
-        joints_rad: Array = self.past(np.array([ticked_s]))[0][0]
-        return joints_rad
+    def measured(self, cycle_s: float) -> tuple[Array, int]:
+        """Return the joints (6,) at the last tick of a controller's cycle, and the tick's number.
+
+        Ticks count from the motion's start: a run is the same whenever it moves.
+        """
+        with self._lock:
+            start_s = self._legs[-1].start_s
+            # Times in steps of milliseconds meet the ticks; rounding must not choose between two.
+            tick = int((self._time.now_s() - start_s) / cycle_s + 1e-6)
+            return self.past(np.array([start_s + tick * cycle_s]))[0][0], tick
 
     @property
     def moving(self) -> bool:

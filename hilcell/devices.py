@@ -12,7 +12,18 @@ import msgspec
 from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.cell import Cell
 from hilcell.places import places
-from hilcell.ports import Clock, DeviceError, Identity, Rail, Robot, SimulatedCell, Tracker
+from hilcell.ports import (
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    Rail,
+    Robot,
+    SimulatedCell,
+    Streams,
+    Sweeps,
+    Tracker,
+)
 from hilcell.settings import SettingsError, convert
 
 TABLES = (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers"))
@@ -41,6 +52,42 @@ class Devices:
     def named(self) -> dict[str, Rail | Robot | Tracker]:
         """Return the devices by name, in the order in which they are opened."""
         return {"Rail": self.rail, "Robot": self.robot, "Tracker": self.tracker}
+
+
+def streams_of(tracker: Tracker) -> Streams:
+    """Return a tracker that streams; raises `DeviceRefused` where it does not."""
+    if isinstance(tracker, Streams):
+        return tracker
+    raise DeviceRefused(
+        "HC-T43",
+        "Tracker",
+        "stream",
+        "this tracker streams: no",
+        wanted="a driver with `stream`",
+        act="choose a procedure that measures at rest only",
+    )
+
+
+def sweeps_of(robot: Robot) -> Sweeps:
+    """Return a robot that sweeps an axis slowly; raises `DeviceRefused` where it does not."""
+    if isinstance(robot, Sweeps):
+        return robot
+    raise DeviceRefused(
+        "HC-B42",
+        "Robot",
+        "sweep",
+        "this robot sweeps an axis: no",
+        wanted="a driver with `sweep`",
+        act="choose a procedure that measures at rest only",
+    )
+
+
+def abilities(cell: Cell) -> dict[str, bool]:
+    """Return what the cell's drivers can beside what every driver must."""
+    return {
+        "tracker_streams": issubclass(load_entry("trackers", cell.tracker.driver), Streams),
+        "robot_sweeps": issubclass(load_entry("robots", cell.robot.driver), Sweeps),
+    }
 
 
 def build_devices(

@@ -13,10 +13,10 @@ the bytes that carry the reading arrived; nobody may use one older than its limi
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from threading import Event
-from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,28 +216,13 @@ class Tracker(Protocol):
         """Close the wire."""
 
 
-class Flyer(Protocol):
-    """What flies: prepared by ``with``; whatever leaves it, the device is what it was before."""
-
-    def __enter__(self) -> Self:
-        """Prepare; nothing moves or is measured yet."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End what is under way and restore the device; an error on the way gets a note."""
-
-    def kickoff(self) -> None:
-        """Start; returns when the device has acknowledged."""
-
-
-class Stream(Flyer, Protocol):
+class Stream(Protocol):
     """A tracker that follows its reflector and samples by its own clock."""
 
     rate_hz: float  # that the tracker really has
+
+    def kickoff(self) -> None:
+        """Start; returns when the tracker has acknowledged."""
 
     def collect(self) -> list[StreamBlock]:
         """Return what has arrived, without waiting; raises `NoReading` when the beam broke."""
@@ -246,11 +231,14 @@ class Stream(Flyer, Protocol):
         """End the stream and return the rest of it."""
 
 
-class Sweep(Flyer, Protocol):
-    """A robot that turns one axis at constant speed, with its joints told meanwhile."""
+class Sweep(Protocol):
+    """A robot that turns one axis at constant speed, with its joints read meanwhile."""
 
     speed_rad_s: float  # that the controller is set to
     ended: bool  # the controller has acknowledged the end of the motion
+
+    def kickoff(self) -> None:
+        """Start the motion."""
 
     def collect(self) -> JointSample:
         """Ask for the joints once, and look whether all is well and the motion has ended."""
@@ -263,16 +251,18 @@ class Sweep(Flyer, Protocol):
 class Streams(Protocol):
     """A tracker that streams."""
 
-    def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Stream:
-        """Return a stream of the reflector that is now at ``near_mm`` (3,), tracker's frame."""
+    def stream(
+        self, near_mm: Array, reflector: str, rate_hz: float
+    ) -> AbstractContextManager[Stream]:
+        """Prepare a stream of the reflector that is now at ``near_mm`` (3,), tracker's frame."""
 
 
 @runtime_checkable
 class Sweeps(Protocol):
     """A robot that turns one axis slowly."""
 
-    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Sweep:
-        """Return a motion of ``axis`` (0 to 5) alone, from where the robot stands.
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> AbstractContextManager[Sweep]:
+        """Prepare a motion of ``axis`` (0 to 5) alone, from where the robot stands.
 
         Its speed is the next one that the controller has, not above ``speed_rad_s``.
         """

@@ -13,7 +13,7 @@ from hilcell.cell import load_cell
 from hilcell.commands.common import say
 from hilcell.commands.run import machine_seed
 from hilcell.copied import check_copied
-from hilcell.devices import check_options, load_entry, start_simulation
+from hilcell.devices import abilities, check_options, load_entry, start_simulation
 from hilcell.ports import HilcellError
 from hilcell.run.machine import CALIBRATION, RUN, mermaid
 from hilcell.run.procedure import Procedure
@@ -28,7 +28,8 @@ def check(args: argparse.Namespace) -> int:
     check_options(cell)
     procedure: Procedure = load_entry("procedures", "calibrate")
     plan = procedure.plan(cell, seed=1)
-    facts = {
+    able = abilities(cell)
+    facts = able | {
         "cell": cell.name,
         "digest": cell.digest,
         "stations": [station.name for station in cell.station],
@@ -38,10 +39,16 @@ def check(args: argparse.Namespace) -> int:
     }
     words = (
         f"{args.cell}: cell {cell.name} is sound; calibrate measures {plan.points} points "
-        f"in {plan.duration_s / 60:.0f} min"
+        f"in {plan.duration_s / 60:.0f} min; "
+        f"this tracker streams: {_word(able['tracker_streams'])}, "
+        f"this robot sweeps an axis: {_word(able['robot_sweeps'])}"
     )
     say(facts, words, as_json=args.json)
     return 0
+
+
+def _word(able: bool) -> str:
+    return "yes" if able else "no"
 
 
 def sim(args: argparse.Namespace) -> int:

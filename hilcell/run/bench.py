@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -92,6 +93,10 @@ class Bench:
         """Journal something worth knowing."""
         self._journal.append("event", "", {"what": what} | facts)
 
+    def intend(self, key: str, action: str, **facts: object) -> None:
+        """Journal what is about to be done."""
+        self._journal.append("intent", key, {"action": action} | facts)
+
     def frame(self, key: str, matrix: Array, **facts: object) -> None:
         """Journal a frame as a homogeneous matrix (4, 4)."""
         self._journal.append("frame", key, {"matrix": matrix} | facts)
@@ -104,6 +109,11 @@ class Bench:
     def seed(self) -> int:
         """Return the run's seed, from which random targets are drawn."""
         return self.log.inputs.seed
+
+    @property
+    def folder(self) -> Path:
+        """Return the run's folder."""
+        return self._journal.path.parent
 
     @property
     def held(self) -> Station | None:
@@ -169,7 +179,7 @@ class Bench:
         parked = self._park_robot()  # read at rest, after its motion ended
         robot = fresh(self.devices.robot.read, self.cell.settle.reading_age_s, parked)
         rail_may_move(self.cell, robot, time.monotonic())
-        self._journal.append("intent", "", {"action": action} | facts)
+        self.intend("", action, **facts)
 
     def _fresh_rail(self) -> RailReading:
         return fresh(self.devices.rail.read, self.cell.settle.reading_age_s)
@@ -187,7 +197,7 @@ class Bench:
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < 1e-4)):
             return now
         robot_may_move(self.cell, self._fresh_rail(), None, time.monotonic())
-        self._journal.append("intent", "", {"action": "robot.park"})
+        self.intend("", "robot.park")
         return self.devices.robot.move_to(safe_rad, self.cell.robot.speed_percent)
 
     def park_robot(self) -> None:
@@ -202,9 +212,7 @@ class Bench:
         """
         check_joint_limits(self.cell, joints_rad, what)
         robot_may_move(self.cell, self._fresh_rail(), self._held, time.monotonic())
-        self._journal.append(
-            "intent", what, {"action": "robot.move", "joints_deg": np.degrees(joints_rad)}
-        )
+        self.intend(what, "robot.move", joints_deg=np.degrees(joints_rad))
         before = joints_rad - np.radians(self.cell.robot.approach_deg)
         self.devices.robot.move_to(before, self.cell.robot.speed_percent)
         reading = self.devices.robot.move_to(joints_rad, self.cell.robot.speed_percent)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from hilcell.devices import Devices
+from hilcell.devices import Devices, streams_of, sweeps_of
 from hilcell.ports import (
     Array,
     DeviceError,
@@ -23,6 +23,8 @@ from hilcell.ports import (
     RailReading,
     Robot,
     RobotReading,
+    Stream,
+    Sweep,
     Tracker,
     TrackerReading,
 )
@@ -189,7 +191,7 @@ class WatchedRail:
 
 
 class WatchedRobot:
-    """Satisfies `hilcell.ports.Robot`."""
+    """Satisfies `hilcell.ports.Robot`, and `hilcell.ports.Sweeps` where its robot does."""
 
     def __init__(self, robot: Robot, lamps: Lamps) -> None:
         self._robot, self._lamps = robot, lamps
@@ -203,6 +205,16 @@ class WatchedRobot:
         """Move the robot."""
         with self._lamps.robot.watch(moving=True):
             return self._lamps.take_robot(self._robot.move_to(joints_rad, speed_percent))
+
+    @contextmanager
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[Sweep]:
+        """Sweep an axis; raises `DeviceRefused` where the robot does not."""
+        sweeps = sweeps_of(self._robot)
+        with (
+            self._lamps.robot.watch(moving=True),
+            sweeps.sweep(axis, end_rad, speed_rad_s) as sweep,
+        ):
+            yield sweep
 
     def read(self) -> RobotReading:
         """Read."""
@@ -219,7 +231,7 @@ class WatchedRobot:
 
 
 class WatchedTracker:
-    """Satisfies `hilcell.ports.Tracker`."""
+    """Satisfies `hilcell.ports.Tracker`, and `hilcell.ports.Streams` where its tracker does."""
 
     def __init__(self, tracker: Tracker, lamps: Lamps) -> None:
         self._tracker, self._lamps = tracker, lamps
@@ -233,6 +245,13 @@ class WatchedTracker:
         """Measure; only the beam moves."""
         with self._lamps.tracker.watch():
             return self._lamps.take_tracker(self._tracker.measure(near_mm, reflector, samples))
+
+    @contextmanager
+    def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[Stream]:
+        """Stream; raises `DeviceRefused` where the tracker does not."""
+        streams = streams_of(self._tracker)
+        with self._lamps.tracker.watch(), streams.stream(near_mm, reflector, rate_hz) as stream:
+            yield stream
 
     def stop(self) -> None:
         """Stop."""

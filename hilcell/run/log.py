@@ -15,6 +15,7 @@ import numpy as np
 from hilcell.cell import Cell
 from hilcell.ports import Array
 from hilcell.run.journal import Record, StorageError
+from hilcell.run.stream_file import StreamRecord
 from hilcell.settings import convert
 
 
@@ -130,6 +131,7 @@ class Log:
         self.link: LinkRecord | None = None  # of the last session that ended
         self.seated = ""  # the place of a reflector that is carried by hand
         self.sights: dict[str, Seated] = {}
+        self.streams: dict[str, StreamRecord] = {}
         self.newest: Record | None = None
         for record in records:
             self.take(record)
@@ -170,6 +172,8 @@ class Log:
             case "connected" if any(each.get("simulated") for each in body["devices"]):
                 # What it says of itself counts, whatever the cell file said before.
                 self.plan = msgspec.structs.replace(self.inputs, simulated=True)
+            case "stream":
+                self.streams[body["key"]] = msgspec.convert(body, StreamRecord)
             case "seated":
                 sight = msgspec.convert(body, Seated)
                 self.seated, self.sights[sight.place] = sight.place, sight

@@ -98,7 +98,15 @@ def test_a_code_that_no_catalogue_has_is_the_device_s_general_alarm() -> None:
 
 
 # Events that are the run's ordinary course; every other one becomes an alarm.
-ORDINARY = {"connected", "station found held", "step", "retake asked", "seated", "screen back"}
+ORDINARY = {
+    "connected",
+    "station found held",
+    "step",
+    "retake asked",
+    "seated",
+    "screen back",
+    "stream",
+}
 ALARMING = {
     "no reading", "safe stop", "closed", "command refused", "screen lost", "answer refused",
     "retake refused", "outlier measured again", "station held", "link",

@@ -1,0 +1,194 @@
+"""Slow sweeps with the tracker streaming, over the wires of a simulated cell of its own process."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fakes.simulator import Control, PaperCell
+from hilcell.cell import load_cell
+from hilcell.geometry.kinematics import forward
+from hilcell.ports import Array, NoReading, Stopped
+from hilcell.run.journal import read_journal
+from hilcell.run.log import Log
+from hilcell.run.stream_file import FOLDER, StreamData, read_stream
+from hilcell.run.sweeping import record_sweep
+from tests.fakes.wires import C3Client, EmsconClient, connected
+from tests.whole.sweeper import KEY, START_RAD, Engine, engine, order
+
+CELL = load_cell("paper")
+STATIONARY, CONTINUOUS = 0, 1
+GET_MODE = 25
+
+
+class Cell:
+    """A simulated cell, seen by its wires and its control channel."""
+
+    def __init__(self, simulated: PaperCell) -> None:
+        self.options, self.address = simulated.options, simulated.address
+        with Control(self.address) as control, self._wire("robot") as wire:
+            client = C3Client(wire)
+            client.start(1, np.degrees(START_RAD).tolist())
+            while client.read("HC_ACK") != "1":
+                pass
+            truth = control.ask("truth")
+        T_L_W = np.linalg.inv(np.array(truth["T_W_L"]))
+        self.near_mm: Array = (T_L_W @ np.append(truth["flange_mm"], 1.0))[:3]
+
+    def _wire(self, name: str) -> Any:
+        port = self.options[name]["port"]
+        assert isinstance(port, int)
+        return connected(port)
+
+    def variables(self, *names: str) -> list[str]:
+        with self._wire("robot") as wire:
+            client = C3Client(wire)
+            return [client.read(name) for name in names]
+
+    def mode(self) -> int:
+        with self._wire("tracker") as wire:
+            _, body = EmsconClient(wire).ask(GET_MODE)
+            return int(struct.unpack("<I", body)[0])
+
+    def is_restored(self) -> bool:
+        override = self.variables("$OV_PRO", "HC_OV_OLD")
+        return (override, self.mode()) == (["100", "0"], STATIONARY)
+
+
+@contextmanager
+def simulated_cell(speed: float = np.inf) -> Iterator[Cell]:
+    simulated = PaperCell(CELL, seed=1, speed=speed, truth=True)
+    try:
+        yield Cell(simulated)
+    finally:
+        simulated.close()
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    with simulated_cell() as found:
+        yield found
+
+
+def files(folder: Path) -> list[str]:
+    return sorted(path.suffix for path in (folder / FOLDER).glob("*"))
+
+
+def swept(cell: Cell, folder: Path, degrees: float = 4.0) -> tuple[StreamData, Engine]:
+    with engine(cell.address, folder) as found:
+        record = record_sweep(found.bench, order(cell.near_mm, degrees))
+        return read_stream(folder, record), found
+
+
+@pytest.mark.parametrize("speed", [np.inf, 20.0])
+def test_a_sweep_is_recorded_whole(tmp_path: Path, speed: float) -> None:
+    with simulated_cell(speed) as cell:
+        data, found = swept(cell, tmp_path, 8.0)
+        assert cell.is_restored()
+    steps_s = np.diff(data.device_s)
+    assert len(data.device_s) > 790
+    assert np.abs(steps_s - 0.01).max() < 2e-6  # dense, in order, by the tracker's own clock
+    assert bool(np.all(np.diff(data.asked_s.ravel()) >= 0))
+    assert bool(np.all(data.window_s[:, 0] <= data.window_s[:, 1]))
+    axis_rad = data.joints_rad[:, 0]
+    assert bool(np.all(np.diff(axis_rad) > -1e-5))
+    assert np.abs(data.joints_rad[:, 1:] - START_RAD[1:]).max() < 1e-5
+    # The reflector turns about axis 1 as fast as the joint does: both streams tell one motion.
+    middle_s = data.asked_s.mean(axis=1)
+    inner = slice(len(axis_rad) // 4, -len(axis_rad) // 4)
+    joint_rad_s = np.polyfit(middle_s[inner], axis_rad[inner], 1)[0]
+    beam = slice(len(data.xyz_mm) // 4, -len(data.xyz_mm) // 4)
+    path_mm = np.linalg.norm(np.diff(data.xyz_mm[beam][::50], axis=0), axis=1).sum()
+    times_s = data.device_s[beam][::50]
+    speed_mm_s = path_mm / (times_s[-1] - times_s[0])
+    radius_mm = float(np.linalg.norm(forward(CELL.robot.arm(), START_RAD)[:2, 3]))
+    late = 0.2 if speed == 20.0 else 0.002  # real milliseconds count twenty times
+    assert speed_mm_s / radius_mm == pytest.approx(joint_rad_s, rel=late)
+    assert found.log.streams[KEY].samples == len(data.device_s)
+
+
+def test_the_same_seed_streams_the_same(tmp_path: Path) -> None:
+    found = []
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        with simulated_cell() as cell:
+            found.append(swept(cell, tmp_path / name)[0])
+    one, two = found
+    for field in ("xyz_mm", "joints_rad"):
+        np.testing.assert_allclose(getattr(one, field), getattr(two, field), atol=1e-7)
+    for field in ("device_s", "window_s", "asked_s"):  # it may begin at another time
+        first_s, second_s = getattr(one, field), getattr(two, field)
+        np.testing.assert_allclose(
+            first_s - first_s.flat[0], second_s - second_s.flat[0], atol=2e-6
+        )
+
+
+def test_a_recorded_sweep_is_not_made_again(cell: Cell, tmp_path: Path) -> None:
+    swept(cell, tmp_path)
+    before = cell.variables("HC_SEQ")
+    with engine(cell.address, tmp_path) as found:
+        assert record_sweep(found.bench, order(cell.near_mm)) == found.log.streams[KEY]
+    assert cell.variables("HC_SEQ") == before
+
+
+def test_a_stop_in_the_middle(cell: Cell, tmp_path: Path) -> None:
+    with engine(cell.address, tmp_path) as found:
+        found.at_wait, found.then = 30, found.stop_all
+        with pytest.raises(Stopped):
+            record_sweep(found.bench, order(cell.near_mm))
+        assert cell.variables("HC_STOP", "HC_ERR") == ["TRUE", "9"]
+        assert cell.is_restored()
+    assert files(tmp_path) == []
+    assert not found.log.streams
+    with engine(cell.address, tmp_path) as again:
+        assert record_sweep(again.bench, order(cell.near_mm)).samples > 390
+
+
+def test_a_beam_break_in_the_middle(cell: Cell, tmp_path: Path) -> None:
+    with engine(cell.address, tmp_path) as found, Control(cell.address) as control:
+        control.ask("fault", name="tracker.stream_break", after=100)
+        with pytest.raises(NoReading, match="the beam broke"):
+            record_sweep(found.bench, order(cell.near_mm))
+        assert cell.is_restored()
+        assert cell.variables("HC_STOP") == ["FALSE"]
+        assert files(tmp_path) == []
+        assert record_sweep(found.bench, order(cell.near_mm)).samples > 390
+    assert files(tmp_path) == [".stream"]
+
+
+def test_a_robot_fault_in_the_middle(cell: Cell, tmp_path: Path) -> None:
+    with engine(cell.address, tmp_path) as found, Control(cell.address) as control:
+        found.at_wait = 30
+        found.then = lambda: control.ask("fault", name="robot.override_zero")
+        with pytest.raises(Exception, match=r"OV_PRO is 0"):
+            record_sweep(found.bench, order(cell.near_mm))
+    assert cell.mode() == STATIONARY
+    assert cell.variables("$OV_PRO", "HC_OV_OLD") == ["0", "0"]  # the operator's, not ours
+
+
+def test_an_engine_killed_in_the_middle(cell: Cell, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "tests.whole.sweeper", cell.address, str(tmp_path)]
+    process = subprocess.Popen([*words, *map(str, cell.near_mm)])
+    while cell.variables("HC_OV_OLD") == ["0"] or files(tmp_path) == []:
+        assert process.poll() is None
+    while float(cell.variables("$AXIS_ACT")[0].split()[2].strip(",")) < -8.0:
+        assert process.poll() is None
+    process.kill()
+    process.wait()
+    assert cell.variables("$OV_PRO", "HC_OV_OLD", "HC_OV_SET") == ["95", "100", "95"]
+    assert cell.mode() == CONTINUOUS
+    assert files(tmp_path) == [".part"]
+    with engine(cell.address, tmp_path) as found:
+        assert cell.is_restored()
+        assert not found.log.streams
+        record = record_sweep(found.bench, order(cell.near_mm))
+    assert files(tmp_path) == [".stream"]
+    assert Log(read_journal(tmp_path / "journal.sqlite")).streams == {KEY: record}
