@@ -189,6 +189,8 @@ def print_end(
     for key, verdict in log.verdicts.items():
         if not verdict["holds"]:
             tell(f"out of tolerance: {key}: {_facts(verdict)}")
+    if log.link is not None and log.link.warning:
+        tell(f"warning: {log.link.warning}")
     kind = "SIMULATED run" if log.inputs.simulated else "run"
     state = log.states["run"]
     ended = state if log.end is not None else f"cut off while {state}"

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 DRIFT_LIMIT_K = 2.0
 MANY_APPROACHES = 0.5  # of those that the cell file allows
 STRAYED = 0.5  # of rail.slip_limit_mm: drive against strip, from one hold to the next
-LOSSY = 0.005  # of the frames on the rail's wire
 OVER = ("aborted", "faulted", "finished")
 REFUSED_EXITS = (2, 3, 5, 6, 7)
 PROBLEMS = {"safe stop": "HC-C02", "closed": "HC-C03"}
@@ -133,7 +132,7 @@ def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
             case "answer refused" | "retake refused" as what:
                 found = ": ".join(str(body[name]) for name in ("key", "reason") if name in body)
                 yield _Moment(_cell(REFUSALS[what], what, found), t, seq)
-            case "link" if log.link is not None and not log.link.lost_share < LOSSY:
+            case "link" if log.link is not None and log.link.warning:
                 yield _Moment(_cell("HC-R12", "link", log.link.text), t, seq)
             case "outlier measured again":
                 found = f"{body['key']} stands out from its neighbours and was measured again"

@@ -68,6 +68,7 @@ def show(args: argparse.Namespace) -> int:
         "fault": log.fault,
         "sessions": log.session,
         "link": log.link.text if log.link is not None else None,
+        "link_warning": (log.link.warning or None) if log.link is not None else None,
         "verdicts": log.verdicts,
         "result": result,
     }
@@ -84,5 +85,5 @@ def show(args: argparse.Namespace) -> int:
 
 _SHOWN = (
     "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
-    "calibration", "sessions", "link", "fault", "exit",
+    "calibration", "sessions", "link", "link_warning", "fault", "exit",
 )  # fmt: skip

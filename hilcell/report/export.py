@@ -126,6 +126,8 @@ def run_table(facts: Facts) -> list[Row]:
         rows.append([f"device.{each['device']}", f"{each['model']}, serial {each['serial']}"])
     if facts.log.link is not None:
         rows.append(["link", facts.log.link.text])
+        if facts.log.link.warning:
+            rows.append(["link_warning", facts.log.link.warning])
     return rows
 
 

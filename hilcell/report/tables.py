@@ -137,6 +137,8 @@ def devices(facts: Facts) -> Sheet | None:
     headers = ["device", "model", "serial", "address"]
     link = facts.log.link
     note = f"CAN link in the last session: {link.text}." if link is not None else ""
+    if link is not None and link.warning:
+        note += f" Warning: {link.warning}."
     return Sheet("Devices", headers, rows, 4, note) if rows else None
 
 

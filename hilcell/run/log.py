@@ -87,6 +87,9 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
         return self.seed if self.machine_seed is None else self.machine_seed
 
 
+LOSSY = 0.005  # share of the frames on the rail's wire
+
+
 class LinkRecord(msgspec.Struct, frozen=True):
     """What the rail's wire has carried and lost in one session."""
 
@@ -100,6 +103,17 @@ class LinkRecord(msgspec.Struct, frozen=True):
         """Return how much was lost, as a share of all."""
         lost = self.bad_lines + self.refused + self.malformed
         return lost / max(1, self.frames + lost)
+
+    @property
+    def warning(self) -> str:
+        """Return the warning that so much was lost; "" where the link is well."""
+        if self.lost_share < LOSSY:
+            return ""
+        return (
+            f"the rail's CAN link loses {100 * self.lost_share:.2f} %, a healthy one less than "
+            f"{100 * LOSSY:.1f} %: check its plugs, the shield, the two terminators and the "
+            "gateway's cable"
+        )
 
     @property
     def text(self) -> str:
