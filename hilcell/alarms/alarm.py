@@ -57,7 +57,7 @@ class _Moment:
 def alarms_of(
     log: Log, run: str, *, live: bool, go_on: str = GO_ON, lost: bool = False
 ) -> list[Alarm]:
-    """Return the alarms of a run, newest last; ``live`` tells whether its engine is at work.
+    """Return the alarms of a run, newest last; ``live``: its engine is at work.
 
     ``go_on`` is the key that lets a run continue, as the screen has it; ``lost`` tells that no
     calibration's file is there, which matters where the run has ended with one.
@@ -154,7 +154,7 @@ def _cell(code: str, operation: str, found: str, wanted: str = "") -> Finding:
 def _problem(name: str, body: dict[str, Any]) -> str:
     """Return what a device's error says, with its name once and without its advice."""
     error = body.get("errors", {}).get(name, {})
-    (finding,) = findings_of({"error": error} if error else {"reason": body["problems"][name]})
+    finding = findings_of({"error": error} if error else {"reason": body["problems"][name]})[0]
     text = f"{finding.where}: {finding.text}" if finding.where else finding.text
     return text if text.startswith(f"{name}: ") else f"{name}: {text}"
 

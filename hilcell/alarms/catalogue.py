@@ -38,7 +38,7 @@ class Entry:
     do: tuple[str, ...]
     severity: Severity = "fault"
     then: Literal["resume", "new run", "nothing"] = "resume"
-    passes: bool = False  # it tells how something stands, and goes when that is put right
+    passes: bool = False  # it shows a condition, and goes when that is put right
     verdict: str = ""  # the verdict that raises it where it does not hold
 
     @property

@@ -66,9 +66,11 @@ def findings_of(body: Mapping[str, Any]) -> list[Finding]:
 
 
 def _findings(error: Mapping[str, Any]) -> list[Finding]:
-    if causes := error.get("causes"):
-        return [finding for cause in causes for finding in _findings(cause)]
-    return [_finding(str(error["code"]), error)]
+    causes = error.get("causes")
+    known = [each for each in causes if isinstance(each, Mapping)] if causes else []
+    if known:
+        return [finding for cause in known for finding in _findings(cause)]
+    return [_finding(str(error.get("code", "")), error)]
 
 
 def _finding(code: str, parts: Mapping[str, Any]) -> Finding:

@@ -1,9 +1,9 @@
 """Alarms latch at their highest severity until somebody has acknowledged them.
 
-A notice latches too, but is let go when it is told no more: the screen that was lost is back, the
-run that was stopped goes on. So is an alarm of how something stands (`Entry.passes`), and that one
-latches anew when it is told again. No clock: what is new is told by the records that alarms come
-from, so the same journal, read again, counts nothing twice.
+A notice latches too, but is let go when it is raised no more: the screen that was lost is back, the
+run that was stopped goes on. So is an alarm of a condition (`Entry.passes`), which latches again
+when it is raised again. No clock: what is new follows from the records that alarms come from, so
+the same journal, read again, counts nothing twice.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ class Latch:
         self._seen: dict[Mark, Alarm] = {}
 
     def take(self, alarms: Iterable[Alarm]) -> None:
-        """Latch those that were not seen before; ``alarms`` are all that the journal tells now."""
-        told = {_mark(alarm): alarm for alarm in alarms}
+        """Latch those that were not seen before; ``alarms`` are all that the journal raises now."""
+        raised = {_mark(alarm): alarm for alarm in alarms}
         for mark, alarm in [*self._seen.items()]:
-            if mark not in told:
+            if mark not in raised:
                 self._let_go(mark, alarm)
-        for mark, alarm in told.items():
+        for mark, alarm in raised.items():
             if mark not in self._seen:
                 self._seen[mark] = alarm
                 self._add(alarm)
 
     def _let_go(self, mark: Mark, alarm: Alarm) -> None:
-        """Let go of what is told no more, where it is of a kind that goes by itself."""
+        """Let go of what is raised no more, where it is of a kind that goes by itself."""
         latched = self._latched.get(alarm.code)
         if latched is not None and _mark(latched.alarm) != mark:
             latched = None  # a newer one of its code stands
@@ -75,7 +75,7 @@ class Latch:
         return sorted(newest, key=lambda each: -SEVERITIES.index(each.severity))
 
     def acknowledge(self, code: str = "") -> None:
-        """Let go of one code, or of all; what comes later latches anew."""
+        """Let go of one code, or of all; what comes later latches again."""
         if code:
             self._latched.pop(code, None)
         else:

@@ -29,9 +29,9 @@ def alarm_lines(
     )
     found = Content(f"{alarm.where}: {alarm.found}" if alarm.where else alarm.found)
     act = Content(f"do: {alarm.do[0]}" if alarm.do else alarm.means)
-    told = [head.truncate(width, ellipsis=True)]
-    told += [each.truncate(MOST_ROWS * width - SPARE, ellipsis=True) for each in (found, act)]
-    return Content("\n").join(told[:rows])
+    lines = [head.truncate(width, ellipsis=True)]
+    lines += [each.truncate(MOST_ROWS * width - SPARE, ellipsis=True) for each in (found, act)]
+    return Content("\n").join(lines[:rows])
 
 
 def alarm_page(alarms: Sequence[Alarm], latch: Latch, glyphs: Glyphs) -> Content:

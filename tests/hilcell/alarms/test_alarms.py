@@ -370,6 +370,12 @@ def test_an_error_of_no_device_has_its_alarm(error: HilcellError, code: str) -> 
     assert alarm.code == code
 
 
+@pytest.mark.parametrize("error", [{}, {"causes": ["x"]}, {"code": 7, "causes": None}])
+def test_facts_that_hilcell_has_not_written_are_a_general_alarm(error: dict[str, object]) -> None:
+    (alarm,) = alarms(*BEGUN, state("faulted", reason="x", error=error))
+    assert alarm.code == "HC-C99"
+
+
 FITTED: Row = ("verdict", "fit", {"holds": True, "method": "idw"})
 
 
