@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 from hilcell.ports import DeviceError
-from hilcell.run.stopping import Acts, SafeStop, close_all
+from hilcell.run.stopping import Acts, SafeStop, close_all, facts_of_problems
 from tests.hilcell.run.bed import CELL, until
 from tests.hilcell.run.desk import DeskRail, DeskRobot, desk, hang
 
@@ -87,3 +87,12 @@ def test_closing_closes_each_once() -> None:
     assert close_all(devices) == {}
     assert isinstance(devices.rail, DeskRail)
     assert devices.rail.closed == 1
+
+
+def test_problems_are_journalled_in_words_and_as_facts() -> None:
+    lost = DeviceError("HC-R01", "Rail", "stop", "link lost")
+    assert facts_of_problems({"Rail": lost}) == {
+        "problems": {"Rail": "Rail: stop: link lost"},
+        "errors": {"Rail": lost.facts()},
+    }
+    assert facts_of_problems({}) == {"problems": {}}
