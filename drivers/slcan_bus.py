@@ -160,13 +160,30 @@ class SlcanBus(can.BusABC):
             self._close_port()
 
 
+def check_channel(channel: str) -> None:
+    """Raise `ValueError` for what is neither ``socket://HOST:PORT`` nor ``PATH[@BAUD]``."""
+    if "://" in channel:
+        _host_and_port(channel)
+    path, at, baud = channel.partition("@")
+    if not path or (at and not (baud.isascii() and baud.isdecimal())):
+        raise ValueError(f"channel: socket://HOST:PORT or PATH[@BAUD] is wanted, found {channel!r}")
+
+
+def _host_and_port(channel: str) -> tuple[str, int]:
+    url = urlsplit(channel)
+    try:
+        port = url.port
+    except ValueError:  # none that could be one
+        port = None
+    if url.scheme != "socket" or not url.hostname or not port:
+        raise ValueError(f"channel: socket://HOST:PORT is wanted, found {channel!r}")
+    return url.hostname, port
+
+
 def _open(channel: str) -> tuple[int, Callable[[], Any]]:
     """Open ``socket://HOST:PORT`` or a serial line ``PATH[@BAUD]``; return its file and its end."""
     if channel.startswith("socket://"):
-        url = urlsplit(channel)
-        if url.hostname is None or url.port is None:
-            raise ValueError("wanted socket://HOST:PORT")
-        link = socket.create_connection((url.hostname, url.port), CONNECT_S)
+        link = socket.create_connection(_host_and_port(channel), CONNECT_S)
         # A frame must not wait for the acknowledgement of the one before.
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return link.fileno(), link.close

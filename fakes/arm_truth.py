@@ -97,7 +97,8 @@ class ArmTruth:
             if np.linalg.norm(errors_mm, axis=1).max() <= sizes.largest_mm:
                 return
         raise HilcellError(
-            f"simulated robot: none of {DRAWS} draws keeps every error below {sizes.largest_mm} mm"
+            f"errors.largest_mm: none of {DRAWS} draws keeps every error below "
+            f"{sizes.largest_mm} mm; take a larger one, or a smaller errors.size_mm"
         )
 
     def _scale(self, sizes: Errors, drawn: _Errors) -> None:
@@ -107,11 +108,16 @@ class ArmTruth:
         for _ in range(50):
             if abs(value - sizes.size_mm) < SOLVED_MM:
                 return
+            if value == value_before:  # no factor changes it: nothing but ripple is drawn
+                break
             slope = (value - value_before) / (factor - before)
             before, value_before = factor, value
             factor += (sizes.size_mm - value) / slope
             value = self._size_mm(drawn, factor)
-        raise HilcellError(f"simulated robot: no errors of size {sizes.size_mm} mm are found")
+        raise HilcellError(
+            f"errors.size_mm: no errors of size {sizes.size_mm} mm are found; take another size, "
+            "or other sizes of what makes them up"
+        )
 
     def _size_mm(self, drawn: _Errors, factor: float) -> float:
         self._take(drawn.scaled(factor))

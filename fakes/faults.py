@@ -16,7 +16,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from hilcell.settings import SettingsError, convert, unreadable
+from hilcell.settings import SettingsError, convert, read_text, unreadable
 
 Value = bool | int | float | str
 
@@ -184,7 +184,7 @@ def load_faults(path: str) -> Faults:
     if not path:
         return faults
     try:
-        values = tomllib.loads(Path(path).read_text("utf-8"))
+        values = tomllib.loads(read_text(Path(path)))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise unreadable(path, error) from error
     lines = convert(values, FaultFile, path).fault

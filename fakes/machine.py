@@ -18,10 +18,13 @@ from msgspec import Meta, field
 from fakes.screws import Chain, from_rows
 from fakes.transforms import Array, frame
 from hilcell.cell import Cell
-from hilcell.settings import SettingsError, convert, unreadable
-from hilcell.tables import Frozen, Point, Pose, Six, Size
+from hilcell.settings import SettingsError, convert, read_text, refuse, unreadable
+from hilcell.tables import Frozen, Point, Pose, Six, Size, refuse_descending
 
-Zero = Annotated[float, Meta(ge=0, le=1e6)]
+Angle = Annotated[float, Meta(ge=0, le=20_000)]  # urad: about a degree
+Offset = Annotated[float, Meta(ge=0, le=100)]  # mm
+Extent = Annotated[float, Meta(gt=0, le=100)]  # mm
+Rate = Annotated[float, Meta(ge=0, le=1000)]  # um, um/m, um/m/K
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Cycles = tuple[Annotated[int, Meta(ge=1, le=1000)], Annotated[int, Meta(ge=1, le=1000)]]
 UNIT = 1e-6
@@ -55,66 +58,78 @@ class Errors(Frozen, frozen=True, kw_only=True):
     """
 
     scaled_by: Literal["mean", "varying"]
-    size_mm: Size
-    largest_mm: Size
-    zero_urad: Zero
-    length_mm: Zero
-    twist_urad: Zero
-    tool_mm: Zero
-    gravity_urad: Zero
-    gravity_side_urad: Zero
-    harmonics_urad: list[Zero]  # one, two, .. cycles a revolution
-    elastic_urad: Zero = 0.0  # axis 2 by the product of upper arm's and forearm's load
+    size_mm: Extent
+    largest_mm: Extent
+    zero_urad: Angle
+    length_mm: Offset
+    twist_urad: Angle
+    tool_mm: Offset
+    gravity_urad: Angle
+    gravity_side_urad: Angle
+    harmonics_urad: list[Angle]  # one, two, .. cycles a revolution
+    elastic_urad: Angle = 0.0  # axis 2 by the product of upper arm's and forearm's load
+
+    def __post_init__(self) -> None:
+        refuse_descending(self, "size_mm", "largest_mm")
 
 
 class Transmission(Frozen, frozen=True, kw_only=True):
     """Gears: ripple, lost motion, repeatability; and how much the arm grows with temperature."""
 
-    ripple_urad: Zero
+    ripple_urad: Angle
     pins: Cycles
     ratios: Cycles
-    half_gap_urad: Zero
-    rp_mm: Size
+    half_gap_urad: Angle
+    rp_mm: Extent
     load_share: Share = 0.0  # by which a joint's load changes the ripple, at most
-    unlisted_urad: Zero = 0.0  # amplitude of a harmonic that no gear data name
-    growth_um_m_k: Zero = 0.0
+    unlisted_urad: Angle = 0.0  # amplitude of a harmonic that no gear data name
+    growth_um_m_k: Rate = 0.0
+
+    def __post_init__(self) -> None:
+        refuse(
+            [
+                f"{key}: lowest first, found {least} .. {most}"
+                for key, (least, most) in (("pins", self.pins), ("ratios", self.ratios))
+                if not least <= most
+            ]
+        )
 
 
 class RailSizes(Frozen, frozen=True, kw_only=True):
     """The rail's own errors and those of its strip."""
 
-    backlash_mm: Size
-    curve_mm: Zero
+    backlash_mm: Extent
+    curve_mm: Offset
     curve_span_mm: Size
-    ways_mm: Zero = 0.01  # how much the curves up and down differ beside the backlash
-    landing_mm: Zero = 0.01
-    short_landing_mm: Zero = 0.0015
-    straightness_mm: Zero = 0.06
-    lean_urad: Zero = 100.0
-    tilt_urad: Zero = 300.0
-    strip_long_mm: Zero = 0.004
-    strip_pole_mm: Zero = 0.002
+    ways_mm: Offset = 0.01  # how much the curves up and down differ beside the backlash
+    landing_mm: Offset = 0.01
+    short_landing_mm: Offset = 0.0015
+    straightness_mm: Offset = 0.06
+    lean_urad: Angle = 100.0
+    tilt_urad: Angle = 300.0
+    strip_long_mm: Offset = 0.004
+    strip_pole_mm: Offset = 0.002
 
 
 class Mounting(Frozen, frozen=True, kw_only=True):
     """How far things stand from where the cell file says."""
 
-    bolted_mm: Zero = 1.2
-    bolted_urad: Zero = 500.0
-    floor_nest_mm: Zero = 1.0
-    slide_nest_mm: Zero = 1.2
-    tracker_mm: Zero = 3.0
-    tracker_urad: Zero = 1000.0
+    bolted_mm: Offset = 1.2
+    bolted_urad: Angle = 500.0
+    floor_nest_mm: Offset = 1.0
+    slide_nest_mm: Offset = 1.2
+    tracker_mm: Offset = 3.0
+    tracker_urad: Angle = 1000.0
 
 
 class TrackerSizes(Frozen, frozen=True, kw_only=True):
     """The tracker's noise and slow drift, and the room's temperature."""
 
-    radial_um: Zero = 7.5
-    across_um_m: Zero = 2.5
-    drift_mm: Zero = 0.002
+    radial_um: Rate = 7.5
+    across_um_m: Rate = 2.5
+    drift_mm: Offset = 0.002
     room_c: Annotated[float, Meta(ge=-20, le=60)] = 23.0
-    room_swing_k: Zero = 0.8
+    room_swing_k: Annotated[float, Meta(ge=0, le=30)] = 0.8
 
 
 class Machine(Frozen, frozen=True, kw_only=True):
@@ -162,13 +177,13 @@ def load_machine(where: str) -> Machine:
         if where in known:
             text = (folder / f"{where}.toml").read_text("utf-8")
         else:
-            text = Path(where).read_text("utf-8")
+            text = read_text(Path(where))
         values = tomllib.loads(text)
     except FileNotFoundError:
         problem = f"no such file, and no machine of that name; known are: {', '.join(known)}"
         raise SettingsError(f"simulation.machine {where!r}", [problem]) from None
     except (OSError, ValueError) as error:
-        raise unreadable(where, error, "machine file") from error
+        raise unreadable(f"simulation.machine {where!r}", error, "machine file") from error
     return convert(values, Machine, where)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from fakes.arm_truth import ArmTruth
 from fakes.faults import Faults
-from fakes.machine import machine_of
+from fakes.machine import Machine, machine_of
 from fakes.noise import KeyedNoise
 from fakes.rail_truth import RailTruth
 from fakes.robot_motion import RobotMotion
@@ -22,6 +22,8 @@ from fakes.time import PlantTime
 from fakes.tracker_truth import TrackerTruth
 from fakes.transforms import Array, carried, rigid, rotation
 from hilcell.cell import Cell, Nest
+from hilcell.ports import HilcellError
+from hilcell.settings import SettingsError
 
 FARTHEST_SIGMA = 2.0
 FLANGE = "flange"
@@ -36,7 +38,7 @@ class Plant:
         mounting = machine.mounting
         self.cell, self.time = cell, time
         self.rail = RailTruth(cell, seed, time, faults)
-        arm = self.arm = ArmTruth(machine, cell.robot.smr_mm, fixed.generator("arm"))
+        arm = self.arm = _arm(cell, machine, fixed.generator("arm"))
         self.robot = RobotMotion(
             cell, time, lambda key: arm.joint_sigma_rad * landing.normal(key, 6)
         )
@@ -111,3 +113,12 @@ def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dic
 
 def _limited(rng: np.random.Generator, size: int) -> Array:
     return rng.standard_normal(size).clip(-FARTHEST_SIGMA, FARTHEST_SIGMA)
+
+
+def _arm(cell: Cell, machine: Machine, rng: np.random.Generator) -> ArmTruth:
+    """Return the true arm; raises `SettingsError` that names the machine that cannot be."""
+    try:
+        return ArmTruth(machine, cell.robot.smr_mm, rng)
+    except HilcellError as error:
+        name = "" if cell.simulation is None else cell.simulation.machine
+        raise SettingsError(f"simulation.machine {name!r}", [str(error)]) from error

@@ -46,6 +46,7 @@ class PaperCell:
         ports: Mapping[str, int] = NO_PORTS,
     ) -> None:
         """``ports``: of ``rail``, ``robot``, ``tracker`` and ``control``; others are free ones."""
+        self.check(cell)
         load_faults(faults)  # so that a wrong file is refused here, in full
         self._process: subprocess.Popen[bytes] | None = None
         attach = cell.simulation.address if cell.simulation is not None else ""
@@ -57,7 +58,6 @@ class PaperCell:
             self._control = Control(attach)
             answer = self._control.ask("addresses")
         else:
-            machine_of(cell)  # and a wrong machine file
             order = {
                 "cell": {k: v for k, v in msgspec.to_builtins(cell).items() if v is not None},
                 "seed": seed,
@@ -71,6 +71,14 @@ class PaperCell:
         self.options: dict[str, dict[str, object]] = {name: answer[name] for name in DEVICES}
         self.address: str = attach or answer["control"]
         self._speed = math.inf if answer["speed"] is None else float(answer["speed"])
+
+    @classmethod
+    def check(cls, cell: Cell) -> None:
+        """Refuse a cell that cannot be simulated; raises `SettingsError`."""
+        if cell.simulation is not None and cell.simulation.address:
+            _host_and_port(cell.simulation.address)
+        else:
+            machine_of(cell)
 
     def clock(self, stop: threading.Event) -> SimulatedClock:
         """Return the cell's clock; its waits end when ``stop`` is set."""
@@ -92,19 +100,12 @@ class PaperCell:
 class ReplayCell(PaperCell):
     """Measured data in place of a plant: ``simulation.data`` names the CSV."""
 
-    def __init__(
-        self,
-        cell: Cell,
-        *,
-        seed: int | None,
-        speed: float = math.inf,
-        faults: str = "",
-        truth: bool = False,
-        ports: Mapping[str, int] = NO_PORTS,
-    ) -> None:
+    @classmethod
+    def check(cls, cell: Cell) -> None:
+        """Refuse a cell that cannot be simulated; raises `SettingsError`."""
+        super().check(cell)
         if cell.simulation is None or not (cell.simulation.data or cell.simulation.address):
-            raise SettingsError(cell.name, ["simulation.data: missing; it names the CSV to replay"])
-        super().__init__(cell, seed=seed, speed=speed, faults=faults, truth=truth, ports=ports)
+            raise SettingsError("simulation.data", ["missing; it names the CSV to replay"])
 
 
 class SimulatedClock:

@@ -21,7 +21,7 @@ from msgspec import Meta, field
 
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.layout import Layout, Nest
-from hilcell.settings import SettingsError, convert, refuse, unreadable
+from hilcell.settings import SettingsError, convert, read_text, refuse, unreadable
 from hilcell.tables import (
     Acceleration,
     Angle,
@@ -275,7 +275,7 @@ class SimulationTable(Frozen, frozen=True, kw_only=True):
     simulator: Name
     address: str = ""
     data: str = ""
-    machine: str = "paper"
+    machine: Annotated[str, Meta(min_length=1)] = "paper"
 
 
 class Cell(Frozen, frozen=True, kw_only=True):
@@ -383,7 +383,7 @@ def _read(where: str) -> dict[str, Any]:
     else:
         path = Path(where)
         try:
-            text = path.read_text("utf-8-sig")  # editors of Windows write a mark
+            text = read_text(path)
         except FileNotFoundError:
             known = ", ".join(built_in_cells())
             raise SettingsError(

@@ -142,7 +142,7 @@ def device_places(
 
 
 def check_options(cell: Cell) -> None:
-    """Check the options of all three drivers, the simulator, and the catalogues of alarms.
+    """Check the drivers' options and addresses, the simulator, and the catalogues of alarms.
 
     Raises `SettingsError` with all problems.
     """
@@ -154,15 +154,31 @@ def check_options(cell: Cell) -> None:
             problems += [f"{table}.options: {line}" for line in error.problems]
     if cell.simulation is not None:
         try:
-            load_entry("simulators", cell.simulation.simulator)
+            simulator = load_entry("simulators", cell.simulation.simulator)
         except SettingsError as error:
             problems += [f"simulation.simulator: {line}" for line in error.problems]
+        else:
+            problems += _simulator_problems(simulator, cell)
+    if not problems:
+        problems += [
+            f"{' and '.join(tables)} share the address {place}; give each its own"
+            for place, tables in device_places(cell, {}).items()
+            if len(tables) > 1
+        ]
     try:
         catalogue()
     except CatalogueError as error:
         problems.append(str(error))
     if problems:
         raise SettingsError(cell.name, problems)
+
+
+def _simulator_problems(simulator: type[SimulatedCell], cell: Cell) -> list[str]:
+    try:
+        simulator.check(cell)
+    except SettingsError as error:
+        return [f"{error.source}: {line}" for line in error.problems]
+    return []
 
 
 def start_simulation(

@@ -16,7 +16,7 @@ from __future__ import annotations
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from threading import Event
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,9 @@ from hilcell.errors import (
     NoReading,
     Stopped,
 )
+
+if TYPE_CHECKING:
+    from hilcell.cell import Cell
 
 __all__ = [
     "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity", "JointSample",
@@ -269,10 +272,14 @@ class Sweeps(Protocol):
 
 
 class SimulatedCell(Protocol):
-    """A simulated cell that runs in a process of its own."""
+    """A simulated cell that runs in a process of its own; its class is a simulator."""
 
     options: dict[str, dict[str, object]]  # where each device listens: overrides of its options
     address: str  # of the control channel, HOST:PORT
+
+    @classmethod
+    def check(cls, cell: Cell) -> None:
+        """Refuse a cell that cannot be simulated; raises `SettingsError`. Nothing is started."""
 
     def clock(self, stop: Event) -> Clock:
         """Return the cell's clock; its waits end when ``stop`` is set."""

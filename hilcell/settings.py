@@ -7,10 +7,13 @@ so each field is converted on its own and every float is checked to be finite.
 from __future__ import annotations
 
 import difflib
+import errno
 import math
+import stat
 import types
 import typing
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
@@ -32,6 +35,16 @@ class SettingsError(HilcellError):
         self.source, self.problems = source, problems
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
         super().__init__(f"{source}: {count}\n" + "\n".join(f"  {line}" for line in problems))
+
+
+def read_text(path: Path) -> str:
+    """Return a file's text; raises `OSError`, `UnicodeDecodeError`.
+
+    The trap: reading a device file or a FIFO may never end, so only regular files are read.
+    """
+    if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):
+        raise OSError(errno.EINVAL, "it is not a regular file")
+    return path.read_text("utf-8-sig")  # editors of Windows write a mark
 
 
 def unreadable(source: str, error: Exception, kind: str = "file") -> SettingsError:
@@ -85,7 +98,9 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
     try:
         return kind(**built)
     except ValueError as error:
-        problems += [f"{_where(path)}: {line}" for line in str(error).splitlines()]
+        for line in str(error).splitlines():
+            named = line.partition(":")[0] in fields
+            problems.append(f"{path}{line}" if named else f"{_where(path)}: {line}")
         return None
 
 

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+import math
+import os
 from importlib import resources
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from fakes.faults import Faults
+from fakes.faults import Faults, load_faults
 from fakes.krl_controller import KrlController
 from fakes.machine import load_machine, machine_of
 from fakes.plant import Plant
@@ -56,3 +58,62 @@ def test_an_unknown_machine_is_refused(cell: Cell) -> None:
 def simulation_of(cell: Cell) -> SimulationTable:
     assert cell.simulation is not None
     return cell.simulation
+
+
+def changed(folder: Path, before: str, after: str) -> str:
+    text = (FOLDER / "paper.toml").read_text("utf-8")
+    assert before in text
+    file = folder / "own.toml"
+    file.write_text(text.replace(before, after))
+    return str(file)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "found"),
+    [
+        ("pins = [30, 51]", "pins = [51, 30]", "transmission.pins: lowest first"),
+        ("ratios = [150, 250]", "ratios = [250, 150]", "transmission.ratios: lowest first"),
+        ("backlash_mm = 0.2", "backlash_mm = 100000.0", "rail.backlash_mm: "),
+        ("largest_mm = 1.9", "largest_mm = 1.2", "errors: size_mm 1.2092 must be below"),
+    ],
+)
+def test_sizes_that_no_machine_has_are_refused(
+    tmp_path: Path, before: str, after: str, found: str
+) -> None:
+    with pytest.raises(SettingsError) as caught:
+        load_machine(changed(tmp_path, before, after))
+    (problem,) = caught.value.problems
+    assert problem.startswith(found)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "found"),
+    [
+        ("largest_mm = 1.9", "largest_mm = 1.21", "errors.largest_mm: none of 2 draws"),
+        ("size_mm = 1.2092", "size_mm = 1e-6", "errors.size_mm: no errors of size 1e-06 mm"),
+    ],
+)
+def test_a_machine_that_cannot_be_drawn_names_its_file_and_key(
+    tmp_path: Path, before: str, after: str, found: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fakes.arm_truth.DRAWS", 2)
+    own = changed(tmp_path, before, after)
+    cell = load_cell("paper", {"simulation.machine": own})
+    with pytest.raises(SettingsError) as caught:
+        Plant(cell, 1, PlantTime(math.inf), Faults())
+    assert caught.value.source == f"simulation.machine {own!r}"
+    assert caught.value.problems[0].startswith(found)
+
+
+def test_only_regular_files_are_read(tmp_path: Path) -> None:
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    for read in (load_machine, load_faults, load_cell):
+        for path in (str(fifo), "/dev/zero"):
+            with pytest.raises(SettingsError, match="not a regular file"):
+                read(path)
+
+
+def test_an_empty_name_of_a_machine_is_refused_with_its_key() -> None:
+    with pytest.raises(SettingsError, match=r"simulation\.machine: Expected"):
+        load_cell("paper", {"simulation.machine": ""})
