@@ -359,7 +359,9 @@ def _ports(text: str) -> dict[str, int]:
     found: dict[str, int] = {}
     for word in text.split(","):
         name, _, port = word.partition("=")
-        number = int(port) if port.isdecimal() and len(port) < 6 else 0
+        number = int(port) if port.isascii() and port.isdecimal() and len(port) < 6 else 0
+        if number and number in found.values():
+            raise argparse.ArgumentTypeError(f"port {number} is given twice; each needs its own")
         if name not in SIMULATED or name in found or not 1 <= number <= MOST_PORT:
             raise argparse.ArgumentTypeError(
                 f"rail=PORT,robot=PORT,... of {', '.join(SIMULATED)}, each once, with ports of "

@@ -191,10 +191,14 @@ def print_end(
             tell(f"out of tolerance: {key}: {_facts(verdict)}")
     if log.link is not None and log.link.warning:
         tell(f"warning: {log.link.warning}")
-    kind = "SIMULATED run" if log.inputs.simulated else "run"
     state = log.states["run"]
     ended = state if log.end is not None else f"cut off while {state}"
-    tell(f"{kind} {folder.name}: {ended}; journal in {folder}")
+    tell(f"{kind_of(log)} {folder.name}: {ended}; journal in {folder}")
+
+
+def kind_of(log: Log) -> str:
+    """Return the word for a run: nobody must take a simulated one for a real one."""
+    return "SIMULATED run" if log.inputs.simulated else "run"
 
 
 def _asked(body: dict[str, Any]) -> str:

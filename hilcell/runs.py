@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +29,14 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"run folder {folder} cannot be used: {error.strerror}") from error
+
+
+def forget(folder: Path) -> None:
+    """Remove the journal of a run that never began, and its folder where nothing else is in it."""
+    for suffix in ("", "-wal", "-shm"):
+        (folder / f"{JOURNAL}{suffix}").unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def run_folders(runs: Path) -> list[Path]:
@@ -65,7 +74,7 @@ def find_run(runs: Path, name: str) -> Path:
             f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which",
             code="HC-J09",
         )
-    newest = ", ".join(folder.name for folder in folders[-3:]) or "none"
+    newest = ", ".join(each.name for each in sorted(folders, key=_written_s)[-3:]) or "none"
     raise HilcellError(
         f"run {name[:80]!r} is not in {runs}; newest there: {newest}",
         code="HC-J09",

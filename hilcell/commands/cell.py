@@ -63,7 +63,11 @@ def sim(args: argparse.Namespace) -> int:
         ports=args.ports,
     )
     if simulated is None:
-        raise HilcellError(f"cell {cell.name} is real: it names no simulator", code="HC-C12")
+        raise HilcellError(
+            f"cell {cell.name} is real: it names no simulator; "
+            "add --set simulation.simulator=paper",
+            code="HC-C12",
+        )
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())

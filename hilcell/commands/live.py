@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hilcell.commands.common import say
-from hilcell.faces import Face, json_face, progress_face
+from hilcell.faces import Face, json_face, kind_of, progress_face
 from hilcell.report.words import encodable
 from hilcell.run.control import live_engine, order
 from hilcell.run.journal import Record, read_journal
@@ -55,7 +55,7 @@ def watch(args: argparse.Namespace) -> int:
             face.take(record)
     state = log.states["run"]
     ended = "" if log.end is not None else "; its engine is gone, `hilcell resume` continues it"
-    tell(f"run {folder.name}: {state}{ended}")
+    tell(f"{kind_of(log)} {folder.name}: {state}{ended}")
     return 0
 
 

@@ -25,9 +25,15 @@ def runs(args: argparse.Namespace) -> int:
         tell(f"no runs in {args.runs}")
         return 0
     headers = ["run", "procedure", "cell", "state", "points", "exit"]
-    rows = [[_word(each.get(name)) for name in headers] for each in found]
-    print_table((headers, rows))
+    rows = [[*(_word(each.get(name)) for name in headers), _kind(each)] for each in found]
+    print_table(([*headers, "kind"], rows))
     return 0
+
+
+def _kind(summary: dict[str, Any]) -> str:
+    if "simulated" not in summary:  # it cannot be read
+        return ""
+    return "simulated" if summary["simulated"] else "real"
 
 
 def _word(value: object) -> str:

@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 
 from hilcell import __version__
+from hilcell.alarms.catalogue import catalogue
 from hilcell.calibration_file import calibration_of, write_calibration
 from hilcell.cell import Cell, load_cell
 from hilcell.clock import WallClock
@@ -33,13 +34,22 @@ from hilcell.ports import HilcellError, Stopped
 from hilcell.report.words import encodable
 from hilcell.run.control import Control, live_engine, order
 from hilcell.run.journal import Journal, StorageError
-from hilcell.run.lock import lock_of_device, lock_of_name, locked
+from hilcell.run.lock import CellLocked, lock_of_device, lock_of_name, locked
 from hilcell.run.log import Log
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
 from hilcell.run.signals import stopped_by_signals
-from hilcell.runs import CALIBRATION, JOURNAL, find_run, is_run, make_folder, new_run, read_log
+from hilcell.runs import (
+    CALIBRATION,
+    JOURNAL,
+    find_run,
+    forget,
+    is_run,
+    make_folder,
+    new_run,
+    read_log,
+)
 from hilcell.telling import tell
 from hilcell.writing import NotWritten
 
@@ -73,7 +83,11 @@ def run(args: argparse.Namespace) -> int:
         journal.listen(log.take)
         face = _face(args.json, name, plan.points, journal)
         journal.append("plan", "", _plan_record(cell, procedure, plan, args))
-        return _perform(cell, procedure, journal, log, face, folder, args)
+        try:
+            return _perform(cell, procedure, journal, log, face, folder, args)
+        except CellLocked:
+            forget(folder)
+            raise
 
 
 def resume(args: argparse.Namespace) -> int:
@@ -168,10 +182,16 @@ def _perform(
             code, fault = _run(cell, procedure, journal, log, folder, args)
     face.close(code, log, fault)
     print_end(folder, log, procedure, face, fault)
-    if code in RESUMABLE:
+    if code in RESUMABLE and not _wants_new_run(fault):
         runs = "" if folder.parent == Path("runs") else f" --runs {folder.parent}"
         tell(f"resume with: hilcell resume {folder.name}{runs}")
     return code
+
+
+def _wants_new_run(fault: Exception | None) -> bool:
+    """Whether what ended a run leaves nothing to resume."""
+    entry = catalogue().get(fault.code) if isinstance(fault, HilcellError) else None
+    return entry is not None and entry.then == "new run"
 
 
 def _run(
@@ -212,6 +232,8 @@ def _run(
             # While its engine is there: afterwards a file that is missing is a lost one.
             return _with_calibration(runner.run(), runner.fault, log, journal.run, folder)
     except (HilcellError, Stopped) as error:
+        if isinstance(error, CellLocked) and not log.session:
+            raise  # there is nothing to keep
         code, state = exit_code(error), log.states["run"]
         body = {"state": state, "exit": code, "result": {}, "reason": str(error)}
         body["error"] = error.facts()

@@ -114,7 +114,7 @@ def run_table(facts: Facts) -> list[Row]:
         ["journal", facts.fingerprint],
         ["seed", inputs.seed],
         ["machine_seed", "" if inputs.truth_seed is None else inputs.truth_seed],
-        ["simulated", "yes" if inputs.simulated else "no"],
+        ["simulated", _yes(inputs.simulated)],
         ["operator", inputs.operator],
         ["job", inputs.job],
         ["state", facts.log.states["run"]],
@@ -135,9 +135,14 @@ def csv_bytes(facts: Facts) -> bytes:
     """Return the points as CSV in UTF-8."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(POINT_HEADERS)
-    writer.writerows([_quoted(value) for value in row] for row in points_table(facts))
+    simulated = _yes(facts.inputs.simulated)
+    writer.writerow([*POINT_HEADERS, "simulated"])
+    writer.writerows([*map(_quoted, row), simulated] for row in points_table(facts))
     return text.getvalue().encode()
+
+
+def _yes(holds: bool) -> str:
+    return "yes" if holds else "no"
 
 
 def _quoted(value: Value) -> Value:

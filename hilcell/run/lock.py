@@ -35,8 +35,11 @@ def lock_of_device(known_by: str) -> Path:
 
 
 def _locks() -> Path:
+    """Return the same folder for all runs of a user, whatever their TMPDIR."""
     try:
-        return Path(tempfile.gettempdir()) / f"hilcell-locks-{os.getuid()}"
+        fixed = Path("/tmp")  # noqa: S108 - the folder in it is the user's alone
+        base = fixed if fixed.is_dir() else Path(tempfile.gettempdir())
+        return base / f"hilcell-locks-{os.getuid()}"
     except OSError as error:
         raise StorageError(f"locks folder cannot be used: {error.strerror}") from error
 

@@ -327,8 +327,8 @@ class Runner:
             match message:
                 case Ended():
                     return message.error
-                case "stop":
-                    return self._stop_worker(worker)
+                case "stop" | "terminate":
+                    return self._stop_worker(worker, message)
                 case Asked():
                     self._suspend(message)
                 case _:
@@ -418,7 +418,7 @@ class Runner:
         what = {"what": "command refused", "command": command, "in": self._life.state}
         self._journal.append("event", "", what)
 
-    def _stop_worker(self, worker: threading.Thread) -> Exception:
+    def _stop_worker(self, worker: threading.Thread, command: str) -> Exception:
         self._stop.set()
         self._note("safe stop", self._safe_stop.wait())
         if self._life.allows("stop"):
@@ -432,7 +432,7 @@ class Runner:
                 f"a device call hangs {WORKER_S:.0f} s after the stop",
                 fields={"waited_s": WORKER_S},
             )
-        return Stopped("stopped by the operator")
+        return Stopped(f"stopped by {'the operator' if command == 'stop' else 'SIGTERM'}")
 
     def _end(self, error: Exception | None) -> int:
         self._fault = error

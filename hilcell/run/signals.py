@@ -11,7 +11,7 @@ from typing import Any
 from hilcell.ports import Stopped
 
 # Ctrl-C pauses, a second one stops; a lost terminal is a lost screen.
-COMMANDS = {signal.SIGINT: "interrupt", signal.SIGTERM: "stop", signal.SIGHUP: "lost"}
+COMMANDS = {signal.SIGINT: "interrupt", signal.SIGTERM: "terminate", signal.SIGHUP: "lost"}
 
 
 @contextmanager

@@ -26,7 +26,8 @@ def test_points_as_csv(tmp_path: Path) -> None:
     rows = list(
         csv.DictReader(io.StringIO(csv_bytes(validated_run(tmp_path / "r").facts()).decode()))
     )
-    assert list(rows[0]) == POINT_HEADERS
+    assert list(rows[0]) == [*POINT_HEADERS, "simulated"]
+    assert {row["simulated"] for row in rows} <= {"yes", "no"}
     assert len(rows) == 16
     second = rows[1]
     assert second["key"] == "validate/S1100/before/001"
