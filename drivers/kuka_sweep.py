@@ -67,6 +67,9 @@ class SweepingRobot(Protocol):
     def open_line(self) -> C3Connection:
         """Return a new connection that a stop does not end."""
 
+    def unwatch(self) -> None:
+        """Look at no motion any longer: it has ended, or is braked."""
+
     def take_back(self) -> None:
         """Take back a brake of our own."""
 
@@ -188,6 +191,7 @@ class KukaSweep:
 
     def _give_back(self, error: BaseException | None) -> None:
         """Leave the robot at rest with its override as it was."""
+        self._robot.unwatch()
         try:
             line = self._robot.open_line()
             try:

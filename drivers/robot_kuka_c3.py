@@ -343,7 +343,8 @@ class KukaC3Robot:
                 axes_deg=now_deg,
             )
 
-    def _await_rest(self, target_deg: Array) -> RobotReading:
+    def rest(self, target_deg: Array) -> RobotReading:
+        """Return the reading at rest at joints (6,), after an acknowledged motion."""
         # The pose means something only with the tool and the base that connect has verified.
         self.check("$ACT_TOOL", "$ACT_BASE")
         patience = Patience(REST_S, POLL_LOOK_S)
@@ -377,20 +378,16 @@ class KukaC3Robot:
 
     def take_back(self) -> None:
         """Take back a brake of our own, unless the robot was stopped otherwise as well."""
-        self._watch.end()
         if not self._stopped:
             self._take_back_stop()
+
+    def unwatch(self) -> None:
+        """Look at no motion any longer: it has ended, or is braked."""
+        self._watch.end()
 
     def stands_at(self) -> Array:
         """Return the joints (6,) in deg to which the robot was sent last, or where it was found."""
         return self._rest_deg
-
-    def rest(self, target_deg: Array) -> RobotReading:
-        """Return the reading at rest at joints (6,)."""
-        try:
-            return self._await_rest(target_deg)
-        finally:
-            self._watch.end()
 
     def acknowledged(self, number: int) -> bool:
         """Whether a motion has ended; raises `DeviceError` where the program refused it."""

@@ -3,8 +3,9 @@
 import pytest
 
 from hilcell.cell import load_cell
-from hilcell.devices import check_options, driver_options
+from hilcell.devices import abilities, check_options, driver_options
 from hilcell.settings import SettingsError
+from tests.whole.bench import command
 
 
 def test_options_may_not_state_again_what_the_table_states() -> None:
@@ -59,3 +60,10 @@ def test_a_network_of_can_has_no_syntax_of_a_serial_line() -> None:
     check_options(load_cell("paper", {"rail.options.channel": "/dev/ttyUSB0@115200"}))
     words = {"rail.options.interface": "socketcan", "rail.options.channel": "can0"}
     check_options(load_cell("paper", words))
+
+
+def test_what_the_drivers_can_is_known_before_anything_is_opened() -> None:
+    assert abilities(load_cell("paper")) == {"tracker_streams": True, "robot_sweeps": True}
+    assert "this tracker streams: yes, this robot sweeps an axis: yes" in command(
+        "check", "paper"
+    ).stderr.replace("\n", " ")

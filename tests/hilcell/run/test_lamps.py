@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hilcell.ports import DeviceError, NoReading, RailReading
+from hilcell.devices import Devices, streams_of, sweeps_of
+from hilcell.ports import DeviceError, DeviceRefused, NoReading, RailReading
 from hilcell.run.lamps import Lamps
 from tests.hilcell.run.bed import CELL, until
 from tests.hilcell.run.desk import DeskRail, DeskRobot, DeskTracker, desk, hang
@@ -53,6 +55,27 @@ def test_robot_and_tracker_tell_what_they_read(board: Board) -> None:
     board.devices.tracker.measure(np.array([1.0, 2.0, 3.0]), "SMR", 1)
     assert board.lamp("robot")["text"] == "at rest at 0.0 -100.0 110.0 0.0 -30.0 0.0 deg"
     assert board.lamp("tracker")["text"] == "1.00 2.00 3.00 mm, 22.0 C"
+
+
+def test_devices_that_cannot_fly_are_refused_by_name(board: Board) -> None:
+    tracker, robot = streams_of(board.devices.tracker), sweeps_of(board.devices.robot)
+    with pytest.raises(DeviceRefused, match="this tracker streams: no"):
+        tracker.stream(np.zeros(3), "SMR", 100.0).__enter__()
+    with pytest.raises(DeviceRefused, match="this robot sweeps an axis: no"):
+        robot.sweep(0, 1.0, 0.1).__enter__()
+
+
+def test_a_sweep_lights_the_robot_s_lamp(board: Board) -> None:
+    class Sweeping(DeskRobot):
+        @contextmanager
+        def sweep(self, *order: float) -> Iterator[Any]:
+            yield order
+
+    lamps = Lamps(Devices(board.rail, Sweeping(CELL), board.tracker))
+    moving = []
+    with sweeps_of(lamps.devices.robot).sweep(0, 1.0, 0.1):
+        moving.append(lamps.robot.moving)
+    assert [*moving, lamps.robot.moving] == [True, False]
 
 
 def test_ages_grow(board: Board) -> None:
