@@ -154,8 +154,8 @@ def changed(machine: Machine, table: str, **values: object) -> Machine:
 
 def test_sizes_that_no_robot_has_are_refused(cell: Cell) -> None:
     small = changed(load_machine("paper"), "reference", points=2)
-    machine = changed(small, "errors", largest_mm=1.0)
-    with pytest.raises(HilcellError, match=r"none of 100 draws keeps every error below 1.0 mm"):
+    machine = changed(small, "errors", largest_mm=1.21)
+    with pytest.raises(HilcellError, match=r"none of 100 draws keeps every error below 1.21 mm"):
         ArmTruth(machine, cell.robot.smr_mm, np.random.default_rng(1))
 
 
