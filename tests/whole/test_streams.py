@@ -22,9 +22,11 @@ from hilcell.run.log import Log
 from hilcell.run.stream_file import FOLDER, StreamData, read_stream
 from hilcell.run.sweeping import record_sweep
 from tests.fakes.wires import C3Client, EmsconClient, connected
+from tests.whole.bench import sweep
 from tests.whole.sweeper import KEY, START_RAD, Engine, engine, order
 
 CELL = load_cell("paper")
+SPEEDS = (np.inf, 20.0)
 STATIONARY, CONTINUOUS = 0, 1
 GET_MODE = 25
 
@@ -88,20 +90,25 @@ def swept(cell: Cell, folder: Path, degrees: float = 4.0) -> tuple[StreamData, E
         return read_stream(folder, record), found
 
 
-@pytest.mark.parametrize("speed", [np.inf, 20.0])
+@pytest.mark.parametrize("speed", SPEEDS)
 def test_a_sweep_is_recorded_whole(tmp_path: Path, speed: float) -> None:
     with simulated_cell(speed) as cell:
-        data, found = swept(cell, tmp_path, 8.0)
+        data, found = swept(cell, tmp_path)
         assert cell.is_restored()
     steps_s = np.diff(data.device_s)
-    assert len(data.device_s) > 790
+    assert len(data.device_s) > 390
     assert np.abs(steps_s - 0.01).max() < 2e-6  # dense, in order, by the tracker's own clock
     assert bool(np.all(np.diff(data.asked_s.ravel()) >= 0))
     assert bool(np.all(data.window_s[:, 0] <= data.window_s[:, 1]))
     axis_rad = data.joints_rad[:, 0]
     assert bool(np.all(np.diff(axis_rad) > -1e-5))
     assert np.abs(data.joints_rad[:, 1:] - START_RAD[1:]).max() < 1e-5
+    assert found.log.streams[KEY].samples == len(data.device_s)
+
+
+def check_one_motion(data: StreamData) -> None:
     # The reflector turns about axis 1 as fast as the joint does: both streams tell one motion.
+    axis_rad = data.joints_rad[:, 0]
     middle_s = data.asked_s.mean(axis=1)
     inner = slice(len(axis_rad) // 4, -len(axis_rad) // 4)
     joint_rad_s = np.polyfit(middle_s[inner], axis_rad[inner], 1)[0]
@@ -110,9 +117,7 @@ def test_a_sweep_is_recorded_whole(tmp_path: Path, speed: float) -> None:
     times_s = data.device_s[beam][::50]
     speed_mm_s = path_mm / (times_s[-1] - times_s[0])
     radius_mm = float(np.linalg.norm(forward(CELL.robot.arm(), START_RAD)[:2, 3]))
-    late = 0.2 if speed == 20.0 else 0.002  # real milliseconds count twenty times
-    assert speed_mm_s / radius_mm == pytest.approx(joint_rad_s, rel=late)
-    assert found.log.streams[KEY].samples == len(data.device_s)
+    assert speed_mm_s / radius_mm == pytest.approx(joint_rad_s, rel=0.002)
 
 
 def test_the_same_seed_streams_the_same(tmp_path: Path) -> None:
@@ -120,7 +125,7 @@ def test_the_same_seed_streams_the_same(tmp_path: Path) -> None:
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         with simulated_cell() as cell:
-            found.append(swept(cell, tmp_path / name)[0])
+            found.append(swept(cell, tmp_path / name, 8.0)[0])
     one, two = found
     for field in ("xyz_mm", "joints_rad"):
         np.testing.assert_allclose(getattr(one, field), getattr(two, field), atol=1e-7)
@@ -129,6 +134,7 @@ def test_the_same_seed_streams_the_same(tmp_path: Path) -> None:
         np.testing.assert_allclose(
             first_s - first_s.flat[0], second_s - second_s.flat[0], atol=2e-6
         )
+    check_one_motion(one)
 
 
 def test_a_recorded_sweep_is_not_made_again(cell: Cell, tmp_path: Path) -> None:
@@ -139,9 +145,15 @@ def test_a_recorded_sweep_is_not_made_again(cell: Cell, tmp_path: Path) -> None:
     assert cell.variables("HC_SEQ") == before
 
 
-def test_a_stop_in_the_middle(cell: Cell, tmp_path: Path) -> None:
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_a_stop_in_the_middle(tmp_path: Path, speed: float) -> None:
+    with simulated_cell(speed) as cell:
+        stop_in_the_middle(cell, tmp_path)
+
+
+def stop_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     with engine(cell.address, tmp_path) as found:
-        found.at_wait, found.then = 30, found.stop_all
+        found.at_wait, found.then = 5, found.stop_all
         with pytest.raises(Stopped):
             record_sweep(found.bench, order(cell.near_mm))
         assert cell.variables("HC_STOP", "HC_ERR") == ["TRUE", "9"]
@@ -152,7 +164,13 @@ def test_a_stop_in_the_middle(cell: Cell, tmp_path: Path) -> None:
         assert record_sweep(again.bench, order(cell.near_mm)).samples > 390
 
 
-def test_a_beam_break_in_the_middle(cell: Cell, tmp_path: Path) -> None:
+@pytest.mark.parametrize("speed", [np.inf, *sweep(20.0)])
+def test_a_beam_break_in_the_middle(tmp_path: Path, speed: float) -> None:
+    with simulated_cell(speed) as cell:
+        break_in_the_middle(cell, tmp_path)
+
+
+def break_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     with engine(cell.address, tmp_path) as found, Control(cell.address) as control:
         control.ask("fault", name="tracker.stream_break", after=100)
         with pytest.raises(NoReading, match="the beam broke"):
@@ -166,7 +184,7 @@ def test_a_beam_break_in_the_middle(cell: Cell, tmp_path: Path) -> None:
 
 def test_a_robot_fault_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     with engine(cell.address, tmp_path) as found, Control(cell.address) as control:
-        found.at_wait = 30
+        found.at_wait = 5
         found.then = lambda: control.ask("fault", name="robot.override_zero")
         with pytest.raises(Exception, match=r"OV_PRO is 0"):
             record_sweep(found.bench, order(cell.near_mm))
@@ -174,7 +192,13 @@ def test_a_robot_fault_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     assert cell.variables("$OV_PRO", "HC_OV_OLD") == ["0", "0"]  # the operator's, not ours
 
 
-def test_an_engine_killed_in_the_middle(cell: Cell, tmp_path: Path) -> None:
+@pytest.mark.parametrize("speed", [np.inf, *sweep(20.0)])
+def test_an_engine_killed_in_the_middle(tmp_path: Path, speed: float) -> None:
+    with simulated_cell(speed) as cell:
+        kill_in_the_middle(cell, tmp_path)
+
+
+def kill_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     words = [sys.executable, "-m", "tests.whole.sweeper", cell.address, str(tmp_path)]
     process = subprocess.Popen([*words, *map(str, cell.near_mm)])
     while cell.variables("HC_OV_OLD") == ["0"] or files(tmp_path) == []:
