@@ -1,4 +1,4 @@
-"""One axis of a KUKA robot turned slowly, with the joints told meanwhile.
+"""One axis of a KUKA robot turned slowly, with its joints read meanwhile.
 
 Speed is HC_VEL (1 to 100 % of an axis) times $OV_PRO, which a sweep lowers: so an axis turns at
 1/10000 of its speed, too. The trap: $OV_PRO stays lowered when the PC dies. So the controller
@@ -29,7 +29,7 @@ PERCENT = 100
 STALL_S = 5.0
 PROGRESS_DEG = 0.002
 REST_S = 3.0  # wire deadline: from a brake to standstill
-DWELL_S = 0.05  # between two looks that tell standstill
+DWELL_S = 0.05  # between two reads that prove standstill
 STILL_DEG = 0.0005
 POLL_S = 0.05  # while the end is waited for
 ROUND = (

@@ -2,7 +2,7 @@
 
 While something takes its time the client may still send: StopMeasurement is obeyed, all else is
 answered with "busy". In stepped time nothing takes time, and results follow at once. Samples of a
-stream are sent when their time has come: in stepped time by whoever lets it pass.
+stream are sent when their time has come: in stepped time by the thread that lets it pass.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ class EmsconServer:
     def _stream(self, session: _Session, stream: SampleStream, head: bytes) -> bytes | None:
         """Send samples until the client stops it; return a packet that came after their end.
 
-        The trap: the client lets time pass as soon as it has the reply, so whoever lets it pass
-        must know of the stream before, and must have forgotten it before the reply to the stop.
+        The trap: the client lets time pass as soon as it has the reply, so the
+        stream is followed before that reply, and no longer followed before the reply to the stop.
         """
         lock = threading.Lock()
 

@@ -1,7 +1,7 @@
 """What the core asks of devices: small Protocols, their readings and their errors.
 
 Every rail, robot and tracker satisfies one of three. A tracker that can also stream satisfies
-`Streams`, a robot that can turn one axis slowly and tell its joints meanwhile `Sweeps`; both hand
+`Streams`, a robot that can turn one axis slowly and report its joints meanwhile `Sweeps`; both hand
 out a flyer: prepared by ``with``, started by ``kickoff``, read by ``collect``, ended by
 ``complete``, and put back to what it was on every way out of the ``with``.
 
@@ -130,7 +130,7 @@ class StreamBlock:
 
 @dataclass(frozen=True, slots=True)
 class JointSample:
-    """Joints (6,) of a moving robot, told between two times of the cell's clock."""
+    """Joints (6,) of a moving robot, read between two times of the cell's clock."""
 
     joints_rad: Array
     before_s: float

@@ -126,11 +126,7 @@ class StreamFile:
             self._file.flush()
             os.fsync(self._file.fileno())
             self._part.replace(self._path)
-            folder = os.open(self._folder, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
+            _sync_folder(self._folder)
         except OSError as error:
             raise self._failed(error) from error
         return StreamRecord(
@@ -177,7 +173,7 @@ class StreamFile:
 
 def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
     """Return a stream by its journal's record; raises `StorageError` where it is another's."""
-    path = run_folder / FOLDER / record.file
+    path = run_folder / FOLDER / Path(record.file).name
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -201,6 +197,16 @@ def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
         joints["joints_rad"],
         np.column_stack([joints["before_s"], joints["after_s"]]),
     )
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a rename durable; systems that open no folders do so by themselves."""
+    if hasattr(os, "O_DIRECTORY"):
+        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(opened)
+        finally:
+            os.close(opened)
 
 
 def _rows_of(block: StreamBlock) -> Rows:

@@ -2,7 +2,7 @@
 
 The trap: tracker and robot have no clock in common. So samples keep the tracker's own time and the
 window of the cell's clock in which they arrived, joints the cell's clock before and after they
-were asked for; pairing them is the work of whoever reads the stream back.
+were asked for; the reader of the stream pairs them.
 """
 
 from __future__ import annotations
