@@ -30,7 +30,7 @@ class Patience:
     def over(self) -> bool:
         """Take the time since the last look off; return whether none is left.
 
-        Whoever is told so looks once more before the device is said to be silent.
+        The caller then looks once more before it reports the device as silent.
         """
         now_s = time.monotonic()
         self._left_s -= min(now_s - self._looked_s, self._look_s)

@@ -152,7 +152,7 @@ class TransmitPdo(Pdo):
         self._sent_s = 0.0
 
     def rewind(self) -> None:
-        """Start anew, as on entering OPERATIONAL."""
+        """Start again, as on entering OPERATIONAL."""
         self._syncs, self._sent, self._sent_s = 0, None, 0.0
 
     def at_sync(self) -> bytes | None:

@@ -71,7 +71,7 @@ class KrlController:
         self.restore()
 
     def restore(self) -> None:
-        """The operator puts everything right and starts the program anew."""
+        """The operator puts everything right and starts the program again."""
         with self._lock:
             self._mode, self._program = "#EX", "#P_ACTIVE"
             self._emergency, self._message = False, False

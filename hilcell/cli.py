@@ -90,7 +90,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         action="append",
         default=[],
         metavar="KEY",
-        help="measure this point anew; may be repeated; opens a finished run again",
+        help="re-measure this point; may be repeated; opens a finished run again",
     )
     _json_option(resume, "one event a line, as journalled")
 

@@ -2,7 +2,7 @@
 
 It is one file in the folder of runs that may be deleted at any time. The trap: it must never be
 believed over a journal. A row counts only while the journal is the very file that it was read
-from; a run without an end, or with a live engine, is read anew each time.
+from; a run without an end, or with a live engine, is read again each time.
 """
 
 from __future__ import annotations
@@ -384,7 +384,7 @@ def _keep(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
 def _opened(index: Path) -> sqlite3.Connection:
     base = sqlite3.connect(index, timeout=BUSY_S, isolation_level=None)
     try:
-        base.execute("PRAGMA synchronous=OFF")  # what power loss damages is made anew
+        base.execute("PRAGMA synchronous=OFF")  # what power loss damages is made again
         if base.execute("PRAGMA user_version").fetchone() != (SCHEMA,):
             base.execute("BEGIN IMMEDIATE")
             base.execute("DROP TABLE IF EXISTS run")

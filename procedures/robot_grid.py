@@ -20,7 +20,7 @@ Vertex = tuple[str, Array, Array]  # key, joints (6,) in rad, nominal position (
 class RobotGrid:
     """Visits the vertices in serpentine order, every axis from below, and records the joints.
 
-    A vertex that does not go with its neighbours is measured once more; the retake counts.
+    An outlier among its neighbours is measured once more; the retake counts.
     """
 
     name = "robot-grid"

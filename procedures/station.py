@@ -89,7 +89,7 @@ class StationRepeatability:
         station = bench.cell.station_named(bench.cell.grid.station)
         bench.rail_to(station.rail_mm + side * APPROACH_MM)
         if how == "strip":
-            bench.hold_station(station, anew=True)
+            bench.hold_station(station, again=True)
         else:
             bench.rail_to(station.rail_mm)
         bench.slide_now(key, f"repeat_{how}_{way}", bench.cell.layout.slide[0].name)

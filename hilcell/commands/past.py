@@ -59,7 +59,7 @@ def _summary(row: RunRow) -> dict[str, Any]:
 
 
 def show(args: argparse.Namespace) -> int:
-    """Show a run; its result is computed anew from the journal."""
+    """Show a run; its result is recomputed from the journal."""
     folder = find_run(args.runs, args.run)
     log = read_log(folder)
     inputs = log.inputs

@@ -97,12 +97,12 @@ def resume(args: argparse.Namespace) -> int:
         return _resume_live(folder, args.retake)
     log = read_log(folder)
     cell, inputs = log.cell, log.inputs
-    anew = [key for key in args.retake if key not in log.retakes]
-    if refusals := [why for key in anew if (why := retake_refusal(log, key))]:
+    asked = [key for key in args.retake if key not in log.retakes]
+    if refusals := [why for key in asked if (why := retake_refusal(log, key))]:
         raise HilcellError("\n".join(refusals))
     written = not log.calibrates or (folder / CALIBRATION).is_file()
     over = log.states["run"] == "finished" and log.end is not None and written
-    if over and not (anew or log.retakes):
+    if over and not (asked or log.retakes):
         raise HilcellError(
             f"run {folder.name} is finished; start a new one with `hilcell run`", code="HC-J09"
         )
@@ -112,7 +112,7 @@ def resume(args: argparse.Namespace) -> int:
         journal = Journal(folder / JOURNAL, encodable(folder.name), create=False)
         journal.listen(log.take)
         face = _face(args.json, journal.run, inputs.points, journal)
-        for key in anew:
+        for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
         face.already(sum(point.group != "control" for point in log.points.values()))
         return _perform(cell, procedure, journal, log, face, folder, args)

@@ -1,4 +1,4 @@
-"""A run as its journal proves it, with its result computed anew.
+"""A run as its journal proves it, with its result recomputed.
 
 The trap: a report must be the same from the same journal, today and in a year, so nothing here
 asks for the time, for a live engine or for this machine.

@@ -135,14 +135,14 @@ class Bench:
         self.devices.rail.settle()
         self._hold_rail()
 
-    def hold_station(self, station: Station, *, anew: bool = False) -> None:
+    def hold_station(self, station: Station, *, again: bool = False) -> None:
         """Bring the slide to ``station`` by the strip and hold it there.
 
         A slide that a resumed run finds at the station, by the strip, stays there.
         """
-        if self._held == station and not anew:
+        if self._held == station and not again:
             return
-        if not anew and self._stands_at(station):
+        if not again and self._stands_at(station):
             self._held = station
             self.event("station found held", station=station.name)
             return
@@ -233,8 +233,8 @@ class Bench:
     ) -> Point:
         """Send the reflector on the flange to joints (6,) and measure it, once in a run's life.
 
-        ``retake`` measures it anew; the later point supersedes, the earlier stays journalled.
-        Points that the operator wants anew are measured first.
+        ``retake`` re-measures it; the later point supersedes, the earlier stays journalled.
+        Points that wait to be re-measured come first.
         """
         self.retake_waiting()
         if key in self.log.points and not retake:
@@ -242,7 +242,7 @@ class Bench:
         return self._flange_point(key, group, station, joints_rad, nominal_mm, retake=retake)
 
     def retake_waiting(self) -> bool:
-        """Measure anew the points that wait for it; return whether there were any.
+        """Re-measure the points that wait for it; return whether there were any.
 
         Only where nothing is assumed about where slide and robot stand.
         """

@@ -57,7 +57,7 @@ class Engine(Protocol):
         """Say that the prompt is done; return why that is refused."""
 
     def retake(self, key: str) -> str:
-        """Have a point measured anew; return why that is refused."""
+        """Have a point re-measured; return why that is refused."""
 
     def watched(self, by: int) -> int:
         """Add ``by`` to the screens that attend; return how many do now."""
@@ -150,7 +150,7 @@ class _Handler(socketserver.StreamRequestHandler):
         self.server.connections.add(self.connection)
 
     def handle(self) -> None:
-        with suppress(OSError):  # whoever asked has left
+        with suppress(OSError):  # the client has left
             while line := self.rfile.readline(LONGEST):
                 self.wfile.write(msgspec.json.encode(self._answer(line)) + b"\n")
                 if not line.endswith(b"\n"):

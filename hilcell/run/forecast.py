@@ -175,7 +175,7 @@ class Forecast:
                 step.done = True
 
     def _begin(self, number: int) -> None:
-        """Begin a step: what it follows is done; a new session begins with the first anew."""
+        """Begin a step: what it follows is done; a new session begins again with the first."""
         before = self._step
         if before is not None and number > self._number:
             before.done = True

@@ -12,7 +12,7 @@ class Gate:
     """Open at first. ``reached`` is called when the worker stands before the closed gate.
 
     The trap: a gate that opens and closes again at once must find the worker either resting or
-    gone, never in between; so whoever changes either holds the lock.
+    gone, never in between; so a thread that changes either holds the lock.
     """
 
     def __init__(self, reached: Callable[[], None]) -> None:

@@ -141,7 +141,7 @@ class Log:
         self.end: dict[str, Any] | None = None
         self.fault = ""
         self.moved = False  # in this session
-        self.retakes: dict[str, None] = {}  # keys of points that wait to be measured anew
+        self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
         self.link: LinkRecord | None = None  # of the last session that ended
         self.seated = ""  # the place of a reflector that is carried by hand
         self.sights: dict[str, Seated] = {}

@@ -96,7 +96,7 @@ class Procedure:
         return Plan(steps)
 
     def perform(self, bench: Bench) -> None:
-        """Perform all acts, and all again where a point is measured anew behind the last one."""
+        """Perform all acts, and all again where a point is re-measured behind the last one."""
         self._acts(bench)
         while bench.retake_waiting():
             self._acts(bench)

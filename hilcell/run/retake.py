@@ -1,4 +1,4 @@
-"""Which points may be measured anew, and which wait for it.
+"""Which points may be re-measured, and which wait for it.
 
 A point may be retaken as long as nothing was built on it that a retake would not rebuild. What
 waits stands in the journal: asked for by an event, done by the point's next record.
@@ -14,17 +14,17 @@ ALWAYS = ("validate_",)
 
 
 def retake_refusal(log: Log, key: str) -> str:
-    """Return why a point may not be measured anew, or nothing where it may."""
+    """Return why a point may not be re-measured, or nothing where it may."""
     point = log.points.get(key)
     if point is None:
         return f"{key[:80]}: no such point was measured in this run"
     if key in log.retakes:
-        return f"{key}: waits already to be measured anew"
+        return f"{key}: waits already to be re-measured"
     return _bound(log, point)
 
 
 def still_refused(log: Log, key: str) -> str:
-    """Return why a point that waits may no longer be measured anew, or nothing where it may."""
+    """Return why a point that waits may no longer be re-measured, or nothing where it may."""
     return _bound(log, log.points[key])
 
 

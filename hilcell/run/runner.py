@@ -155,7 +155,7 @@ class Runner:
         return self._asking.answer().result()
 
     def retake(self, key: str) -> str:
-        """Have a point measured anew, at the robot's next point; return why that is refused."""
+        """Have a point re-measured, at the robot's next point; return why that is refused."""
         if refused := retake_refusal(self.log, key):
             return refused
         try:

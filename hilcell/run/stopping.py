@@ -1,8 +1,8 @@
 """The safe stop: every device gets its stop frame at once, whatever the rest of the engine does.
 
-Threads that send it wait ready from the start of a run; whoever asks for the stop wakes them and
-lends a hand, so that it does not matter who of them gets the processor first. The trap: a stop
-that first asked a queue, a lock or a file would come late when it matters.
+Threads that send it wait ready from the start of a run; the thread that asks for the stop wakes
+them and lends a hand, so the order in which they get the processor does not matter. The trap: a
+stop that first asked a queue, a lock or a file would come late when it matters.
 """
 
 from __future__ import annotations

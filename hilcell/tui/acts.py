@@ -91,7 +91,7 @@ class Acts:
             self._host.background(self._look_once_more(session))
 
     def retake(self, key: str) -> None:
-        """Measure a point anew: in the live run, or by opening a finished one again."""
+        """Re-measure a point: in the live run, or by opening a finished one again."""
         from hilcell.run.retake import retake_refusal
 
         session = self._host.session
@@ -102,14 +102,14 @@ class Acts:
             self._host.say(refused)
         elif session.scene.live:
             self._host.ask(
-                "Measure this point anew?",
+                "Re-measure this point?",
                 f"{key}: before the robot's next point; it moves there.",
                 "re-measure",
                 lambda: self._command("retake", key=key),
             )
         else:
             self._host.ask(
-                "Open this run again and measure the point anew?",
+                "Open this run again and re-measure the point?",
                 f"{key}: the devices are connected, the control points proved, the robot moves.",
                 "re-measure",
                 lambda: self.resume("--retake", key),

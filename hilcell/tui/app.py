@@ -99,7 +99,7 @@ class HilcellApp(App[int]):
 
     @property
     def page(self) -> Screen[Any]:
-        """Return the screen under whatever is asked, or under the palette."""
+        """Return the screen under an open question or the palette."""
         pages = (each for each in reversed(self.screen_stack) if isinstance(each, SceneScreen))
         return next(pages, self.screen)
 
@@ -347,7 +347,7 @@ class HilcellApp(App[int]):
             self.say("STOP: nothing runs here; if anything moves, use the E-stop")
 
     def _close_questions(self) -> None:
-        """Go back to the screen under whatever is asked, or under the palette."""
+        """Go back to the screen under an open question or the palette."""
         while not isinstance(self.screen, SceneScreen):
             self.pop_screen()
 

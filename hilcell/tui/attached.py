@@ -1,8 +1,8 @@
 """The runs that this screen is attached to: the one that is shown, and its own live one behind it.
 
 The live run that is left to look at others keeps its line: a stop reaches it as before, and its
-engine still learns when this screen is lost. Other live runs are visited only: whoever watches
-them elsewhere goes on doing so.
+engine still learns when this screen is lost. Other live runs are visited only: a screen that
+watches them elsewhere goes on doing so.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def rms_mm(point: Point) -> float:
 
 
 def state_of(log: Log, point: Point, deviation: Deviation | None) -> str:
-    """Return a point's state in one word: ok, out, noisy, again (measured anew)."""
+    """Return a point's state in one word: ok, out, noisy, again (re-measured)."""
     if not rms_mm(point) <= log.cell.tracker.max_std_mm:
         return "noisy"
     if deviation is not None and not deviation.within:

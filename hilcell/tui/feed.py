@@ -21,7 +21,7 @@ from hilcell.tui.link import Link, LinkLostError, LinkSilentError
 from hilcell.tui.scene import EngineState, Status
 
 QUIET_S = 0.5  # where no engine is at work, little happens
-ANEW_S = 10.0  # a line that was silent for so long is opened anew
+REOPEN_S = 10.0  # a line that was silent for so long is opened again
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ class Feed:
             self._heard_s = time.monotonic()
             return EngineState.HEARD, msgspec.convert(answer, Status)
         except LinkSilentError:
-            if time.monotonic() - self._heard_s > ANEW_S:
+            if time.monotonic() - self._heard_s > REOPEN_S:
                 self._let_go()
             return EngineState.SILENT, None
         except LinkLostError:

@@ -24,7 +24,7 @@ LINES = (
     ("validate/...", "before: uncorrected; idw: by the paper's correction; chosen: by the"),
     ("", "correction that is used, which alone is held against the tolerance"),
     ("point's state", "ok; out: over its limit; noisy: its readings scatter too much"),
-    ("", "waits: to be measured anew; again: measured anew"),
+    ("", "waits: to be re-measured; again: re-measured"),
 )
 STORY = (
     "A first calibration: choose `calibrate`, type your name, Enter shows the plan, Enter starts.",

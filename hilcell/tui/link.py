@@ -65,7 +65,7 @@ class Link:
         return True
 
     def leave(self) -> None:
-        """Say that whoever hangs up next is not lost.
+        """Say that the next client to hang up is not lost.
 
         What is owed is waited for: an engine that answers into a closed line reads no further.
         """

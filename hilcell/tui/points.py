@@ -86,7 +86,7 @@ def _badness(row: PointRow) -> tuple[bool, float]:
 
 
 def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
-    """Return the cells of one point; ``waiting`` names those that are to be measured anew."""
+    """Return the cells of one point; ``waiting`` names those that are to be re-measured."""
     point, deviation = found.point, found.deviation
     state = "waits" if point.key in waiting else found.state
     errors: tuple[str, ...] = ("", "", "", "")

@@ -53,7 +53,7 @@ def record_words(record: Record) -> str:
             return f"{body.get('machine')} is {body.get('to')}{reason}".replace("\n", " ")
         case "point":
             station = f" at {body['station']}" if body.get("station") else ""
-            again = ", measured anew" if body.get("retaken") else ""
+            again = ", re-measured" if body.get("retaken") else ""
             return f"{record.key}{station}{again}"
         case "intent":
             return " ".join(filter(None, (str(body.get("action", "")), record.key, _facts(body))))

@@ -1,6 +1,6 @@
 """The pictures of the screen in README and docs, from real engines.
 
-``HILCELL_PICTURES=docs/pictures pytest tests/whole/test_pictures.py`` draws them anew, from whole
+``HILCELL_PICTURES=docs/pictures pytest tests/whole/test_pictures.py`` draws them again, from whole
 calibrations; without it small ones are looked at, and nothing is written.
 """
 

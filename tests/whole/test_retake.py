@@ -1,4 +1,4 @@
-"""Points are measured anew on a live run and on a finished one; names are chosen."""
+"""Points are re-measured on a live run and on a finished one; names are chosen."""
 
 from pathlib import Path
 from typing import Any

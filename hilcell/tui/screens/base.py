@@ -59,7 +59,7 @@ class SceneScreen(Screen[None]):
         self.show(self.cell.scene)
 
     def on_resize(self) -> None:
-        """Lay the lines out anew."""
+        """Lay the lines out again."""
         self.call_after_refresh(self.show_again)
 
     def on_screen_resume(self) -> None:

@@ -86,7 +86,7 @@ class DetailPage(TextPage):
         return point_page(scene, self._key) if scene is not None else Content("")
 
     def do_retake(self) -> None:
-        """Measure this point anew."""
+        """Re-measure this point."""
         self.cell.acts.retake(self._key)
 
 

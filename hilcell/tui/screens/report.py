@@ -17,7 +17,7 @@ FILE = "report.html"
 
 
 class ReportPage(TextPage):
-    """Element 17. Both are computed anew from the journal, by the commands of the same names."""
+    """Element 17. Both are recomputed from the journal, by the commands of the same names."""
 
     title_text = "Report"
     footer = ("stop", "history", "quit")

@@ -222,5 +222,5 @@ class RunScreen(Finding):
         self.cell.go_back()
 
     def do_retake(self) -> None:
-        """Measure the chosen point anew."""
+        """Re-measure the chosen point."""
         self.cell.acts.retake(self.query_one(Rows).key)

@@ -1,4 +1,4 @@
-"""A point is measured anew while nothing was built on it, at once or when a run is resumed."""
+"""A point is re-measured while nothing was built on it, at once or when a run is resumed."""
 
 from pathlib import Path
 from typing import Any

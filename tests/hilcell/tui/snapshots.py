@@ -1,6 +1,6 @@
 """Text snapshots: what the terminal showed once, compared with what it shows now.
 
-They are plain files in ``snapshots/``, one a screen. To write them anew after a wanted change:
+They are plain files in ``snapshots/``, one a screen. To write them again after a wanted change:
 
     HILCELL_SNAPSHOTS=write pytest tests/hilcell/tui/test_snapshots.py
 

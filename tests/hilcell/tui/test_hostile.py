@@ -48,7 +48,7 @@ by_some = pytest.mark.parametrize("text", [NASTY[name] for name in SOME], ids=SO
 def poisoned_outside(
     outside: None, unpainted: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Let whatever is asked outside the screen answer with the hostile text."""
+    """Let every question outside the screen answer with the hostile text."""
     text = request.node.callspec.params.get("text", "") if hasattr(request.node, "callspec") else ""
 
     async def ask_hilcell(*words: str) -> str:

@@ -21,7 +21,7 @@ TOLD: list[tuple[Kind, str, dict[str, Any], str]] = [
     ("state", "", {"machine": "run", "to": "faulted", "reason": "a\nb"}, "run is faulted: a b"),
     ("point", "grid/0", {"station": "S1100"}, "grid/0 at S1100"),
     ("point", "world/F1", {"station": ""}, "world/F1"),
-    ("point", "grid/0", {"station": "", "retaken": True}, "grid/0, measured anew"),
+    ("point", "grid/0", {"station": "", "retaken": True}, "grid/0, re-measured"),
     ("intent", "grid/0", {"action": "robot.move", "joints_deg": [0.0]}, "robot.move grid/0"),
     ("intent", "", {"action": "rail.move", "to_mm": 5.0}, "rail.move to_mm 5.000"),
     ("frame", "world", {"matrix": [[1.0]], "rms_mm": 0.01234}, "world rms_mm 0.012"),
