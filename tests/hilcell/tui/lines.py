@@ -20,7 +20,7 @@ LIMIT_S = 10.0
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for silent engines as long as a test may."""
     monkeypatch.setattr(links, "ANSWER_S", 0.2)
-    monkeypatch.setattr(feeds, "ANEW_S", 0.5)
+    monkeypatch.setattr(feeds, "REOPEN_S", 0.5)
 
 
 @pytest.fixture(autouse=True)

@@ -73,7 +73,7 @@ def test_without_colours_the_command_that_is_chosen_is_reversed(tmp_path: Path, 
         terminal.shows("bad only: show")
         terminal.press("\x1b[B")
         terminal.until(lambda _: marked(terminal, "bad only: show") == "bad only: show", 5.0)
-        assert marked(terminal, "re-measure: measure") == ""
+        assert marked(terminal, "re-measure: re-measure") == ""
         assert is_bare(terminal)
 
 
