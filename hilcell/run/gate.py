@@ -11,8 +11,9 @@ REST_S = 0.02
 class Gate:
     """Open at first. ``reached`` is called when the worker stands before the closed gate.
 
-    The trap: a gate that opens and closes again at once must find the worker either resting or
-    gone, never in between; so a thread that changes either holds the lock.
+    A gate that opens and closes again at once must find the worker either resting or gone, never
+    in between, and an open gate is never reported as reached; so a thread that changes or reports
+    either holds the lock. ``reached`` must not wait.
     """
 
     def __init__(self, reached: Callable[[], None]) -> None:
@@ -46,14 +47,15 @@ class Gate:
 
     def passage(self, at_rest: Callable[[], None]) -> None:
         """Wait while the gate is closed, calling ``at_rest`` all the while; it may raise."""
-        if self._passed():
-            return
-        self._reached()
         while not self._passed():
             at_rest()
             self._open.wait(REST_S)
 
     def _passed(self) -> bool:
         with self._lock:
-            self._resting = not self._open.is_set()
+            if self._open.is_set():
+                self._resting = False
+            elif not self._resting:
+                self._resting = True
+                self._reached()
             return not self._resting
