@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from hilcell.run.journal import Journal
+from hilcell.journal.journal import Journal
 
 HILCELL = [sys.executable, "-m", "hilcell"]
 

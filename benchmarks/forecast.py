@@ -15,8 +15,8 @@ from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 
+from hilcell.journal.journal import Record, read_journal
 from hilcell.run.forecast import Forecast
-from hilcell.run.journal import Record, read_journal
 
 TENTH = 0.1
 

@@ -15,9 +15,9 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hilcell.index import NAME, SETTLED_S, matches, read_index
-from hilcell.run.journal import Journal
-from hilcell.runs import JOURNAL
+from hilcell.journal.index import NAME, SETTLED_S, matches, read_index
+from hilcell.journal.journal import Journal
+from hilcell.journal.runs import JOURNAL
 
 RUNS = 10_000
 TARGET_MS = 300.0

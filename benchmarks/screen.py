@@ -17,9 +17,9 @@ from typing import Any
 
 import msgspec
 
+from hilcell.journal.journal import Journal
+from hilcell.journal.runs import JOURNAL
 from hilcell.run.control import Control
-from hilcell.run.journal import Journal
-from hilcell.runs import JOURNAL
 from tests.hilcell.tui.scenes import RUN, status, stories
 from tests.whole.terminal import Terminal
 

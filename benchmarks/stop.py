@@ -28,16 +28,17 @@ import msgspec
 import numpy as np
 
 from drivers import emscon
-from hilcell.cell import Cell, Nest, load_cell
-from hilcell.devices import build_devices, start_simulation
+from hilcell.cell.devices import build_devices, start_simulation
+from hilcell.cell.file import Cell, Nest, load_cell
+from hilcell.journal.engine_file import EngineFile
+from hilcell.journal.journal import Journal
+from hilcell.journal.log import Log, PlanRecord
+from hilcell.journal.runs import JOURNAL
 from hilcell.ports import SimulatedCell
-from hilcell.run.bench import Bench
-from hilcell.run.control import Control, EngineFile
-from hilcell.run.journal import Journal
-from hilcell.run.log import Log, PlanRecord
+from hilcell.run.cell_session import CellSession
+from hilcell.run.control import Control
 from hilcell.run.procedure import Procedure, Step
 from hilcell.run.runner import Runner
-from hilcell.runs import JOURNAL
 
 STOPS = 500
 TARGET_MS = 20.0
@@ -69,7 +70,7 @@ class Phase:
     def result(self, log: Log) -> dict[str, Any]:
         return {}
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, bench: CellSession) -> None:
         bench.reach("connect")
         if not bench.rail_referenced():
             bench.home_rail()
@@ -77,18 +78,18 @@ class Phase:
             bench.event("phase", phase=self.phase)
             getattr(self, self.phase)(bench, number)
 
-    def rail(self, bench: Bench, number: int) -> None:
+    def rail(self, bench: CellSession, number: int) -> None:
         bench.rail_to(900.0 if number % 2 else 1500.0)
 
-    def robot(self, bench: Bench, number: int) -> None:
+    def robot(self, bench: CellSession, number: int) -> None:
         joints = np.radians(bench.cell.robot.home_deg)
         joints[0] = 1.0 if number % 2 else -1.0
         bench.robot_to(joints, "away")
 
-    def tracker(self, bench: Bench, number: int) -> None:
+    def tracker(self, bench: CellSession, number: int) -> None:
         bench.floor_point(f"p/{number}", "p", bench.cell.layout.floor[0])
 
-    def prompt(self, bench: Bench, number: int) -> None:
+    def prompt(self, bench: CellSession, number: int) -> None:
         nowhere = Nest(name="nowhere", x_mm=700.0, y_mm=700.0, z_mm=700.0)
         bench.floor_point(f"q/{number}", "q", nowhere)
 

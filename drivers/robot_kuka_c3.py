@@ -24,7 +24,7 @@ from drivers.kuka_health import HEALTH, refused_motion, unwell
 from drivers.kuka_sweep import KukaSweep, give_back_left_behind
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience, Supervision
-from hilcell.cell import Joint
+from hilcell.cell.file import Joint
 from hilcell.clean import clean
 from hilcell.geometry.rotations import from_zyx
 from hilcell.ports import (

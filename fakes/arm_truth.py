@@ -17,8 +17,8 @@ from fakes.machine import Errors, Machine, mounted
 from fakes.repeatability import unit_rp_mm
 from fakes.screws import Chain
 from fakes.transforms import Array, carried, frame, rigid, rotation
+from hilcell.cell.tables import Point
 from hilcell.ports import HilcellError
-from hilcell.tables import Point
 
 DRAWS = 100
 SOLVED_MM = 1e-10

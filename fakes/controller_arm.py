@@ -13,7 +13,7 @@ import numpy as np
 from fakes.machine import chain_of_cell, machine_of
 from fakes.screws import Chain
 from fakes.transforms import Array, components
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 
 BEHIND, BEYOND, FLIPPED = 1, 2, 4
 UP = np.array([0.0, 0.0, 1.0])

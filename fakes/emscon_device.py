@@ -34,7 +34,7 @@ from fakes.stream_truth import StreamTruth
 from fakes.time import PlantTime
 from fakes.tracker_truth import Air, Measurement
 from fakes.transforms import Array
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 
 METRE, MILLIMETRE = 0, 1
 MM_PER_UNIT = {METRE: 1000.0, MILLIMETRE: 1.0}

@@ -16,7 +16,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from hilcell.settings import SettingsError, convert, read_text, unreadable
+from hilcell.cell.settings import SettingsError, convert, read_text, unreadable
 
 Value = bool | int | float | str
 

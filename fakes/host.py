@@ -21,9 +21,9 @@ from fakes.plant import Plant
 from fakes.rail_server import RailServer
 from fakes.replay_plant import ReplayPlant
 from fakes.time import PlantTime
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import convert
 from hilcell.ports import HilcellError
-from hilcell.settings import convert
 
 
 class Ports(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -27,7 +27,7 @@ from fakes.krl import (
 )
 from fakes.robot_motion import RobotMotion, RobotState
 from fakes.transforms import Array
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 
 MOVE_PTP = 1
 OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, STOPPED = 0, 1, 2, 9

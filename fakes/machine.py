@@ -17,9 +17,9 @@ from msgspec import Meta, field
 
 from fakes.screws import Chain, from_rows
 from fakes.transforms import Array, frame
-from hilcell.cell import Cell
-from hilcell.settings import SettingsError, convert, read_text, refuse, unreadable
-from hilcell.tables import Frozen, Point, Pose, Six, Size, refuse_descending
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
+from hilcell.cell.tables import Frozen, Point, Pose, Six, Size, refuse_descending
 
 Angle = Annotated[float, Meta(ge=0, le=20_000)]  # urad: about a degree
 Offset = Annotated[float, Meta(ge=0, le=100)]  # mm

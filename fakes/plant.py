@@ -21,9 +21,9 @@ from fakes.stream_truth import StreamTruth
 from fakes.time import PlantTime
 from fakes.tracker_truth import TrackerTruth
 from fakes.transforms import Array, carried, rigid, rotation
-from hilcell.cell import Cell, Nest
+from hilcell.cell.file import Cell, Nest
+from hilcell.cell.settings import SettingsError
 from hilcell.ports import HilcellError
-from hilcell.settings import SettingsError
 
 FARTHEST_SIGMA = 2.0
 FLANGE = "flange"

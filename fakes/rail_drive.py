@@ -17,7 +17,7 @@ from fakes.canopen_slave import DEVICE_PROFILE, CanopenSlave, NodeIdentity
 from fakes.dither import Dither
 from fakes.faults import Faults
 from fakes.rail_truth import RailState, RailTruth
-from hilcell.cell import RailTable
+from hilcell.cell.file import RailTable
 
 NODE = 5
 IDENTITY = NodeIdentity(0x00020192, "hilcell rail drive (simulated)", 0x484, 0x402, 1, 2014001)

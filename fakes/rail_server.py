@@ -23,7 +23,7 @@ from fakes.rail_strip import RailStrip
 from fakes.rail_truth import RailTruth
 from fakes.slcan_gateway import SlcanGateway
 from fakes.time import PlantTime
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 
 LOOK_PERIOD_S = 0.01
 IDLE_S = 0.5

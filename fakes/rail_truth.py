@@ -20,7 +20,7 @@ from fakes.noise import KeyedNoise
 from fakes.smooth import SmoothCurve
 from fakes.time import PlantTime
 from fakes.transforms import Array, frame, rotation
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 
 LONG_MOVE_MM = 100.0  # from which on the landing noise is that of a long move
 POLE_PITCH_MM = 5.0

@@ -15,7 +15,7 @@ import numpy as np
 from fakes.motion import Path
 from fakes.time import PlantTime
 from fakes.transforms import Array
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 
 RAMP_S = 0.4  # from standstill to full speed
 BRAKE_S = 0.15  # and from full speed to standstill on a stop

@@ -20,9 +20,9 @@ import msgspec
 
 from fakes.faults import load_faults
 from fakes.machine import machine_of
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError
 from hilcell.ports import DeviceError, HilcellError, Stopped
-from hilcell.settings import SettingsError
 
 ANSWER_S = 10.0
 END_S = 5.0

@@ -17,7 +17,7 @@ from fakes.faults import Faults
 from fakes.machine import machine_of
 from fakes.noise import KeyedNoise
 from fakes.transforms import Array, carried, frame, inverse, rigid, rotation
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 
 DRIFT_PERIOD_S = 4 * 3600.0
 AIR_PERIOD_S = 3 * 3600.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.tables import Pose
+from hilcell.cell.tables import Pose
 
 Array = NDArray[np.float64]
 GIMBAL = 1e-9  # cosine of B below which A and C turn about one line

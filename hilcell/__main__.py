@@ -2,6 +2,6 @@
 
 import sys
 
-from hilcell.cli import main
+from hilcell.commands.cli import main
 
 sys.exit(main())

@@ -1,19 +1,36 @@
-"""One cleaner for every string that a device sends, used at the driver's edge.
+"""Strings from outside, made harmless: at the driver's edge, and again before they are shown.
 
 The trap: escape sequences, markup and bidirectional marks in a device's text reach terminals,
-logs and reports raw and act there.
+logs and reports raw and act there. Drivers clean what devices say; operator, job and reasons come
+from elsewhere, and a journal can be written by anybody, so what is shown is made harmless, too.
 """
 
 from __future__ import annotations
 
 import re
+import unicodedata
 
 LONGEST = 200
+REPLACEMENT = "\N{REPLACEMENT CHARACTER}"
 UNSAFE = re.compile(  # the last range: bytes of a file's name that are no text
     "[\x00-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
+_UNSEEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")  # controls, formats, surrogates, separators
 
 
 def clean(text: str) -> str:
     """Return ``text`` without control and direction characters, at most 200 characters long."""
     return UNSAFE.sub("", text)[:LONGEST].strip()
+
+
+def harmless(text: str) -> str:
+    """Return ``text`` with every character that is not seen as itself replaced, so it shows."""
+    return "".join(
+        REPLACEMENT if unicodedata.category(character) in _UNSEEN else character
+        for character in text
+    )
+
+
+def encodable(text: str) -> str:
+    """Return ``text`` with bytes of a file's name that are no text replaced: no JSON holds them."""
+    return text.encode(errors="replace").decode()

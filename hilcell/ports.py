@@ -30,7 +30,7 @@ from hilcell.errors import (
 )
 
 if TYPE_CHECKING:
-    from hilcell.cell import Cell
+    from hilcell.cell.file import Cell
 
 __all__ = [
     "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity", "JointSample",

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell, Six
+from hilcell.cell.file import Cell, Six
 from hilcell.geometry.circles import Circle, base_frame, base_frame_covariance, fit_circle
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
-from hilcell.run.bench import Bench
+from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
-from hilcell.run.log import Log, Point, positions_mm
 from hilcell.run.procedure import Span, Step
 from procedures.durations import flange_points, step
 
@@ -38,26 +38,26 @@ class BaseFrame:
                 check_joint_limits(cell, joints, f"axis {axis} sweep")
         return step(self.name, 2 * cell.base_frame.points, [sweeps(cell)])
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Sweep, fit and frame, once."""
-        if "base" not in bench.log.frames:
-            self._construct(bench)
-        bench.reach("frame_base")
+        if "base" not in session.log.frames:
+            self._construct(session)
+        session.reach("frame_base")
 
-    def _construct(self, bench: Bench) -> None:
-        station = bench.cell.station_named(bench.cell.grid.station)
+    def _construct(self, session: CellSession) -> None:
+        station = session.cell.station_named(session.cell.grid.station)
         swept = [
             [
-                bench.flange_point(f"base/axis{axis}/{n:03d}", "base", station, joints)
-                for n, joints in enumerate(sweep(bench.cell, axis))
+                session.flange_point(f"base/axis{axis}/{n:03d}", "base", station, joints)
+                for n, joints in enumerate(sweep(session.cell, axis))
             ]
             for axis in (1, 6)
         ]
-        T_W_B, axis_1, axis_6 = frame_of_sweeps(bench.cell, bench.log, *swept)
-        bench.frame(
+        T_W_B, axis_1, axis_6 = frame_of_sweeps(session.cell, session.log, *swept)
+        session.frame(
             "base",
             T_W_B,
-            covariance=base_frame_covariance(axis_1, axis_6, axis_6_height_mm(bench.cell)),
+            covariance=base_frame_covariance(axis_1, axis_6, axis_6_height_mm(session.cell)),
             circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
             radius_mm=[axis_1.radius_mm, axis_6.radius_mm],
         )

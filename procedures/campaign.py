@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell
-from hilcell.fit import fit
+from hilcell.calibration.fit import fit
+from hilcell.calibration.robot_file import Measurements, RobotModel, Row, read_measurements
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import HilcellError
-from hilcell.robotfile import Measurements, RobotModel, Row, read_measurements
-from hilcell.run.bench import Bench
+from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
-from hilcell.run.log import Log, positions_mm
 from hilcell.run.procedure import Procedure, Step, Table
 from procedures.durations import flange_points, measure_s
 
@@ -47,13 +47,13 @@ class Campaign:
         seconds = flange_points(cell, rows.joints_rad[first]).duration_s
         return Step(self.name, len(rows), seconds + more * measure_s(cell, cell.tracker.samples))
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Drive and measure."""
-        bench.reach("connect")
-        rows = poses_of(bench.cell)
+        session.reach("connect")
+        rows = poses_of(session.cell)
         for pose, at in visits_of(rows):
             targets = [(f"campaign/{pose}/{rows.target[n]}", rows.xyz_mm[n]) for n in at]
-            bench.pose_points("campaign", rows.joints_rad[at[0]], targets)
+            session.pose_points("campaign", rows.joints_rad[at[0]], targets)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the cross-validated fit of what was measured."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hilcell.cell import Cell, Station
+from hilcell.cell.file import Cell, Station
 from hilcell.ports import Array
 from hilcell.run.procedure import Span, Step
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from hilcell.calibration import grid_errors_mm, grid_of, outlying_vertices
-from hilcell.cell import Cell
+from hilcell.calibration.frames import grid_errors_mm, grid_of, outlying_vertices
+from hilcell.cell.file import Cell
 from hilcell.compensation.interpolation import choose, cross_validate
+from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 
 
@@ -33,13 +33,13 @@ class Fit:
             )
         return Step(self.name, 0, 0.0)
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Journal the choice, on the points as they are wanted."""
-        bench.retake_waiting()
-        if "fit" not in bench.log.verdicts:
-            figures = self.result(bench.log)
-            bench.verdict("fit", holds=True, method=figures["method"], **figures["fit"])
-        bench.reach("fit")
+        session.retake_waiting()
+        if "fit" not in session.log.verdicts:
+            figures = self.result(session.log)
+            session.verdict("fit", holds=True, method=figures["method"], **figures["fit"])
+        session.reach("fit")
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the method and its cross-validation."""

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell, Station
+from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
+from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array, HilcellError
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log, positions_mm
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
 from procedures.base_frame import frame_of_sweeps, sweep, sweeps
 from procedures.durations import leg, readings, step
@@ -50,23 +50,25 @@ class FrameRepeatability:
             here = station
         return step(self.name, len(cell.station) * (2 * cell.base_frame.points + SIX), spans)
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Visit every station."""
-        for station in bench.cell.station:
-            if f"base.{station.name}" not in bench.log.frames:
-                self._frame(bench, station)
+        for station in session.cell.station:
+            if f"base.{station.name}" not in session.log.frames:
+                self._frame(session, station)
 
-    def _frame(self, bench: Bench, station: Station) -> None:
-        samples = MORE_READINGS * bench.cell.layout.nest_samples
-        for nest in bench.cell.layout.slide[-SIX:]:
+    def _frame(self, session: CellSession, station: Station) -> None:
+        samples = MORE_READINGS * session.cell.layout.nest_samples
+        for nest in session.cell.layout.slide[-SIX:]:
             key = f"six/{station.name}/{nest.name}"
-            bench.slide_point(key, "six", station, nest, samples=samples)
+            session.slide_point(key, "six", station, nest, samples=samples)
         for axis in (1, 6):
-            for number, joints in enumerate(sweep(bench.cell, axis)):
+            for number, joints in enumerate(sweep(session.cell, axis)):
                 key = f"frames/{station.name}/axis{axis}/{number:03d}"
-                bench.flange_point(key, f"frames_axis{axis}", station, joints)
-        circles = (bench.log.group(f"frames_axis{axis}", station.name) for axis in (1, 6))
-        bench.frame(f"base.{station.name}", frame_of_sweeps(bench.cell, bench.log, *circles)[0])
+                session.flange_point(key, f"frames_axis{axis}", station, joints)
+        circles = (session.log.group(f"frames_axis{axis}", station.name) for axis in (1, 6))
+        session.frame(
+            f"base.{station.name}", frame_of_sweeps(session.cell, session.log, *circles)[0]
+        )
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the distances per station and point, and the ratio with its interval."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from hilcell.cell import Cell
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import homing_s, park_s
 
@@ -24,12 +24,12 @@ class Home:
         """Return the step."""
         return Step(self.name, 0, park_s(cell) + homing_s(cell))
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Reference the drive."""
-        bench.reach("connect")
-        if not (bench.reached("referenced") and bench.rail_referenced()):
-            bench.home_rail()
-        bench.reach("reference")
+        session.reach("connect")
+        if not (session.reached("referenced") and session.rail_referenced()):
+            session.home_rail()
+        session.reach("reference")
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return nothing: homing has no figure."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from hilcell.cell import Cell
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Part, Procedure, Step, Table
 from procedures.base_frame import BaseFrame
 from procedures.fit import Fit
@@ -52,7 +52,7 @@ class PaperRows:
         """Return the step."""
         return Step(self.name, 0, 0.0)
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Do nothing: the rows are computed from the journal."""
 
     def result(self, log: Log) -> dict[str, Any]:

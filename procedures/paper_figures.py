@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration import Frames, grid_errors_mm, grid_of, grid_pairs
+from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, grid_pairs
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.geometry.frames import apply, cross_matrix, inverse
 from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import forward
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
-from hilcell.run.log import Log, Point, positions_mm
 from procedures.base_frame import axis_6_height_mm, circle_of
 from procedures.plan import other_stations
 

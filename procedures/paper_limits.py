@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hilcell.calibration import grid_pairs
+from hilcell.calibration.frames import grid_pairs
 from hilcell.geometry.frames import apply, inverse, rigid_fit, three_point_frame
-from hilcell.run.log import Log
+from hilcell.journal.log import Log
 from procedures.paper_figures import Result, transfer, validation
 from procedures.paper_stations import stations_needed
 from procedures.plan import other_stations

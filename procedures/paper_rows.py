@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hilcell.run.log import Log
+from hilcell.journal.log import Log
 from procedures import paper_figures as figures
 from procedures import paper_limits as limits
 from procedures.paper_figures import Figure, Result, at, reduction, validation

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.inverse import reachable
 from hilcell.planning.holes import Holes

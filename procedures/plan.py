@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.cell import Cell, Station
+from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.inverse import ReachError, posture
 from hilcell.ports import Array, HilcellError

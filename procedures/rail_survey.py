@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, rigid_fit, unit
 from hilcell.geometry.rotations import to_rotvec
+from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
-from hilcell.run.bench import FLANGE, Bench
-from hilcell.run.log import Log, positions_mm
+from hilcell.run.cell_session import FLANGE, CellSession
 from hilcell.run.procedure import Span, Step, Table
 from procedures.durations import measure_s, rail_move_s, step
 
@@ -36,21 +36,21 @@ class RailSurvey:
         seconds += (stops - 2) * rail_move_s(cell, cell.survey.step_mm) + rail_move_s(cell, 0.0)
         return step(self.name, points, [Span("survey", points, seconds)])
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Go forth and back."""
-        steps = steps_mm(bench.cell)
+        steps = steps_mm(session.cell)
         for way, order in ((FORTH, steps), (BACK, steps[::-1])):
             for number, position_mm in enumerate(order):
-                self._stop(bench, way, number, float(position_mm))
+                self._stop(session, way, number, float(position_mm))
 
-    def _stop(self, bench: Bench, way: str, number: int, position_mm: float) -> None:
-        names = (FLANGE, *(nest.name for nest in bench.cell.layout.slide))
+    def _stop(self, session: CellSession, way: str, number: int, position_mm: float) -> None:
+        names = (FLANGE, *(nest.name for nest in session.cell.layout.slide))
         keys = {name: f"survey/{way}/{number:03d}/{name}" for name in names}
-        if all(key in bench.log.points for key in keys.values()):
+        if all(key in session.log.points for key in keys.values()):
             return
-        bench.rail_to(position_mm)
+        session.rail_to(position_mm)
         for name, key in keys.items():
-            bench.slide_now(key, f"survey_{way}", name)
+            session.slide_now(key, f"survey_{way}", name)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the survey's figures."""

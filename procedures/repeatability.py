@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log, Point, positions_mm
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import flange_points, step
 from procedures.plan import check_reach
@@ -33,14 +33,14 @@ class Repeatability:
         visits_rad = np.tile(places_rad, (VISITS, 1))
         return step(self.name, len(visits_rad), [flange_points(cell, visits_rad)])
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Go round the places; going on to the next is what leaves the last."""
-        station = bench.cell.station_named(bench.cell.grid.station)
-        joints = check_reach(bench.cell, places_mm(bench.cell), "repeatability place")
+        station = session.cell.station_named(session.cell.grid.station)
+        joints = check_reach(session.cell, places_mm(session.cell), "repeatability place")
         for visit in range(VISITS):
             for place, target in enumerate(joints):
                 key = f"repeatability/{place}/{visit:03d}"
-                bench.flange_point(key, f"repeatability_{place}", station, target)
+                session.flange_point(key, f"repeatability_{place}", station, target)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return RP of ISO 9283 as measured and of the robot alone, and the floor."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from hilcell.calibration import grid_of, outlying_vertices
-from hilcell.cell import Cell
+from hilcell.calibration.frames import grid_of, outlying_vertices
+from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
+from hilcell.journal.log import Log
 from hilcell.ports import Array
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import flange_points, step
 from procedures.plan import check_range, check_reach, joints_for
@@ -38,27 +38,27 @@ class RobotGrid:
             check_range(cell, world_mm, f"grid at {station.name}")
         return step(self.name, len(vertices_mm), [flange_points(cell, joints_rad)])
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Measure every vertex."""
-        cell = bench.cell
+        cell = session.cell
         station = cell.station_named(cell.grid.station)
         grid = grid_of(cell)
         vertices_mm = grid.serpentine_mm()
-        world_mm = apply(bench.frames.base_in_world(station), vertices_mm)
+        world_mm = apply(session.frames.base_in_world(station), vertices_mm)
         keys = [f"grid/{i}-{j}-{k}" for i, j, k in grid.serpentine()]
         vertices = list(zip(keys, joints_for(cell, vertices_mm), world_mm, strict=True))
         for key, joints, nominal_mm in vertices:
-            bench.flange_point(key, "grid", station, joints, nominal_mm=nominal_mm)
-        for key, joints, nominal_mm in self._doubtful(bench, vertices):
-            bench.flange_point(key, "grid", station, joints, nominal_mm=nominal_mm, retake=True)
-        bench.reach("measure_grid")
+            session.flange_point(key, "grid", station, joints, nominal_mm=nominal_mm)
+        for key, joints, nominal_mm in self._doubtful(session, vertices):
+            session.flange_point(key, "grid", station, joints, nominal_mm=nominal_mm, retake=True)
+        session.reach("measure_grid")
 
-    def _doubtful(self, bench: Bench, vertices: list[Vertex]) -> list[Vertex]:
+    def _doubtful(self, session: CellSession, vertices: list[Vertex]) -> list[Vertex]:
         """Return the vertices that stand out and were not measured a second time yet."""
-        keys = set(outlying_vertices(bench.log))
-        doubtful = [v for v in vertices if v[0] in keys and not bench.log.points[v[0]].retaken]
+        keys = set(outlying_vertices(session.log))
+        doubtful = [v for v in vertices if v[0] in keys and not session.log.points[v[0]].retaken]
         for key, _, _ in doubtful:
-            bench.event("outlier measured again", key=key)
+            session.event("outlier measured again", key=key)
         return doubtful
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration import command_mm, grid_errors_mm, grid_of
-from hilcell.cell import Cell
+from hilcell.calibration.frames import command_mm, grid_errors_mm, grid_of
+from hilcell.cell.file import Cell
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.frames import apply
+from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log, positions_mm
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
 from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_reach, joints_for, other_stations
@@ -47,22 +47,22 @@ class SignCheck:
         both = flange_points(cell, joints_rad[[0] * len(KEYS)])
         return step(self.name, len(KEYS), [back, floor_points(cell), both])
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Send both, measure, and journal the verdict."""
-        if "sign" in bench.log.verdicts:
+        if "sign" in session.log.verdicts:
             return
-        station = bench.cell.station_named(bench.cell.grid.station)
-        target_mm = worst_mm(bench.log)
-        commands = {"before": target_mm, "corrected": self.command(bench.log, target_mm)}
-        nominal_mm = apply(bench.frames.base_in_world(station), target_mm)[0]
-        if not all(key in bench.log.points for key in KEYS.values()):
-            check_control_points(bench)
+        station = session.cell.station_named(session.cell.grid.station)
+        target_mm = worst_mm(session.log)
+        commands = {"before": target_mm, "corrected": self.command(session.log, target_mm)}
+        nominal_mm = apply(session.frames.base_in_world(station), target_mm)[0]
+        if not all(key in session.log.points for key in KEYS.values()):
+            check_control_points(session)
         for how, command in commands.items():
-            joints = joints_for(bench.cell, command)[0]
-            bench.flange_point(KEYS[how], f"sign_{how}", station, joints, nominal_mm=nominal_mm)
-        figures = self.result(bench.log)["sign"]
+            joints = joints_for(session.cell, command)[0]
+            session.flange_point(KEYS[how], f"sign_{how}", station, joints, nominal_mm=nominal_mm)
+        figures = self.result(session.log)["sign"]
         holds = figures["corrected_mm"] < CLEARLY * figures["before_mm"]
-        bench.verdict("sign", holds=holds, limit=CLEARLY, **figures)
+        session.verdict("sign", holds=holds, limit=CLEARLY, **figures)
 
     def command(self, log: Log, target_mm: Array) -> Array:
         """Return what to command (1, 3) in {B} for the target (1, 3), as `compensate` does."""

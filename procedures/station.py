@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log, positions_mm
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step, Table
 from procedures.durations import approach_s, measure_s, rail_move_s, step
 
@@ -32,11 +32,11 @@ class HoldStation:
         station = cell.station_named(cell.grid.station)
         return Step(self.name, 0, approach_s(cell, cell.rail.travel_min_mm, station))
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Hold the station once; who needs it later holds it himself."""
-        if not bench.reached("station_held"):
-            bench.hold_station(bench.cell.station_named(bench.cell.grid.station))
-            bench.reach("hold_station")
+        if not session.reached("station_held"):
+            session.hold_station(session.cell.station_named(session.cell.grid.station))
+            session.reach("hold_station")
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return nothing: the station's figures come with its frame."""
@@ -66,33 +66,33 @@ class StationRepeatability:
         by_strip = Span("strip approach", visits, visits * (each_s + by_strip_s))
         return step(self.name, len(HOWS) * visits, [plain, by_strip])
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Approach, measure, go away, come back."""
-        repeats = bench.cell.survey.repeats
-        ways = {"one_side": [-1] * repeats, "random": random_sides(bench.seed, repeats)}
+        repeats = session.cell.survey.repeats
+        ways = {"one_side": [-1] * repeats, "random": random_sides(session.seed, repeats)}
         for how in HOWS:
             for way, sides in ways.items():
                 for number, side in enumerate(sides):
-                    self._visit(bench, how, way, number, side)
-        result = self.result(bench.log)["station_repeatability"]
-        bench.verdict(
+                    self._visit(session, how, way, number, side)
+        result = self.result(session.log)["station_repeatability"]
+        session.verdict(
             "station-repeatability",
             holds=result["strip"]["range_mm"] <= STRIP_LIMIT_MM,
             found_mm=result["strip"]["range_mm"],
             limit_mm=STRIP_LIMIT_MM,
         )
 
-    def _visit(self, bench: Bench, how: str, way: str, number: int, side: int) -> None:
+    def _visit(self, session: CellSession, how: str, way: str, number: int, side: int) -> None:
         key = f"repeat/{how}/{way}/{number:03d}{'+' if side > 0 else '-'}"
-        if key in bench.log.points:
+        if key in session.log.points:
             return
-        station = bench.cell.station_named(bench.cell.grid.station)
-        bench.rail_to(station.rail_mm + side * APPROACH_MM)
+        station = session.cell.station_named(session.cell.grid.station)
+        session.rail_to(station.rail_mm + side * APPROACH_MM)
         if how == "strip":
-            bench.hold_station(station, again=True)
+            session.hold_station(station, again=True)
         else:
-            bench.rail_to(station.rail_mm)
-        bench.slide_now(key, f"repeat_{how}_{way}", bench.cell.layout.slide[0].name)
+            session.rail_to(station.rail_mm)
+        session.slide_now(key, f"repeat_{how}_{way}", session.cell.layout.slide[0].name)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return range, ISO 9283 RP and the effect of the side, along the rail."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell, Nest, Station
+from hilcell.cell.file import Cell, Nest, Station
 from hilcell.geometry.frames import (
     RigidFit,
     apply,
@@ -19,9 +19,9 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log, Point, positions_mm
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
 from procedures.durations import floor_points, leg, park_s, readings, step
 from procedures.plan import check_range, other_stations
@@ -58,35 +58,35 @@ class StationFrames:
             here = station
         return step(self.name, len(cell.station) * (len(nests_mm) + 3), spans)
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Frame the grid's station first: its slide points define {S}."""
-        reference = bench.cell.station_named(bench.cell.grid.station)
-        for station in (reference, *other_stations(bench.cell)):
-            if f"station.{station.name}" not in bench.log.frames:
-                self._frame(bench, station, reference)
-        bench.reach("frame_stations")
+        reference = session.cell.station_named(session.cell.grid.station)
+        for station in (reference, *other_stations(session.cell)):
+            if f"station.{station.name}" not in session.log.frames:
+                self._frame(session, station, reference)
+        session.reach("frame_stations")
 
-    def _frame(self, bench: Bench, station: Station, reference: Station) -> None:
-        bench.hold_station(station)
-        bench.park_robot()
-        check_control_points(bench)
-        nests, samples = bench.cell.layout.slide, bench.cell.layout.nest_samples
+    def _frame(self, session: CellSession, station: Station, reference: Station) -> None:
+        session.hold_station(station)
+        session.park_robot()
+        check_control_points(session)
+        nests, samples = session.cell.layout.slide, session.cell.layout.nest_samples
         for number, nest in enumerate(nests):
             key = f"slide/{station.name}/{nest.name}"
-            bench.slide_point(key, "frames", station, nest, samples=samples)
-            if bench.cell.layout.by_hand and number < FEW:
-                three_point(bench, station, nest)  # while the reflector is there
-        few = [three_point(bench, station, nest) for nest in nests[:FEW]]
-        three_mm = apply(bench.log.matrix("world"), positions_mm(few))
-        bench.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
-        fit = station_fit(bench.log, station, reference)
-        bench.frame(
+            session.slide_point(key, "frames", station, nest, samples=samples)
+            if session.cell.layout.by_hand and number < FEW:
+                three_point(session, station, nest)  # while the reflector is there
+        few = [three_point(session, station, nest) for nest in nests[:FEW]]
+        three_mm = apply(session.log.matrix("world"), positions_mm(few))
+        session.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
+        fit = station_fit(session.log, station, reference)
+        session.frame(
             f"station.{station.name}",
             fit.T,
             covariance=fit.covariance,
             rms_mm=fit.rms_mm,
-            strip_mm=bench.log.group("frames", station.name)[-1].strip_mm,
-            tool_uncertainty_mm=tool_uncertainty_mm(bench.cell, fit),
+            strip_mm=session.log.group("frames", station.name)[-1].strip_mm,
+            tool_uncertainty_mm=tool_uncertainty_mm(session.cell, fit),
         )
 
     def result(self, log: Log) -> dict[str, Any]:
@@ -106,10 +106,10 @@ class StationFrames:
         }
 
 
-def three_point(bench: Bench, station: Station, nest: Nest) -> Point:
+def three_point(session: CellSession, station: Station, nest: Nest) -> Point:
     """Return a slide nest's point for the paper's own frame, measured once."""
     key = f"three/{station.name}/{nest.name}"
-    return bench.slide_point(key, THREE, station, nest, samples=THREE_SAMPLES)
+    return session.slide_point(key, THREE, station, nest, samples=THREE_SAMPLES)
 
 
 def slide_in_world_mm(log: Log, station: Station) -> Array:

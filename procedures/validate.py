@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration import command_mm, grid_errors_mm, grid_of
-from hilcell.cell import Cell, Station
+from hilcell.calibration.frames import command_mm, grid_errors_mm, grid_of
+from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log, Point, positions_mm
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_reach, joints_for
@@ -44,45 +44,47 @@ class Validate:
             here = station
         return step(self.name, points, spans)
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
-        grid, errors_mm = grid_of(bench.cell), grid_errors_mm(bench.log)
-        for name, targets_mm in targets(bench.cell, bench.seed).items():
-            station = bench.cell.station_named(name)
-            chosen = str(bench.log.verdicts["fit"]["method"])
+        grid, errors_mm = grid_of(session.cell), grid_errors_mm(session.log)
+        for name, targets_mm in targets(session.cell, session.seed).items():
+            station = session.cell.station_named(name)
+            chosen = str(session.log.verdicts["fit"]["method"])
             commands = {
                 "before": targets_mm,
-                "idw": command_mm(grid, errors_mm, "idw", by_paper(bench, station, targets_mm)),
+                "idw": command_mm(grid, errors_mm, "idw", by_paper(session, station, targets_mm)),
                 "chosen": command_mm(grid, errors_mm, chosen, targets_mm),
             }
             for how, command in commands.items():
-                self._send(bench, station, how, targets_mm, command)
-        self._judge(bench)
-        bench.reach("validate")
+                self._send(session, station, how, targets_mm, command)
+        self._judge(session)
+        session.reach("validate")
 
     def _send(
-        self, bench: Bench, station: Station, how: str, targets_mm: Array, command: Array
+        self, session: CellSession, station: Station, how: str, targets_mm: Array, command: Array
     ) -> None:
         keys = [f"validate/{station.name}/{how}/{n:03d}" for n in range(len(targets_mm))]
-        if all(key in bench.log.points for key in keys):
+        if all(key in session.log.points for key in keys):
             return
         # Who carries the reflector by hand proves the tracker once a station.
-        if keys[0] not in bench.log.points and (how == "before" or not bench.cell.layout.by_hand):
-            check_control_points(bench)
-        nominal_mm = apply(bench.frames.base_in_world(station), targets_mm)
-        joints = joints_for(bench.cell, command)
+        if keys[0] not in session.log.points and (
+            how == "before" or not session.cell.layout.by_hand
+        ):
+            check_control_points(session)
+        nominal_mm = apply(session.frames.base_in_world(station), targets_mm)
+        joints = joints_for(session.cell, command)
         for key, joint, nominal in zip(keys, joints, nominal_mm, strict=True):
-            bench.flange_point(key, f"validate_{how}", station, joint, nominal_mm=nominal)
+            session.flange_point(key, f"validate_{how}", station, joint, nominal_mm=nominal)
 
-    def _judge(self, bench: Bench) -> None:
-        limits = bench.cell.validation
-        for where, figures in self.result(bench.log)["validation"].items():
+    def _judge(self, session: CellSession) -> None:
+        limits = session.cell.validation
+        for where, figures in self.result(session.log)["validation"].items():
             chosen = figures["chosen"]
             holds = (
                 chosen["mean"] <= limits.mean_tolerance_mm
                 and chosen["max"] <= limits.max_tolerance_mm
             )
-            bench.verdict(
+            session.verdict(
                 f"validation.{where}",
                 holds=holds,
                 mean_mm=chosen["mean"],
@@ -104,10 +106,10 @@ class Validate:
         return {"validation": figures}
 
 
-def by_paper(bench: Bench, station: Station, targets_mm: Array) -> Array:
+def by_paper(session: CellSession, station: Station, targets_mm: Array) -> Array:
     """Return targets (N, 3) in {B} where the paper's three-point frame takes {B} to be."""
-    T_W_B = bench.frames.base_in_world(station)
-    return apply(inverse(bench.frames.base_by_three_points(station)) @ T_W_B, targets_mm)
+    T_W_B = session.frames.base_in_world(station)
+    return apply(inverse(session.frames.base_by_three_points(station)) @ T_W_B, targets_mm)
 
 
 def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:

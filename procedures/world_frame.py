@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse, three_point_frame
+from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array, DeviceError
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log, positions_mm
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import floor_points, step
 from procedures.plan import check_range
@@ -33,20 +33,20 @@ class WorldFrame:
         check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
         return step(self.name, len(cell.layout.floor), [floor_points(cell)])
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""
-        if "world" in bench.log.frames:
-            check_control_points(bench)
+        if "world" in session.log.frames:
+            check_control_points(session)
         else:
-            self._construct(bench)
-        bench.reach("frame_world")
+            self._construct(session)
+        session.reach("frame_world")
 
-    def _construct(self, bench: Bench) -> None:
-        nests = bench.cell.layout.floor
-        points = [bench.floor_point(f"world/{nest.name}", "world", nest) for nest in nests]
+    def _construct(self, session: CellSession) -> None:
+        nests = session.cell.layout.floor
+        points = [session.floor_point(f"world/{nest.name}", "world", nest) for nest in nests]
         measured_mm = positions_mm(points)
-        check_distances(bench.cell, measured_mm)
-        bench.frame("world", world_from_tracker(bench.cell, measured_mm))
+        check_distances(session.cell, measured_mm)
+        session.frame("world", world_from_tracker(session.cell, measured_mm))
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the tracker in {W}."""
@@ -83,14 +83,14 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
             )
 
 
-def check_control_points(bench: Bench) -> None:
+def check_control_points(session: CellSession) -> None:
     """Measure the floor nests again and refuse to go on when the tracker has moved."""
-    T_W_L = bench.log.matrix("world")
-    session = bench.log.session
-    for nest in bench.cell.layout.floor:
-        before = bench.log.points[f"world/{nest.name}"]
-        turn = sum(key.endswith(f"/{nest.name}") for key in bench.log.points)
-        now = bench.floor_point(f"control/{session}-{turn}/{nest.name}", "control", nest)
+    T_W_L = session.log.matrix("world")
+    number = session.log.session
+    for nest in session.cell.layout.floor:
+        before = session.log.points[f"world/{nest.name}"]
+        turn = sum(key.endswith(f"/{nest.name}") for key in session.log.points)
+        now = session.floor_point(f"control/{number}-{turn}/{nest.name}", "control", nest)
         moved_mm = np.diff(apply(T_W_L, positions_mm([before, now])), axis=0)[0]
         off_mm = float(np.linalg.norm(moved_mm))
         if not off_mm <= CONTROL_LIMIT_MM:

@@ -35,7 +35,9 @@ def test_no_vendor_is_named_outside_drivers() -> None:
 
 def test_help_is_quick_to_import() -> None:
     """What --help needs: nothing heavy. Timings stand in benchmarks/."""
-    code = "import sys, hilcell.cli; print([m for m in ('numpy', 'scipy', 'rich', 'canopen', "
+    code = (
+        "import sys, hilcell.commands.cli; print([m for m in ('numpy', 'scipy', 'rich', 'canopen', "
+    )
     code += "'msgspec') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

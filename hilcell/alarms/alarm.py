@@ -14,8 +14,8 @@ from hilcell.alarms.catalogue import Entry, Severity, code_of_verdict, entry_of
 from hilcell.alarms.finding import Finding, findings_of, line
 
 if TYPE_CHECKING:
-    from hilcell.run.journal import Record
-    from hilcell.run.log import Log
+    from hilcell.journal.journal import Record
+    from hilcell.journal.log import Log
 
 DRIFT_LIMIT_K = 2.0
 MANY_APPROACHES = 0.5  # of those that the cell file allows

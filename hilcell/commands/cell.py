@@ -9,15 +9,15 @@ import threading
 
 import msgspec
 
-from hilcell.cell import load_cell
+from hilcell.cell.copied import check_copied
+from hilcell.cell.devices import abilities, check_options, load_entry, start_simulation
+from hilcell.cell.file import load_cell
 from hilcell.commands.common import say
+from hilcell.commands.messages import tell
 from hilcell.commands.run import machine_seed
-from hilcell.copied import check_copied
-from hilcell.devices import abilities, check_options, load_entry, start_simulation
 from hilcell.ports import HilcellError
-from hilcell.run.machine import CALIBRATION, RUN, mermaid
 from hilcell.run.procedure import Procedure
-from hilcell.telling import tell
+from hilcell.run.states import CALIBRATION, RUN, mermaid
 
 
 def check(args: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from hilcell.telling import tell
+from hilcell.commands.messages import tell
 
 
 def say(values: Mapping[str, object], words: str, *, as_json: bool) -> None:

@@ -6,15 +6,15 @@ import argparse
 
 import msgspec
 
+from hilcell.clean import encodable, harmless
 from hilcell.commands.common import say
-from hilcell.comparison import Comparison, compare_runs
+from hilcell.commands.messages import tell
+from hilcell.commands.output import print_table
 from hilcell.errors import HilcellError
-from hilcell.faces import print_table
+from hilcell.journal.engine_file import live_engine
+from hilcell.journal.runs import find_run, read_log
+from hilcell.report.comparison import Comparison, compare_runs
 from hilcell.report.drift import Change
-from hilcell.report.words import encodable, harmless
-from hilcell.run.control import live_engine
-from hilcell.runs import find_run, read_log
-from hilcell.telling import tell
 
 DIGITS = {"mm": 4, "deg": 5, "°C": 2}
 

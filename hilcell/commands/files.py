@@ -7,23 +7,23 @@ import os
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hilcell.calibration_file import compensate_targets, read_calibration
-from hilcell.calibration_form import Calibration
-from hilcell.cell import Cell, load_cell
+from hilcell.calibration.file import compensate_targets, read_calibration
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.turn_check import check_turns
+from hilcell.calibration.validity import check_fitness
+from hilcell.cell.file import Cell, load_cell
 from hilcell.commands.common import say
-from hilcell.faces import print_table
-from hilcell.programs import is_program, load_program, write_program
-from hilcell.runs import CALIBRATION, find_run
-from hilcell.targets import read_targets, write_targets
-from hilcell.telling import tell
-from hilcell.turns import check_turns
-from hilcell.validity import check_fitness
+from hilcell.commands.messages import tell
+from hilcell.commands.output import print_table
+from hilcell.compensation.programs import is_program, load_program, write_program
+from hilcell.compensation.targets import read_targets, write_targets
+from hilcell.journal.runs import CALIBRATION, find_run
 
 
 def fit(args: argparse.Namespace) -> int:
     """Fit measured data and print how far each method's predictions are off."""
-    from hilcell.fit import fit as fit_rows
-    from hilcell.robotfile import read_measurements, read_robot
+    from hilcell.calibration.fit import fit as fit_rows
+    from hilcell.calibration.robot_file import read_measurements, read_robot
 
     test = read_measurements(Path(args.test)) if args.test else None
     result = fit_rows(read_robot(Path(args.robot)), read_measurements(Path(args.train)), test)

@@ -7,14 +7,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from hilcell.clean import encodable
 from hilcell.commands.common import say
-from hilcell.faces import Face, json_face, kind_of, progress_face
-from hilcell.report.words import encodable
-from hilcell.run.control import live_engine, order
-from hilcell.run.journal import Record, read_journal
-from hilcell.run.log import Log
-from hilcell.runs import JOURNAL, find_run
-from hilcell.telling import tell
+from hilcell.commands.messages import tell
+from hilcell.commands.output import Face, json_face, kind_of, progress_face
+from hilcell.journal.engine_file import live_engine
+from hilcell.journal.journal import Record, read_journal
+from hilcell.journal.log import Log
+from hilcell.journal.runs import JOURNAL, find_run
+from hilcell.run.control import order
 
 FOLLOW_S = 0.1
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from hilcell.cell.devices import load_entry
+from hilcell.clean import encodable, harmless
 from hilcell.commands.common import say
-from hilcell.devices import load_entry
-from hilcell.faces import print_table
-from hilcell.index import RunRow, read_index, row_of
-from hilcell.report.words import encodable, harmless
+from hilcell.commands.messages import tell
+from hilcell.commands.output import print_table
+from hilcell.journal.index import RunRow, read_index, row_of
+from hilcell.journal.runs import find_run, read_log
 from hilcell.run.procedure import Procedure
-from hilcell.runs import find_run, read_log
-from hilcell.telling import tell
 
 
 def runs(args: argparse.Namespace) -> int:

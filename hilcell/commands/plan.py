@@ -6,14 +6,14 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from hilcell.cell import Cell, load_cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.commands.common import say
-from hilcell.faces import print_table
+from hilcell.commands.messages import tell
+from hilcell.commands.output import print_table
+from hilcell.compensation.targets import write_rows
 from hilcell.planning.holes import read_holes
 from hilcell.planning.plan import HolePlan, StationPlan, ratio
 from hilcell.planning.plan import plan as plan_holes
-from hilcell.targets import write_rows
-from hilcell.telling import tell
 
 
 def plan(args: argparse.Namespace) -> int:

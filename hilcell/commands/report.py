@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from hilcell.commands.messages import tell
+from hilcell.journal.runs import CALIBRATION, JOURNAL, find_run
 from hilcell.report.facts import read_facts
-from hilcell.runs import CALIBRATION, JOURNAL, find_run
-from hilcell.telling import tell
 from hilcell.writing import write_whole
 
 

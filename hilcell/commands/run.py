@@ -17,30 +17,24 @@ import msgspec
 
 from hilcell import __version__
 from hilcell.alarms.catalogue import catalogue
-from hilcell.calibration_file import calibration_of, write_calibration
-from hilcell.cell import Cell, load_cell
-from hilcell.clock import WallClock
-from hilcell.copied import check_copied
-from hilcell.devices import (
+from hilcell.calibration.file import calibration_of, write_calibration
+from hilcell.cell.copied import check_copied
+from hilcell.cell.devices import (
     build_devices,
     check_options,
     device_places,
     load_entry,
     start_simulation,
 )
-from hilcell.exits import EXIT_STORAGE, RESUMABLE, exit_code
-from hilcell.faces import Face, json_face, print_dry_run, print_end, progress_face
-from hilcell.ports import HilcellError, Stopped
-from hilcell.report.words import encodable
-from hilcell.run.control import Control, live_engine, order
-from hilcell.run.journal import Journal, StorageError
-from hilcell.run.lock import CellLocked, lock_of_device, lock_of_name, locked
-from hilcell.run.log import Log
-from hilcell.run.procedure import Plan, Procedure
-from hilcell.run.retake import retake_refusal
-from hilcell.run.runner import Runner, finish
-from hilcell.run.signals import stopped_by_signals
-from hilcell.runs import (
+from hilcell.cell.file import Cell, load_cell
+from hilcell.clean import encodable
+from hilcell.clock import WallClock
+from hilcell.commands.messages import tell
+from hilcell.commands.output import Face, json_face, print_dry_run, print_end, progress_face
+from hilcell.journal.engine_file import live_engine
+from hilcell.journal.journal import Journal, StorageError
+from hilcell.journal.log import Log
+from hilcell.journal.runs import (
     CALIBRATION,
     JOURNAL,
     find_run,
@@ -50,7 +44,14 @@ from hilcell.runs import (
     new_run,
     read_log,
 )
-from hilcell.telling import tell
+from hilcell.ports import HilcellError, Stopped
+from hilcell.run.cell_lock import CellLocked, lock_of_device, lock_of_name, locked
+from hilcell.run.control import Control, order
+from hilcell.run.exits import EXIT_STORAGE, RESUMABLE, exit_code
+from hilcell.run.procedure import Plan, Procedure
+from hilcell.run.retake import retake_refusal
+from hilcell.run.runner import Runner, finish
+from hilcell.run.signals import stopped_by_signals
 from hilcell.writing import NotWritten
 
 SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms is the default)

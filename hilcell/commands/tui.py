@@ -7,11 +7,11 @@ import os
 import sys
 from pathlib import Path
 
+from hilcell.commands.messages import tell
 from hilcell.errors import HilcellError
-from hilcell.telling import tell
-from hilcell.tui.claims import has_colours, has_shapes, is_coerced
-from hilcell.tui.glyphs import ASCII, UNICODE
-from hilcell.tui.keys import load_keys
+from hilcell.tui.keys.table import load_keys
+from hilcell.tui.terminal.capabilities import has_colours, has_shapes, is_coerced
+from hilcell.tui.terminal.glyphs import ASCII, UNICODE
 
 COLOURS = {"16": "standard", "none": "truecolor"}  # Textual's names, where they are others
 SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one that draws
@@ -26,8 +26,8 @@ def tui(args: argparse.Namespace) -> int:
     keymap = load_keys(Path(args.keys) if args.keys else None)
     glyphs = ASCII if args.ascii or not _has_shapes() else UNICODE
     _say_to_textual(args.colors)
-    from hilcell.tui.app import HilcellApp
-    from hilcell.tui.desk import Options
+    from hilcell.tui.app.app import HilcellApp
+    from hilcell.tui.screens.application import Options
 
     options = Options(
         runs=args.runs,
@@ -45,7 +45,7 @@ def tui(args: argparse.Namespace) -> int:
     if app.refused is not None:
         raise app.refused
     if app.return_code:
-        from hilcell.exits import EXIT_INTERNAL
+        from hilcell.run.exits import EXIT_INTERNAL
 
         tell(
             "hilcell: the screen ended by a defect of its own; please report it. A live run is"

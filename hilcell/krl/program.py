@@ -13,11 +13,11 @@ from decimal import Decimal
 
 import numpy as np
 
+from hilcell.cell.settings import SettingsError
 from hilcell.krl.data import AXES, EXTERNAL, POINTS, POSE, DataList, Datum, Number, declared
 from hilcell.krl.frames import FrameRule, assigned_at
 from hilcell.krl.tokens import KrlError, Statement, Token, closing, statements, text_of
 from hilcell.ports import Array
-from hilcell.settings import SettingsError
 
 ABSOLUTE = ("PTP", "LIN", "SPTP", "SLIN")
 JOINTWISE = ("PTP", "SPTP")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.cell import Cell, Station
+from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.kinematics import Array
 from hilcell.planning.cover import fewest

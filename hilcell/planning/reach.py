@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.cell import Cell, Station
+from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.inverse import inverse_kinematics, nearest_turns, reach_excess_mm
 from hilcell.geometry.kinematics import Array

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilcell.geometry.frames import apply
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
 from hilcell.report.errors import validation
 from hilcell.report.uncertainty import (
@@ -27,7 +28,6 @@ from hilcell.report.uncertainty import (
     remainder_mm,
     thermal_limit_mm,
 )
-from hilcell.run.log import Log, Point, positions_mm
 
 # Stated assumptions: a laboratory replaces them by its certificates.
 TRACKER_LIMIT_MM = 0.015  # the paper's tracker within 10 m (section 5.1)

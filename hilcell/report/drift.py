@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from hilcell.calibration import grid_errors_mm, grid_of
-from hilcell.cell import Cell
+from hilcell.calibration.frames import grid_errors_mm, grid_of
+from hilcell.cell.file import Cell
 from hilcell.geometry.frames import (
     RigidFit,
     apply,
@@ -25,10 +25,10 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
 from hilcell.report.budget import budget_of
 from hilcell.report.uncertainty import pooled_std_mm
-from hilcell.run.log import Log, Point, positions_mm
 
 CONFIDENCE = 0.95
 Verdict = Literal["within", "beyond", ""]

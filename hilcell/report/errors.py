@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
-from hilcell.run.log import Log, Point, positions_mm
 
 HOWS = ("before", "idw", "chosen")
 OTHERS = "others"

@@ -14,10 +14,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hilcell.clean import harmless
 from hilcell.geometry.frames import apply, zyx_from_pose
+from hilcell.journal.log import Point
 from hilcell.report.facts import Facts
-from hilcell.report.words import harmless
-from hilcell.run.log import Point
 
 Value = str | int | float | None
 Row = list[Value]

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hilcell.cell import Cell
-from hilcell.devices import load_entry
+from hilcell.cell.devices import load_entry
+from hilcell.cell.file import Cell
+from hilcell.clean import encodable
+from hilcell.journal.journal import Record, chain, read_journal
+from hilcell.journal.log import Log, PlanRecord
+from hilcell.journal.runs import JOURNAL
 from hilcell.ports import HilcellError
-from hilcell.report.words import encodable
-from hilcell.run.journal import Record, chain, read_journal
-from hilcell.run.log import Log, PlanRecord
 from hilcell.run.procedure import Procedure, Table
-from hilcell.runs import JOURNAL
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hilcell.calibration import grid_pairs
+from hilcell.calibration.frames import grid_pairs
+from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
+from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
 from hilcell.report.errors import OTHERS, Errors, grid_errors, places, validation
 from hilcell.report.facts import Facts
 from hilcell.report.svg import INK, MUTED, house_style, svg_of
-from hilcell.report.words import harmless
-from hilcell.run.log import Log, positions_mm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hilcell import __version__
+from hilcell.clean import harmless
 from hilcell.report import tables
 from hilcell.report.budget import budget_of
 from hilcell.report.certificate import certificate, title
 from hilcell.report.errors import OTHERS, places, reduction, validation
 from hilcell.report.facts import Facts
 from hilcell.report.figures import drawings
-from hilcell.report.words import harmless
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -25,23 +25,16 @@ from typing import Protocol
 
 import msgspec
 
+from hilcell.journal.engine_file import ENGINE, EngineFile, live_engine
+from hilcell.journal.journal import StorageError, is_there
 from hilcell.ports import HilcellError
-from hilcell.run.journal import StorageError, is_there
 from hilcell.writing import NotWritten, write_whole
 
-ENGINE = "engine.json"  # in the run's folder, while its engine lives
 ANSWER_S = 5.0
 LONGEST = 4096
 LONGEST_ANSWER = 1 << 16
 
 Words = dict[str, str]
-
-
-class EngineFile(msgspec.Struct, frozen=True):
-    """Where a live engine listens."""
-
-    pid: int
-    socket: str
 
 
 class Engine(Protocol):
@@ -285,23 +278,3 @@ def _missing(folder: Path) -> str:
     except OSError as error:
         return f"whether its engine is running cannot be told: {error.strerror}"
     return "no engine is running; `hilcell show` tells how it ended"
-
-
-def live_engine(folder: Path) -> EngineFile | None:
-    """Return where the engine of a run listens, or None where none lives.
-
-    One whose process stands still lives: it moves again as soon as it goes on.
-    """
-    try:
-        engine = msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
-    except (OSError, msgspec.DecodeError):
-        return None
-    with socket.socket(socket.AF_UNIX) as link:
-        link.settimeout(ANSWER_S)
-        try:
-            link.connect(engine.socket)
-        except (BlockingIOError, TimeoutError):
-            return engine  # it lives, and takes nobody any more
-        except OSError:
-            return None
-    return engine

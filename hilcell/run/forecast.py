@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from hilcell.run.journal import Record
+from hilcell.journal.journal import Record
 
 AT_WORK = ("checking", "running", "stopping")
 CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed

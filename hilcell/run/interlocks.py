@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.cell import Cell, Station
+from hilcell.cell.file import Cell, Station
 from hilcell.ports import Array, DeviceError, RailReading, RobotReading
 
 SAFE_POSE_TOLERANCE_DEG = 0.1

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
-from hilcell.run.bench import Bench
-from hilcell.run.log import Log
+from hilcell.run.cell_session import CellSession
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,8 @@ class Part(Protocol):
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step; raises `HilcellError` for what cannot be reached or seen."""
 
-    def perform(self, bench: Bench) -> None:
-        """Do it. Called again on resume: the bench skips what the journal already holds."""
+    def perform(self, session: CellSession) -> None:
+        """Do it. Called again on resume: the session skips what the journal already holds."""
 
     def result(self, log: Log) -> dict[str, Any]:
         """Compute this act's share of the result from the log alone."""
@@ -95,16 +95,16 @@ class Procedure:
             )
         return Plan(steps)
 
-    def perform(self, bench: Bench) -> None:
+    def perform(self, session: CellSession) -> None:
         """Perform all acts, and all again where a point is re-measured behind the last one."""
-        self._acts(bench)
-        while bench.retake_waiting():
-            self._acts(bench)
+        self._acts(session)
+        while session.retake_waiting():
+            self._acts(session)
 
-    def _acts(self, bench: Bench) -> None:
+    def _acts(self, session: CellSession) -> None:
         for number, part in enumerate(self.parts, start=1):
-            bench.event("step", name=part.name, number=number, of=len(self.parts))
-            part.perform(bench)
+            session.event("step", name=part.name, number=number, of=len(self.parts))
+            part.perform(session)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Compute the result from the log alone."""

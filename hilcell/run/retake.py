@@ -6,8 +6,8 @@ waits stands in the journal: asked for by an event, done by the point's next rec
 
 from __future__ import annotations
 
-from hilcell.run.log import Log, Point
-from hilcell.run.machine import CALIBRATION
+from hilcell.journal.log import Log, Point
+from hilcell.run.states import CALIBRATION
 
 UNTIL_FITTED = ("grid", "repeatability_")
 ALWAYS = ("validate_",)

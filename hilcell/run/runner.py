@@ -17,10 +17,16 @@ from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 
-from hilcell.cell import Cell
-from hilcell.devices import Devices, connect_all
+from hilcell.cell.devices import Devices, connect_all
+from hilcell.cell.file import Cell
 from hilcell.errors import facts_of
-from hilcell.exits import (
+from hilcell.journal.journal import Journal, StorageError
+from hilcell.journal.log import Log
+from hilcell.ports import Clock, DeviceError, HilcellError, Identity, NoReading, Stopped
+from hilcell.run.cell_lock import lock_of_device, locked
+from hilcell.run.cell_session import CellSession
+from hilcell.run.device_status import Lamps
+from hilcell.run.exits import (
     EXIT_FAULT,
     EXIT_OK,
     EXIT_OUT_OF_TOLERANCE,
@@ -28,19 +34,13 @@ from hilcell.exits import (
     EXIT_STORAGE,
     exit_code,
 )
-from hilcell.ports import Clock, DeviceError, HilcellError, Identity, NoReading, Stopped
-from hilcell.run.bench import Bench
-from hilcell.run.gate import REST_S, Gate
 from hilcell.run.interlocks import Sight, overview
-from hilcell.run.journal import Journal, StorageError
-from hilcell.run.lamps import Lamps
-from hilcell.run.lock import lock_of_device, locked
-from hilcell.run.log import Log
-from hilcell.run.machine import RUN, StateMachine
+from hilcell.run.pause_gate import REST_S, PauseGate
 from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
 from hilcell.run.retake import retake_refusal
 from hilcell.run.signals import signals_as_commands
+from hilcell.run.states import RUN, StateMachine
 from hilcell.run.stopping import SafeStop, close_all, facts_of_problems
 
 SIGNAL_S = 0.05
@@ -95,12 +95,12 @@ class Runner:
         self._lamps = Lamps(devices)
         self._devices = self._lamps.devices
         self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
-        self._gate = Gate(lambda: self._messages.put("rest"))
+        self._gate = PauseGate(lambda: self._messages.put("rest"))
         self._why_paused = ""
         self._aborting = False
         self._asking = Asking()
         self._proven = threading.Event()
-        self._bench: Bench | None = None
+        self._bench: CellSession | None = None
         self._screens, self._screens_lock = 0, threading.Lock()
         self._unwatched = False
         self._screen_known = threading.Event()  # it has come, or it was lost
@@ -221,7 +221,7 @@ class Runner:
             self._await_screen()
             self._messages.put("started")
             self._checkpoint()
-            self._bench = Bench(
+            self._bench = CellSession(
                 self._cell,
                 self._devices,
                 self._clock,

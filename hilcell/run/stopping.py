@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from hilcell.devices import Devices
+from hilcell.cell.devices import Devices
 from hilcell.errors import HilcellError, facts_of
 
 STOP_S = 2.0  # each device may take this long to put its stop frame on the wire

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from hilcell.devices import streams_of, sweeps_of
+from hilcell.cell.devices import streams_of, sweeps_of
+from hilcell.journal.stream_file import StreamFile, StreamRecord
 from hilcell.ports import Array
-from hilcell.run.bench import Bench
-from hilcell.run.fresh import fresh
+from hilcell.run.cell_session import CellSession
+from hilcell.run.fresh_readings import fresh
 from hilcell.run.interlocks import check_joint_limits, robot_may_move
-from hilcell.run.stream_file import StreamFile, StreamRecord
 
 PACE_S = 0.05  # between two questions for the joints: a controller bears 20 a second
 
@@ -43,35 +43,35 @@ class SweepOrder:
         return joints_rad
 
 
-def record_sweep(bench: Bench, order: SweepOrder) -> StreamRecord:
+def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
     """Go to the start, sweep where the slide stands, and return what the journal keeps of it."""
-    if order.key in bench.log.streams:
-        return bench.log.streams[order.key]
-    tracker, robot = streams_of(bench.devices.tracker), sweeps_of(bench.devices.robot)
-    bench.checkpoint()
-    check_joint_limits(bench.cell, order.target_rad, order.key)
-    bench.robot_to(order.start_rad, order.key)
-    rail = fresh(bench.devices.rail.read, bench.cell.settle.reading_age_s)
-    robot_may_move(bench.cell, rail, bench.held, time.monotonic())
-    reflector = bench.cell.tracker.reflector
+    if order.key in session.log.streams:
+        return session.log.streams[order.key]
+    tracker, robot = streams_of(session.devices.tracker), sweeps_of(session.devices.robot)
+    session.checkpoint()
+    check_joint_limits(session.cell, order.target_rad, order.key)
+    session.robot_to(order.start_rad, order.key)
+    rail = fresh(session.devices.rail.read, session.cell.settle.reading_age_s)
+    robot_may_move(session.cell, rail, session.held, time.monotonic())
+    reflector = session.cell.tracker.reflector
     joints_deg = np.degrees(order.target_rad)
-    bench.intend(order.key, "robot.sweep", axis=order.axis + 1, joints_deg=joints_deg)
+    session.intend(order.key, "robot.sweep", axis=order.axis + 1, joints_deg=joints_deg)
     with (
-        StreamFile(bench.folder, order.key) as file,
+        StreamFile(session.folder, order.key) as file,
         tracker.stream(order.near_mm, reflector, order.rate_hz) as stream,
         robot.sweep(order.axis, order.end_rad, order.speed_rad_s) as sweep,
     ):
         stream.kickoff()
         sweep.kickoff()
         while not sweep.ended:
-            bench.clock.wait(PACE_S)
+            session.clock.wait(PACE_S)
             file.take((), [sweep.collect()])
             file.take(stream.collect())
         sweep.complete()
         file.take(stream.complete())
         record = file.finish()
         speed_deg_s, rate_hz = float(np.degrees(sweep.speed_rad_s)), stream.rate_hz
-    bench.event(
+    session.event(
         "stream",
         **msgspec.structs.asdict(record),
         axis=order.axis + 1,
@@ -80,6 +80,6 @@ def record_sweep(bench: Bench, order: SweepOrder) -> StreamRecord:
         start_deg=np.degrees(order.start_rad),
         end_deg=joints_deg,
         reflector=reflector,
-        session=bench.log.session,
+        session=session.log.session,
     )
     return record

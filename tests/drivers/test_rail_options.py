@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.rail_canopen import CanopenRail
-from hilcell.settings import SettingsError, convert
+from hilcell.cell.settings import SettingsError, convert
 
 
 @pytest.mark.parametrize(

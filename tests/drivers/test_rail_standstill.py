@@ -10,7 +10,7 @@ import pytest
 
 from drivers import drive, motion_limits, rail_canopen, standstill
 from drivers.rail_canopen import CanopenRail
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 from hilcell.ports import DeviceError
 from hilcell.run.interlocks import ROBOT_BLOCKED, Blocked, check_held
 from tests.drivers.can_peer import DISABLED, DRIVE, ENABLED, CanPeer, u16, u32

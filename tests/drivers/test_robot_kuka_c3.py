@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from drivers import c3, keep_alive, kuka_health, robot_kuka_c3, supervision
 from drivers.robot_kuka_c3 import KukaC3Robot
-from hilcell.cell import Joint
+from hilcell.cell.file import Joint
+from hilcell.cell.settings import SettingsError, convert
 from hilcell.clock import WallClock
 from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped
-from hilcell.settings import SettingsError, convert
 from tests.drivers.kuka_peer import VARIABLES, KukaPeer
 from tests.drivers.peers import wall_clock
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from hilcell.cell import Cell, load_cell
+from hilcell.cell.file import Cell, load_cell
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from fakes.faults import Faults
 from fakes.rail_server import RailServer
 from fakes.rail_truth import RailTruth
 from fakes.time import PlantTime
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 
 DEADLINE_S = 5.0
 DRIVE, STRIP, MASTER = 5, 6, 127

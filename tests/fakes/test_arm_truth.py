@@ -11,8 +11,8 @@ from fakes.joint_errors import Ripple
 from fakes.machine import Machine, load_machine
 from fakes.noise import KeyedNoise
 from fakes.repeatability import unit_rp_mm
-from hilcell.calibration import grid_of
-from hilcell.cell import Cell, load_cell
+from hilcell.calibration.frames import grid_of
+from hilcell.cell.file import Cell, load_cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import METHODS
 from hilcell.geometry.circles import base_frame, fit_circle

@@ -15,7 +15,7 @@ from fakes.faults import Faults
 from fakes.plant import FLANGE, Plant
 from fakes.simulator import Control
 from fakes.time import PlantTime
-from hilcell.cell import Cell, load_cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import DeviceError
 from tests.whole.bench import simulation
 

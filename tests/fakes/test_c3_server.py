@@ -16,7 +16,7 @@ from fakes.faults import Faults
 from fakes.krl_controller import KrlController
 from fakes.plant import Plant
 from fakes.time import PlantTime
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import C3Client, connected, exactly
 

@@ -21,7 +21,7 @@ from fakes.emscon_server import EmsconServer
 from fakes.faults import Faults
 from fakes.plant import Plant
 from fakes.time import PlantTime
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from fakes.emscon_server import EmsconServer
 from fakes.faults import Faults
 from fakes.plant import FLANGE, Plant
 from fakes.time import PlantTime
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.wires import EmsconClient, connected, exactly
 

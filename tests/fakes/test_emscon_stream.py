@@ -15,7 +15,7 @@ from fakes.emscon_stream import SampleStream
 from fakes.faults import Faults
 from fakes.plant import FLANGE, Plant
 from fakes.time import EXCHANGE_S, PlantTime
-from hilcell.cell import Cell, load_cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.wires import EmsconClient, connected
 

@@ -7,7 +7,7 @@ import pytest
 
 from fakes import faults as faults_module
 from fakes.faults import KNOWN, Faults, load_faults
-from hilcell.settings import SettingsError
+from hilcell.cell.settings import SettingsError
 
 
 def test_strikes_after_and_as_often_as_wanted() -> None:

@@ -14,8 +14,8 @@ from fakes.machine import load_machine, machine_of
 from fakes.plant import Plant
 from fakes.simulator import PaperCell
 from fakes.time import PlantTime
-from hilcell.cell import Cell, SimulationTable, load_cell
-from hilcell.settings import SettingsError
+from hilcell.cell.file import Cell, SimulationTable, load_cell
+from hilcell.cell.settings import SettingsError
 
 FOLDER = resources.files("fakes.machines")
 

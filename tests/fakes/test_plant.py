@@ -7,7 +7,7 @@ import pytest
 from fakes.faults import Faults
 from fakes.plant import FLANGE, Plant
 from fakes.time import PlantTime
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Array, forward
 

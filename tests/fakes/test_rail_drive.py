@@ -11,7 +11,7 @@ import pytest
 from fakes.faults import Faults
 from fakes.rail_drive import TRANSITIONS, Command, RailDrive, State, command_of
 from fakes.rail_truth import RailState, RailTruth
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 from tests.fakes.rail_bench import (
     BIT_10,
     BIT_11,

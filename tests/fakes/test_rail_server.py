@@ -16,7 +16,7 @@ from fakes.faults import Faults
 from fakes.rail_server import RailServer
 from fakes.rail_truth import RailTruth
 from fakes.time import PlantTime
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 from tests.fakes.rail_bench import Line, Master, served, until
 
 CLIENT = """

@@ -8,7 +8,7 @@ import pytest
 from fakes.faults import Faults
 from fakes.rail_truth import RailState, RailTruth
 from fakes.time import PlantTime
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import forward
 
 SPEED, RAMP = 250.0, 200.0

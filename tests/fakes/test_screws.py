@@ -7,12 +7,12 @@ from fakes.controller_arm import controller_arm
 from fakes.machine import chain_of_cell, machine_of
 from fakes.screws import Chain
 from fakes.transforms import components, frame, inverse, rotation
-from hilcell.cell import Cell, load_cell
+from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.tables import Pose
 from hilcell.geometry import frames
 from hilcell.geometry.inverse import joint_jacobian, posture, status_of, turn_of
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.ports import HilcellError
-from hilcell.tables import Pose
 
 CELLS = ("paper", "hard", "six-r", "replay")
 

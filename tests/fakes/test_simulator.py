@@ -18,18 +18,18 @@ import numpy as np
 import pytest
 
 from fakes.simulator import Control, PaperCell, ReplayCell
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.ports import DeviceError, HilcellError, Stopped
-from hilcell.settings import SettingsError
 from tests.fakes.wires import C3Client, EmsconClient, connected
 
 DEADLINE_S = 10.0
 PARENT = """
 import time
 from fakes.simulator import PaperCell
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 cell = PaperCell(load_cell("paper"), seed=1)
 print(cell._process.pid, flush=True)
 time.sleep(60)

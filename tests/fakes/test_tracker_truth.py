@@ -5,7 +5,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.tracker_truth import TrackerTruth
-from hilcell.cell import Cell
+from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Array
 

@@ -6,9 +6,9 @@ import json
 
 import numpy as np
 
-from hilcell.devices import ConnectFailed
+from hilcell.cell.devices import ConnectFailed
 from hilcell.errors import DeviceError, HilcellError, NoReading, Stopped, facts_of
-from hilcell.run.lock import CellLocked
+from hilcell.run.cell_lock import CellLocked
 
 STALLED = DeviceError(
     "HC-R31",

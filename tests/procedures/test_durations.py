@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fakes.motion import travel_s
 from fakes.robot_motion import RobotMotion
 from fakes.time import PlantTime
-from hilcell.cell import Station, load_cell
+from hilcell.cell.file import Station, load_cell
 from hilcell.run.procedure import Step
 from procedures import durations
 from procedures.paper import EXPERIMENTS

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.calibration import grid_of
-from hilcell.cell import load_cell
+from hilcell.calibration.frames import grid_of
+from hilcell.cell.file import load_cell
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
 from procedures.base_frame import axis_6_height_mm, sweep

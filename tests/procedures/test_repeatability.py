@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.cell import Cell, load_cell
-from hilcell.run.log import Log, Point
+from hilcell.cell.file import Cell, load_cell
+from hilcell.journal.log import Log, Point
 from procedures.repeatability import VISITS, floor, rp_mm, rp_robot_mm
 
 PLACES = 3

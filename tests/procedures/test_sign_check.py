@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration import Frames, grid_of
-from hilcell.cell import load_cell
+from hilcell.calibration.frames import Frames, grid_of
+from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
+from hilcell.journal.journal import Record
+from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
-from hilcell.run.journal import Record
-from hilcell.run.log import Log, Point
 from procedures.sign_check import KEYS, SignCheck, worst_mm
 
 CELL = load_cell("paper", {"grid.pitch_mm": "450.0"})

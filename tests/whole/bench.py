@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from _pytest.mark import ParameterSet
 
-from hilcell.cli import main
+from hilcell.commands.cli import main
 
 HILCELL = [sys.executable, "-m", "hilcell"]
 LIMIT_S = 200.0  # a busy machine may take long, and is not at fault

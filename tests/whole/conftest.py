@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from hilcell.journal.log import Log
 from hilcell.report.facts import read_facts
-from hilcell.run.log import Log
 from tests.whole.golden import GoldenRuns
 
 

@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration import grid_errors_mm, grid_of
+from hilcell.calibration.frames import grid_errors_mm, grid_of
 from hilcell.compensation.interpolation import idw
 from hilcell.geometry.frames import apply, inverse
+from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
-from hilcell.run.log import Log, Point
 from hilcell.run.procedure import Procedure
 from procedures.paper import EXPERIMENTS, paper_table
 from procedures.paper_rows import ROWS, Row

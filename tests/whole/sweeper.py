@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hilcell.cell import load_cell
-from hilcell.devices import build_devices, connect_all, start_simulation
+from hilcell.cell.devices import build_devices, connect_all, start_simulation
+from hilcell.cell.file import load_cell
+from hilcell.journal.journal import Journal, read_journal
+from hilcell.journal.log import Log
 from hilcell.ports import Array, Clock
-from hilcell.run.bench import Bench
-from hilcell.run.journal import Journal, read_journal
-from hilcell.run.log import Log
+from hilcell.run.cell_session import CellSession
 from hilcell.run.stopping import SafeStop, close_all
 from hilcell.run.sweeping import SweepOrder
 
@@ -42,7 +42,7 @@ def order(near_mm: Array, degrees: float = 4.0) -> SweepOrder:
 
 
 class Engine:
-    """A bench on the devices of a simulated cell, with its own journal and safe stop."""
+    """A session on the devices of a simulated cell, with its own journal and safe stop."""
 
     def __init__(self, control: str, folder: Path, stack: ExitStack) -> None:
         self.stop = threading.Event()
@@ -62,7 +62,7 @@ class Engine:
         journal.listen(self.log.take)
         self.at_wait = 0
         self.then: Callable[[], object] = lambda: None
-        self.bench = Bench(
+        self.bench = CellSession(
             cell,
             self.devices,
             Watched(clock, self._waited),

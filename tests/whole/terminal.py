@@ -18,7 +18,7 @@ from typing import Self
 
 import pyte
 
-from hilcell.tui.app import HURRY_S
+from hilcell.tui.app.app import HURRY_S
 
 READ = 1 << 16
 LIMIT_S = 100.0  # a busy machine may take long, and is not at fault

@@ -16,8 +16,8 @@ from drivers import drive, rail_setup, robot_kuka_c3
 from drivers.tracker_leica_emscon import LeicaEmsconTracker
 from fakes.faults import KNOWN
 from hilcell.alarms import Alarm, alarms_of, catalogue
-from hilcell.cli import main
-from hilcell.runs import read_log
+from hilcell.commands.cli import main
+from hilcell.journal.runs import read_log
 from tests.whole.bench import Simulation, sets, simulation
 
 # What each fault does to the run: its alarm, and the value with which it strikes.

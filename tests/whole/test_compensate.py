@@ -5,7 +5,7 @@ from pathlib import Path
 
 import msgspec
 
-from hilcell.calibration_file import read_calibration, write_calibration
+from hilcell.calibration.file import read_calibration, write_calibration
 from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets
 
 SRC = "DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\n"

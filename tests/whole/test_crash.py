@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from hilcell.cli import main
-from hilcell.exits import EXIT_STORAGE
+from hilcell.commands.cli import main
+from hilcell.run.exits import EXIT_STORAGE
 from tests.fakes.rail_bench import Line
 from tests.whole.bench import (
     SMALL,

@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hilcell import calibration
-from hilcell.calibration import Frames, command_mm, grid_errors_mm, grid_of, grid_pairs
-from hilcell.cell import Cell
+from hilcell.calibration import frames as calibration
+from hilcell.calibration.frames import Frames, command_mm, grid_errors_mm, grid_of, grid_pairs
+from hilcell.cell.file import Cell
 from hilcell.compensation.interpolation import idw
 from hilcell.compensation.similarity import Pairs
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
+from hilcell.journal.log import Log, positions_mm
 from hilcell.planning.plan import HolePlan
 from hilcell.ports import Array
-from hilcell.run.log import Log, positions_mm
 from procedures import paper_figures, paper_stations, rail_survey, validate
 from procedures.base_frame import circle_of
 from procedures.paper import paper_table

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
 from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets
 from tests.whole.conftest import PaperRun

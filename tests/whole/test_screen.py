@@ -11,10 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.run.control import live_engine, send_command
-from hilcell.run.journal import read_journal
-from hilcell.run.log import Log
-from hilcell.runs import JOURNAL, read_log, run_folders
+from hilcell.journal.engine_file import live_engine
+from hilcell.journal.journal import read_journal
+from hilcell.journal.log import Log
+from hilcell.journal.runs import JOURNAL, read_log, run_folders
+from hilcell.run.control import send_command
 from tests.whole.bench import LIMIT_S, SMALL, command, hilcell, sets, simulation, sweep, wait_gone
 from tests.whole.terminal import Terminal
 from tests.whole.trace import judge

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from fakes.simulator import Control, PaperCell
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
+from hilcell.journal.journal import read_journal
+from hilcell.journal.log import Log
+from hilcell.journal.stream_file import FOLDER, StreamData, read_stream
 from hilcell.ports import Array, NoReading, Stopped
-from hilcell.run.journal import read_journal
-from hilcell.run.log import Log
-from hilcell.run.stream_file import FOLDER, StreamData, read_stream
 from hilcell.run.sweeping import record_sweep
 from tests.fakes.wires import C3Client, EmsconClient, connected
 from tests.whole.bench import sweep

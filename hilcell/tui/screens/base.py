@@ -12,12 +12,12 @@ from textual.screen import Screen
 from textual.widget import Widget
 from textual.widgets import Input
 
-from hilcell.tui.desk import Desk
-from hilcell.tui.keys import BY_NAME, shown
-from hilcell.tui.panel import Panel
+from hilcell.tui.keys.table import BY_NAME, shown
+from hilcell.tui.screens.application import Application
+from hilcell.tui.widgets.panel import Panel
 
 if TYPE_CHECKING:
-    from hilcell.tui.scene import Scene
+    from hilcell.tui.engine.scene import Scene
 
 
 class SceneScreen(Screen[None]):
@@ -40,9 +40,9 @@ class SceneScreen(Screen[None]):
         return built and self.app.is_running and self in self.app.screen_stack
 
     @property
-    def cell(self) -> Desk:
+    def cell(self) -> Application:
         """Return the application, as screens see it."""
-        return cast("Desk", self.app)
+        return cast("Application", self.app)
 
     @property
     def wide(self) -> int:
@@ -82,7 +82,7 @@ class SceneScreen(Screen[None]):
         if self._said_at is not None and self._said_at != _moment(scene):
             self.notice("")
         if scene is not None and self.query("#banner"):
-            from hilcell.tui import words  # reads journals: not for the first screen
+            from hilcell.tui.text import run as words  # reads journals: not for the first screen
 
             behind = self.cell.attached.behind
             other = behind.scene if behind is not None else None

@@ -9,10 +9,11 @@ from textual.app import ComposeResult
 from textual.content import Content
 
 from hilcell.errors import HilcellError
-from hilcell.tui import engine
-from hilcell.tui.panel import Panel
-from hilcell.tui.rows import Column, Row, Rows
+from hilcell.tui.engine import process as engine
 from hilcell.tui.screens.base import Page
+from hilcell.tui.text.columns import Column, Row
+from hilcell.tui.widgets.panel import Panel
+from hilcell.tui.widgets.table import Rows
 
 COLUMNS = (
     Column("where", 9),

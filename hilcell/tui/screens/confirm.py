@@ -10,8 +10,8 @@ from textual.containers import Vertical
 from textual.content import Content
 from textual.screen import ModalScreen
 
-from hilcell.tui.desk import Desk
-from hilcell.tui.panel import Panel
+from hilcell.tui.screens.application import Application
+from hilcell.tui.widgets.panel import Panel
 
 T = TypeVar("T")
 FRAME = 2  # rows of a dialog's border
@@ -29,7 +29,7 @@ class Dialog(ModalScreen[T]):
     @property
     def deliberate(self) -> bool:
         """Whether the key under way is an answer: a scanner's Enter, or a held one, is none."""
-        return cast("Desk", self.app).unhurried
+        return cast("Application", self.app).unhurried
 
     def put(self, question: Content, answers: Content) -> None:
         """Show both."""

@@ -6,9 +6,9 @@ from abc import abstractmethod
 
 from textual.widgets import Input
 
-from hilcell.tui.field import Field
-from hilcell.tui.rows import Rows
 from hilcell.tui.screens.base import SceneScreen
+from hilcell.tui.widgets.field import Field
+from hilcell.tui.widgets.table import Rows
 
 
 class Finding(SceneScreen):

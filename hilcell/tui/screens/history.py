@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, ClassVar
 from textual.app import ComposeResult
 from textual.content import Content
 
-from hilcell.tui.aside import aside
-from hilcell.tui.history_words import columns_for, history_row
-from hilcell.tui.keys import shown
-from hilcell.tui.rows import Rows
+from hilcell.tui.engine.background import aside
+from hilcell.tui.keys.table import shown
 from hilcell.tui.screens.base import Page
 from hilcell.tui.screens.find import Finding
+from hilcell.tui.text.history import columns_for, history_row
+from hilcell.tui.widgets.table import Rows
 
 if TYPE_CHECKING:
-    from hilcell.index import RunRow
+    from hilcell.journal.index import RunRow
 
 TO_COMPARE = 2
 AGAIN_S = 3.0
@@ -61,7 +61,7 @@ class HistoryPage(Finding, Page):
             self.cell.background(self._read())
 
     async def _read(self) -> None:
-        from hilcell.index import read_index
+        from hilcell.journal.index import read_index
 
         try:
             self._runs = await aside(read_index, self.cell.options.runs)
@@ -73,7 +73,7 @@ class HistoryPage(Finding, Page):
 
     def filter_rows(self) -> None:
         """Show the runs with all the words."""
-        from hilcell.index import matches
+        from hilcell.journal.index import matches
 
         found = [run for run in self._runs if matches(run, self.wanted)]
         wide = self.app.size.width

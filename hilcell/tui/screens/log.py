@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from textual.app import ComposeResult
 
-from hilcell.tui.record_words import COLUMNS, record_row
-from hilcell.tui.rows import Row, Rows
-from hilcell.tui.scene import Scene
+from hilcell.tui.engine.scene import Scene
 from hilcell.tui.screens.base import Page
 from hilcell.tui.screens.find import Finding
+from hilcell.tui.text.columns import Row
+from hilcell.tui.text.record import COLUMNS, record_row
+from hilcell.tui.widgets.table import Rows
 
 
 class LogPage(Finding, Page):

@@ -6,8 +6,8 @@ from textual.app import ComposeResult
 from textual.content import Content
 
 from hilcell import __version__
-from hilcell.tui.panel import Panel
 from hilcell.tui.screens.base import SceneScreen
+from hilcell.tui.widgets.panel import Panel
 
 NOT_A_SAFETY_FUNCTION = "hilcell is not a safety function: keep the E-stop in reach."
 

@@ -6,14 +6,14 @@ from textual.app import ComposeResult
 from textual.containers import VerticalScroll
 from textual.content import Content
 
-from hilcell.tui import words
-from hilcell.tui.alarm_words import alarm_page
-from hilcell.tui.glyphs import Glyphs
-from hilcell.tui.help_words import help_lines
-from hilcell.tui.panel import Panel
-from hilcell.tui.point_words import point_page
-from hilcell.tui.scene import DeviceStatus, Scene
+from hilcell.tui.engine.scene import DeviceStatus, Scene
 from hilcell.tui.screens.base import Page
+from hilcell.tui.terminal.glyphs import Glyphs
+from hilcell.tui.text import run as words
+from hilcell.tui.text.alarms import alarm_page
+from hilcell.tui.text.help import help_lines
+from hilcell.tui.text.point import point_page
+from hilcell.tui.widgets.panel import Panel
 
 
 class TextPage(Page):

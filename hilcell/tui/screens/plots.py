@@ -9,9 +9,9 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.content import Content
 
-from hilcell.tui.panel import Panel
-from hilcell.tui.scene import Scene
+from hilcell.tui.engine.scene import Scene
 from hilcell.tui.screens.base import Page
+from hilcell.tui.widgets.panel import Panel
 
 REDRAW_S = 0.5
 
@@ -46,8 +46,8 @@ class PlotPage(Page):
         state = (len(scene.log.points), self._chosen, self.app.size, self.app.theme)
         if state == self._seen or now_s - self._drawn_s < REDRAW_S:
             return
-        from hilcell.tui.draw import draw
-        from hilcell.tui.series import PLOTS
+        from hilcell.tui.text.plot import draw
+        from hilcell.tui.text.series import PLOTS
 
         self._seen, self._drawn_s = state, now_s
         plot = PLOTS[self._chosen](scene.log)

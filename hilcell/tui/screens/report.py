@@ -9,8 +9,8 @@ from pathlib import Path
 from textual.content import Content
 
 from hilcell.errors import HilcellError
-from hilcell.tui import engine
-from hilcell.tui.scene import Scene
+from hilcell.tui.engine import process as engine
+from hilcell.tui.engine.scene import Scene
 from hilcell.tui.screens.pages import TextPage
 
 FILE = "report.html"

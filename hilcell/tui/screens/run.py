@@ -10,17 +10,17 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widgets import Input
 
-from hilcell.tui import words
-from hilcell.tui.alarm_words import alarm_lines
-from hilcell.tui.deviation import deviation_of
-from hilcell.tui.keys import shown
-from hilcell.tui.panel import Panel
-from hilcell.tui.points import PointTable, columns_for, filtered
-from hilcell.tui.prompt_words import prompt_lines
-from hilcell.tui.rows import Rows
-from hilcell.tui.scene import Scene
+from hilcell.tui.engine.scene import Scene
+from hilcell.tui.keys.table import shown
 from hilcell.tui.screens.find import Finding
-from hilcell.tui.side_words import side_lines
+from hilcell.tui.text import run as words
+from hilcell.tui.text.alarms import alarm_lines
+from hilcell.tui.text.deviation import deviation_of
+from hilcell.tui.text.points import PointTable, columns_for, filtered
+from hilcell.tui.text.prompt import prompt_lines
+from hilcell.tui.text.side import side_lines
+from hilcell.tui.widgets.panel import Panel
+from hilcell.tui.widgets.table import Rows
 
 WIDE = 120  # columns, as in the style sheet
 LINES = ("banner", "identity", "step", "progress", "lamps", "interlock")

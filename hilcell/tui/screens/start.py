@@ -12,16 +12,17 @@ from textual.content import Content
 from textual.widgets import Input, Label
 
 from hilcell.errors import HilcellError
-from hilcell.tui import engine
-from hilcell.tui.aside import aside
-from hilcell.tui.choice import Choice
-from hilcell.tui.field import Field
-from hilcell.tui.panel import Panel
-from hilcell.tui.rows import Column, Row, Rows
-from hilcell.tui.scene import Scene
+from hilcell.tui.engine import process as engine
+from hilcell.tui.engine.background import aside
+from hilcell.tui.engine.scene import Scene
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Dialog, answer_keys
-from hilcell.tui.words import MOVES, NOT_E_STOP, duration
+from hilcell.tui.text.columns import Column, Row
+from hilcell.tui.text.run import MOVES, NOT_E_STOP, duration
+from hilcell.tui.widgets.choice import Choice
+from hilcell.tui.widgets.field import Field
+from hilcell.tui.widgets.panel import Panel
+from hilcell.tui.widgets.table import Rows
 
 FIELDS = (
     ("cell", "paper", "a built-in cell, or a path to a TOML file"),
@@ -144,7 +145,7 @@ class StartScreen(SceneScreen):
         )
 
     async def _start(self, order: engine.Order) -> None:
-        from hilcell.runs import new_run
+        from hilcell.journal.runs import new_run
 
         runs = self.cell.options.runs
         run = new_run(order.procedure)
@@ -205,7 +206,7 @@ def warning(plan: dict[str, Any]) -> Content:
 
 def summaries(names: list[str]) -> dict[str, str]:
     """Return what each procedure does, in its own words."""
-    from hilcell.devices import load_entry
+    from hilcell.cell.devices import load_entry
 
     found: dict[str, str] = {}
     for name in names:

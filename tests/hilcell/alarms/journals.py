@@ -6,9 +6,9 @@ from typing import Any
 
 from hilcell.alarms import Alarm, alarms_of
 from hilcell.errors import HilcellError, facts_of
+from hilcell.journal.journal import Kind, Record
+from hilcell.journal.log import Log
 from hilcell.ports import NoReading
-from hilcell.run.journal import Kind, Record
-from hilcell.run.log import Log
 from tests.hilcell.report.journals import plan_record
 
 Row = tuple[Kind, str, dict[str, Any]]

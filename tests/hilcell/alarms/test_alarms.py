@@ -8,12 +8,12 @@ import sys
 import pytest
 
 from hilcell.alarms import Alarm, alarms_of
-from hilcell.devices import ConnectFailed
+from hilcell.cell.devices import ConnectFailed
+from hilcell.cell.settings import SettingsError
 from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
 from hilcell.geometry.inverse import ReachError
-from hilcell.run.lock import CellLocked
-from hilcell.run.log import Log
-from hilcell.settings import SettingsError
+from hilcell.journal.log import Log
+from hilcell.run.cell_lock import CellLocked
 from tests.hilcell.alarms.journals import (
     BEAM,
     BEGUN,

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from hilcell.alarms import catalogue
-from hilcell.cli import main
+from hilcell.commands.cli import main
 
 
 def test_a_code_is_explained_in_words(capsys: pytest.CaptureFixture[str]) -> None:

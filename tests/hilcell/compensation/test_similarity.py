@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 from hilcell.compensation.similarity import (
     Pairs,
     SimilarityError,

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 from hilcell.geometry.circles import base_frame, base_frame_covariance, fit_circle
 from hilcell.geometry.frames import FrameError, apply, inverse, pose_from_zyx
 from hilcell.geometry.kinematics import forward

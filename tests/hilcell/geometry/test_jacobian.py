@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.inverse import joint_jacobian
 from hilcell.geometry.jacobian import (

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hilcell.cell.settings import SettingsError
 from hilcell.krl.program import Program, formatted, read_program
-from hilcell.settings import SettingsError
 from tests.hilcell.krl.samples import DAT, SRC
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.cli import main
+from hilcell.commands.cli import main
 from hilcell.planning.holes import NORMALS
 
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hilcell.cell.settings import SettingsError
+from hilcell.compensation.targets import HEADER
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.planning import holes as module
 from hilcell.planning.holes import NORMALS, TURNS, read_holes, tools_against
-from hilcell.settings import SettingsError
-from hilcell.targets import HEADER
 
 
 def file_of(folder: Path, *lines: str) -> Path:

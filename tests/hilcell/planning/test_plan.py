@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilcell.cell import Station, load_cell
+from hilcell.cell.file import Station, load_cell
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import posture, reachable
 from hilcell.planning.holes import Holes, tools_against

@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
+from hilcell.journal.journal import Journal
+from hilcell.journal.runs import JOURNAL
 from hilcell.ports import Array
 from hilcell.report.facts import Facts, read_facts
-from hilcell.run.journal import Journal
-from hilcell.runs import JOURNAL
 
 DEVICES = [{"device": "Robot", "model": "KR 210", "serial": "860112", "address": "127.0.0.1:1"}]
 # Errors (mm) whose norms, means and ratios are plain to the eye.

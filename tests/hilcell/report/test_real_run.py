@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from hilcell.cli import main
-from hilcell.runs import JOURNAL
+from hilcell.commands.cli import main
+from hilcell.journal.runs import JOURNAL
 from tests.hilcell.report.browser import browse
 from tests.hilcell.report.pages import Page
 from tests.whole.bench import HILCELL, command
@@ -145,7 +145,7 @@ def test_a_run_is_not_written_over(
 def test_a_journal_that_lacks_what_its_result_needs(
     calibrated: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from hilcell.run.journal import Journal, read_journal
+    from hilcell.journal.journal import Journal, read_journal
 
     folder = tmp_path / "older"
     folder.mkdir()

@@ -11,16 +11,16 @@ from typing import Any
 
 import msgspec
 
-from hilcell.cell import Cell, load_cell
+from hilcell.cell.devices import Devices
+from hilcell.cell.file import Cell, load_cell
 from hilcell.clock import WallClock
-from hilcell.devices import Devices
+from hilcell.journal.engine_file import EngineFile
+from hilcell.journal.journal import Journal, Record, read_journal
+from hilcell.journal.log import Log
 from hilcell.ports import NoReading
-from hilcell.run.control import EngineFile
-from hilcell.run.journal import Journal, Record, read_journal
-from hilcell.run.log import Log
 from hilcell.run.procedure import Procedure
 from hilcell.run.runner import Runner
-from tests.hilcell.run.desk import DeskRail, DeskRobot, DeskTracker, desk
+from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk
 
 CELL = load_cell("paper", {"settle.robot_s": "0.0", "settle.rail_s": "0.0"})
 PLAN = {

@@ -17,26 +17,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hilcell.run.control as control_module
+from hilcell.journal.engine_file import EngineFile, live_engine
+from hilcell.journal.journal import StorageError
+from hilcell.journal.runs import find_run, run_folders
 from hilcell.ports import HilcellError
-from hilcell.run.control import (
-    COMMANDS,
-    TIMELESS,
-    Control,
-    EngineFile,
-    in_time,
-    live_engine,
-    order,
-    send_command,
-    too_late,
-)
-from hilcell.run.journal import StorageError
-from hilcell.run.lock import CellLocked, lock_of_device, lock_of_name, locked
-from hilcell.runs import find_run, run_folders
+from hilcell.run.cell_lock import CellLocked, lock_of_device, lock_of_name, locked
+from hilcell.run.control import COMMANDS, TIMELESS, Control, in_time, order, send_command, too_late
 from tests.hilcell.run.bed import Screen, until
-from tests.hilcell.run.desk import hang
+from tests.hilcell.run.rig import hang
 
 
-class Desk:
+class Recorder:
     """An engine that notes what it is told."""
 
     def __init__(self) -> None:
@@ -71,12 +62,12 @@ class Desk:
 
 
 @pytest.fixture
-def desk() -> Desk:
-    return Desk()
+def desk() -> Recorder:
+    return Recorder()
 
 
 @pytest.fixture(autouse=True)
-def control(tmp_path: Path, desk: Desk) -> Iterator[Control]:
+def control(tmp_path: Path, desk: Recorder) -> Iterator[Control]:
     control = Control(tmp_path, desk)
     yield control
     control.close()
@@ -90,7 +81,7 @@ def screen(tmp_path: Path, control: Control) -> Iterator[Screen]:
 
 
 def test_commands_reach_the_engine_and_are_answered(
-    tmp_path: Path, desk: Desk, control: Control
+    tmp_path: Path, desk: Recorder, control: Control
 ) -> None:
     assert live_engine(tmp_path) is not None
     answer = {"ok": True, "state": "running", "screens": 0}
@@ -102,14 +93,14 @@ def test_commands_reach_the_engine_and_are_answered(
     assert live_engine(tmp_path) is None
 
 
-def test_one_connection_carries_many_commands(desk: Desk, screen: Screen) -> None:
+def test_one_connection_carries_many_commands(desk: Recorder, screen: Screen) -> None:
     for command in ("pause", "proceed", "abort", "stop", "answer"):
         assert screen.ask(command)["ok"] is True
     assert screen.ask("retake", key="grid/0-0-0")["ok"] is True
     assert desk.told == ["pause", "proceed", "abort", "stop", "answer", "retake grid/0-0-0"]
 
 
-def test_two_commands_in_one_segment(desk: Desk, screen: Screen) -> None:
+def test_two_commands_in_one_segment(desk: Recorder, screen: Screen) -> None:
     assert screen.raw(b'{"command": "pause"}\n{"command": "abort"}\n')["ok"] is True
     assert screen.lines.readline()
     assert desk.told == ["pause", "abort"]
@@ -117,14 +108,14 @@ def test_two_commands_in_one_segment(desk: Desk, screen: Screen) -> None:
 
 @pytest.mark.parametrize("command", ["answer", "retake"])
 def test_a_refusal_is_told_and_the_connection_stays(
-    desk: Desk, screen: Screen, command: str
+    desk: Recorder, screen: Screen, command: str
 ) -> None:
     desk.refusal = "nothing is asked now"
     assert screen.ask(command) == {"ok": False, "error": "nothing is asked now"}
     assert screen.ask("status")["ok"] is True
 
 
-def test_screens_are_counted(tmp_path: Path, desk: Desk, screen: Screen) -> None:
+def test_screens_are_counted(tmp_path: Path, desk: Recorder, screen: Screen) -> None:
     assert screen.ask("attend")["screens"] == 1
     assert screen.ask("attend")["screens"] == 1
     other = Screen(tmp_path)
@@ -138,13 +129,13 @@ def test_screens_are_counted(tmp_path: Path, desk: Desk, screen: Screen) -> None
     assert desk.told == []  # it left on purpose
 
 
-def test_the_last_screen_that_is_lost_is_told(desk: Desk, screen: Screen) -> None:
+def test_the_last_screen_that_is_lost_is_told(desk: Recorder, screen: Screen) -> None:
     screen.ask("attend")
     screen.close()
     until(lambda: desk.told == ["lost"])
 
 
-def test_who_never_attended_is_not_missed(tmp_path: Path, desk: Desk, screen: Screen) -> None:
+def test_who_never_attended_is_not_missed(tmp_path: Path, desk: Recorder, screen: Screen) -> None:
     screen.ask("status")
     screen.close()
     assert send_command(tmp_path, "status")["ok"] is True
@@ -152,7 +143,7 @@ def test_who_never_attended_is_not_missed(tmp_path: Path, desk: Desk, screen: Sc
 
 
 def test_closing_ends_connections_and_takes_nobody_for_lost_twice(
-    desk: Desk, control: Control, screen: Screen
+    desk: Recorder, control: Control, screen: Screen
 ) -> None:
     screen.ask("attend")
     control.close()
@@ -173,7 +164,7 @@ def test_only_the_owner_may_connect(tmp_path: Path, control: Control) -> None:
 @pytest.mark.parametrize(
     "line", [b"\n", b"[]\n", b'{"command": "dance"}\n', b'{"command": 1}\n', b"\xff" * 100 + b"\n"]
 )
-def test_nonsense_is_answered_and_harmless(desk: Desk, screen: Screen, line: bytes) -> None:
+def test_nonsense_is_answered_and_harmless(desk: Recorder, screen: Screen, line: bytes) -> None:
     answer = screen.raw(line)
     assert answer["ok"] is False
     assert "commands: status, pause" in answer["error"]
@@ -181,7 +172,9 @@ def test_nonsense_is_answered_and_harmless(desk: Desk, screen: Screen, line: byt
     assert desk.told == ["stop"]
 
 
-def test_a_line_too_long_is_answered_and_ends_the_connection(desk: Desk, screen: Screen) -> None:
+def test_a_line_too_long_is_answered_and_ends_the_connection(
+    desk: Recorder, screen: Screen
+) -> None:
     assert screen.raw(b"\xff" * 5000)["ok"] is False
     with suppress(ConnectionResetError):  # what it did not read of the line
         assert screen.lines.readline() == b""
@@ -228,7 +221,7 @@ def test_a_time_that_is_none_is_refused(text: str) -> None:
 @pytest.mark.parametrize("command", ["pause", "proceed", "abort", "answer", "retake"])
 @pytest.mark.parametrize("before", ["0.0", "nan", "soon"])
 def test_an_order_that_comes_late_does_nothing(
-    desk: Desk, screen: Screen, command: str, before: str
+    desk: Recorder, screen: Screen, command: str, before: str
 ) -> None:
     answer = screen.ask(command, before=before)
     assert answer["ok"] is False
@@ -236,7 +229,7 @@ def test_an_order_that_comes_late_does_nothing(
     assert desk.told == []
 
 
-def test_a_stop_never_comes_late(desk: Desk, screen: Screen) -> None:
+def test_a_stop_never_comes_late(desk: Recorder, screen: Screen) -> None:
     assert screen.ask("stop", before="0.0")["ok"] is True
     assert screen.ask("stop", before="soon")["ok"] is True
     assert desk.told == ["stop", "stop"]
@@ -245,7 +238,7 @@ def test_a_stop_never_comes_late(desk: Desk, screen: Screen) -> None:
 
 
 def test_an_order_that_waits_behind_a_slow_answer_grows_old(
-    desk: Desk, screen: Screen, monkeypatch: pytest.MonkeyPatch
+    desk: Recorder, screen: Screen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entered, release = threading.Event(), threading.Event()
     monkeypatch.setattr(desk, "answers", hang(entered, release))
@@ -262,7 +255,7 @@ def test_an_order_that_waits_behind_a_slow_answer_grows_old(
 
 
 def test_a_refused_order_is_told(
-    tmp_path: Path, desk: Desk, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, desk: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     desk.refusal = "nothing is asked now"
     with pytest.raises(HilcellError, match=f"^run {tmp_path.name}: nothing is asked now$"):
@@ -278,8 +271,8 @@ ENGINE = """
 import sys
 from pathlib import Path
 from hilcell.run.control import Control
-from tests.hilcell.run.test_control import Desk
-desk = Desk()
+from tests.hilcell.run.test_control import Recorder
+desk = Recorder()
 control = Control(Path(sys.argv[1]), desk)
 print("listens", flush=True)
 sys.stdin.read()
@@ -315,8 +308,8 @@ def test_what_was_told_as_failed_is_not_done_later(
 HOLD = """
 import sys
 from pathlib import Path
-from hilcell.run.journal import StorageError
-from hilcell.run.lock import locked
+from hilcell.journal.journal import StorageError
+from hilcell.run.cell_lock import locked
 with locked(Path(sys.argv[1]), "cell paper", "other"):
     print("held", flush=True)
     sys.stdin.read()
@@ -368,7 +361,7 @@ def test_a_run_of_an_endless_name_is_not_there(tmp_path: Path) -> None:
 
 
 def test_the_engine_s_file_is_never_seen_half_written(
-    tmp_path: Path, desk: Desk, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, desk: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "r"
     folder.mkdir()
@@ -401,8 +394,8 @@ NO_ROOM = """
 import resource, sys, tempfile, threading
 from pathlib import Path
 from hilcell.run.control import Control
-from hilcell.run.journal import StorageError
-from hilcell.run.lock import locked
+from hilcell.journal.journal import StorageError
+from hilcell.run.cell_lock import locked
 resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # names are taken, but nothing stands in them
 folder, tempfile.tempdir = Path(sys.argv[1]), sys.argv[2]
 try:
@@ -440,7 +433,7 @@ def test_a_full_disk_is_a_storage_fault_and_leaves_nothing(tmp_path: Path, tempo
 
 
 def test_a_folder_of_temporary_files_that_cannot_be_used_is_named(
-    tmp_path: Path, desk: Desk, temporary: Path
+    tmp_path: Path, desk: Recorder, temporary: Path
 ) -> None:
     temporary.rmdir()
     with pytest.raises(StorageError, match=f"temporary folder {temporary} cannot be used: No such"):
@@ -448,7 +441,7 @@ def test_a_folder_of_temporary_files_that_cannot_be_used_is_named(
 
 
 def test_a_socket_under_a_path_too_long_is_told(
-    tmp_path: Path, desk: Desk, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, desk: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     deep = tmp_path / ("x" * 120)
     deep.mkdir()

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.forecast import told, worst_after
+from hilcell.journal.journal import Record
 from hilcell.run.forecast import CLOSING_S, Forecast
-from hilcell.run.journal import Record
 
 BEGAN = datetime(2026, 1, 1, tzinfo=UTC)
 RECORDED = Path(__file__).with_name("forecast_run.jsonl")

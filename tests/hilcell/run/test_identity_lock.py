@@ -6,9 +6,9 @@ from uuid import uuid4
 import pytest
 
 from hilcell.ports import Identity
-from hilcell.run.lock import CellLocked
+from hilcell.run.cell_lock import CellLocked
 from tests.hilcell.run.bed import Bed, Live
-from tests.hilcell.run.desk import Points, procedure
+from tests.hilcell.run.rig import Points, procedure
 
 
 def bed_at(folder: Path, identity: Identity) -> Bed:

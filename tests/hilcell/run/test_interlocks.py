@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.cell import load_cell
+from hilcell.cell.file import load_cell
 from hilcell.ports import RailReading, RobotReading
 from hilcell.run.interlocks import (
     Blocked,

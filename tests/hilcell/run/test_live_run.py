@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 import hilcell.run.runner as runner_module
+from hilcell.journal.journal import read_journal
 from hilcell.ports import DeviceError
-from hilcell.run.bench import Bench
-from hilcell.run.journal import read_journal
-from hilcell.run.machine import RUN
+from hilcell.run.cell_session import CellSession
+from hilcell.run.states import RUN
 from tests.hilcell.run.bed import Bed, Live, until
-from tests.hilcell.run.desk import Points, hang, procedure
+from tests.hilcell.run.rig import Points, hang, procedure
 
 MANY = 10**6
 
@@ -236,7 +236,7 @@ def test_a_screen_that_was_replaced_at_once_is_not_missed(attended: Bed) -> None
 
 
 def test_an_unattended_run_goes_on_without_a_screen(bed: Bed) -> None:
-    with Live(bed, procedure(Points(3, lambda bench, number: None))) as live:
+    with Live(bed, procedure(Points(3, lambda session, number: None))) as live:
         live.runner.post("lost")
     assert live.code == 0
     assert "paused" not in bed.states()
@@ -301,8 +301,8 @@ def test_a_device_lost_while_paused_is_a_dark_lamp_and_no_fault(
 
 
 def test_the_station_that_is_held_is_in_the_interlocks(bed: Bed) -> None:
-    def hold(bench: Bench, number: int) -> None:
-        bench.hold_station(bench.cell.station_named("S300"))
+    def hold(session: CellSession, number: int) -> None:
+        session.hold_station(session.cell.station_named("S300"))
 
     with Live(bed, procedure(Points(MANY, hold))) as live:
         until(lambda: bool(live.status("points")))

@@ -9,7 +9,7 @@ import pytest
 import hilcell.run.runner as runner_module
 from hilcell.run.control import Control, send_command
 from tests.hilcell.run.bed import Bed, Live, Screen, until
-from tests.hilcell.run.desk import Points, procedure
+from tests.hilcell.run.rig import Points, procedure
 
 MANY = 10**6
 

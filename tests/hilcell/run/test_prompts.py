@@ -9,7 +9,7 @@ import pytest
 import hilcell.run.runner as runner_module
 from hilcell.ports import DeviceError, NoReading
 from tests.hilcell.run.bed import Bed, Live, broken_beam, until
-from tests.hilcell.run.desk import Points, hang, procedure
+from tests.hilcell.run.rig import Points, hang, procedure
 
 
 @pytest.fixture

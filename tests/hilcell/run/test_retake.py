@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.cell import Cell
-from hilcell.run.bench import Bench
-from hilcell.run.journal import Record
-from hilcell.run.log import Log
-from hilcell.run.machine import CALIBRATION
+from hilcell.cell.file import Cell
+from hilcell.journal.journal import Record
+from hilcell.journal.log import Log
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from hilcell.run.retake import retake_refusal, still_refused
+from hilcell.run.states import CALIBRATION
 from tests.hilcell.run.bed import Bed, Live, until
-from tests.hilcell.run.desk import procedure
+from tests.hilcell.run.rig import procedure
 
 POINT = {
     "reflector": "SMR",
@@ -95,21 +95,21 @@ class Flange:
     def plan(self, cell: Cell, seed: int) -> Step:
         return Step(self.name, self.count, 1.0)
 
-    def perform(self, bench: Bench) -> None:
-        bench.reach("connect")
-        home = np.radians(bench.cell.robot.home_deg)
+    def perform(self, session: CellSession) -> None:
+        session.reach("connect")
+        home = np.radians(session.cell.robot.home_deg)
         for number in range(self.count):
             if self.act is not None:
-                self.act(bench, number)
-            station = bench.cell.station[number % len(bench.cell.station)]
-            bench.flange_point(
+                self.act(session, number)
+            station = session.cell.station[number % len(session.cell.station)]
+            session.flange_point(
                 f"f/{number}",
                 self.group,
                 station,
                 home + 0.001 * number,
                 nominal_mm=np.array([1.0, 2.0, number]),
             )
-        bench.verdict("judged", holds=True, points=len(bench.log.points))
+        session.verdict("judged", holds=True, points=len(session.log.points))
 
     def result(self, log: Log) -> dict[str, Any]:
         return {}
@@ -127,8 +127,8 @@ def keys(bed: Bed) -> list[str]:
 def test_a_live_run_measures_it_at_its_next_flange_point(bed: Bed) -> None:
     runner: list[Any] = []
 
-    def act(bench: Bench, number: int) -> None:
-        if number == 3 and not bench.log.points["f/1"].retaken:
+    def act(session: CellSession, number: int) -> None:
+        if number == 3 and not session.log.points["f/1"].retaken:
             assert runner[0].retake("f/1") == ""
             assert runner[0].status()["retakes"] == ["f/1"]
 
@@ -149,8 +149,8 @@ def test_one_asked_for_behind_the_last_point_is_judged_too(bed: Bed) -> None:
     asked: list[str] = []
 
     class Late(Flange):
-        def perform(self, bench: Bench) -> None:
-            super().perform(bench)
+        def perform(self, session: CellSession) -> None:
+            super().perform(session)
             if not asked:
                 asked.append(runner.retake("f/0"))
 
@@ -176,7 +176,7 @@ def test_a_finished_run_is_opened_again(bed: Bed) -> None:
 
 
 def test_what_waits_survives_the_engine(bed: Bed) -> None:
-    def die(bench: Bench, number: int) -> None:
+    def die(session: CellSession, number: int) -> None:
         if number == 1:
             raise RuntimeError("power cut")
 
@@ -189,11 +189,11 @@ def test_what_waits_survives_the_engine(bed: Bed) -> None:
 
 
 def test_one_that_came_too_late_is_refused_and_told(bed: Bed) -> None:
-    def act(bench: Bench, number: int) -> None:
+    def act(session: CellSession, number: int) -> None:
         if number == 1:
             assert runner.retake("f/0") == ""
             for record in [row[0] for row in CALIBRATION.rows]:
-                bench.reach(record)
+                session.reach(record)
 
     runner = bed.runner(procedure(Flange(2, "grid", act)))
     assert runner.run() == 0

@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
+from hilcell.journal.journal import StorageError, read_journal
 from hilcell.ports import DeviceError, DeviceRefused
-from hilcell.run.bench import Bench
-from hilcell.run.journal import StorageError, read_journal
+from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import Bed, broken_beam
-from tests.hilcell.run.desk import Points, procedure
+from tests.hilcell.run.rig import Points, procedure
 
 
 @pytest.fixture
@@ -28,8 +28,8 @@ def test_a_run_that_goes_well(bed: Bed) -> None:
 
 
 def test_a_verdict_that_does_not_hold_is_exit_1(bed: Bed) -> None:
-    def judge(bench: Bench, number: int) -> None:
-        bench.verdict("tolerance", holds=False, found_mm=0.3)
+    def judge(session: CellSession, number: int) -> None:
+        session.verdict("tolerance", holds=False, found_mm=0.3)
 
     assert bed.run(procedure(Points(1, judge))) == 1
     assert bed.states()[-1] == "finished"
@@ -44,7 +44,7 @@ def test_a_verdict_that_does_not_hold_is_exit_1(bed: Bed) -> None:
     ],
 )
 def test_a_fault_stops_everything_once_and_is_kept(bed: Bed, error: Exception, code: int) -> None:
-    def fail(bench: Bench, number: int) -> None:
+    def fail(session: CellSession, number: int) -> None:
         if number == 2:
             raise error
 
@@ -62,7 +62,7 @@ def test_a_fault_stops_everything_once_and_is_kept(bed: Bed, error: Exception, c
 
 
 def test_resume_measures_only_what_is_missing(bed: Bed) -> None:
-    def fail(bench: Bench, number: int) -> None:
+    def fail(session: CellSession, number: int) -> None:
         if number == 2:
             raise DeviceError("HC-T02", "Tracker", "measure", "gone")
 
@@ -110,7 +110,9 @@ def test_a_full_disk_stops_safely_with_exit_7(bed: Bed, monkeypatch: pytest.Monk
 
 def test_every_part_is_announced(bed: Bed) -> None:
     seen: list[int] = []
-    both = procedure(Points(1), Points(1, lambda bench, number: seen.append(len(bench.log.points))))
+    both = procedure(
+        Points(1), Points(1, lambda session, number: seen.append(len(session.log.points)))
+    )
     assert bed.run(both) == 0
     assert bed.events("step") == [
         {"what": "step", "name": "points", "number": number, "of": 2} for number in (1, 2)

@@ -15,7 +15,7 @@ ELSEWHERE = """
 import signal, sys, threading
 from pathlib import Path
 from tests.hilcell.run.bed import Bed, until
-from tests.hilcell.run.desk import Points, procedure
+from tests.hilcell.run.rig import Points, procedure
 
 bed = Bed(Path(sys.argv[1]))
 runner = bed.runner(procedure(Points(10**6)))

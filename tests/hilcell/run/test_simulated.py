@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.index import row_of
-from hilcell.run.log import Log
+from hilcell.journal.index import row_of
+from hilcell.journal.log import Log
 from tests.hilcell.run.bed import PLAN, Bed
-from tests.hilcell.run.desk import Points, procedure
+from tests.hilcell.run.rig import Points, procedure
 
 CELL = {"name": "shop", "serial": "7", "grid": {"station": "S1"}}
 

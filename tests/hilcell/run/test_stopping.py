@@ -10,7 +10,7 @@ import pytest
 from hilcell.ports import DeviceError
 from hilcell.run.stopping import Acts, SafeStop, close_all, facts_of_problems
 from tests.hilcell.run.bed import CELL, until
-from tests.hilcell.run.desk import DeskRail, DeskRobot, desk, hang
+from tests.hilcell.run.rig import DeskRail, DeskRobot, desk, hang
 
 
 def test_all_are_done_once_by_whoever_comes_first() -> None:

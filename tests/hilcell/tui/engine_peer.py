@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import msgspec
 
-from hilcell.run.control import EngineFile
+from hilcell.journal.engine_file import EngineFile
 from tests.hilcell.tui.lines import LIMIT_S
 
 STATUS: dict[str, Any] = {
@@ -134,7 +134,7 @@ class Peer:
             self._changed.notify_all()
 
 
-class Gate:
+class PauseGate:
     """Answers as usual, but holds answers up, all or those to one command, until it is opened."""
 
     def __init__(self, held: str = "") -> None:

@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import msgspec
 
-from hilcell.index import RunRow
-from hilcell.run.journal import Record
-from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import Status
+from hilcell.journal.index import RunRow
+from hilcell.journal.journal import Record
+from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.engine.scene import Status
 from tests.hilcell.tui.scenes import PROMPT, fresh
 
 MARK = "PWNED"  # in every payload, to be searched for behind what must not be before it

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.tui import feed as feeds
-from hilcell.tui import link as links
+from hilcell.run import client as links
+from hilcell.tui.engine import feed as feeds
 
 PERIOD_S = 0.02
 LIMIT_S = 10.0

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from textual.pilot import Pilot
 
-from hilcell.tui.feed import Fresh
-from hilcell.tui.keys import Keymap
+from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.keys.table import Keymap
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.log import LogPage

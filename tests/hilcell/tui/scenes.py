@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.cell import load_cell
-from hilcell.run.journal import Kind, Record
-from hilcell.run.seat import seat_prompt
-from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import DeviceStatus, EngineState, Interlock, Prompt, Status
+from hilcell.cell.file import load_cell
+from hilcell.journal.journal import Kind, Record
+from hilcell.run.reflector_prompts import seat_prompt
+from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.engine.scene import DeviceStatus, EngineState, Interlock, Prompt, Status
 
 BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
 RUN = "20260304-080000-calibrate-ab12"

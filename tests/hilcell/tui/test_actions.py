@@ -8,11 +8,11 @@ import msgspec
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.app import Delivered
-from hilcell.tui.feed import Fresh
-from hilcell.tui.keys import ACTIONS
-from hilcell.tui.rows import Rows
-from hilcell.tui.scene import EngineState
+from hilcell.tui.app.app import Delivered
+from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.engine.session import utc_now
+from hilcell.tui.keys.table import ACTIONS
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.history import HistoryPage
@@ -20,7 +20,7 @@ from hilcell.tui.screens.log import LogPage
 from hilcell.tui.screens.pages import DetailPage, HelpPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from hilcell.tui.session import utc_now
+from hilcell.tui.widgets.table import Rows
 from tests.hilcell.tui.playing import PAGES, footer, play
 from tests.hilcell.tui.scenes import HEARD, LIVE, PROMPT, fresh, status, stories
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.runs import CALIBRATION
+from hilcell.journal.runs import CALIBRATION
 from tests.hilcell.tui.scenes import fresh
 from tests.hilcell.tui.sgr import colours_of
 from tests.hilcell.tui.test_terminal import NAME, write

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.cli import main
-from hilcell.tui.app import HilcellApp
+from hilcell.commands.cli import main
+from hilcell.tui.app.app import HilcellApp
 
 DEFECT = "three hands on two clocks"
 

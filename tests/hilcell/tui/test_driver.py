@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.tui.driver import has_escape
+from hilcell.tui.terminal.driver import has_escape
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilcell.clean import clean
-from hilcell.cli import _parser
+from hilcell.commands.cli import _parser
 from hilcell.errors import HilcellError
-from hilcell.tui import engine
-from hilcell.tui.engine import UNTOLD, Order, Started, ask_hilcell, dry_run
+from hilcell.tui.engine import process as engine
+from hilcell.tui.engine.process import UNTOLD, Order, Started, ask_hilcell, dry_run
 
 # No terminal types NUL or half a letter; argparse drops a lone --.
 TYPED = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])).filter(

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.runs import CALIBRATION
-from hilcell.tui.feed import Feed, Fresh
-from hilcell.tui.scene import EngineState
+from hilcell.journal.runs import CALIBRATION
+from hilcell.tui.engine.feed import Feed, Fresh
+from hilcell.tui.engine.scene import EngineState
 from tests.hilcell.report.journals import Writer
-from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Gate, Peer, says, usual
+from tests.hilcell.tui.engine_peer import SILENCE, STATUS, PauseGate, Peer, says, usual
 from tests.hilcell.tui.lines import LIMIT_S, PERIOD_S, nothing_left_open, short
 
 __all__ = ["nothing_left_open", "short"]
@@ -88,7 +88,7 @@ def test_it_attends_asks_and_leaves(tmp_path: Path) -> None:
 
 
 def test_leaving_waits_for_the_answer_that_is_owed(tmp_path: Path) -> None:
-    gate = Gate("status")
+    gate = PauseGate("status")
     with Peer(tmp_path, gate.answer) as peer:
         screen = Screen(tmp_path)
         screen.feed.start()
@@ -111,7 +111,7 @@ def test_a_screen_that_is_lost_does_not_leave(tmp_path: Path) -> None:
 
 def test_a_screen_that_is_killed_does_not_leave(tmp_path: Path) -> None:
     code = (
-        "import sys, time; from pathlib import Path; from hilcell.tui.feed import Feed; "
+        "import sys, time; from pathlib import Path; from hilcell.tui.engine.feed import Feed; "
         "Feed(Path(sys.argv[1]), lambda _: None, 0.02).start(); time.sleep(60)"
     )
     with Peer(tmp_path) as peer:
@@ -188,7 +188,7 @@ def test_a_status_that_makes_no_sense_leaves_the_last_to_grow_stale(
 
 
 def test_an_engine_that_only_stood_still_is_heard_on_the_same_line(tmp_path: Path) -> None:
-    gate = Gate()
+    gate = PauseGate()
     gate.open.set()
     with Peer(tmp_path, gate.answer) as peer:
         screen = Screen(tmp_path)
@@ -214,7 +214,7 @@ def test_what_is_asked_for_is_looked_at_soon(tmp_path: Path) -> None:
 
 
 def test_closing_while_a_line_is_being_opened_leaves_nothing_open(tmp_path: Path) -> None:
-    gate = Gate()
+    gate = PauseGate()
     with Peer(tmp_path, gate.answer) as peer:
         screen = Screen(tmp_path)
         screen.feed.start()
@@ -227,7 +227,7 @@ def test_closing_while_a_line_is_being_opened_leaves_nothing_open(tmp_path: Path
 LOCKED = """
 import os, queue, sys
 from pathlib import Path
-from hilcell.tui.feed import Feed
+from hilcell.tui.engine.feed import Feed
 os.getuid() or os.setuid(65534)  # root may look everywhere
 looks = queue.Queue()
 Feed(Path(sys.argv[1]), looks.put, 0.02).start()

@@ -12,9 +12,9 @@ from textual.events import Paste
 from textual.widgets import Input
 
 from hilcell.errors import HilcellError
-from hilcell.tui import engine
-from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import EngineState
+from hilcell.tui.engine import process as engine
+from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.engine.scene import EngineState
 from hilcell.tui.screens import start
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
@@ -62,7 +62,7 @@ def poisoned_outside(
 
     monkeypatch.setattr(engine, "ask_hilcell", ask_hilcell)
     monkeypatch.setattr(engine, "dry_run", dry_run)
-    monkeypatch.setattr("hilcell.index.read_index", lambda _: hostile.runs(text))
+    monkeypatch.setattr("hilcell.journal.index.read_index", lambda _: hostile.runs(text))
     monkeypatch.setattr(start, "summaries", lambda names: dict.fromkeys(names, text))
 
 

@@ -17,10 +17,10 @@ from textual._xterm_parser import XTermParser
 from textual.events import Key
 from textual.keys import Keys, _normalize_key_list
 
+from hilcell.cell.settings import SettingsError
 from hilcell.clean import UNSAFE
-from hilcell.settings import SettingsError
-from hilcell.tui import keys
-from hilcell.tui.keys import (
+from hilcell.tui.keys import table as keys
+from hilcell.tui.keys.table import (
     ACTIONS,
     BY_NAME,
     ESCAPE,

@@ -9,9 +9,9 @@ import pytest
 from textual._xterm_parser import XTermParser
 from textual.events import Key
 
-from hilcell.tui.glyphs import ASCII
-from hilcell.tui.help_words import help_lines
-from hilcell.tui.keys import load_keys
+from hilcell.tui.keys.table import load_keys
+from hilcell.tui.terminal.glyphs import ASCII
+from hilcell.tui.text.help import help_lines
 from tests.hilcell.tui.scenes import fresh
 from tests.hilcell.tui.stage import SIZE, Stage, options, settle, text_of
 from tests.hilcell.tui.test_terminal import NAME, write

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hilcell import index
-from hilcell.tui import engine
+from hilcell.journal import index
+from hilcell.tui.engine import process as engine
 from hilcell.tui.screens.run import RunScreen
 from tests.hilcell.tui.stage import Stage, options, settle
 

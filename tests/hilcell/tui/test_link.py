@@ -11,9 +11,10 @@ import msgspec
 import pytest
 
 from hilcell.errors import HilcellError
-from hilcell.run.control import EngineFile, live_engine, send_command
-from hilcell.tui import link as links
-from hilcell.tui.link import Link, LinkLostError, LinkSilentError
+from hilcell.journal.engine_file import EngineFile, live_engine
+from hilcell.run import client as links
+from hilcell.run.client import Link, LinkLostError, LinkSilentError
+from hilcell.run.control import send_command
 from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
 from tests.hilcell.tui.lines import LIMIT_S, nothing_left_open, short
 

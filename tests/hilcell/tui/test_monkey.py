@@ -10,7 +10,7 @@ import pytest
 from textual.events import Resize
 from textual.geometry import Size
 
-from hilcell.tui.keys import ACTIONS, RESERVED
+from hilcell.tui.keys.table import ACTIONS, RESERVED
 from hilcell.tui.screens.confirm import Confirm
 from tests.hilcell.tui.stage import SIZE, Stage, options, settle, type_ahead
 from tests.hilcell.tui.walk import outside

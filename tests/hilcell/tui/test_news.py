@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.app import Delivered
-from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import EngineState
+from hilcell.tui.app.app import Delivered
+from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.engine.scene import EngineState
 from hilcell.tui.screens.run import RunScreen
 from tests.hilcell.tui.playing import play
 from tests.hilcell.tui.scenes import status

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from hilcell.geometry.frames import apply
+from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.runs import read_log
 from hilcell.report.errors import errors_of
-from hilcell.run.log import Log, Point, positions_mm
-from hilcell.runs import read_log
-from hilcell.tui.deviation import deviation_of, rms_mm, row_of, state_of
-from hilcell.tui.draw import draw
-from hilcell.tui.point_words import point_page
-from hilcell.tui.points import WIDE, PointTable, columns_for, filtered, to_row
-from hilcell.tui.scene import Scene
-from hilcell.tui.series import (
+from hilcell.tui.engine.scene import Scene
+from hilcell.tui.text.deviation import deviation_of, rms_mm, row_of, state_of
+from hilcell.tui.text.plot import draw
+from hilcell.tui.text.point import point_page
+from hilcell.tui.text.points import WIDE, PointTable, columns_for, filtered, to_row
+from hilcell.tui.text.series import (
     PLOTS,
     Line,
     Plot,

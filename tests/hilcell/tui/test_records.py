@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.run.journal import Kind, Record
-from hilcell.tui.history_words import NARROW, WIDE, WIDE_FROM, columns_for, history_row
-from hilcell.tui.record_words import COLUMNS, record_row, record_words
+from hilcell.journal.journal import Kind, Record
+from hilcell.tui.text.history import NARROW, WIDE, WIDE_FROM, columns_for, history_row
+from hilcell.tui.text.record import COLUMNS, record_row, record_words
 from tests.hilcell.tui.scenes import stories
 from tests.hilcell.tui.walk import RUNS
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from hilcell.tui.refusals import ONE_AT_A_TIME, pause_command, refusal
-from hilcell.tui.scene import Scene
-from hilcell.tui.session import Session
+from hilcell.tui.engine.scene import Scene
+from hilcell.tui.engine.session import Session
+from hilcell.tui.text.refusals import ONE_AT_A_TIME, pause_command, refusal
 from tests.hilcell.tui.playing import RUNS
 from tests.hilcell.tui.scenes import LIVE, fresh, stories
 

@@ -11,8 +11,9 @@ from rich.cells import cell_len
 from textual.app import App, ComposeResult
 from textual.pilot import Pilot
 
-from hilcell.tui.rows import Column, Row, Rows
-from hilcell.tui.themes import PALETTES
+from hilcell.tui.terminal.themes import PALETTES
+from hilcell.tui.text.columns import Column, Row
+from hilcell.tui.widgets.table import Rows
 
 MANY = 10_000
 HEIGHT = 20  # rows in sight, under the header

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from hilcell.errors import HilcellError
-from hilcell.tui import link as links
-from hilcell.tui.feed import Fresh
-from hilcell.tui.scene import EngineState
-from hilcell.tui.session import Session, utc_now
+from hilcell.run import client as links
+from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.engine.session import Session, utc_now
 from tests.hilcell.tui.engine_peer import Peer, usual
 from tests.hilcell.tui.lines import LIMIT_S, PERIOD_S, nothing_left_open, short
 

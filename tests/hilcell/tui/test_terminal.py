@@ -15,9 +15,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from hilcell.run.journal import Journal, Record
-from hilcell.runs import JOURNAL
-from hilcell.tui.scene import EngineState, Status
+from hilcell.journal.journal import Journal, Record
+from hilcell.journal.runs import JOURNAL
+from hilcell.tui.engine.scene import EngineState, Status
 from tests.hilcell.tui.engine_peer import STATUS, Peer, says
 from tests.hilcell.tui.hostile import NASTY, poisoned
 from tests.hilcell.tui.scenes import fresh, status, stories

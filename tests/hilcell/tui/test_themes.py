@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from rich.segment import Segment
 
-from hilcell.cli import _parser
-from hilcell.tui.glyphs import ASCII, UNICODE, Glyphs
-from hilcell.tui.scene import Scene
-from hilcell.tui.themes import NAMES, PALETTES, TONES, Palette
-from hilcell.tui.words import STATES
+from hilcell.commands.cli import _parser
+from hilcell.tui.engine.scene import Scene
+from hilcell.tui.terminal.glyphs import ASCII, UNICODE, Glyphs
+from hilcell.tui.terminal.themes import NAMES, PALETTES, TONES, Palette
+from hilcell.tui.text.run import STATES
 from tests.hilcell.tui.eyes import MATRICES, contrast, distance
 from tests.hilcell.tui.scenes import stories
 from tests.hilcell.tui.stage import SIZE, Stage, options, unpainted

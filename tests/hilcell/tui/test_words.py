@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from textual.content import Content
 
 from hilcell.alarms import Latch
-from hilcell.cell import load_cell
-from hilcell.run.journal import Record
-from hilcell.tui import words
-from hilcell.tui.alarm_words import alarm_lines, alarm_page
-from hilcell.tui.deviation import Deviation
-from hilcell.tui.digits import large
-from hilcell.tui.glyphs import ASCII, UNICODE, to_ascii
-from hilcell.tui.prompt_words import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, sight
-from hilcell.tui.scene import DeviceStatus, Scene
+from hilcell.cell.file import load_cell
+from hilcell.journal.journal import Record
+from hilcell.tui.engine.scene import DeviceStatus, Scene
+from hilcell.tui.terminal.glyphs import ASCII, UNICODE, to_ascii
+from hilcell.tui.text import run as words
+from hilcell.tui.text.alarms import alarm_lines, alarm_page
+from hilcell.tui.text.deviation import Deviation
+from hilcell.tui.text.digits import large
+from hilcell.tui.text.prompt import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, sight
 from tests.hilcell.tui.scenes import BEGAN, PROMPT, fresh, measuring, stories
 from tests.hilcell.tui.stage import DEFAULT_KEYS, Listener
 

@@ -10,8 +10,8 @@ import pytest
 from textual.command import CommandPalette
 from textual.pilot import Pilot
 
-from hilcell.index import RunRow
-from hilcell.tui import engine
+from hilcell.journal.index import RunRow
+from hilcell.tui.engine import process as engine
 from hilcell.tui.screens import start
 from hilcell.tui.screens.confirm import Confirm
 from hilcell.tui.screens.pages import DetailPage
@@ -105,7 +105,7 @@ def outside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "ask_hilcell", ask_hilcell)
     monkeypatch.setattr(engine, "dry_run", dry_run)
     monkeypatch.setattr(engine, "start", lambda *_: _Ended())
-    monkeypatch.setattr("hilcell.index.read_index", lambda _: RUNS)
+    monkeypatch.setattr("hilcell.journal.index.read_index", lambda _: RUNS)
     monkeypatch.setattr(start, "entry_points", lambda group: [_Entry(name) for name in PROCEDURES])
     monkeypatch.setattr(start, "summaries", lambda names: {n: PROCEDURES[n] for n in names})
     monkeypatch.delenv("DISPLAY", raising=False)

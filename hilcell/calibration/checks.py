@@ -1,0 +1,125 @@
+"""What must hold in a calibration file before a single target is corrected by it.
+
+The trap: a damaged number still reads as a number; a frame that stretches, or a pitch that does
+not fit its grid, moves every target and looks sound.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hilcell.calibration.form import Calibration, StationEntry, Validity
+from hilcell.compensation.interpolation import METHODS
+from hilcell.ports import Array
+
+MOST_ERROR_MM = 100.0  # beyond is no robot's error
+MOST_MM = 1e6
+MOST_TURN_DEG = 180.0
+MOST_C = 100.0
+RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number of pitches
+
+
+def problems_of(calibration: Calibration) -> list[str]:
+    """Return in words everything that is wrong, each with the name of its field."""
+    return [
+        *_method(calibration.method),
+        *_validity(calibration.validity),
+        *_grid(calibration),
+        *_stations(calibration.stations),
+    ]
+
+
+def _method(method: str) -> Iterator[str]:
+    if method not in METHODS:
+        yield f"method: {method[:40]!r} is unknown; known here: {', '.join(METHODS)}"
+
+
+def _validity(validity: Validity) -> Iterator[str]:
+    for name, corner in (("low_mm", validity.low_mm), ("high_mm", validity.high_mm)):
+        yield from _within(f"validity.{name}", corner, MOST_MM, "mm")
+    yield from _rotation("validity.orientation", _array(validity.orientation))
+    tolerance_deg = validity.orientation_tolerance_deg
+    if not 0 < tolerance_deg <= MOST_TURN_DEG:
+        yield (
+            f"validity.orientation_tolerance_deg: {tolerance_deg:g}, wanted above 0 and "
+            f"<= {MOST_TURN_DEG:g}"
+        )
+    yield from _within("validity.temperature_c", validity.temperature_c, MOST_C, "C")
+    low_c, high_c = validity.temperature_c
+    if not low_c <= high_c:
+        yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, wanted the lower first"
+
+
+def _grid(calibration: Calibration) -> Iterator[str]:
+    errors = _array(calibration.grid_errors_mm)
+    if errors.ndim != 4 or min(errors.shape[:3]) < 2:
+        yield "grid_errors_mm: ragged, or less than 2 vertices along an axis"
+        return
+    yield from _within("grid_errors_mm", errors, MOST_ERROR_MM, "mm")
+    pitch_mm = calibration.pitch_mm
+    size_mm = np.subtract(calibration.validity.high_mm, calibration.validity.low_mm)
+    wanted_mm = pitch_mm * (np.array(errors.shape[:3]) - 1)
+    if not (pitch_mm > 0 and np.abs(size_mm - wanted_mm).max() <= RIGID * pitch_mm):
+        counts = " x ".join(map(str, errors.shape[:3]))
+        sides = " x ".join(f"{side:g}" for side in size_mm)
+        yield (
+            f"pitch_mm: {counts} vertices {pitch_mm:g} mm apart do not fill the validity's "
+            f"{sides} mm"
+        )
+
+
+def _stations(stations: dict[str, StationEntry]) -> Iterator[str]:
+    if not stations:
+        yield "stations: there is none"
+    for name, station in stations.items():
+        at = f"stations.{name[:40]}"
+        yield from _frame(f"{at}.T_W_B", _array(station.T_W_B))
+        yield from _frame(f"{at}.T_W_S", _array(station.T_W_S))
+        covariance = _array(station.covariance)
+        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+            yield f"{at}.covariance: wanted 6 x 6 finite numbers"
+        if not 0 <= station.tool_uncertainty_mm <= MOST_ERROR_MM:
+            yield (
+                f"{at}.tool_uncertainty_mm: {station.tool_uncertainty_mm:g}, wanted 0 .. "
+                f"{MOST_ERROR_MM:g}"
+            )
+        yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
+
+
+def _frame(name: str, frame: Array) -> Iterator[str]:
+    if frame.shape != (4, 4):
+        yield f"{name}: wanted 4 x 4 numbers"
+        return
+    if not np.array_equal(frame[3], [0, 0, 0, 1]):
+        yield f"{name}: its last row must be 0, 0, 0, 1"
+    yield from _rotation(name, frame[:3, :3])
+    yield from _within(name, frame[:3, 3], MOST_MM, "mm")
+
+
+def _rotation(name: str, R: Array) -> Iterator[str]:
+    if R.shape != (3, 3):
+        yield f"{name}: wanted 3 x 3 numbers"
+    elif not (
+        np.abs(R).max() <= 1 + RIGID
+        and np.abs(R @ R.T - np.eye(3)).max() <= RIGID
+        and np.linalg.det(R) > 0
+    ):
+        yield f"{name}: is not rigid: its rotation stretches, shears or mirrors"
+
+
+def _within(name: str, values: ArrayLike, most: float, unit: str) -> Iterator[str]:
+    largest = float(np.abs(np.asarray(values, dtype=float)).max())
+    if not largest <= most:
+        yield f"{name}: {largest:g} {unit}, wanted within +-{most:g} {unit}"
+
+
+def _array(nested: ArrayLike) -> Array:
+    """Return an array of numbers, empty where the lists are ragged."""
+    try:
+        return np.array(nested, dtype=float)
+    except ValueError:
+        return np.full(0, math.nan)

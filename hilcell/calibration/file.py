@@ -1,0 +1,158 @@
+"""The calibration file: what a finished calibration is for others, one JSON schema with a version.
+
+All lengths mm, frames as homogeneous matrices; the errors of the grid stand in {B}, so that they
+hold at every station. The trap: one changed digit corrects every target wrongly, so the file is
+sealed, and judged by `hilcell.calibration.checks`, before it is used.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hilcell import __version__
+from hilcell.calibration.checks import MOST_MM, problems_of
+from hilcell.calibration.form import Calibration, Provenance, StationEntry, Validity
+from hilcell.calibration.frames import Frames, command_mm, grid_errors_mm, grid_of
+from hilcell.cell.settings import SettingsError, unreadable
+from hilcell.geometry.frames import apply, inverse, pose_from_zyx, zyx_from_pose
+from hilcell.journal.log import Log
+from hilcell.ports import Array, HilcellError
+from hilcell.writing import write_whole
+
+SCHEMA = 2  # 2: sealed
+SEAL = "seal"
+ORIENTATION_TOLERANCE_DEG = 2.0
+
+
+def calibration_of(log: Log, run: str) -> Calibration:
+    """Compute the calibration from the log of a run that reached the fit."""
+    cell, frames, grid = log.cell, Frames(log.cell, log), grid_of(log.cell)
+    temperatures = [point.temperature_c for point in log.group("grid")]
+    high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
+    values = {
+        "schema": SCHEMA,
+        "provenance": Provenance(
+            run, cell.name, log.inputs.digest, log.inputs.simulated, log.inputs.operator,
+            log.inputs.job, f"hilcell {__version__}", f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+            bool(log.verdicts.get("sign", {}).get("holds", False)),
+        ),
+        "validity": Validity(
+            tuple(grid.origin_mm.tolist()), tuple(high_mm.tolist()),
+            cell.grid.centre.matrix()[:3, :3].tolist(), ORIENTATION_TOLERANCE_DEG,
+            (min(temperatures), max(temperatures)),
+        ),
+        "stations": {
+            station.name: _entry(log, frames.base_in_world(station), station.name)
+            for station in cell.station
+        },
+        "method": str(log.verdicts["fit"]["method"]),
+        "pitch_mm": grid.pitch_mm,
+        "grid_errors_mm": grid_errors_mm(log).tolist(),
+    }  # fmt: skip
+    return msgspec.convert(msgspec.to_builtins(values), Calibration)
+
+
+def _entry(log: Log, base: Array, station: str) -> StationEntry:
+    frame = log.frames[f"station.{station}"]
+    return StationEntry(
+        base.tolist(),
+        frame["matrix"],
+        frame["covariance"],
+        frame["tool_uncertainty_mm"],
+        frame["strip_mm"],
+    )
+
+
+def write_calibration(calibration: Calibration, path: Path) -> None:
+    """Write the file whole, with its seal; raises `NotWritten`."""
+    content = msgspec.json.decode(msgspec.json.encode(calibration))
+    text = msgspec.json.encode(content | {SEAL: _seal(content)})
+    write_whole(path, msgspec.json.format(text, indent=1) + b"\n")
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read the file; raises `SettingsError` for anything that is not one, whole and of sense."""
+    try:
+        data = path.read_bytes()
+        schema = msgspec.json.decode(data, type=_Head).schema
+        if schema != SCHEMA:
+            raise SettingsError(str(path), [f"schema {schema:.6g}, this hilcell reads {SCHEMA}"])
+        content = msgspec.json.decode(data)
+        problems = _seal_problems(content)
+        calibration = msgspec.convert(content, Calibration)
+    except OSError as error:
+        raise unreadable(str(path), error) from error
+    except (msgspec.DecodeError, RecursionError, OverflowError) as error:
+        raise SettingsError(str(path), [f"not a calibration file: {error}"]) from error
+    problems += problems_of(calibration)
+    if problems:
+        raise SettingsError(str(path), problems)
+    return calibration
+
+
+def _seal(content: dict[str, Any]) -> str:
+    """Return SHA-256 over the canonical JSON of everything but the seal.
+
+    It tells damage and edits by hand; it does not prove who wrote the file.
+    """
+    rest = {key: value for key, value in content.items() if key != SEAL}
+    return hashlib.sha256(msgspec.json.encode(rest, order="sorted")).hexdigest()
+
+
+def _seal_problems(content: dict[str, Any]) -> list[str]:
+    if content.get(SEAL) == _seal(content):
+        return []
+    return ["was changed after it was written: its seal does not hold; take the run's own file"]
+
+
+class _Head(msgspec.Struct):
+    schema: int
+
+
+def compensate_targets(
+    calibration: Calibration, station: str, targets: Array, names: list[str]
+) -> Array:
+    """Return what to command, (N, 6) x, y, z, a, b, c in {W}, for nominal ``targets`` (N, 6).
+
+    Raises `HilcellError` naming every target outside the calibrated volume or orientation.
+    """
+    if station not in calibration.stations:
+        known = ", ".join(calibration.stations)
+        raise HilcellError(f"station {station!r} is not calibrated; calibrated: {known}")
+    far = [name for name, at in zip(names, targets, strict=True) if not np.abs(at).max() <= MOST_MM]
+    if far:
+        raise HilcellError(
+            f"{len(far)} targets are not in the cell, wanted within +-{MOST_MM:g} mm and deg: "
+            f"{', '.join(far[:5])}"
+        )
+    T_W_B = np.array(calibration.stations[station].T_W_B)
+    poses = np.array([pose_from_zyx(*target) for target in targets])
+    in_base = inverse(T_W_B) @ poses
+    _refuse_turned(calibration, in_base, names)
+    grid, errors_mm = calibration.grid(), np.array(calibration.grid_errors_mm)
+    command = command_mm(grid, errors_mm, calibration.method, in_base[:, :3, 3], names)
+    poses[:, :3, 3] = apply(T_W_B, command)
+    return np.array([zyx_from_pose(pose) for pose in poses])
+
+
+def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> None:
+    wanted = np.array(calibration.validity.orientation)
+    cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], wanted) - 1.0) / 2.0
+    turned_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    limit_deg = calibration.validity.orientation_tolerance_deg
+    far = [
+        f"{name} by {turn:.2f} deg"
+        for name, turn in zip(names, turned_deg, strict=True)
+        if not turn <= limit_deg
+    ]
+    if far:
+        raise HilcellError(
+            f"{len(far)} targets are turned away from the calibrated orientation, wanted "
+            f"<= {limit_deg} deg: {', '.join(far[:5])}; calibrate with their orientation"
+        )

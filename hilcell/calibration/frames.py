@@ -1,0 +1,134 @@
+"""The calibration as a chain of frames, read from a run's log.
+
+{L} tracker, {W} world, {B} robot base, {S} slide: ``T_W_L`` comes from the floor nests, ``T_W_B``
+at the grid's station from circles of axes 1 and 6, ``T_W_S`` at every station from slide nests.
+The robot stands rigidly on the slide, so eq 17 gives every station's base frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hilcell.cell.file import Cell, Station
+from hilcell.compensation.correction import corrected
+from hilcell.compensation.grid import Grid
+from hilcell.compensation.interpolation import METHODS
+from hilcell.compensation.outliers import outlying
+from hilcell.compensation.similarity import Pairs, similarity_pairs
+from hilcell.compensation.transfer import base_at
+from hilcell.geometry.frames import apply, inverse
+from hilcell.ports import Array
+
+if TYPE_CHECKING:
+    from hilcell.journal.log import Log
+
+
+class Frames:
+    """Frames of a cell: measured where the log has them, nominal before."""
+
+    def __init__(self, cell: Cell, log: Log) -> None:
+        self.cell, self._log = cell, log
+
+    def tracker_in_world(self) -> Array:
+        """Return T_W_L (4, 4)."""
+        if "world" in self._log.frames:
+            return self._log.matrix("world")
+        return self.cell.tracker.pose.matrix()
+
+    def based(self) -> bool:
+        """Whether the base frame was measured."""
+        return "base" in self._log.frames
+
+    def base_in_world(self, station: Station) -> Array:
+        """Return T_W_B (4, 4) at ``station``, by eq 17 where the stations are framed."""
+        reference = self.cell.station_named(self.cell.grid.station)
+        if not self.based():
+            return self.cell.layout.nominal_base(station.rail_mm)
+        base = self._log.matrix("base")
+        if station.name == reference.name:
+            return base
+        if f"station.{station.name}" not in self._log.frames:
+            shift = np.eye(4)
+            travel_mm = station.strip_mm - reference.strip_mm
+            shift[:3, 3] = travel_mm * np.array(self.cell.layout.rail_direction)
+            return shift @ base
+        return self._carried("station", station)
+
+    def base_by_three_points(self, station: Station) -> Array:
+        """Return T_W_B (4, 4) as the paper has it: {S} from three points alone."""
+        return self._carried("three_points", station)
+
+    def _carried(self, kind: str, station: Station) -> Array:
+        T_W_S1 = self._log.matrix(f"{kind}.{self.cell.grid.station}")
+        T_W_Si = self._log.matrix(f"{kind}.{station.name}")
+        return base_at(T_W_S1, T_W_Si, self._log.matrix("base"))
+
+    def world_from_tracker(self, xyz_mm: Array) -> Array:
+        """Carry raw positions (N, 3) into {W}."""
+        return apply(self.tracker_in_world(), np.atleast_2d(xyz_mm))
+
+    def tracker_from_world(self, xyz_mm: Array) -> Array:
+        """Carry positions (N, 3) in {W} into the tracker's frame."""
+        return apply(inverse(self.tracker_in_world()), np.atleast_2d(xyz_mm))
+
+
+def grid_of(cell: Cell) -> Grid:
+    """Return the cell's grid in {B}."""
+    size_mm = np.array(cell.grid.size_mm)
+    shape = np.round(size_mm / cell.grid.pitch_mm).astype(int) + 1
+    origin_mm = cell.grid.centre.matrix()[:3, 3] - size_mm / 2
+    return Grid(origin_mm, cell.grid.pitch_mm, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+def grid_errors_mm(log: Log) -> Array:
+    """Return the errors e = actual - nominal at the vertices, (nx, ny, nz, 3), in {B}.
+
+    Carried with {B} they are the transferred data of eq 17 at every station.
+    """
+    cell = log.cell
+    T_B_W = inverse(log.matrix("base"))
+    errors_mm: Array = np.full((*grid_of(cell).shape, 3), np.nan)
+    for point in log.group("grid"):
+        i, j, k = (int(part) for part in point.key.split("/")[1].split("-"))
+        both_mm = apply(T_B_W @ log.matrix("world"), np.array([point.xyz_mm]))
+        errors_mm[i, j, k] = both_mm[0] - apply(T_B_W, np.array([point.nominal_mm]))[0]
+    return errors_mm
+
+
+def command_mm(
+    grid: Grid,
+    errors_mm: Array,
+    method: str,
+    targets_mm: Array,
+    names: Sequence[str] | None = None,
+) -> Array:
+    """Return what to command, (N, 3) in {B}, so that the robot arrives at ``targets_mm``.
+
+    Raises `OutsideGrid` naming the targets outside the measured volume.
+    """
+    interpolate = METHODS[method]
+    return corrected(
+        grid, targets_mm, lambda at_mm: interpolate(grid, errors_mm, at_mm), names=names
+    )
+
+
+def outlying_vertices(log: Log) -> list[str]:
+    """Return the keys of vertices whose error stands out from their neighbours'.
+
+    By less than the standard deviation that a reading may have none does.
+    """
+    cell = log.cell
+    found = outlying(grid_errors_mm(log), least_mm=cell.tracker.max_std_mm)
+    return [f"grid/{i}-{j}-{k}" for i, j, k in grid_of(cell).serpentine() if found[i, j, k]]
+
+
+def grid_pairs(log: Log) -> Pairs:
+    """Return all pairs of measured vertices: joint and Cartesian distance, error difference."""
+    points = log.group("grid")
+    i, j, k = np.array([point.key.split("/")[1].split("-") for point in points], dtype=int).T
+    joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
+    nominal_mm: Array = np.array([point.nominal_mm for point in points], dtype=float)
+    return similarity_pairs(np.radians(joints_deg), nominal_mm, grid_errors_mm(log)[i, j, k])

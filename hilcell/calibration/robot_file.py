@@ -1,0 +1,153 @@
+"""Files of ``hilcell fit``: a robot's nominal kinematics and measured targets.
+
+``robot.toml``: standard DH rows, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``. Measurements: one
+row a measured target, with commanded joints and the position in the tracker's frame. The trap:
+joints read back while the robot moves spoil a fit; give the commanded ones.
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from hilcell.cell.file import Joint, arm_from_joints
+from hilcell.cell.settings import SettingsError, convert, unreadable
+from hilcell.compensation.targets import MOST, MOST_DEG, numbers
+from hilcell.geometry.kinematics import Arm, Array
+
+HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
+LABELS = 2
+MOST_PROBLEMS = 20  # named in one message
+Length = Annotated[float, Meta(ge=-MOST, le=MOST)]
+Angle = Annotated[float, Meta(ge=-MOST_DEG, le=MOST_DEG)]
+
+
+class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One DH row of ``robot.toml``."""
+
+    a_mm: Length
+    alpha_deg: Angle
+    d_mm: Length
+    offset_deg: Angle
+    sign: Annotated[int, Meta(ge=-1, le=1)] = 1
+
+
+class RobotModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A robot's nominal kinematics."""
+
+    name: str
+    convention: Literal["standard-dh"]
+    joint: list[Row]
+
+    def __post_init__(self) -> None:
+        if len(self.joint) != 6:
+            raise ValueError(f"six joints are wanted, found {len(self.joint)}")
+        for number, row in enumerate(self.joint, start=1):
+            if not row.sign:
+                raise ValueError(f"joint {number}: sign must be 1 or -1")
+
+    def arm(self) -> Arm:
+        """Return the arm, its tool point on the flange."""
+        joints = [
+            Joint(
+                a_mm=row.a_mm,
+                alpha_deg=row.alpha_deg,
+                d_mm=row.d_mm,
+                offset_deg=row.offset_deg,
+                sign=row.sign,
+            )
+            for row in self.joint
+        ]
+        return arm_from_joints(joints, np.eye(4))
+
+
+class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    robot: RobotModel
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """N measured targets: labels, joints (N, 6) in rad, positions (N, 3) in the tracker's frame."""
+
+    pose: list[str]
+    target: list[str]
+    joints_rad: Array
+    xyz_mm: Array
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def at(self, rows: Iterable[int]) -> Measurements:
+        """Return these rows only."""
+        chosen = list(rows)
+        return Measurements(
+            [self.pose[n] for n in chosen],
+            [self.target[n] for n in chosen],
+            self.joints_rad[chosen],
+            self.xyz_mm[chosen],
+        )
+
+
+def read_robot(path: Path) -> RobotModel:
+    """Read ``robot.toml``; raises `SettingsError` naming all problems at once."""
+    try:
+        values = tomllib.loads(_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(str(path), [f"not valid TOML: {error}"]) from error
+    return convert(values, _File, str(path)).robot
+
+
+def read_measurements(path: Path) -> Measurements:
+    """Read measured targets; raises `SettingsError` naming the lines that are not good."""
+    reader = csv.reader(_text(path).splitlines())
+    header = next(reader, [])
+    if header != HEADER:
+        raise SettingsError(
+            str(path), [f"line 1: header {','.join(header)!r}, wanted {','.join(HEADER)!r}"]
+        )
+    problems: list[str] = []
+    labels, rows = [], []
+    for cells in reader:
+        try:
+            rows.append(_numbers(cells))
+            labels.append(cells[:LABELS])
+        except ValueError as error:
+            problems.append(f"line {reader.line_num}: {error}")
+    if not (labels or problems):
+        problems.append("no measured target follows the header")
+    if problems:
+        hidden = len(problems) - MOST_PROBLEMS
+        more = [f"and {hidden} more"] if hidden > 0 else []
+        raise SettingsError(str(path), problems[:MOST_PROBLEMS] + more)
+    values = np.array(rows)
+    return Measurements(
+        [pose for pose, _ in labels],
+        [target for _, target in labels],
+        np.radians(values[:, :6]),
+        values[:, 6:],
+    )
+
+
+def _numbers(cells: list[str]) -> list[float]:
+    """Return the nine numbers of a line; raises ValueError."""
+    if len(cells) != len(HEADER):
+        raise ValueError(f"{len(cells)} fields, wanted {len(HEADER)} separated by commas")
+    for name, cell in zip(HEADER[:LABELS], cells, strict=False):
+        if not cell.strip():
+            raise ValueError(f"{name} is empty")
+    return numbers(HEADER[LABELS:], cells[LABELS:])
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise unreadable(str(path), error) from error

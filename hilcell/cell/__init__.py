@@ -1,0 +1,1 @@
+"""What stands in the cell: its file, its layout, its devices."""

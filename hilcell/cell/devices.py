@@ -1,0 +1,224 @@
+"""Devices of a cell, found through entry points and built from the cell file's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any
+
+import msgspec
+
+from hilcell.alarms.catalogue import CatalogueError, catalogue
+from hilcell.cell.addresses import places
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError, convert
+from hilcell.ports import (
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    Rail,
+    Robot,
+    SimulatedCell,
+    Streams,
+    Sweeps,
+    Tracker,
+)
+
+TABLES = (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers"))
+
+
+def load_entry(group: str, name: str) -> Any:
+    """Return what the entry point ``name`` of ``hilcell.<group>`` names."""
+    found = {entry.name: entry for entry in entry_points(group=f"hilcell.{group}")}
+    if name not in found:
+        known = ", ".join(sorted(found)) or "none; is the package installed?"
+        raise SettingsError(group, [f"{name!r} is not installed; installed: {known}"])
+    try:
+        return found[name].load()
+    except ImportError as error:
+        raise SettingsError(group, [f"{name!r} cannot be loaded: {error}"]) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """The three devices of a cell."""
+
+    rail: Rail
+    robot: Robot
+    tracker: Tracker
+
+    def named(self) -> dict[str, Rail | Robot | Tracker]:
+        """Return the devices by name, in the order in which they are opened."""
+        return {"Rail": self.rail, "Robot": self.robot, "Tracker": self.tracker}
+
+
+def streams_of(tracker: Tracker) -> Streams:
+    """Return a tracker that streams; raises `DeviceRefused` where it does not."""
+    if isinstance(tracker, Streams):
+        return tracker
+    raise DeviceRefused(
+        "HC-T43",
+        "Tracker",
+        "stream",
+        "this tracker streams: no",
+        wanted="a driver with `stream`",
+        act="choose a procedure that measures at rest only",
+    )
+
+
+def sweeps_of(robot: Robot) -> Sweeps:
+    """Return a robot that sweeps an axis slowly; raises `DeviceRefused` where it does not."""
+    if isinstance(robot, Sweeps):
+        return robot
+    raise DeviceRefused(
+        "HC-B42",
+        "Robot",
+        "sweep",
+        "this robot sweeps an axis: no",
+        wanted="a driver with `sweep`",
+        act="choose a procedure that measures at rest only",
+    )
+
+
+def abilities(cell: Cell) -> dict[str, bool]:
+    """Return what the cell's drivers can beside what every driver must."""
+    return {
+        "tracker_streams": issubclass(load_entry("trackers", cell.tracker.driver), Streams),
+        "robot_sweeps": issubclass(load_entry("robots", cell.robot.driver), Sweeps),
+    }
+
+
+def build_devices(
+    cell: Cell, addresses: Mapping[str, Mapping[str, object]], clock: Clock
+) -> Devices:
+    """Build the drivers, unopened, with ``addresses`` in place of the options' own."""
+    built: dict[str, Any] = {}
+    for table, group in TABLES:
+        kind, options = driver_options(cell, table, group, addresses.get(table, {}))
+        built[table] = kind(options, clock)
+    return Devices(**built)
+
+
+def driver_options(
+    cell: Cell, table: str, group: str, addresses: Mapping[str, object]
+) -> tuple[Callable[..., Any], msgspec.Struct]:
+    """Return a driver class and its checked options.
+
+    The cell's own values of the same names (travel, speed, tool point, reflector) are handed on;
+    they stand in the file once. Raises `SettingsError`, also where the options state one again.
+    """
+    shared = getattr(cell, table)
+    kind = load_entry(group, shared.driver)
+    wanted = {field.name for field in msgspec.structs.fields(kind.Options)}
+    stated = msgspec.to_builtins(shared)
+    problems = [
+        f"{key}: {value!r} here, but {table}.{key} is {stated[key]!r}; state it in [{table}] only"
+        for key, value in shared.options.items()
+        if key in stated
+    ]
+    own = {key: value for key, value in shared.options.items() if key not in stated}
+    values = {name: value for name, value in stated.items() if name in wanted}
+    try:
+        options = convert(values | own | dict(addresses), kind.Options, table)
+    except SettingsError as error:
+        raise SettingsError(table, problems + error.problems) from None
+    if problems:
+        raise SettingsError(table, problems)
+    return kind, options
+
+
+def device_places(
+    cell: Cell, addresses: Mapping[str, Mapping[str, object]]
+) -> dict[str, list[str]]:
+    """Return where the cell's devices are reached, in one spelling, and which are reached there."""
+    found: dict[str, list[str]] = {}
+    for table, group in TABLES:
+        _, options = driver_options(cell, table, group, addresses.get(table, {}))
+        for place in places(msgspec.to_builtins(options)):
+            found.setdefault(place, []).append(table)
+    return found
+
+
+def check_options(cell: Cell) -> None:
+    """Check the drivers' options and addresses, the simulator, and the catalogues of alarms.
+
+    Raises `SettingsError` with all problems.
+    """
+    problems: list[str] = []
+    for table, group in TABLES:
+        try:
+            driver_options(cell, table, group, {})
+        except SettingsError as error:
+            problems += [f"{table}.options: {line}" for line in error.problems]
+    if cell.simulation is not None:
+        try:
+            simulator = load_entry("simulators", cell.simulation.simulator)
+        except SettingsError as error:
+            problems += [f"simulation.simulator: {line}" for line in error.problems]
+        else:
+            problems += _simulator_problems(simulator, cell)
+    if not problems:
+        problems += [
+            f"{' and '.join(tables)} share the address {place}; give each its own"
+            for place, tables in device_places(cell, {}).items()
+            if len(tables) > 1
+        ]
+    try:
+        catalogue()
+    except CatalogueError as error:
+        problems.append(str(error))
+    if problems:
+        raise SettingsError(cell.name, problems)
+
+
+def _simulator_problems(simulator: type[SimulatedCell], cell: Cell) -> list[str]:
+    try:
+        simulator.check(cell)
+    except SettingsError as error:
+        return [f"{error.source}: {line}" for line in error.problems]
+    return []
+
+
+def start_simulation(
+    cell: Cell, *, seed: int | None, speed: float, **more: object
+) -> SimulatedCell | None:
+    """Start the simulated cell beside the engine, where the cell file asks for one.
+
+    ``seed`` is its machine's, None for one that runs already. ``more`` is for `hilcell sim` alone:
+    faults, ports, truth.
+    """
+    if cell.simulation is None:
+        return None
+    simulator = load_entry("simulators", cell.simulation.simulator)
+    simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, **more)
+    return simulated
+
+
+class ConnectFailed(DeviceError):
+    """Some devices could not be connected; the message lists all of them as a tree."""
+
+    def __init__(self, failures: Mapping[str, DeviceError]) -> None:
+        found = f"{', '.join(failures)} failed"
+        super().__init__("HC-C15", "Cell", "connect", found, causes=failures)
+
+
+def connect_all(devices: Devices, claim: Callable[[list[Identity]], None]) -> list[Identity]:
+    """Open every device and return the identities; raises `ConnectFailed` naming all failures.
+
+    ``claim`` takes what each device says it is, before the next is opened; what it raises ends.
+    """
+    identities: list[Identity] = []
+    failures: dict[str, DeviceError] = {}
+    for name, device in devices.named().items():
+        try:
+            found = device.connect()
+        except DeviceError as error:
+            failures[name] = error
+        else:
+            claim(found)
+            identities += found
+    if failures:
+        raise ConnectFailed(failures)
+    return identities

@@ -1,0 +1,430 @@
+"""What stands in the cell: a strict TOML file becomes typed, checked objects.
+
+Lengths mm, angles deg in the file; properties give rad. Frames: {W} world (three floor nests),
+{B} robot base, {S} slide (its nests are given in nominal {B}: the slide carries the robot).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta, field
+
+from hilcell.cell.layout import Layout, Nest
+from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
+from hilcell.cell.tables import (
+    Acceleration,
+    Angle,
+    Count,
+    Dwell,
+    Frozen,
+    Length,
+    Name,
+    Percent,
+    Point,
+    Pose,
+    Six,
+    Size,
+    Speed,
+    Step,
+    Sweep,
+    Wait,
+    refuse_descending,
+)
+from hilcell.geometry.kinematics import Arm, Array
+
+__all__ = [
+    "BaseFrameTable", "CampaignTable", "Cell", "Frozen", "GridTable", "Joint", "Layout", "Nest",
+    "Pose", "RailTable", "RobotTable", "SettleTable", "SimulationTable", "Six", "Station",
+    "SurveyTable", "TrackerTable", "ValidationTable", "arm_from_joints", "built_in_cells",
+    "load_cell",
+]  # fmt: skip
+
+MOST_POINTS = 100_000  # of the grid, and of targets in it
+MOST_STEPS = 10_000
+MOST_STATIONS = 1000
+# What a device takes its time for: known to plans and drivers, and nothing of what stands there.
+PACE = {
+    "rail": ("homing_mm_s", "standstill_dwell_s"),
+    "robot": ("ramp_s",),
+    "tracker": ("pointing_s", "reading_s"),
+}
+LEAST_ARC_DEG = 10.0
+
+
+class Station(Frozen, frozen=True, kw_only=True):
+    """A place on the rail where the robot works: the strip's recorded reading defines it."""
+
+    name: Name
+    rail_mm: Length
+    strip_mm: Length
+
+
+class RailTable(Frozen, frozen=True, kw_only=True):
+    """The rail, its drive and its strip."""
+
+    driver: Name
+    travel_min_mm: Length
+    travel_max_mm: Length
+    speed_mm_s: Speed
+    acceleration_mm_s2: Acceleration
+    back_off_mm: Size = 1.0
+    strip_tolerance_mm: Size = 0.01
+    slip_limit_mm: Size = 2.0
+    max_approaches: Annotated[int, Meta(ge=1, le=20)] = 8
+    homing_mm_s: Speed = 100.0
+    standstill_dwell_s: Dwell = 0.4
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        refuse_descending(self, "travel_min_mm", "travel_max_mm")
+
+
+class Joint(Frozen, frozen=True, kw_only=True):
+    """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits."""
+
+    a_mm: Length
+    alpha_deg: Angle
+    d_mm: Length
+    offset_deg: Angle
+    sign: Annotated[int, Meta(ge=-1, le=1)] = 1
+    min_deg: Angle = -180.0
+    max_deg: Angle = 180.0
+    speed_deg_s: Speed = 100.0
+
+    def __post_init__(self) -> None:
+        if not self.sign:
+            raise ValueError("sign must be 1 or -1")
+        refuse_descending(self, "min_deg", "max_deg")
+
+
+class RobotTable(Frozen, frozen=True, kw_only=True):
+    """The robot: nominal kinematics, where the reflector sits, how it moves."""
+
+    driver: Name
+    name: str
+    joint: list[Joint]
+    smr_mm: Point
+    home_deg: Six
+    safe_deg: Six
+    status: Annotated[int, Meta(ge=0, le=7)]
+    speed_percent: Percent = 30.0
+    approach_deg: Annotated[float, Meta(gt=0, le=90)] = 0.5
+    joint_margin_deg: Annotated[float, Meta(ge=0, le=90)] = 2.0
+    ramp_s: Annotated[float, Meta(ge=0, le=10)] = 0.5
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(self.joint) != 6:
+            raise ValueError(f"six joints are wanted, found {len(self.joint)}")
+        refuse(
+            [
+                f"{key}: A{n} at {deg} deg is outside its limits "
+                f"{joint.min_deg} .. {joint.max_deg} deg"
+                for key in ("home_deg", "safe_deg")
+                for n, (joint, deg) in enumerate(
+                    zip(self.joint, getattr(self, key), strict=True), 1
+                )
+                if not joint.min_deg <= deg <= joint.max_deg
+            ]
+        )
+
+    def arm(self) -> Arm:
+        """Return the nominal arm; its tool point is the reflector's centre."""
+        tool = np.eye(4)
+        tool[:3, 3] = self.smr_mm
+        return arm_from_joints(self.joint, tool)
+
+    @property
+    def margin_limits_rad(self) -> Array:
+        """Return the limits (2, 6), lower and upper, less the margin."""
+        margin_deg = self.joint_margin_deg
+        low_deg = [joint.min_deg + margin_deg for joint in self.joint]
+        return np.radians([low_deg, [joint.max_deg - margin_deg for joint in self.joint]])
+
+
+def arm_from_joints(joints: list[Joint], tool: Array) -> Arm:
+    """Return the arm of six DH rows with the tool frame (4, 4) on the flange."""
+    return Arm(
+        a_mm=np.array([j.a_mm for j in joints]),
+        alpha_rad=np.radians([j.alpha_deg for j in joints]),
+        d_mm=np.array([j.d_mm for j in joints]),
+        offset_rad=np.radians([j.offset_deg for j in joints]),
+        sign=np.array([float(j.sign) for j in joints]),
+        tool=tool,
+    )
+
+
+class TrackerTable(Frozen, frozen=True, kw_only=True):
+    """The tracker: its range, its reflector, where it roughly stands in {W}."""
+
+    driver: Name
+    reflector: str
+    pose: Pose
+    min_range_mm: Size = 500.0
+    max_range_mm: Size = 10_000.0
+    max_std_mm: Size = 0.05
+    find_radius_mm: Size = 5.0
+    samples: Count = 1
+    pointing_s: Annotated[float, Meta(ge=0, le=60)] = 1.0
+    reading_s: Annotated[float, Meta(ge=0.1, le=100)] = 0.5
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        refuse_descending(self, "min_range_mm", "max_range_mm")
+
+
+class GridTable(Frozen, frozen=True, kw_only=True):
+    """The cube that is measured, in nominal {B}, with one tool orientation."""
+
+    station: Name
+    centre: Pose
+    size_mm: Point
+    pitch_mm: Step
+
+    def __post_init__(self) -> None:
+        for size in self.size_mm:
+            cells = size / self.pitch_mm
+            if not (round(cells) >= 1 and abs(cells - round(cells)) < 1e-9):
+                raise ValueError(
+                    f"size {size} mm is not a whole number of pitches {self.pitch_mm} mm"
+                )
+        vertices = math.prod(count + 1 for count in self.cells)
+        if not vertices <= MOST_POINTS:
+            raise ValueError(f"{vertices} vertices, at most {MOST_POINTS} are measured")
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """Return the number of grid cells along x, y and z."""
+        return tuple(round(size / self.pitch_mm) for size in self.size_mm)
+
+
+class BaseFrameTable(Frozen, frozen=True, kw_only=True):
+    """How {B} is found from circles of axes 1 and 6 (section 4.2)."""
+
+    axis_1_deg: Six
+    axis_1_sweep_deg: Sweep
+    axis_6_deg: Six
+    axis_6_sweep_deg: Sweep
+    points: Annotated[int, Meta(ge=4, le=200)] = 12  # three leave no uncertainty
+
+    def __post_init__(self) -> None:
+        sweeps = {"axis_1": self.axis_1_sweep_deg, "axis_6": self.axis_6_sweep_deg}
+        refuse(
+            [
+                f"{axis}_sweep_deg: {begin} .. {end} deg is no arc; sweep at least {LEAST_ARC_DEG}"
+                for axis, (begin, end) in sweeps.items()
+                if not abs(end - begin) >= LEAST_ARC_DEG
+            ]
+        )
+
+
+class SurveyTable(Frozen, frozen=True, kw_only=True):
+    """How the rail is surveyed there and back, and how often a station is approached."""
+
+    from_mm: Length = 0.0
+    to_mm: Length = 2000.0
+    step_mm: Step = 100.0
+    repeats: Annotated[int, Meta(ge=4, le=1000)] = 15
+
+    def __post_init__(self) -> None:
+        steps = (self.to_mm - self.from_mm) / self.step_mm
+        if not (round(steps) >= 3 and abs(steps - round(steps)) < 1e-9):
+            raise ValueError(
+                f"{self.from_mm} .. {self.to_mm} mm is not three or more steps of {self.step_mm} mm"
+            )
+        if not steps <= MOST_STEPS:
+            raise ValueError(f"{steps:.0f} steps, at most {MOST_STEPS} are driven")
+
+
+class ValidationTable(Frozen, frozen=True, kw_only=True):
+    """Random targets: per grid cell at the grid's station, in all at the other stations."""
+
+    per_cell: Count = 5
+    others: Annotated[int, Meta(ge=1, le=100_000)] = 150
+    mean_tolerance_mm: Size = 0.2
+    max_tolerance_mm: Size = 1.0
+
+
+class CampaignTable(Frozen, frozen=True, kw_only=True):
+    """A list of poses to drive, with the reflectors and where the tracker expects them."""
+
+    poses: str
+
+
+class SettleTable(Frozen, frozen=True, kw_only=True):
+    """Times in the cell's clock, and the oldest reading that an interlock believes."""
+
+    robot_s: Wait = 1.0
+    rail_s: Wait = 2.0
+    reading_age_s: Annotated[float, Meta(ge=0.01, le=10)] = 0.5
+
+
+class SimulationTable(Frozen, frozen=True, kw_only=True):
+    """A simulated cell: found by its entry point; ``address`` attaches to one already running."""
+
+    simulator: Name
+    address: str = ""
+    data: str = ""
+    machine: Annotated[str, Meta(min_length=1)] = "paper"
+
+
+class Cell(Frozen, frozen=True, kw_only=True):
+    """A whole cell."""
+
+    name: Name
+    serial: str
+    rail: RailTable
+    robot: RobotTable
+    tracker: TrackerTable
+    layout: Layout
+    station: list[Station]
+    grid: GridTable
+    base_frame: BaseFrameTable
+    survey: SurveyTable = field(default_factory=SurveyTable)
+    validation: ValidationTable = field(default_factory=ValidationTable)
+    settle: SettleTable = field(default_factory=SettleTable)
+    campaign: CampaignTable | None = None
+    simulation: SimulationTable | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.station) <= MOST_STATIONS:
+            raise ValueError(f"1 .. {MOST_STATIONS} stations are needed, found {len(self.station)}")
+        names = [station.name for station in self.station]
+        if len(set(names)) != len(names):
+            raise ValueError(f"station names must differ, found {', '.join(names)}")
+        if self.grid.station not in names:
+            raise ValueError(f"grid.station {self.grid.station!r} is none of {', '.join(names)}")
+        refuse([*self._bad_stations(), *self._bad_counts(), *self._bad_survey()])
+
+    def _bad_stations(self) -> Iterator[str]:
+        rail = self.rail
+        low_mm, high_mm = rail.travel_min_mm + rail.back_off_mm, rail.travel_max_mm
+        for n, station in enumerate(self.station):
+            if not low_mm <= station.rail_mm <= high_mm:
+                yield (
+                    f"station {station.name}: rail_mm {station.rail_mm} is outside "
+                    f"{low_mm} .. {high_mm}"
+                )
+            if not abs(station.rail_mm - station.strip_mm) <= rail.slip_limit_mm:
+                yield (
+                    f"station {station.name}: strip_mm {station.strip_mm} and rail_mm "
+                    f"{station.rail_mm} differ by more than rail.slip_limit_mm {rail.slip_limit_mm}"
+                )
+            for other in self.station[:n]:
+                if not abs(station.strip_mm - other.strip_mm) > rail.strip_tolerance_mm:
+                    yield (
+                        f"station {station.name}: strip_mm {station.strip_mm} is also that of "
+                        f"station {other.name} ({other.strip_mm} mm); they must differ by more "
+                        f"than {rail.strip_tolerance_mm} mm"
+                    )
+
+    def _bad_counts(self) -> Iterator[str]:
+        per_cell, cells = self.validation.per_cell, math.prod(self.grid.cells)
+        if not per_cell * cells <= MOST_POINTS:
+            yield (
+                f"validation: {per_cell} targets in each of {cells} grid cells are "
+                f"{per_cell * cells}, at most {MOST_POINTS}"
+            )
+
+    def _bad_survey(self) -> Iterator[str]:
+        for end_mm in (self.survey.from_mm, self.survey.to_mm):
+            if not self.rail.travel_min_mm <= end_mm <= self.rail.travel_max_mm:
+                yield (
+                    f"survey: {end_mm} mm is outside the travel {self.rail.travel_min_mm} .. "
+                    f"{self.rail.travel_max_mm} mm"
+                )
+
+    @cached_property
+    def digest(self) -> str:
+        """Return SHA-256 over canonical JSON of what stands, however it is simulated."""
+        values = msgspec.to_builtins(self)
+        values.pop("simulation")
+        for table, keys in PACE.items():
+            for key in keys:
+                values[table].pop(key)
+        values["layout"].pop("reflectors")  # who carries them changes nothing that stands there
+        return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
+
+    def station_named(self, name: str) -> Station:
+        """Return the station called ``name``; raises `SettingsError`."""
+        for station in self.station:
+            if station.name == name:
+                return station
+        known = ", ".join(station.name for station in self.station)
+        raise SettingsError(self.name, [f"station {name!r} is unknown; known here: {known}"])
+
+
+def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
+    """Read a built-in cell by name or a TOML file, with ``key.path = value`` overrides."""
+    values = _read(where)
+    for key, text in (overrides or {}).items():
+        _override(values, key, text)
+    return convert(values, Cell, where)
+
+
+def _read(where: str) -> dict[str, Any]:
+    if not where.strip():
+        known = ", ".join(built_in_cells())
+        raise SettingsError(
+            "cell", [f"no cell was named; built in are: {known}; or give a path to a TOML file"]
+        )
+    if where in built_in_cells():
+        text = (resources.files("hilcell.cells") / f"{where}.toml").read_text("utf-8")
+    else:
+        path = Path(where)
+        try:
+            text = read_text(path)
+        except FileNotFoundError:
+            known = ", ".join(built_in_cells())
+            raise SettingsError(
+                where, [f"no such file, and no built-in cell of that name; built in: {known}"]
+            ) from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise unreadable(where, error, "cell file") from error
+    return _parsed(text, where)
+
+
+def _parsed(text: str, where: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise SettingsError(where, ["nested too deeply"]) from None
+    except ValueError as error:  # also an integer of more digits than Python reads
+        raise SettingsError(where, [f"not valid TOML: {error}"]) from error
+
+
+def built_in_cells() -> list[str]:
+    """Return the names of the cells that come with hilcell."""
+    folder = resources.files("hilcell.cells")
+    return sorted(
+        p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")
+    )
+
+
+def _override(values: dict[str, Any], key: str, text: str) -> None:
+    """Set ``a.b.c`` to a TOML value, or to the bare text where it is not one."""
+    if "\n" in text:  # it could set other keys
+        raise SettingsError("--set", [f"{key}: a value on one line is wanted, found {text!r}"])
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except RecursionError:
+        raise SettingsError("--set", [f"{key}: nested too deeply"]) from None
+    except ValueError:
+        value = text
+    *path, last = key.split(".")
+    table: Any = values
+    for part in path:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise SettingsError("--set", [f"{key}: {part} is not a table"])
+    table[last] = value

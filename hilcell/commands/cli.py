@@ -1,0 +1,428 @@
+"""The commands: words in, exit code out. Everything heavy is imported by the command that runs.
+
+stdout carries data only; progress and messages go to stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+import re
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from hilcell import __version__
+from hilcell.clean import clean
+from hilcell.commands.messages import tell
+
+LEAST_SPEED, MOST_SPEED = 1.0, 1e6
+MOST_SEED = 2**63 - 1
+MOST_PORT = 65535
+SIMULATED = ("rail", "robot", "tracker", "control")
+
+EPILOG = """\
+exit codes: 0 in tolerance; 1 measured, out of tolerance; 2 refused before anything moved;
+3 device fault, safe-stopped; 4 aborted by the operator; 5 internal error; 6 cell locked by
+another run; 7 storage fault. After 3, 4 and 7, `hilcell resume RUN` continues.
+hilcell is not a safety function: keep the E-stop in reach."""
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="hilcell",
+        description="Calibrates a robot on a cheap rail with a laser tracker, unattended.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"hilcell {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_run(commands)
+    _add_live(commands)
+    _add_tui(commands)
+    _add_past(commands)
+    _add_reports(commands)
+    _add_cell(commands)
+    _add_plan(commands)
+    _add_files(commands)
+    return parser
+
+
+def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    run = _command(commands, "run", "commands.run:run", "perform a procedure on a cell")
+    run.add_argument("procedure", nargs="?", default="calibrate", help="default: calibrate")
+    _cell_options(run)
+    run.add_argument(
+        "--seed",
+        type=_seed,
+        default=1,
+        metavar="N",
+        help="of random targets; of the simulated machine, too, unless it has its own (default: 1)",
+    )
+    _machine_seed_option(run)
+    _runs_option(run)
+    run.add_argument(
+        "--speed",
+        type=_speed,
+        metavar="X|max",
+        help="of a simulated cell's time: a factor, or as fast as it goes (default: max)",
+    )
+    _watch_options(run)
+    run.add_argument(
+        "--operator", type=clean, default="", metavar="NAME", help="kept in the journal"
+    )
+    run.add_argument(
+        "--name",
+        type=_run_name,
+        metavar="RUN",
+        help="the run's name and folder (default: made of time and procedure)",
+    )
+    run.add_argument("--job", type=clean, default="", metavar="ID", help="kept in the journal")
+    run.add_argument("--dry-run", action="store_true", help="check and show the plan; open nothing")
+    _json_option(run, "one event a line, as journalled")
+    resume = _command(commands, "resume", "commands.run:resume", "continue a run, or a paused one")
+    _run_argument(resume)
+    _watch_options(resume)
+    resume.add_argument(
+        "--retake",
+        action="append",
+        default=[],
+        metavar="KEY",
+        help="re-measure this point; may be repeated; opens a finished run again",
+    )
+    _json_option(resume, "one event a line, as journalled")
+
+
+def _add_live(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    for name, text in (
+        ("pause", "pause a live run after the point in flight"),
+        ("stop", "stop a live run now, safely; it can be resumed"),
+    ):
+        command = _command(commands, name, f"commands.live:{name}", text)
+        _run_argument(command)
+        _json_option(command, "the engine's answer")
+    watch = _command(commands, "watch", "commands.live:watch", "follow a run from another terminal")
+    _run_argument(watch)
+    _json_option(watch, "one event a line, as journalled")
+
+
+def _add_tui(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    tui = _command(
+        commands,
+        "tui",
+        "commands.tui:tui",
+        "the technician's screen: start, attach to or look at runs",
+    )
+    tui.add_argument(
+        "run",
+        nargs="?",
+        default="",
+        metavar="RUN",
+        help="a run's name, its beginning, or `last` (default: the live one, else the form)",
+    )
+    _runs_option(tui)
+    _cell_options(tui)
+    tui.add_argument(
+        "--theme",
+        choices=("calm", "daylight", "contrast"),
+        default="calm",
+        help="calm is safe for colour-blind eyes (default)",
+    )
+    tui.add_argument(
+        "--colors",
+        choices=("auto", "none", "16", "256", "truecolor"),
+        default="auto",
+        help="what the terminal can show (default: auto)",
+    )
+    tui.add_argument("--ascii", action="store_true", help="no shapes beyond ASCII")
+    tui.add_argument("--slow", action="store_true", help="for thin links: once a second")
+    tui.add_argument(
+        "--keys",
+        default="",
+        metavar="FILE.toml",
+        help="other keys (default: keys.toml in the user's configuration, where it exists)",
+    )
+
+
+def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    runs = _command(commands, "runs", "commands.past:runs", "list the runs")
+    _runs_option(runs)
+    _json_option(runs, "one object with all runs")
+    compare = _command(
+        commands,
+        "compare",
+        "commands.compare:compare",
+        "compare two runs of a cell: what has drifted",
+    )
+    compare.add_argument("first", metavar="RUN", help="the earlier run")
+    compare.add_argument("second", metavar="RUN", help="the later run")
+    _runs_option(compare)
+    _json_option(compare, "one object")
+    explain = _command(
+        commands, "explain", "commands.explain:explain", "say what an alarm means, and what to do"
+    )
+    explain.add_argument("code", metavar="CODE", help="as shown beside the alarm: HC-R31")
+    _json_option(explain, "one object")
+    show = _command(commands, "show", "commands.past:show", "show a run, computed from its journal")
+    _run_argument(show)
+    _json_option(show, "one object")
+
+
+def _add_reports(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    report = _command(commands, "report", "commands.report:report", "write a run's report as HTML")
+    _run_argument(report)
+    report.add_argument("-o", "--output", required=True, metavar="FILE.html", help="one file")
+    export = _command(commands, "export", "commands.report:export", "export a run's tables")
+    _run_argument(export)
+    forms = export.add_mutually_exclusive_group(required=True)
+    for form, text in (
+        ("csv", "the points"),
+        ("xlsx", "a workbook: run, points, frames, results"),
+        ("json", "everything"),
+    ):
+        forms.add_argument(f"--{form}", dest="form", action="store_const", const=form, help=text)
+    export.add_argument("-o", "--output", required=True, metavar="FILE", help="where to write")
+
+
+def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    check = _command(commands, "check", "commands.cell:check", "check a cell file and its plan")
+    check.add_argument("cell", metavar="CELL", help="a built-in name or a TOML path")
+    _set_option(check)
+    _json_option(check, "one object")
+    sim = _command(commands, "sim", "commands.cell:sim", "run the simulated cell by itself")
+    _cell_options(sim)
+    sim.add_argument(
+        "--seed", type=_seed, default=1, metavar="N", help="of the machine (default: 1)"
+    )
+    _machine_seed_option(sim)
+    sim.add_argument(
+        "--truth", action="store_true", help="the control channel answers what is true; for tests"
+    )
+    sim.add_argument("--speed", type=_speed, default=1.0, metavar="X|max", help="default: 1")
+    sim.add_argument("--faults", default="", metavar="FILE", help="faults to inject, TOML")
+    sim.add_argument(
+        "--ports",
+        type=_ports,
+        default={},
+        metavar="NAME=PORT,...",
+        help="TCP ports of rail, robot, tracker, control (default: free ones)",
+    )
+    _command(commands, "diagram", "commands.cell:diagram", "print the state machines as Mermaid")
+
+
+def _add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    plan = _command(commands, "plan", "commands.plan:plan", "choose stations and orders for holes")
+    plan.add_argument("holes", metavar="HOLES.csv", help="holes with normals, or targets, in {W}")
+    _cell_options(plan)
+    plan.add_argument("--free", action="store_true", help="stations anywhere along the rail, too")
+    plan.add_argument("-o", "--output", default="", metavar="OUT", help="CSV: station,order,name")
+    _json_option(plan, "one object")
+
+
+def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    fit = _command(commands, "fit", "commands.files:fit", "fit measured data and judge the fit")
+    fit.add_argument("--robot", required=True, metavar="ROBOT.toml", help="nominal DH rows")
+    fit.add_argument("--train", required=True, metavar="A.csv", help="measured rows to learn from")
+    fit.add_argument("--test", metavar="B.csv", help="rows to judge by (default: cross-validation)")
+    _json_option(fit, "one object")
+    compensate = _command(
+        commands, "compensate", "commands.files:compensate", "correct targets by a calibration"
+    )
+    compensate.add_argument("calibration", metavar="CALIBRATION", help="a run or calibration.json")
+    compensate.add_argument(
+        "targets",
+        metavar="TARGETS.csv|PROGRAM.src",
+        help="nominal targets in {W}; a KRL program with its .dat beside it",
+    )
+    compensate.add_argument("--station", required=True, metavar="S", help="where they are reached")
+    compensate.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="corrected targets, or program"
+    )
+    compensate.add_argument(
+        "--cell",
+        metavar="CELL",
+        help="refuse a calibration of another cell, and turns (T) that change",
+    )
+    _set_option(compensate)
+    compensate.add_argument(
+        "--temperature",
+        type=_finite,
+        metavar="T_C",
+        help="the room's: refuse one further than 2 K from the calibrated",
+    )
+    compensate.add_argument(
+        "--max-age",
+        type=_finite,
+        default=180.0,
+        metavar="DAYS",
+        help="refuse an older calibration (default: 180)",
+    )
+    _runs_option(compensate)
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, act: str, text: str
+) -> argparse.ArgumentParser:
+    parser = commands.add_parser(name, help=text, description=text.capitalize() + ".")
+    parser.set_defaults(act=act)
+    return parser
+
+
+def _cell_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--cell",
+        default="paper",
+        metavar="CELL",
+        help="a built-in name or a TOML path (default: paper, simulated)",
+    )
+    _set_option(parser)
+
+
+def _set_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        type=_assignment,
+        metavar="KEY=VALUE",
+        help="override one value of the cell file; may be repeated",
+    )
+
+
+def _run_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("run", metavar="RUN", help="a run's name, its beginning, or `last`")
+    _runs_option(parser)
+
+
+def _runs_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--runs",
+        type=Path,
+        default=Path("runs"),
+        metavar="DIR",
+        help="folder of runs (default: runs)",
+    )
+
+
+def _watch_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--unattended", action="store_true", help="nobody is there to ask")
+    parser.add_argument(
+        "--screen",
+        action="store_true",
+        help="a screen has ordered this: nothing moves before one attends",
+    )
+
+
+def _json_option(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--json", action="store_true", help=f"print JSON: {text}")
+
+
+def _machine_seed_option(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--machine-seed",
+        type=_seed,
+        default=None,
+        metavar="N",
+        help="of the simulated machine: robot, rail, tracker (default: the seed)",
+    )
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _speed(text: str) -> float:
+    value = math.inf if text == "max" else _number(text)
+    if not (text == "max" or LEAST_SPEED <= value <= MOST_SPEED):
+        raise argparse.ArgumentTypeError(
+            f"a factor of {LEAST_SPEED:g} .. {MOST_SPEED:g}, or max, is wanted (not slower than "
+            f"real time, in which the devices' watchdogs run), found {text[:80]!r}"
+        )
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text) if text.isdecimal() and len(text) < 20 else -1
+    if not 0 <= value <= MOST_SEED:
+        raise argparse.ArgumentTypeError(
+            f"a whole number of 0 .. {MOST_SEED} is wanted, found {text[:80]!r}"
+        )
+    return value
+
+
+def _ports(text: str) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for word in text.split(","):
+        name, _, port = word.partition("=")
+        number = int(port) if port.isascii() and port.isdecimal() and len(port) < 6 else 0
+        if number and number in found.values():
+            raise argparse.ArgumentTypeError(f"port {number} is given twice; each needs its own")
+        if name not in SIMULATED or name in found or not 1 <= number <= MOST_PORT:
+            raise argparse.ArgumentTypeError(
+                f"rail=PORT,robot=PORT,... of {', '.join(SIMULATED)}, each once, with ports of "
+                f"1 .. {MOST_PORT} is wanted, found {word[:80]!r}"
+            )
+        found[name] = number
+    return found
+
+
+def _run_name(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", text) or text == "last":
+        raise argparse.ArgumentTypeError(
+            "1 to 100 letters, digits, '_', '.' and '-' are wanted, the first a letter or digit, "
+            f"found {text[:80]!r}"
+        )
+    return text
+
+
+def _finite(text: str) -> float:
+    value = _number(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"a finite number is wanted, found {text[:80]!r}")
+    return value
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    key, sign, value = text.partition("=")
+    if not (key and sign) or "\n" in text:
+        raise argparse.ArgumentTypeError(f"KEY=VALUE on one line is wanted, found {text[:80]!r}")
+    return key.strip(), value.strip()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    args = _parser().parse_args(arguments)
+    module, _, function = args.act.partition(":")
+    try:
+        act = getattr(importlib.import_module(f"hilcell.{module}"), function)
+        return int(act(args))
+    except KeyboardInterrupt:
+        tell("hilcell: interrupted")
+        return 4
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    except Exception as error:  # noqa: BLE001 - the last place where an error can be told
+        return _refuse(error, as_json=getattr(args, "json", False) and args.command == "run")
+
+
+def _refuse(error: Exception, *, as_json: bool) -> int:
+    from hilcell.run.exits import EXIT_INTERNAL, exit_code
+
+    code = exit_code(error)
+    if code == EXIT_INTERNAL:
+        tell("".join(traceback.format_exception(error)).rstrip())
+        tell("hilcell: this is a defect of hilcell; please report it")
+    else:
+        tell(f"hilcell: {error}")
+    if as_json:
+        import json
+
+        end: dict[str, object] = {"kind": "end", "run": None, "state": "idle", "exit": code}
+        print(json.dumps(end | {"result": {}, "reason": str(error)}))
+    return code

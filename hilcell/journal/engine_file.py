@@ -1,0 +1,38 @@
+"""Which engine writes a run's journal now: a file beside it says where the engine listens."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import msgspec
+
+ENGINE = "engine.json"  # in the run's folder, while its engine lives
+ANSWER_S = 5.0
+
+
+class EngineFile(msgspec.Struct, frozen=True):
+    """Where a live engine listens."""
+
+    pid: int
+    socket: str
+
+
+def live_engine(folder: Path) -> EngineFile | None:
+    """Return where the engine of a run listens, or None where none lives.
+
+    One whose process stands still lives: it moves again as soon as it goes on.
+    """
+    try:
+        engine = msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
+    except (OSError, msgspec.DecodeError):
+        return None
+    with socket.socket(socket.AF_UNIX) as link:
+        link.settimeout(ANSWER_S)
+        try:
+            link.connect(engine.socket)
+        except (BlockingIOError, TimeoutError):
+            return engine  # it lives, and takes nobody any more
+        except OSError:
+            return None
+    return engine

@@ -1,0 +1,410 @@
+"""An index over all runs, derived from their journals: what a history shows and filters.
+
+It is one file in the folder of runs that may be deleted at any time. The trap: it must never be
+believed over a journal. A row counts only while the journal is the very file that it was read
+from; a run without an end, or with a live engine, is read again each time.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import stat
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager, suppress
+from datetime import UTC, datetime
+from itertools import islice
+from operator import attrgetter
+from pathlib import Path
+
+import msgspec
+
+from hilcell.journal.journal import ABSENT, Record, StorageError, read_journal
+from hilcell.journal.runs import JOURNAL
+
+NAME = "index.sqlite"
+SCHEMA = 1  # to be raised whenever `RunRow` changes, or what its fields mean
+BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
+UNDER_WAY = ("checking", "running", "paused", "suspended", "stopping")
+SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
+BATCH = 200  # rows a commit: a first build that is interrupted is not lost
+
+_PASSING = (
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_PERM,
+)
+
+
+class RunRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One run as its journal tells it.
+
+    Times are UTC, ISO 8601 to the second; ``ended`` and ``exit`` are of the last end, which a
+    resumed run loses again. An unreadable journal has only name, state, reason, and as ``begun``
+    when its file was last written. Figures (mm) are 3D errors of the validation at the grid's
+    station, or of a fit's nominal and chosen model; None where the procedure has none.
+    """
+
+    name: str
+    begun: str
+    state: str
+    ended: str = ""
+    reason: str = ""
+    procedure: str = ""
+    cell: str = ""
+    serial: str = ""
+    operator: str = ""
+    job: str = ""
+    seed: int | None = None
+    simulated: bool = False
+    points: int = 0
+    exit: int | None = None
+    live: bool = False
+    before_mean_mm: float | None = None
+    chosen_mean_mm: float | None = None
+    chosen_max_mm: float | None = None
+
+    @property
+    def readable(self) -> bool:
+        """Whether the journal could be read."""
+        return self.state != "unreadable"
+
+    @property
+    def gone(self) -> bool:
+        """Whether the engine was lost: a journal that just ends was left by a crash."""
+        # A resume that was refused writes an end, but leaves the state as the crash left it.
+        ended = self.exit is not None and self.state not in UNDER_WAY
+        return self.readable and not (self.live or ended or self.unbegun)
+
+    @property
+    def unbegun(self) -> bool:
+        """Whether there is a plan and no more: the engine is starting, or died before it did."""
+        return self.state == "idle" and not self.live and self.exit is None
+
+    @property
+    def condition(self) -> str:
+        """Return the state in words."""
+        if self.unbegun:
+            return "not begun"
+        return f"{self.state}, engine gone" if self.gone else self.state
+
+
+def read_index(runs: Path) -> list[RunRow]:
+    """Return all runs of a folder, newest first; raises `StorageError` where it is unusable."""
+    stamps = _stamps(runs)
+    rows = _known(runs / NAME, stamps) if stamps else {}
+    missing = (name for name in stamps if name not in rows)
+    while batch := {name: row_of(runs / name) for name in islice(missing, BATCH)}:
+        _keep(runs / NAME, batch, stamps)
+        rows |= batch
+    return sorted(rows.values(), key=lambda row: (row.begun, row.name), reverse=True)
+
+
+def row_of(folder: Path) -> RunRow:
+    """Return one run's row, read from its journal."""
+    from hilcell.journal.engine_file import live_engine
+
+    try:
+        row = _told(folder.name, read_journal(folder / JOURNAL))
+    except (StorageError, msgspec.ValidationError) as error:
+        return RunRow(
+            name=folder.name, begun=_written(folder), state="unreadable", reason=str(error)
+        )
+    return msgspec.structs.replace(row, live=live_engine(folder) is not None)
+
+
+def matches(row: RunRow, words: str) -> bool:
+    """Whether a row goes with all ``words`` that a technician typed, in any order and case.
+
+    ``field:word`` looks into one field only, ``-word`` excludes. A word not yet typed to its end
+    (``-``, ``state:``) excludes nothing.
+    """
+    whole = "\n".join([look(row) for look in _LOOKS.values()]).casefold()
+    return all(_holds(word, row, whole) for word in words.casefold().split())
+
+
+def _holds(word: str, row: RunRow, whole: str) -> bool:
+    text = word.removeprefix("-")
+    field, colon, value = text.partition(":")
+    if colon and field in _LOOKS:
+        where, text = _LOOKS[field](row).casefold(), value
+        found = text == where if where.isdecimal() else text in where
+    else:
+        found = text in whole
+    return not text or found != word.startswith("-")
+
+
+_LOOKS: dict[str, Callable[[RunRow], str]] = {
+    "run": attrgetter("name"),
+    "begun": attrgetter("begun"),
+    "ended": attrgetter("ended"),
+    "procedure": attrgetter("procedure"),
+    "cell": attrgetter("cell"),
+    "serial": attrgetter("serial"),
+    "operator": attrgetter("operator"),
+    "job": attrgetter("job"),
+    "seed": lambda row: "" if row.seed is None else str(row.seed),
+    "kind": lambda row: ("simulated" if row.simulated else "real") if row.readable else "",
+    "state": lambda row: f"{row.condition}, live" if row.live else row.condition,
+    "exit": lambda row: "" if row.exit is None else str(row.exit),
+    "points": lambda row: str(row.points),
+    "reason": attrgetter("reason"),
+}
+
+
+# -- what a journal tells --------------------------------------------------------------------------
+
+
+class _Grid(msgspec.Struct):
+    station: str
+
+
+class _Cell(msgspec.Struct):
+    name: str
+    serial: str
+    grid: _Grid
+
+
+class _Plan(msgspec.Struct):
+    procedure: str
+    cell: _Cell
+    operator: str
+    job: str
+    seed: int
+    simulated: bool
+
+
+class _Device(msgspec.Struct):
+    simulated: bool = False  # as the device says of itself
+
+
+class _Connected(msgspec.Struct):
+    devices: list[_Device]
+
+
+class _End(msgspec.Struct):
+    exit: int
+    result: dict[str, object] = {}
+    reason: str = ""
+
+
+class _State(msgspec.Struct):
+    machine: str
+    to: str
+    reason: str = ""
+
+
+class _Errors(msgspec.Struct):
+    mean: float
+    max: float
+
+
+class _Place(msgspec.Struct):
+    before: _Errors
+    chosen: _Errors
+
+
+class _Method(msgspec.Struct):
+    mean_mm: float
+    max_mm: float
+
+
+class _Fit(msgspec.Struct):
+    methods: dict[str, _Method] = {}
+    chosen: str = ""
+
+
+class _Result(msgspec.Struct):
+    validation: dict[str, _Place] = {}
+    campaign: _Fit = msgspec.field(default_factory=_Fit)
+
+
+def _told(name: str, records: Iterable[Record]) -> RunRow:
+    """Return the row of a run; raises `StorageError` and `msgspec.ValidationError`.
+
+    `Log` says the same and more, but loads arrays and all points for it.
+    """
+    plan: Record | None = None
+    end: Record | None = None
+    state, fault = "idle", ""
+    simulated = False
+    points: set[str] = set()
+    for record in records:
+        match record.kind:
+            case "plan":
+                plan = record
+            case "point":
+                points.add(record.key)
+            case "end":
+                end = record
+            case "event" if record.body["what"] == "connected":
+                devices = msgspec.convert(record.body, _Connected).devices
+                simulated = simulated or any(each.simulated for each in devices)
+            case "state":
+                told = msgspec.convert(record.body, _State)
+                if told.machine == "run":
+                    state = told.to
+                    fault = told.reason if state == "faulted" else fault
+                    if state == "checking":
+                        end, fault = None, ""
+    if plan is None:
+        raise StorageError(
+            "the journal holds no plan: the run died before its first record",
+            code="HC-J06",
+        )
+    row = _row(name, plan, state, end, fault, len(points))
+    return msgspec.structs.replace(row, simulated=row.simulated or simulated)
+
+
+def _row(
+    name: str, plan: Record, state: str, end: Record | None, fault: str, points: int
+) -> RunRow:
+    inputs = msgspec.convert(plan.body, _Plan)
+    last = msgspec.convert(end.body, _End) if end is not None else None
+    before_mean_mm, chosen_mean_mm, chosen_max_mm = (
+        _figures(last.result, inputs.cell.grid.station) if last is not None else (None, None, None)
+    )
+    return RunRow(
+        name=name,
+        begun=_seconds(plan.t),
+        state=state,
+        ended=_seconds(end.t) if end is not None else "",
+        reason=fault or (last.reason if last is not None else ""),
+        procedure=inputs.procedure,
+        cell=inputs.cell.name,
+        serial=inputs.cell.serial,
+        operator=inputs.operator,
+        job=inputs.job,
+        seed=inputs.seed,
+        simulated=inputs.simulated,
+        points=points,
+        exit=last.exit if last is not None else None,
+        before_mean_mm=before_mean_mm,
+        chosen_mean_mm=chosen_mean_mm,
+        chosen_max_mm=chosen_max_mm,
+    )
+
+
+def _figures(result: dict[str, object], station: str) -> tuple[float | None, ...]:
+    """Return mean before, mean and maximum after (mm), where the result has them."""
+    try:
+        main = msgspec.convert(result, _Result)
+    except msgspec.ValidationError:
+        return None, None, None  # another's procedure, with figures of its own under these names
+    place = main.validation.get(station)
+    if place is not None:
+        return place.before.mean, place.chosen.mean, place.chosen.max
+    before, chosen = (main.campaign.methods.get(name) for name in ("nominal", main.campaign.chosen))
+    if before is None or chosen is None:
+        return None, None, None
+    return before.mean_mm, chosen.mean_mm, chosen.max_mm
+
+
+def _seconds(t: str) -> str:
+    return f"{t[:19]}Z"  # a journal's times are UTC, ISO 8601 to the millisecond
+
+
+# -- the files ------------------------------------------------------------------------------------
+
+
+def _stamps(runs: Path) -> dict[str, str]:
+    """Return what tells a changed journal, by the run's name; empty where it cannot be told."""
+    try:
+        names = os.listdir(runs)  # noqa: PTH208 - of ten thousand runs a Path each is too slow
+    except FileNotFoundError:
+        return {}  # no run was ever made there
+    except OSError as error:
+        raise StorageError(f"runs folder {runs} cannot be used: {error.strerror}") from error
+    now_s = time.time()
+    found = ((name, _stamp(f"{runs}/{name}/{JOURNAL}", now_s)) for name in names)
+    return {name: stamp for name, stamp in found if stamp is not None}
+
+
+def _stamp(journal: str, now_s: float) -> str | None:
+    try:
+        file = os.stat(journal)  # noqa: PTH116 - as above
+    except OSError as error:
+        return None if error.errno in ABSENT else ""  # what keeps it from being read is told
+    if not stat.S_ISREG(file.st_mode):
+        return None
+    # What is committed but not yet in the main file leaves that one as it was.
+    settled = file.st_mtime < now_s - SETTLED_S and not _size(f"{journal}-wal")
+    settled = settled and journal.isprintable()  # a name that is no text cannot be kept
+    return f"{file.st_mtime_ns} {file.st_size}" if settled else ""
+
+
+def _size(file: str) -> int:
+    try:
+        return os.stat(file).st_size  # noqa: PTH116 - as above
+    except OSError:
+        return 0
+
+
+def _written(folder: Path) -> str:
+    try:
+        written_s = (folder / JOURNAL).stat().st_mtime
+    except OSError:
+        return ""
+    return f"{datetime.fromtimestamp(written_s, UTC):%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _known(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
+    """Return the rows whose journals are still the files that they were read from."""
+    decode = msgspec.json.Decoder(RunRow).decode
+    rows: dict[str, RunRow] = {}
+    with _spared(index), closing(_opened(index)) as base:
+        stored = base.execute("SELECT name, stamp, row FROM run").fetchall()
+        rows |= {name: decode(row) for name, stamp, row in stored if stamp == stamps.get(name)}
+        gone = [(name,) for name, _, _ in stored if name not in stamps]
+        if gone:
+            base.executemany("DELETE FROM run WHERE name = ?", gone)
+    return rows
+
+
+def _keep(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
+    """Store the rows of runs that have ended and whose files have come to rest."""
+    encode = msgspec.json.encode
+    lasting = [
+        (name, stamps[name], encode(row))
+        for name, row in rows.items()
+        if stamps[name] and row.exit is not None and not row.live
+    ]
+    if lasting:
+        with _spared(index), closing(_opened(index)) as base:
+            base.execute("BEGIN IMMEDIATE")
+            base.executemany("INSERT OR REPLACE INTO run VALUES (?, ?, ?)", lasting)
+            base.execute("COMMIT")
+
+
+def _opened(index: Path) -> sqlite3.Connection:
+    base = sqlite3.connect(index, timeout=BUSY_S, isolation_level=None)
+    try:
+        base.execute("PRAGMA synchronous=OFF")  # what power loss damages is made again
+        if base.execute("PRAGMA user_version").fetchone() != (SCHEMA,):
+            base.execute("BEGIN IMMEDIATE")
+            base.execute("DROP TABLE IF EXISTS run")
+            base.execute("CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB) STRICT")
+            base.execute(f"PRAGMA user_version={SCHEMA}")
+            base.execute("COMMIT")
+    except sqlite3.Error:
+        base.close()
+        raise
+    return base
+
+
+@contextmanager
+def _spared(index: Path) -> Iterator[None]:
+    """Do without an index that is locked or cannot be written; throw away a damaged one."""
+    try:
+        yield
+    except (sqlite3.Error, msgspec.DecodeError) as error:
+        code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
+        if code & 0xFF not in _PASSING:
+            for file in (index, index.with_name(f"{NAME}-journal")):
+                with suppress(OSError):
+                    file.unlink()

@@ -1,0 +1,244 @@
+"""What a journal says, as typed objects: points, frames, states, the frozen plan.
+
+The same class reads a live run, a finished one and one left by a crash; every result is computed
+from it, so a result can always be rebuilt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import convert
+from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.stream_file import StreamRecord
+from hilcell.ports import Array
+
+
+class Point(msgspec.Struct, frozen=True, kw_only=True):
+    """One acknowledged measurement, raw, with all that is needed to use it later.
+
+    ``xyz_mm`` is the mean of ``samples`` in the tracker's frame, ``nominal_mm`` the nominal target
+    in {W}; joints in deg, ``pose`` is what the controller said, row by row.
+    """
+
+    key: str
+    group: str
+    station: str
+    reflector: str
+    xyz_mm: tuple[float, float, float]
+    std_mm: tuple[float, float, float]
+    samples: int
+    temperature_c: float
+    pressure_mbar: float
+    humidity_percent: float
+    session: int
+    frame: str
+    retaken: bool = False
+    nominal_mm: tuple[float, float, float] | None = None
+    smr_mm: tuple[float, float, float] | None = None
+    commanded_deg: tuple[float, ...] | None = None
+    joints_deg: tuple[float, ...] | None = None
+    pose: tuple[tuple[float, ...], ...] | None = None
+    rail_mm: float | None = None
+    strip_mm: float | None = None
+
+
+class Seated(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a reflector was seen once it was seated, tracker's frame, and what the strip read."""
+
+    place: str
+    xyz_mm: tuple[float, float, float]
+    strip_mm: float
+
+
+class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """The frozen inputs of a run."""
+
+    procedure: str
+    cell: dict[str, Any]
+    digest: str
+    seed: int
+    speed: float | None
+    unattended: bool
+    operator: str
+    job: str
+    simulated: bool
+    versions: dict[str, str]
+    settings: dict[str, str]
+    steps: list[dict[str, Any]]
+    points: int
+    duration_s: float
+    machine_seed: int | None = None
+
+    @property
+    def truth_seed(self) -> int | None:
+        """The seed of the simulated machine; only a run that started the simulator knows it.
+
+        Runs of old had one seed for both, and some recorded it where nobody knew it.
+        """
+        simulation = self.cell.get("simulation")
+        if simulation is None or simulation.get("address"):
+            return None
+        return self.seed if self.machine_seed is None else self.machine_seed
+
+
+LOSSY = 0.005  # share of the frames on the rail's wire
+
+
+class LinkRecord(msgspec.Struct, frozen=True):
+    """What the rail's wire has carried and lost in one session."""
+
+    frames: int
+    bad_lines: int
+    refused: int
+    malformed: int
+
+    @property
+    def lost_share(self) -> float:
+        """Return how much was lost, as a share of all."""
+        lost = self.bad_lines + self.refused + self.malformed
+        return lost / max(1, self.frames + lost)
+
+    @property
+    def warning(self) -> str:
+        """Return the warning that so much was lost; "" where the link is well."""
+        if self.lost_share < LOSSY:
+            return ""
+        return (
+            f"the rail's CAN link loses {100 * self.lost_share:.2f} %, a healthy one less than "
+            f"{100 * LOSSY:.1f} %: check its plugs, the shield, the two terminators and the "
+            "gateway's cable"
+        )
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return (
+            f"{self.frames} frames, {self.bad_lines} bad lines, {self.refused} refused, "
+            f"{self.malformed} malformed ({100 * self.lost_share:.2f} % lost)"
+        )
+
+
+class Log:
+    """The journal so far. ``take`` adds one record."""
+
+    def __init__(self, records: Iterable[Record] = ()) -> None:
+        self.plan: PlanRecord | None = None
+        self._cell: Cell | None = None
+        self.points: dict[str, Point] = {}
+        self.frames: dict[str, dict[str, Any]] = {}
+        self.verdicts: dict[str, dict[str, Any]] = {}
+        self.judged: dict[str, Record] = {}  # the verdicts' records
+        self.events: list[Record] = []
+        self.states = {"run": "idle", "calibration": "unknown"}
+        self.life: list[Record] = []  # the states that the run went through
+        self.session = 0
+        self.end: dict[str, Any] | None = None
+        self.fault = ""
+        self.moved = False  # in this session
+        self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
+        self.link: LinkRecord | None = None  # of the last session that ended
+        self.seated = ""  # the place of a reflector that is carried by hand
+        self.sights: dict[str, Seated] = {}
+        self.streams: dict[str, StreamRecord] = {}
+        self.newest: Record | None = None
+        for record in records:
+            self.take(record)
+
+    def take(self, record: Record) -> None:
+        """Add one record."""
+        body, self.newest = record.body, record
+        match record.kind:
+            case "plan":
+                self.plan = msgspec.convert(body, PlanRecord)
+                self._cell = None
+            case "state":
+                self._take_state(record)
+            case "point":
+                self.points[record.key] = msgspec.convert(body | {"key": record.key}, Point)
+                self.retakes.pop(record.key, None)
+            case "frame":
+                self.frames[record.key] = body
+            case "verdict":
+                self.verdicts[record.key] = body
+                self.judged[record.key] = record
+            case "event":
+                self.events.append(record)
+                self._take_event(body)
+            case "end":
+                self.end = body
+            case "intent":
+                self.moved = True
+
+    def _take_event(self, body: dict[str, Any]) -> None:
+        match body.get("what"):
+            case "retake asked":
+                self.retakes[body["key"]] = None
+            case "retake refused":
+                self.retakes.pop(body["key"], None)
+            case "link":
+                self.link = msgspec.convert(body, LinkRecord)
+            case "connected" if any(each.get("simulated") for each in body["devices"]):
+                # What it says of itself counts, whatever the cell file said before.
+                self.plan = msgspec.structs.replace(self.inputs, simulated=True)
+            case "stream":
+                self.streams[body["key"]] = msgspec.convert(body, StreamRecord)
+            case "seated":
+                sight = msgspec.convert(body, Seated)
+                self.seated, self.sights[sight.place] = sight.place, sight
+
+    def _take_state(self, record: Record) -> None:
+        body = record.body
+        self.states[body["machine"]] = body["to"]
+        if body["machine"] != "run":
+            return
+        self.life.append(record)
+        if body["to"] == "checking":
+            self.session, self.end, self.fault = self.session + 1, None, ""
+            self.moved = False
+        if body["to"] == "faulted" and not self.fault:
+            self.fault = str(body.get("reason", ""))
+
+    @property
+    def calibrates(self) -> bool:
+        """Whether the run has ended with a calibration, which has a file of its own."""
+        return self.states["run"] == "finished" and "fit" in self.verdicts
+
+    @property
+    def cell(self) -> Cell:
+        """Return the cell as it was frozen when the run began."""
+        if self._cell is None:
+            self._cell = convert(self.inputs.cell, Cell, "the journal's cell")
+        return self._cell
+
+    @property
+    def inputs(self) -> PlanRecord:
+        """Return the frozen inputs; a run writes them first."""
+        if self.plan is None:
+            raise StorageError(
+                "the journal holds no plan: the run died before its first record",
+                code="HC-J06",
+            )
+        return self.plan
+
+    def group(self, name: str, station: str = "") -> list[Point]:
+        """Return the points of a group (and station) in the order of their keys."""
+        return [
+            self.points[key]
+            for key in sorted(self.points)
+            if self.points[key].group == name and station in ("", self.points[key].station)
+        ]
+
+    def matrix(self, frame: str) -> Array:
+        """Return a frame's homogeneous matrix (4, 4)."""
+        return np.array(self.frames[frame]["matrix"], dtype=float)
+
+
+def positions_mm(points: Iterable[Point]) -> Array:
+    """Return the raw positions (N, 3) in the tracker's frame."""
+    return np.array([point.xyz_mm for point in points]).reshape(-1, 3)

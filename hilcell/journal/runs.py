@@ -1,0 +1,96 @@
+"""The folder of runs: one folder a run, found by its name, a beginning of it, or ``last``."""
+
+from __future__ import annotations
+
+import secrets
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hilcell.errors import HilcellError
+from hilcell.journal.journal import StorageError, is_there, read_journal
+
+if TYPE_CHECKING:
+    from hilcell.journal.log import Log
+
+JOURNAL = "journal.sqlite"
+CALIBRATION = "calibration.json"
+
+
+def new_run(procedure: str) -> str:
+    """Return a new run's name: when, what, and four characters against collisions."""
+    return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{procedure}-{secrets.token_hex(2)}"
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of a run; raises `StorageError`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"run folder {folder} cannot be used: {error.strerror}") from error
+
+
+def forget(folder: Path) -> None:
+    """Remove the journal of a run that never began, and its folder where nothing else is in it."""
+    for suffix in ("", "-wal", "-shm"):
+        (folder / f"{JOURNAL}{suffix}").unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def run_folders(runs: Path) -> list[Path]:
+    """Return the folders that hold a journal, oldest first; raises `StorageError`."""
+    try:
+        folders = list(runs.iterdir())
+    except FileNotFoundError:
+        return []  # no run was ever made there
+    except OSError as error:
+        raise StorageError(f"runs folder {runs} cannot be used: {error.strerror}") from error
+    return sorted(filter(is_run, folders))
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder holds a journal, or may: one that must not be looked into counts."""
+    try:
+        return is_there(folder / JOURNAL)
+    except OSError:
+        return True
+
+
+def find_run(runs: Path, name: str) -> Path:
+    """Return the folder of one run; raises `HilcellError` where none or several are meant."""
+    if name and is_run(Path(name)):
+        return Path(name)
+    folders = run_folders(runs)
+    if name == "last" and folders:
+        return max(folders, key=_written_s)
+    meant = [folder for folder in folders if folder.name == name]
+    meant = meant or [folder for folder in folders if name and folder.name.startswith(name)]
+    if len(meant) == 1:
+        return meant[0]
+    if meant:
+        raise HilcellError(
+            f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which",
+            code="HC-J09",
+        )
+    newest = ", ".join(each.name for each in sorted(folders, key=_written_s)[-3:]) or "none"
+    raise HilcellError(
+        f"run {name[:80]!r} is not in {runs}; newest there: {newest}",
+        code="HC-J09",
+    )
+
+
+def _written_s(folder: Path) -> float:
+    """Return when a journal was last written; of one that must not be looked at, long ago."""
+    try:
+        return (folder / JOURNAL).stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def read_log(folder: Path) -> Log:
+    """Return a run's log."""
+    from hilcell.journal.log import Log  # loads arrays, which a list of runs does without
+
+    return Log(read_journal(folder / JOURNAL))

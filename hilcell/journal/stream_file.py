@@ -1,0 +1,216 @@
+"""The samples of a stream: a file of their own beside the journal, and one record in it.
+
+180 000 samples are not 180 000 commits. So a sweep's samples are appended to a file, made durable
+when the stream has ended, and only then is the file's digest journalled. The trap: a file without
+its record is nothing. It is left over from a kill; the next stream removes what was not finished,
+and nobody reads a file but by its record.
+
+The file is a row of arrays in numpy's .npy format (version 1.0), each of dtype `SAMPLES` or
+`JOINTS`, in the order in which they came; times are the cell's clock's, but for ``device_s``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import re
+import secrets
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from hilcell.journal.journal import StorageError
+from hilcell.ports import Array, JointSample, NoReading, StreamBlock
+
+FOLDER = "streams"
+UNFINISHED = ".part"
+ROWS = 512  # rows that are gathered before an array is written
+SAMPLES = np.dtype(
+    [("device_s", "<f8"), ("xyz_mm", "<f8", (3,)), ("after_s", "<f8"), ("by_s", "<f8")]
+)
+JOINTS = np.dtype([("joints_rad", "<f8", (6,)), ("before_s", "<f8"), ("after_s", "<f8")])
+Rows = NDArray[np.void]
+
+
+class StreamRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """What the journal says of a stream; ``file`` is in the run's folder of streams."""
+
+    key: str
+    file: str
+    sha256: str
+    samples: int
+    joint_samples: int
+    first_device_s: float
+    last_device_s: float
+    longest_gap_s: float  # between two samples
+
+
+@dataclass(frozen=True)
+class StreamData:
+    """A stream, read back: samples of the tracker and joints of the robot, in order of time."""
+
+    device_s: Array  # (N,) the tracker's own clock
+    xyz_mm: Array  # (N, 3) the tracker's frame
+    window_s: Array  # (N, 2) the cell's clock: between these the sample arrived
+    joints_rad: Array  # (M, 6)
+    asked_s: Array  # (M, 2) the cell's clock before and after each exchange
+
+
+class StreamFile:
+    """A stream that is being written; without `finish` it is discarded."""
+
+    def __init__(self, run_folder: Path, key: str) -> None:
+        """``run_folder`` is the journal's."""
+        self._key, self._folder = key, run_folder / FOLDER
+        name = re.sub(r"[^A-Za-z0-9_-]+", "-", key)[:60]
+        self._path = self._folder / f"{name}-{secrets.token_hex(4)}.stream"
+        self._waiting: dict[np.dtype[np.void], list[Rows]] = {SAMPLES: [], JOINTS: []}
+        self._counts = {SAMPLES: 0, JOINTS: 0}
+        self._first_s: float | None = None
+        self._last_s = self._gap_s = 0.0
+        self._digest = hashlib.sha256()
+
+    def __enter__(self) -> Self:
+        """Remove what was never finished, and begin."""
+        try:
+            self._folder.mkdir(exist_ok=True)
+            for left in self._folder.glob(f"*{UNFINISHED}"):
+                left.unlink()
+            self._file = self._part.open("xb")
+        except OSError as error:
+            raise self._failed(error) from error
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Discard what was not finished."""
+        self._file.close()
+        self._part.unlink(missing_ok=True)
+
+    def take(self, blocks: Iterable[StreamBlock], joints: Iterable[JointSample] = ()) -> None:
+        """Append samples; raises `StorageError`."""
+        for block in blocks:
+            self._append(_rows_of(block))
+            if self._first_s is None:
+                self._first_s = self._last_s = float(block.device_s[0])
+            steps_s = np.diff(block.device_s, prepend=self._last_s)
+            self._gap_s = max(self._gap_s, float(steps_s.max()))
+            self._last_s = float(block.device_s[-1])
+        for sample in joints:
+            row = np.zeros(1, JOINTS)
+            row["joints_rad"] = sample.joints_rad
+            row["before_s"], row["after_s"] = sample.before_s, sample.after_s
+            self._append(row)
+
+    def finish(self) -> StreamRecord:
+        """Make the file durable under its name; return what the journal has to keep.
+
+        Raises `NoReading` where there is no sample, and `StorageError`.
+        """
+        if self._first_s is None:
+            raise NoReading("HC-T40", "Tracker", "stream", "no sample came")
+        try:
+            for kind in self._waiting:
+                self._write(kind)
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._part.replace(self._path)
+            _sync_folder(self._folder)
+        except OSError as error:
+            raise self._failed(error) from error
+        return StreamRecord(
+            key=self._key,
+            file=self._path.name,
+            sha256=self._digest.hexdigest(),
+            samples=self._counts[SAMPLES],
+            joint_samples=self._counts[JOINTS],
+            first_device_s=self._first_s,
+            last_device_s=self._last_s,
+            longest_gap_s=self._gap_s,
+        )
+
+    @property
+    def _part(self) -> Path:
+        return self._path.with_name(self._path.name + UNFINISHED)
+
+    def _append(self, rows: Rows) -> None:
+        kind = rows.dtype
+        self._counts[kind] += len(rows)
+        self._waiting[kind].append(rows)
+        if sum(map(len, self._waiting[kind])) >= ROWS:
+            try:
+                self._write(kind)
+            except OSError as error:
+                raise self._failed(error) from error
+
+    def _write(self, kind: np.dtype[np.void]) -> None:
+        if not self._waiting[kind]:
+            return
+        data = io.BytesIO()
+        np.lib.format.write_array(data, np.concatenate(self._waiting[kind]), version=(1, 0))
+        self._waiting[kind].clear()
+        self._digest.update(data.getvalue())
+        self._file.write(data.getvalue())
+
+    def _failed(self, error: OSError) -> StorageError:
+        return StorageError(
+            f"stream {self._path}: {self._key} could not be stored: {error.strerror}; "
+            "make room or mend the disk, then resume the run",
+            code="HC-J01",
+        )
+
+
+def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
+    """Return a stream by its journal's record; raises `StorageError` where it is another's."""
+    path = run_folder / FOLDER / Path(record.file).name
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise StorageError(f"stream {path}: cannot be read: {error.strerror}") from error
+    if hashlib.sha256(data).hexdigest() != record.sha256:
+        raise StorageError(
+            f"stream {path}: it is not the one that was written; the file was changed or damaged, "
+            "and its results cannot be trusted",
+            code="HC-J02",
+        )
+    found: dict[Any, list[Rows]] = {SAMPLES: [np.zeros(0, SAMPLES)], JOINTS: [np.zeros(0, JOINTS)]}
+    source = io.BytesIO(data)
+    while source.tell() < len(data):
+        rows = np.lib.format.read_array(source, allow_pickle=False)
+        found[rows.dtype].append(rows)
+    samples, joints = (np.concatenate(found[kind]) for kind in (SAMPLES, JOINTS))
+    return StreamData(
+        samples["device_s"],
+        samples["xyz_mm"],
+        np.column_stack([samples["after_s"], samples["by_s"]]),
+        joints["joints_rad"],
+        np.column_stack([joints["before_s"], joints["after_s"]]),
+    )
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a rename durable; systems that open no folders do so by themselves."""
+    if hasattr(os, "O_DIRECTORY"):
+        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(opened)
+        finally:
+            os.close(opened)
+
+
+def _rows_of(block: StreamBlock) -> Rows:
+    rows = np.zeros(len(block.device_s), SAMPLES)
+    rows["device_s"], rows["xyz_mm"] = block.device_s, block.xyz_mm
+    rows["after_s"], rows["by_s"] = block.after_s, block.by_s
+    return rows

@@ -1,0 +1,211 @@
+"""Two runs of one cell side by side: what drifted between the calibrations.
+
+A pure function of two logs. The trap: figures of two runs differ always; only a change beyond
+its stated uncertainty is drift, and what depends on the tracker's set-up is not compared at all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
+from hilcell.errors import HilcellError
+from hilcell.journal.log import Log
+from hilcell.report.drift import Change, Side, base_variance_mm2, frame_changes, grid_drift, side_of
+from hilcell.report.errors import Errors, places, validation
+from hilcell.report.uncertainty import expanded_mm
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One setting that differs: its path, and its value in both runs, empty where it is missing."""
+
+    key: str
+    first: str
+    second: str
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What differs between two runs. ``moved_mm`` says by how much the error at each vertex did."""
+
+    settings: list[Setting]
+    changes: list[Change]
+    moved_mm: dict[str, float]
+    notes: list[str]
+
+    @property
+    def drifted(self) -> list[Change]:
+        """Return the changes beyond their limits; the air's are a reason, not a drift."""
+        return [c for c in self.changes if c.verdict == "beyond" and c.group != "air"]
+
+    @property
+    def verdict(self) -> str:
+        """Return the whole in one sentence."""
+        judged = [c for c in self.changes if c.verdict and c.group != "air"]
+        if not judged:
+            return "no uncertainty is stated for what both runs have: nothing is judged"
+        if not self.drifted:
+            return f"no drift: all {len(judged)} judged changes are within their uncertainty"
+        return f"drift: {len(self.drifted)} of {len(judged)} judged changes are beyond it"
+
+
+def compare_runs(
+    first: Log, second: Log, *, live: tuple[bool, bool] = (False, False)
+) -> Comparison:
+    """Return what changed from the first run to the second; ``live`` says whose engine is at work.
+
+    Raises `HilcellError` for runs of different cells, for a simulated beside a real one, and for
+    runs that have nothing in common.
+    """
+    _refuse_others(first, second)
+    sides = side_of(first), side_of(second)
+    drift = grid_drift(*sides)
+    changes = [
+        *_validation(*sides),
+        *frame_changes(*sides),
+        *(drift.changes if drift is not None else []),
+    ]
+    if not changes:
+        raise HilcellError(
+            f"nothing to compare: {_has(first)} and {_has(second)} have no frame, grid or "
+            "validation in common; compare two calibrations"
+        )
+    return Comparison(
+        _settings(first, second),
+        [*changes, *_air(first, second)],
+        drift.moved_mm if drift is not None else {},
+        [*_unfinished(first, second, live), *_notes(first, second, grids=drift is not None)],
+    )
+
+
+def _refuse_others(first: Log, second: Log) -> None:
+    one, other = first.cell, second.cell
+    if (one.name, one.serial) != (other.name, other.serial):
+        raise HilcellError(
+            f"runs of different cells are not compared: the first is of {one.name} serial "
+            f"{one.serial}, the second of {other.name} serial {other.serial}"
+        )
+    if first.inputs.simulated != second.inputs.simulated:
+        which = "first" if first.inputs.simulated else "second"
+        raise HilcellError(f"the {which} run was simulated, the other was not: nothing to compare")
+
+
+def _has(log: Log) -> str:
+    return f"a {log.inputs.procedure} ({log.states['run']}, {len(log.points)} points)"
+
+
+# -- figures --------------------------------------------------------------------------------------
+
+
+def _validation(first: Side, second: Side) -> Iterator[Change]:
+    """Yield mean, p95 and maximum of |e| per place, before and after."""
+    there = places(second.log.cell)
+    for place, stations in places(first.log.cell).items():
+        if there.get(place) == stations:
+            series, other = (validation(side.log, stations) for side in (first, second))
+            for how in (how for how in series if how in other):
+                one, two = series[how], other[how]
+                limit = _mean_limit_mm(how, (first, one), (second, two))
+                where = (place, how)
+                yield _validated(*where, "mean", one.mean_mm, two.mean_mm, limit)
+                yield _validated(*where, "p95", one.p95_mm, two.p95_mm, None)
+                yield _validated(*where, "max", one.max_mm, two.max_mm, None)
+
+
+def _validated(
+    place: str, how: str, what: str, one_mm: float, two_mm: float, limit_mm: float | None
+) -> Change:
+    change_mm = two_mm - one_mm
+    return Change("validation", place, f"{how} {what}", "mm", one_mm, two_mm, change_mm, limit_mm)
+
+
+def _mean_limit_mm(how: str, *runs: tuple[Side, Errors]) -> float | None:
+    """Return U of a change of the mean: which targets were drawn, the measurement's u, {B}'s.
+
+    {B} counts before only: a correction learnt in a run's {B} makes up for where that {B} is.
+    """
+    variance_mm2 = 0.0
+    for side, errors in runs:
+        base_mm2 = base_variance_mm2(side.log)
+        if side.u_mm is None or base_mm2 is None or len(errors) < 2:
+            return None
+        variance_mm2 += float(np.var(errors.norms_mm, ddof=1)) / len(errors)
+        variance_mm2 += side.u_mm**2 + (base_mm2 if how == "before" else 0.0)
+    return expanded_mm(math.sqrt(variance_mm2))
+
+
+def _air(first: Log, second: Log) -> Iterator[Change]:
+    """Yield the mean temperature of both runs; its limit is the margin of a calibration's use."""
+    celsius = [[p.temperature_c for p in log.points.values()] for log in (first, second)]
+    if all(celsius):
+        pair = [float(np.mean(each)) for each in celsius]
+        yield Change(
+            "air",
+            "at the tracker",
+            "mean temperature",
+            "°C",
+            pair[0],
+            pair[1],
+            pair[1] - pair[0],
+            TEMPERATURE_MARGIN_K,
+        )
+
+
+# -- words ----------------------------------------------------------------------------------------
+
+
+def _unfinished(first: Log, second: Log, live: tuple[bool, bool]) -> Iterator[str]:
+    for which, log, lives in zip(("first", "second"), (first, second), live, strict=True):
+        state = log.states["run"]
+        if state != "finished":
+            stands = lives or state in ("aborted", "faulted")
+            how = f"is {state}" if stands else f"was {state} when its engine was lost"
+            yield f"the {which} run {how}: what it has measured is compared"
+
+
+def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
+    yield "the tracker's place in {W} is of its set-up and is not compared"
+    seeds = (first.inputs.truth_seed, second.inputs.truth_seed)
+    if None not in seeds and seeds[0] != seeds[1]:
+        yield "the machines' seeds differ: these are two simulated cells, not one that drifted"
+    if not grids and all(log.group("grid") for log in (first, second)):
+        yield "the grids differ: their vertices are not compared"
+    methods = [str(log.verdicts.get("fit", {}).get("method", "")) for log in (first, second)]
+    if all(methods) and methods[0] != methods[1]:
+        yield f"'chosen' is {methods[0]} in the first run, {methods[1]} in the second"
+
+
+def _settings(first: Log, second: Log) -> list[Setting]:
+    """Return what differs of the frozen inputs, key by key, the simulation's addresses left out."""
+    one, other = _inputs(first), _inputs(second)
+    keys = [*one, *(key for key in other if key not in one)]
+    pairs = ((key, one.get(key, ""), other.get(key, "")) for key in keys)
+    return [Setting(*each) for each in pairs if each[1] != each[2]]
+
+
+def _inputs(log: Log) -> dict[str, str]:
+    inputs = log.inputs
+    cell = {key: value for key, value in inputs.cell.items() if key != "simulation"}
+    run = {"procedure": inputs.procedure, "seed": inputs.seed, "unattended": inputs.unattended}
+    machine = {} if inputs.truth_seed is None else {"machine_seed": inputs.truth_seed}
+    versions = {"versions": {"hilcell": inputs.versions.get("hilcell", "")}}
+    return dict(_leaves(run | machine | versions | cell, ""))
+
+
+def _leaves(value: object, path: str) -> Iterator[tuple[str, str]]:
+    """Yield the plain values of a table by their paths; members of lists go by their names."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, list) and any(isinstance(each, Mapping) for each in value):
+        for number, each in enumerate(value, start=1):
+            name = each.get("name", number) if isinstance(each, Mapping) else number
+            yield from _leaves(each, f"{path}[{name}]")
+    else:
+        yield path, value if isinstance(value, str) else msgspec.json.encode(value).decode()

@@ -1,0 +1,262 @@
+"""What each device last said, how long ago, and whether it moves now: for faces, never for motion.
+
+The ports of a run are wrapped here, so that nobody asks a device a second time for the sake of a
+lamp. The trap: a lamp is not an interlock. It may be old; motions take readings of their own.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from hilcell.cell.devices import Devices, streams_of, sweeps_of
+from hilcell.ports import (
+    Array,
+    DeviceError,
+    Identity,
+    LinkStatistics,
+    NoReading,
+    Rail,
+    RailReading,
+    Robot,
+    RobotReading,
+    Stream,
+    Sweep,
+    Tracker,
+    TrackerReading,
+)
+
+REFRESH_S = 0.5
+
+
+class Lamp:
+    """One device's lamp: written by the worker alone, read by any thread."""
+
+    def __init__(self) -> None:
+        self.moving = False
+        self.reason = ""  # why the device is lost
+        self.text = ""
+        self.taken_s: float | None = None
+
+    def show(self, text: str, taken_s: float) -> None:
+        """Take a reading."""
+        self.text, self.taken_s, self.reason = text, taken_s, ""
+
+    @contextmanager
+    def watch(self, *, moving: bool = False) -> Iterator[None]:
+        """Watch one call of the device: it may move meanwhile, and its failure is the lamp's."""
+        self.moving = moving
+        try:
+            yield
+        except NoReading:
+            raise  # the device is well
+        except DeviceError as error:
+            self.reason = str(error)
+            raise
+        finally:
+            self.moving = False
+
+    def status(self, now_s: float) -> dict[str, object]:
+        """Return the lamp in words."""
+        state = "unknown" if self.taken_s is None else "fresh"
+        if self.reason:
+            state = "lost"
+        elif self.moving:
+            state = "moving"
+        age_s = None if self.taken_s is None else round(max(0.0, now_s - self.taken_s), 2)
+        return {"state": state, "age_s": age_s, "text": self.text, "reason": self.reason}
+
+
+class Lamps:
+    """The lamps of a cell, and its devices as the run uses them."""
+
+    def __init__(self, devices: Devices) -> None:
+        self.rail, self.strip, self.robot, self.tracker = Lamp(), Lamp(), Lamp(), Lamp()
+        self.rail_reading: RailReading | None = None
+        self.robot_reading: RobotReading | None = None
+        self.devices = Devices(
+            WatchedRail(devices.rail, self),
+            WatchedRobot(devices.robot, self),
+            WatchedTracker(devices.tracker, self),
+        )
+        self._refreshed_s = 0.0
+
+    def refresh(self) -> None:
+        """Read rail and robot where the last readings grow old; called while nothing moves.
+
+        A device that fails is lost, not at fault: the next motion's interlocks judge it.
+        """
+        now_s = time.monotonic()
+        if now_s - self._refreshed_s < REFRESH_S:
+            return
+        self._refreshed_s = now_s
+        for device in (self.devices.rail, self.devices.robot):
+            try:
+                device.read()
+            except DeviceError:
+                continue  # its lamp tells
+
+    def take_rail(self, reading: RailReading) -> RailReading:
+        """Show a reading of the rail, which carries the strip's."""
+        self.rail_reading = reading
+        how = "power on" if reading.powered else "held"
+        moves = "" if reading.still else f", {reading.velocity_mm_s:.1f} mm/s"
+        self.rail.show(f"{reading.position_mm:.2f} mm, {how}{moves}", reading.taken_s)
+        self.strip.show(f"{reading.strip_mm:.2f} mm", reading.taken_s)
+        return reading
+
+    def take_robot(self, reading: RobotReading) -> RobotReading:
+        """Show a reading of the robot."""
+        self.robot_reading = reading
+        joints = " ".join(f"{value:.1f}" for value in np.degrees(reading.joints_rad))
+        still = "at rest" if reading.still else "moves"
+        self.robot.show(f"{still} at {joints} deg", reading.taken_s)
+        return reading
+
+    def take_tracker(self, reading: TrackerReading) -> TrackerReading:
+        """Show a reading of the tracker."""
+        x, y, z = reading.xyz_mm
+        self.tracker.show(
+            f"{x:.2f} {y:.2f} {z:.2f} mm, {reading.temperature_c:.1f} C", reading.taken_s
+        )
+        return reading
+
+    def status(self) -> dict[str, object]:
+        """Return all lamps by name."""
+        now_s = time.monotonic()
+        lamps = {
+            "rail": self.rail,
+            "strip": self.strip,
+            "robot": self.robot,
+            "tracker": self.tracker,
+        }
+        return {name: lamp.status(now_s) for name, lamp in lamps.items()}
+
+
+class WatchedRail:
+    """Satisfies `hilcell.ports.Rail`."""
+
+    def __init__(self, rail: Rail, lamps: Lamps) -> None:
+        self._rail, self._lamps = rail, lamps
+
+    @contextmanager
+    def _watch(self, *, moving: bool = False) -> Iterator[None]:
+        with self._lamps.rail.watch(moving=moving), self._lamps.strip.watch(moving=moving):
+            yield
+
+    def connect(self) -> list[Identity]:
+        """Connect."""
+        with self._watch():
+            return self._rail.connect()
+
+    def home(self) -> None:
+        """Home; the slide moves."""
+        with self._watch(moving=True):
+            self._rail.home()
+
+    def move_to(self, position_mm: float) -> None:
+        """Move the slide."""
+        with self._watch(moving=True):
+            self._rail.move_to(position_mm)
+
+    def settle(self) -> RailReading:
+        """Wait for rest."""
+        with self._watch(moving=True):
+            return self._lamps.take_rail(self._rail.settle())
+
+    def read(self) -> RailReading:
+        """Read."""
+        with self._watch():
+            return self._lamps.take_rail(self._rail.read())
+
+    def hold(self) -> None:
+        """Hold."""
+        with self._watch():
+            self._rail.hold()
+
+    def statistics(self) -> LinkStatistics:
+        """Return what the wire has carried."""
+        return self._rail.statistics()
+
+    def stop(self) -> None:
+        """Stop."""
+        self._rail.stop()
+
+    def close(self) -> None:
+        """Close."""
+        self._rail.close()
+
+
+class WatchedRobot:
+    """Satisfies `hilcell.ports.Robot`, and `hilcell.ports.Sweeps` where its robot does."""
+
+    def __init__(self, robot: Robot, lamps: Lamps) -> None:
+        self._robot, self._lamps = robot, lamps
+
+    def connect(self) -> list[Identity]:
+        """Connect."""
+        with self._lamps.robot.watch():
+            return self._robot.connect()
+
+    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
+        """Move the robot."""
+        with self._lamps.robot.watch(moving=True):
+            return self._lamps.take_robot(self._robot.move_to(joints_rad, speed_percent))
+
+    @contextmanager
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[Sweep]:
+        """Sweep an axis; raises `DeviceRefused` where the robot does not."""
+        sweeps = sweeps_of(self._robot)
+        with (
+            self._lamps.robot.watch(moving=True),
+            sweeps.sweep(axis, end_rad, speed_rad_s) as sweep,
+        ):
+            yield sweep
+
+    def read(self) -> RobotReading:
+        """Read."""
+        with self._lamps.robot.watch():
+            return self._lamps.take_robot(self._robot.read())
+
+    def stop(self) -> None:
+        """Stop."""
+        self._robot.stop()
+
+    def close(self) -> None:
+        """Close."""
+        self._robot.close()
+
+
+class WatchedTracker:
+    """Satisfies `hilcell.ports.Tracker`, and `hilcell.ports.Streams` where its tracker does."""
+
+    def __init__(self, tracker: Tracker, lamps: Lamps) -> None:
+        self._tracker, self._lamps = tracker, lamps
+
+    def connect(self) -> list[Identity]:
+        """Connect."""
+        with self._lamps.tracker.watch():
+            return self._tracker.connect()
+
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure; only the beam moves."""
+        with self._lamps.tracker.watch():
+            return self._lamps.take_tracker(self._tracker.measure(near_mm, reflector, samples))
+
+    @contextmanager
+    def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[Stream]:
+        """Stream; raises `DeviceRefused` where the tracker does not."""
+        streams = streams_of(self._tracker)
+        with self._lamps.tracker.watch(), streams.stream(near_mm, reflector, rate_hz) as stream:
+            yield stream
+
+    def stop(self) -> None:
+        """Stop."""
+        self._tracker.stop()
+
+    def close(self) -> None:
+        """Close."""
+        self._tracker.close()

@@ -1,0 +1,52 @@
+"""What the operator is asked when the tracker sees no reflector: where it belongs, in words."""
+
+from __future__ import annotations
+
+from hilcell.cell.file import Cell
+from hilcell.ports import Array
+from hilcell.run.prompts import Prompt
+
+FLANGE = "flange"
+
+
+def where(cell: Cell, place: str) -> str:
+    """Return where a nest is, for a person who looks for it."""
+    for nests, on in ((cell.layout.floor, "floor"), (cell.layout.slide, "slide")):
+        for nest in nests:
+            if nest.name == place:
+                frame = "{W}" if on == "floor" else "nominal {B}"
+                at = f"x {nest.x_mm:.0f}, y {nest.y_mm:.0f}, z {nest.z_mm:.0f} mm in {frame}"
+                return f"nest {place} on the {on}, {at}"
+    return "the nest on the robot's flange" if place == FLANGE else f"reflector {place}"
+
+
+def seat_prompt(cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float) -> Prompt:
+    """Return what is asked before ``place`` is measured while the reflector is ``at`` another."""
+    x, y, z = (round(float(value), 3) for value in expected_mm)
+    take = f"Take the reflector from {where(cell, at)} and" if at else "Take the reflector and"
+    on = "on the flange" if place == FLANGE else f"in {place}"
+    return Prompt(
+        title=f"Seat the reflector {on}",
+        text=f"{take} seat it in {where(cell, place)}. The robot rests at its safe pose, the "
+        "slide is held.",
+        place=place,
+        expected_mm=(x, y, z),
+        limit_mm=limit_mm,
+        reason=f"{place} is to be measured, the reflector is {at or 'nowhere'}",
+    )
+
+
+def beam_prompt(
+    cell: Cell, key: str, place: str, near_mm: Array, limit_mm: float, reason: str
+) -> Prompt:
+    """Return what is asked when the tracker gives no good reading of a reflector."""
+    x, y, z = (round(float(value), 3) for value in near_mm)
+    return Prompt(
+        title=f"Clear the beam to {place}",
+        text=f"No good reading of {where(cell, place)}: {reason}. Clear the line of sight, clean "
+        "the reflector, see that it sits well.",
+        place=place,
+        expected_mm=(x, y, z),
+        limit_mm=limit_mm,
+        reason=f"{key}: {reason}",
+    )

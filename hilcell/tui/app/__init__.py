@@ -1,0 +1,1 @@
+"""The application: keys become actions on the run that is shown."""

@@ -1,0 +1,130 @@
+"""Follows one run from a thread of its own: the journal as it grows, the engine as it answers.
+
+Reading may block, so it never happens where keys are taken. What was read is handed over as one
+`Fresh`; the screen alone keeps state.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from hilcell.errors import HilcellError
+from hilcell.journal.journal import Record, StorageError, is_there, read_journal
+from hilcell.journal.runs import CALIBRATION, JOURNAL
+from hilcell.run.client import Link, LinkLostError, LinkSilentError
+from hilcell.tui.engine.scene import EngineState, Status
+
+QUIET_S = 0.5  # where no engine is at work, little happens
+REOPEN_S = 10.0  # a line that was silent for so long is opened again
+
+
+@dataclass(frozen=True, slots=True)
+class Fresh:
+    """What one look has brought."""
+
+    records: list[Record] = field(default_factory=list)
+    engine: EngineState = EngineState.NONE
+    status: Status | None = None
+    trouble: str = ""
+    calibrated: bool = True  # whether a calibration has its file; looked at after the engine's end
+
+
+class Feed:
+    """Looks at a run every ``period_s`` and hands over what is new."""
+
+    def __init__(self, folder: Path, deliver: Callable[[Fresh], object], period_s: float) -> None:
+        self.folder = folder
+        self.link: Link | None = None
+        self._deliver, self._period_s = deliver, period_s
+        self._seen = 0
+        self._heard_s = 0.0
+        self._leave = False
+        self._ended = threading.Event()
+        self._soon = threading.Event()
+        self._thread = threading.Thread(target=self._follow, name="feed", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def soon(self) -> None:
+        """Look at once: something was asked for."""
+        self._soon.set()
+
+    def close(self, *, leave: bool) -> None:
+        """Stop looking. ``leave`` tells the engine that nobody is lost."""
+        self._leave = leave
+        self._ended.set()
+        self._soon.set()
+        self._let_go()
+
+    def _let_go(self) -> None:
+        link, self.link = self.link, None
+        if link is not None:
+            if self._leave:
+                link.leave()
+            link.close()
+
+    def _follow(self) -> None:
+        while not self._ended.is_set():
+            began_s = time.monotonic()
+            fresh = self._look()
+            if not self._ended.is_set():
+                self._deliver(fresh)
+                quiet = fresh.engine is EngineState.NONE
+                period_s = max(self._period_s, QUIET_S) if quiet else self._period_s
+                self._soon.wait(max(period_s - (time.monotonic() - began_s), 0.02))
+                self._soon.clear()
+        self._let_go()  # a line that was being opened when the end came
+
+    def _look(self) -> Fresh:
+        engine, status = self._hear()
+        try:
+            records = read_journal(self.folder / JOURNAL, after=self._seen)
+        except StorageError as error:
+            waits = engine is not EngineState.NONE or self._lacks(JOURNAL)
+            return Fresh([], engine, status, "" if waits and not self._seen else str(error))
+        self._seen += len(records)
+        calibrated = engine is not EngineState.NONE or not self._lacks(CALIBRATION)
+        return Fresh(records, engine, status, calibrated=calibrated)
+
+    def _lacks(self, name: str) -> bool:
+        """Whether a file is not there, as far as that can be told."""
+        try:
+            return not is_there(self.folder / name)
+        except OSError:
+            return False
+
+    def _hear(self) -> tuple[EngineState, Status | None]:
+        """Ask the engine how it is; what makes no sense leaves the lamps to grow stale."""
+        try:
+            link = self._line()
+            if link is None:
+                return EngineState.NONE, None
+            answer = link.ask("status")
+            self._heard_s = time.monotonic()
+            return EngineState.HEARD, msgspec.convert(answer, Status)
+        except LinkSilentError:
+            if time.monotonic() - self._heard_s > REOPEN_S:
+                self._let_go()
+            return EngineState.SILENT, None
+        except LinkLostError:
+            self.link = None
+            return EngineState.NONE, None
+        except (HilcellError, msgspec.ValidationError):
+            return EngineState.HEARD, None
+
+    def _line(self) -> Link | None:
+        """Return the line to the engine, opened where it was not."""
+        if self.link is None:
+            self.link = Link.to(self.folder)
+            self._heard_s = time.monotonic()
+            if self.link is not None:
+                self.link.ask("attend")
+        return self.link

@@ -1,0 +1,186 @@
+"""What the screen knows at one moment: the journal so far, and what the engine last said.
+
+The same scene stands for a live run, a finished one and one left by a crash. The trap: the
+engine's words grow old; whatever shows them asks `Scene.heard_s` how old they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from hilcell.journal.log import Log, Point
+from hilcell.run.states import RUN
+
+if TYPE_CHECKING:
+    from hilcell.alarms import Alarm
+    from hilcell.journal.journal import Record
+
+STALE_S = 2.0
+MOST_NOTED = 2000
+OVER = ("finished", "aborted", "faulted")
+
+
+class DeviceStatus(msgspec.Struct, frozen=True):
+    """One lamp, as the engine states it."""
+
+    state: str = "unknown"
+    age_s: float | None = None
+    text: str = ""
+    reason: str = ""
+
+
+class Interlock(msgspec.Struct, frozen=True):
+    """One condition of motion; ``blocked`` says why it does not hold."""
+
+    name: str
+    blocked: str = ""
+
+
+class Prompt(msgspec.Struct, frozen=True):
+    """What the operator is asked to do, and what the tracker sees of it."""
+
+    title: str
+    text: str
+    place: str = ""
+    expected_mm: tuple[float, float, float] | None = None
+    limit_mm: float | None = None
+    seen_mm: float | None = None
+    age_s: float | None = None
+    ready: bool = False
+    check: bool = True
+
+
+class Status(msgspec.Struct, frozen=True):
+    """The engine's answer to ``status``."""
+
+    state: str
+    pausing: bool = False
+    unattended: bool = False
+    screens: int = 0
+    devices: dict[str, DeviceStatus] = {}
+    interlocks: list[Interlock] = []
+    prompt: Prompt | None = None
+    retakes: list[str] = []
+
+
+class EngineState(Enum):
+    """What is known of the process at work on a run: one that was heard never starts again."""
+
+    UNKNOWN = "unknown"  # nobody has looked yet
+    NONE = "none"
+    STARTING = "starting"  # this screen has started it; it has not said anything yet
+    HEARD = "heard"
+    SILENT = "silent"  # it lives, and does not answer
+
+
+@dataclass(slots=True)
+class Scene:
+    """All that is shown. Fed by `take` and `hear`; read by the pure functions of this package."""
+
+    run: str
+    log: Log = field(default_factory=Log)
+    trouble: str = ""  # why the journal cannot be read
+    calibrated: bool = True  # whether a calibration has its file
+    engine: EngineState = EngineState.NONE
+    status: Status | None = None
+    heard_s: float = 0.0  # how old the status is
+    now: datetime | None = None
+    remaining_s: float | None = None
+    elapsed_s: float = 0.0
+    alarms: list[Alarm] = field(default_factory=list)
+    records: list[Record] = field(default_factory=list)  # the newest, for the event log
+    last: Point | None = None
+    step: dict[str, Any] = field(default_factory=dict)
+    measured: dict[int, set[str]] = field(default_factory=dict)  # keys of points by step
+
+    def take(self, record: Record) -> None:
+        """Add one durable record."""
+        self.log.take(record)
+        self.records.append(record)
+        if len(self.records) > 2 * MOST_NOTED:
+            del self.records[:-MOST_NOTED]
+        if record.kind == "point":
+            self.last = self.log.points[record.key]
+            if self.step and self.last.group != "control":
+                self.measured.setdefault(int(self.step["number"]), set()).add(record.key)
+        elif record.kind == "event" and record.body.get("what") == "step":
+            self.step = record.body
+
+    @property
+    def newest_target(self) -> Point | None:
+        """Return the newest point with a nominal place, or None where there is none yet."""
+        if self.last is None or self.last.nominal_mm is not None:
+            return self.last
+        points = reversed(self.log.points.values())
+        return next((point for point in points if point.nominal_mm is not None), None)
+
+    @property
+    def over(self) -> bool:
+        """Whether the run has ended, by its journal."""
+        return self.log.states["run"] in OVER and self.log.end is not None
+
+    @property
+    def lost(self) -> bool:
+        """Whether the run has ended with a calibration that has no file."""
+        return not self.calibrated and self.log.calibrates
+
+    @property
+    def key(self) -> str:
+        """Return the state in one word, as the state block names it."""
+        state = self.log.states["run"]
+        if self.engine is EngineState.UNKNOWN:
+            return "looking"
+        if self.engine is EngineState.STARTING:
+            return "checking"
+        if self.engine is EngineState.NONE and not self.over:
+            if self.trouble and self.log.plan is None:
+                return "unreadable"
+            begun = self.log.plan is not None and self.log.end is None  # else it was refused
+            return "gone" if begun else "idle"
+        if self.engine is EngineState.SILENT and not self.over:
+            return "silent"
+        if state == "finished":
+            return "intolerant" if self.log.end and self.log.end["exit"] else "done"
+        if state == "faulted":
+            return "fault"
+        if state == "running" and self.status is not None and self.status.pausing:
+            return "pausing"
+        return state
+
+    @property
+    def live(self) -> bool:
+        """Whether an engine is at work on this run."""
+        ended = self.key in ("done", "intolerant", "aborted", "fault")
+        return self.engine is not EngineState.NONE and not ended
+
+    @property
+    def heard(self) -> bool:
+        """Whether an engine takes commands."""
+        return self.engine is EngineState.HEARD
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves: no engine is at work, or it waits for the operator."""
+        return not self.live or self.key in ("paused", "suspended")
+
+    @property
+    def stale(self) -> bool:
+        """Whether the engine's last words are too old to be shown as good."""
+        return self.status is None or not self.heard_s <= STALE_S
+
+    @property
+    def prompt(self) -> Prompt | None:
+        """Return what the operator is asked, while he is asked and the cell is known."""
+        if not self.live or self.status is None or self.log.plan is None:
+            return None
+        return self.status.prompt
+
+    def allows(self, trigger: str) -> bool:
+        """Whether the table of the run's life allows a trigger now."""
+        state = self.log.states["run"]
+        return any(name == trigger and state in sources for name, sources, _ in RUN.rows)

@@ -1,0 +1,141 @@
+"""One attachment of the screen to one run: its feed, and the scene that the feed fills."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from hilcell.alarms import Latch, alarms_of
+from hilcell.alarms.alarm import GO_ON
+from hilcell.errors import HilcellError
+from hilcell.run.client import Link, stop_engine
+from hilcell.run.forecast import Forecast
+from hilcell.tui.engine.feed import Feed, Fresh
+from hilcell.tui.engine.scene import EngineState, Scene
+
+if TYPE_CHECKING:
+    from hilcell.journal.journal import Record
+
+PATIENCE_S = {"answer": 30.0}  # the tracker looks first
+
+
+class Session:
+    """What is known of one run, and the line to its engine where one lives."""
+
+    def __init__(
+        self,
+        folder: Path,
+        deliver: Callable[[Fresh], object],
+        period_s: float,
+        process: subprocess.Popen[bytes] | None = None,
+        go_on: str = GO_ON,
+    ) -> None:
+        self.folder = folder
+        self.scene = Scene(
+            folder.name, engine=EngineState.STARTING if process else EngineState.UNKNOWN
+        )
+        self.latch = Latch()
+        self.process = process  # the engine, where this screen has started it
+        self._go_on = go_on
+        self._foreign = ""  # why the journal cannot be understood
+        self._forecast = Forecast()
+        self._heard: datetime | None = None
+        self.feed = Feed(folder, deliver, period_s)
+
+    def take(self, fresh: Fresh, now: datetime) -> None:
+        """Add what one look has brought."""
+        if not self._foreign:
+            self._take_records(fresh.records)
+        scene = self.scene
+        scene.trouble = self._foreign or fresh.trouble
+        if fresh.status is not None:
+            scene.status, self._heard = fresh.status, now
+        before = scene.engine, scene.calibrated
+        scene.engine, scene.calibrated = self._engine(fresh.engine), fresh.calibrated
+        changed = (scene.engine, scene.calibrated) != before
+        news = changed or (fresh.records and not self._foreign)
+        if news and scene.log.plan is not None:
+            present = scene.engine is not EngineState.NONE
+            lost = not scene.calibrated
+            scene.alarms = alarms_of(
+                scene.log, scene.run, live=present, go_on=self._go_on, lost=lost
+            )
+            self.latch.take(scene.alarms)
+        self.tick(now)
+
+    def _engine(self, found: EngineState) -> EngineState:
+        if found is not EngineState.NONE:
+            return found
+        begins = self.scene.engine is EngineState.STARTING
+        running = self.process is not None and self.process.poll() is None
+        return EngineState.STARTING if begins and running else EngineState.NONE
+
+    def _take_records(self, records: Sequence[Record]) -> None:
+        scene = self.scene
+        try:
+            for record in records:
+                scene.take(record)
+                self._forecast.take(record)
+            if scene.records:
+                _ = scene.log.cell  # read here, so that every line may rely on it
+        except (HilcellError, msgspec.ValidationError) as error:
+            self._foreign = f"{scene.run}: written by another version of hilcell: {error}"
+            self.scene = Scene(scene.run)
+
+    def tick(self, now: datetime) -> None:
+        """Let time pass: ages grow, the forecast counts down."""
+        scene = self.scene
+        scene.now = now
+        scene.heard_s = (now - self._heard).total_seconds() if self._heard is not None else 0.0
+        last = datetime.fromisoformat(scene.records[-1].t) if scene.records else now
+        at = now if scene.live else last
+        scene.elapsed_s = self._forecast.elapsed_s(at)
+        scene.remaining_s = self._forecast.remaining_s(at)
+
+    def stop(self) -> bool:
+        """Send a stop at once, from whatever thread; return whether an engine was there to hear.
+
+        Where the line has just been lost, a new one is opened for it. An engine that is being
+        started hears nobody yet: its process is told, which ends it before anything moves; never
+        later, for an engine that has finished still writes its results.
+        """
+        link = self.feed.link
+        if (link is not None and link.stop()) or stop_engine(self.folder):
+            return True
+        if self.process is None or self.scene.engine is not EngineState.STARTING:
+            return False
+        self.process.terminate()  # does nothing where it has ended
+        return True
+
+    def ask(self, command: str, **facts: str) -> None:
+        """Send a command; raises `HilcellError` where it is refused or no engine lives."""
+        patience_s = PATIENCE_S.get(command)
+        apart = patience_s is not None  # so that the lamps do not wait for it
+        link = Link.to(self.folder, patience_s) if apart else self.feed.link
+        if link is None:
+            raise HilcellError(
+                f"{command}: no engine is running for {self.folder.name}",
+                code="HC-J08",
+            )
+        try:
+            link.ask(command, **facts)
+        finally:
+            if apart:
+                link.close()
+        self.feed.soon()
+
+    def close(self, *, leave: bool) -> None:
+        """Let go of the run."""
+        self.feed.close(leave=leave)
+        if self.process is not None:
+            self.process.poll()
+
+
+def utc_now() -> datetime:
+    """Return the time of day, by which journals are dated."""
+    return datetime.now(UTC)

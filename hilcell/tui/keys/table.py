@@ -1,0 +1,177 @@
+"""What the keys do: one table of actions, rebound by a TOML file, checked for conflicts.
+
+    # ~/.config/hilcell/keys.toml
+    [keys]
+    history = ["h", "ctrl+y"]
+    log = ["l", "д"]
+
+A key is any printed character, a word for one, or `ctrl+` with a letter from a to z. The trap:
+terminals, multiplexers and layouts eat keys, so no action hangs on a function key alone, and Esc
+stops whatever a file says.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import string
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+from hilcell.cell.settings import SettingsError
+
+ESCAPE = "escape"
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """One thing that a key does; ``asks`` says whether it asks before it acts."""
+
+    name: str
+    keys: tuple[str, ...]
+    label: str
+    help: str
+    everywhere: bool = False  # works in text boxes, too
+
+
+ACTIONS = (
+    Action("stop", (ESCAPE,), "STOP", "stop everything now; never asks", everywhere=True),
+    Action("pause", ("space",), "pause/go on", "pause after the point in flight, or go on"),
+    Action("abort", ("a",), "abort", "end the run after the point in flight; asks"),
+    Action("retake", ("r",), "re-measure", "re-measure the chosen point; asks"),
+    Action("acknowledge", ("k",), "acknowledge", "acknowledge the alarms that were read"),
+    Action("bad", ("b",), "bad only", "show only points that are out, noisy or re-measured"),
+    Action("sort", ("w",), "worst first", "order points: as measured, or worst first"),
+    Action("find", ("slash",), "filter", "show only rows with the words typed"),
+    Action("alarms", ("e",), "alarms", "every alarm, what it means and what to do"),
+    Action("plots", ("p",), "plots", "errors before and after, sorted, repeatability, strip"),
+    Action("interlocks", ("i",), "interlocks", "what may move, and why not"),
+    Action("log", ("l",), "log", "every record of the journal"),
+    Action("report", ("o",), "report", "write the report and show its figures"),
+    Action("history", ("h",), "history", "earlier runs; two can be compared"),
+    Action("mark", ("x",), "mark", "in the history: mark a run to be compared"),
+    Action("compare", ("c",), "compare two", "in the history: what has drifted between two runs"),
+    Action("new", ("n",), "new run", "choose cell and procedure and start a run"),
+    Action("detach", ("d",), "detach", "leave the screen; the run goes on"),
+    Action("theme", ("t",), "theme", "the next theme"),
+    Action("help", ("question_mark",), "help", "explain this screen", everywhere=False),
+    Action("quit", ("ctrl+q", "ctrl+c"), "quit", "leave; over a live run it asks", everywhere=True),
+)
+BY_NAME = {action.name: action for action in ACTIONS}
+# Keys with a fixed meaning: to move, to choose, to go back, to open the palette.
+RESERVED = (
+    "enter", "tab", "shift+tab", "up", "down", "left", "right", "pageup", "pagedown", "home",
+    "end", "backspace", "q", "ctrl+p", "y",
+    "ctrl+h", "ctrl+i", "ctrl+j", "ctrl+m",  # what terminals send for Backspace, Tab and Enter
+)  # fmt: skip
+NAMED = (
+    "space", "slash", "question_mark", "comma", "full_stop", "minus", "plus", "semicolon", "colon",
+    "insert", "delete", *(f"f{number}" for number in range(1, 25)),
+)  # fmt: skip
+_SHOWN = {
+    "slash": "/", "question_mark": "?", "comma": ",", "full_stop": ".", "minus": "-", "plus": "+",
+    "semicolon": ";", "colon": ":", ESCAPE: "Esc",
+}  # fmt: skip
+_NAMES = {" ": "space"} | {sign: name for name, sign in _SHOWN.items() if name in NAMED}
+
+Keymap = dict[str, tuple[str, ...]]
+
+
+def default_file() -> Path:
+    """Return where the file of keys is looked for."""
+    base = os.environ.get("XDG_CONFIG_HOME", "")
+    return (Path(base) if base else Path.home() / ".config") / "hilcell" / "keys.toml"
+
+
+def load_keys(path: Path | None) -> Keymap:
+    """Return the keys of every action; raises `SettingsError` with all problems of the file.
+
+    Without a path the default file is read where it exists.
+    """
+    file = path or default_file()
+    defaults = {action.name: action.keys for action in ACTIONS}
+    try:
+        table = tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        if path is None and isinstance(error, FileNotFoundError | NotADirectoryError):
+            return defaults
+        raise SettingsError(str(file), [f"cannot be read: {error.strerror}"]) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SettingsError(str(file), [f"cannot be read as TOML: {error}"]) from error
+    problems: list[str] = []
+    found = dict(defaults)
+    for name, value in _table_of_keys(table, problems).items():
+        if name not in BY_NAME:
+            near = difflib.get_close_matches(name, BY_NAME, 1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; actions: {', '.join(BY_NAME)}"
+            problems.append(f"keys.{name}: no such action{hint}")
+            continue
+        found[name] = _keys_of(name, value, problems)
+    found["stop"] = tuple(dict.fromkeys((*found["stop"], ESCAPE)))
+    problems += conflicts(found)
+    if problems:
+        raise SettingsError(str(file), problems)
+    return found
+
+
+def _table_of_keys(table: dict[str, object], problems: list[str]) -> dict[str, object]:
+    problems.extend(f"{name}: only [keys] is known" for name in table if name != "keys")
+    keys = table.get("keys", {})
+    if isinstance(keys, dict):
+        return keys
+    problems.append(f"keys: a table is wanted, found {keys!r}")
+    return {}
+
+
+def _keys_of(name: str, value: object, problems: list[str]) -> tuple[str, ...]:
+    keys = [value] if isinstance(value, str) else value
+    if not (isinstance(keys, list) and keys and all(isinstance(key, str) for key in keys)):
+        problems.append(f"keys.{name}: a key, or a list of keys, is wanted, found {value!r}")
+        return ()
+    problems.extend(
+        f"keys.{name}: {key!r} is no key; write a, A, é, ctrl+a, f5, space, slash"
+        for key in keys
+        if not is_key(key)
+    )
+    if all(key[:1] == "f" and key[1:].isdigit() for key in keys):
+        problems.append(
+            f"keys.{name}: function keys alone ({', '.join(keys)}) are eaten by some terminals; "
+            "add another key"
+        )
+    return tuple(map(named, keys))
+
+
+def is_key(key: str) -> bool:
+    """Whether a word names a key: of any layout, one printed character."""
+    if key.startswith("ctrl+"):
+        return key.removeprefix("ctrl+") in tuple(string.ascii_lowercase)
+    return (len(key) == 1 and key.isprintable()) or key in (*NAMED, ESCAPE)
+
+
+def named(key: str) -> str:
+    """Return the word for a character that has one, so that no key has two names."""
+    return _NAMES.get(key, key)
+
+
+def conflicts(keymap: Keymap) -> list[str]:
+    """Return the keys that mean two things, in words."""
+    users: dict[str, list[str]] = {}
+    for name, keys in keymap.items():
+        for key in dict.fromkeys(keys):
+            users.setdefault(key, []).append(name)
+    problems = [
+        f"key {shown(key)!r} means {' and '.join(names)}; give each a key of its own"
+        for key, names in users.items()
+        if len(names) > 1
+    ]
+    return problems + [
+        f"key {shown(key)!r} of {names[0]} has a fixed meaning; choose another"
+        for key, names in users.items()
+        if key in RESERVED
+    ]
+
+
+def shown(key: str) -> str:
+    """Return a key as it is printed."""
+    return _SHOWN.get(key, key.replace("ctrl+", "^"))

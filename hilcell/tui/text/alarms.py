@@ -1,0 +1,80 @@
+"""Alarms in words: one box on the run's screen, one page for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from textual.content import Content
+
+from hilcell.alarms import Alarm, Latch, Latched, Severity
+from hilcell.tui.keys.table import Keymap, shown
+from hilcell.tui.terminal.glyphs import Glyphs
+
+MOST_ROWS, SPARE = 2, 12  # of a part; what breaking lines at words may cost
+_TONES = {"fault": "bad", "warning": "warn", "notice": "info"}
+
+
+def alarm_lines(
+    standing: Sequence[Latched], keymap: Keymap, glyphs: Glyphs, width: int, rows: int = 3
+) -> Content | None:
+    """Return element 8: the worst alarm not acknowledged, in ``rows`` parts of at most two rows."""
+    if not standing:
+        return None
+    worst, more = standing[0], len(standing) - 1
+    alarm = worst.alarm
+    others = f"  (+{more} more: {shown(keymap['alarms'][0])})" if more else ""
+    times = f" ({worst.count} times)" if worst.count > 1 else ""
+    head = _block(alarm, worst.severity, glyphs).append(
+        Content.styled(f" {alarm.title}{times}{others}", "bold")
+    )
+    found = Content(f"{alarm.where}: {alarm.found}" if alarm.where else alarm.found)
+    act = Content(f"do: {alarm.do[0]}" if alarm.do else alarm.means)
+    lines = [head.truncate(width, ellipsis=True)]
+    lines += [each.truncate(MOST_ROWS * width - SPARE, ellipsis=True) for each in (found, act)]
+    return Content("\n").join(lines[:rows])
+
+
+def alarm_page(alarms: Sequence[Alarm], latch: Latch, glyphs: Glyphs) -> Content:
+    """Return every alarm of the session, newest first, with what it means and what to do.
+
+    What still stands from before the run was resumed follows.
+    """
+    raised = {alarm.code for alarm in alarms}
+    standing = {each.alarm.code: each.alarm for each in latch.standing()}
+    earlier = [alarm for code, alarm in standing.items() if code not in raised]
+    if not alarms and not earlier:
+        return Content("No alarm was raised in this run.")
+    return Content("\n\n").join(
+        _one(alarm, glyphs, open_=alarm.code in standing) for alarm in (*reversed(alarms), *earlier)
+    )
+
+
+def _shape(severity: Severity, glyphs: Glyphs) -> str:
+    return {"fault": glyphs.lost, "warning": "!", "notice": "i"}[severity]
+
+
+def _block(alarm: Alarm, severity: Severity, glyphs: Glyphs) -> Content:
+    tone = _TONES[severity]
+    return Content.styled(
+        f" {_shape(severity, glyphs)} {severity.upper()} {alarm.code} ",
+        f"bold $on-{tone} on ${tone}",
+    )
+
+
+def _one(alarm: Alarm, glyphs: Glyphs, *, open_: bool) -> Content:
+    state = "not acknowledged" if open_ else "acknowledged"
+    steps = "\n".join(f"  {number}. {step}" for number, step in enumerate(alarm.do, start=1))
+    return Content.assemble(
+        _block(alarm, alarm.severity, glyphs),
+        (f" {alarm.title}", "bold"),
+        (f"   {alarm.t[:19]}  {state}", "$dim"),
+        "\n",
+        ("where   ", "$dim"),
+        f"{alarm.where or '-'}\n",
+        ("found   ", "$dim"),
+        f"{alarm.found}\n",
+        ("means   ", "$dim"),
+        f"{alarm.means}\n",
+        ("do\n", "$dim"),
+        steps,
+    )

@@ -1,0 +1,52 @@
+"""The help: what each line of the screen says, and what each key does."""
+
+from __future__ import annotations
+
+from textual.content import Content
+
+from hilcell.tui.keys.table import ACTIONS, Keymap, shown
+from hilcell.tui.terminal.glyphs import Glyphs
+from hilcell.tui.text.run import STATES
+
+LINES = (
+    ("state", "the block on top: shape, word and colour say the same"),
+    ("LIVE / HISTORIC", "an engine is at work, or the run is over"),
+    ("SIMULATION", "no machine moves: the cell is a simulated one"),
+    ("step", "what is done, how many of its points are measured, what comes next"),
+    ("bar", "time worked, time left; pauses do not count"),
+    ("lamps", "each device's last reading and its age; grey is too old to be trusted"),
+    ("air", "temperature at the tracker, and its change since the first point"),
+    ("interlocks", "the first reason why something may not move"),
+    ("dx dy dz |e|", "actual - nominal in the world {W}, and |e| against its limit"),
+    ("", "of the newest point while the run goes on, else of the chosen one"),
+    ("alarm", "what it means and what to do; it stays until it is acknowledged"),
+    ("points", "all points; up and down choose, Enter opens one"),
+    ("validate/...", "before: uncorrected; idw: by the paper's correction; chosen: by the"),
+    ("", "correction that is used, which alone is held against the tolerance"),
+    ("point's state", "ok; out: over its limit; noisy: its readings scatter too much"),
+    ("", "waits: to be re-measured; again: re-measured"),
+)
+STORY = (
+    "A first calibration: choose `calibrate`, type your name, Enter shows the plan, Enter starts.",
+    "When it is DONE: worst first, choose the point on top, re-measure it, then write the report.",
+    "After a FAULT: read the alarm, put it right, then resume. What was measured is kept.",
+)
+
+
+def help_lines(keymap: Keymap, glyphs: Glyphs) -> Content:
+    """Return the whole help."""
+    parts: list[Content] = [Content(line) for line in STORY]
+    parts += [Content(""), Content.styled("Keys", "bold")]
+    for action in ACTIONS:
+        keys = " ".join(shown(key) for key in keymap[action.name])
+        parts.append(Content.assemble((f"{keys:<12}", "bold"), action.help))
+    parts += [
+        Content.assemble((f"{'^p':<12}", "bold"), "the palette: every action by its name"),
+        Content.assemble((f"{'q':<12}", "bold"), "back to the run"),
+        Content(""),
+        Content.styled("What the screen says", "bold"),
+    ]
+    parts += [Content.assemble((f"{name:<18}", "bold"), text) for name, text in LINES]
+    parts += [Content(""), Content.styled("States", "bold")]
+    states = "  ".join(f"{glyphs.states[key]} {word}" for key, (word, _) in STATES.items())
+    return Content("\n").join([*parts, Content(states)])

@@ -1,0 +1,106 @@
+"""The points table: which points, in which order, in which columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from hilcell.journal.log import Log
+from hilcell.tui.text.columns import Column, Row
+from hilcell.tui.text.deviation import BAD_STATES, PointRow, row_of
+from hilcell.tui.text.deviation import rms_mm as rms_of
+
+WIDE = 112
+_NARROW_COLUMNS = (
+    Column("point", 26),
+    Column("dx mm", 7, right=True),
+    Column("dy mm", 7, right=True),
+    Column("dz mm", 7, right=True),
+    Column("|e| mm", 7, right=True),
+    Column("rms mm", 6, right=True),
+    Column("state", 8),
+)
+_WIDE_COLUMNS = (
+    Column("point", 26),
+    Column("nominal x y z mm", 28, right=True),
+    Column("measured x y z mm", 31, right=True),
+    *_NARROW_COLUMNS[1:],
+)
+_TONES = {"out": "bad", "noisy": "warn", "waits": "info", "again": "info"}
+
+
+def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
+    """Return the columns that a table of this width shows; the first tells which points."""
+    columns = _WIDE_COLUMNS if width >= WIDE + 40 else _NARROW_COLUMNS
+    which = " ".join(["bad only"] * bad_only + ["by |e|" if bad_only else "worst first"] * worst)
+    return (replace(columns[0], title=f"point: {which}"), *columns[1:]) if which else columns
+
+
+class PointTable:
+    """Makes each row once: while points come, all but the newest stay as they were."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, PointRow] = {}
+        self._drawn: dict[str, tuple[PointRow, bool, int, Row]] = {}
+
+    def rows(self, log: Log) -> Iterator[PointRow]:
+        """Yield the rows of all points in the order in which they were first measured."""
+        for key, point in log.points.items():
+            row = self._found.get(key)
+            if row is None or row.point is not point or row.deviation is None:
+                row = self._found[key] = row_of(log, point)
+            yield row
+
+    def drawn(self, found: PointRow, waiting: Collection[str], width: int) -> Row:
+        """Return the cells of one point."""
+        key, waits = found.point.key, found.point.key in waiting
+        known = self._drawn.get(key)
+        if known is None or known[0] is not found or known[1:3] != (waits, width):
+            known = self._drawn[key] = (found, waits, width, to_row(found, waiting, width))
+        return known[3]
+
+
+def filtered(
+    points: Iterable[PointRow], wanted: str, *, bad_only: bool, worst: bool
+) -> list[PointRow]:
+    """Return the points asked for: with all the words, bad ones, worst first."""
+    words = wanted.lower().split()
+    rows = [
+        row
+        for row in points
+        if (not bad_only or row.state in (*BAD_STATES, "again"))
+        and all(
+            word in f"{row.point.key} {row.point.station} {row.state}".lower() for word in words
+        )
+    ]
+    if worst:
+        rows.sort(key=_badness, reverse=True)
+    return rows
+
+
+def _badness(row: PointRow) -> tuple[bool, float]:
+    """Raw errors come after those that a tolerance stands for: they are meant to be large."""
+    norm_mm = row.norm_mm if row.norm_mm < math.inf else math.inf  # NaN is the worst of all
+    return row.deviation is not None and row.deviation.limit_mm is not None, norm_mm
+
+
+def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
+    """Return the cells of one point; ``waiting`` names those that are to be re-measured."""
+    point, deviation = found.point, found.deviation
+    state = "waits" if point.key in waiting else found.state
+    errors: tuple[str, ...] = ("", "", "", "")
+    if deviation is None:
+        actual = point.xyz_mm
+    else:
+        errors = (*(f"{each:+.3f}" for each in deviation.error_mm), f"{deviation.norm_mm:.3f}")
+        actual = deviation.actual_mm
+    narrow = (*errors, f"{rms_of(point):.3f}", state)
+    if width < WIDE + 40:
+        return Row(point.key, (point.key, *narrow), _TONES.get(state, ""))
+    nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 2)
+    return Row(point.key, (point.key, nominal, _triple(actual, 3), *narrow), _TONES.get(state, ""))
+
+
+def _triple(values: Sequence[float], digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" for value in values)

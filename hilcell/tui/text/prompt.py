@@ -1,0 +1,75 @@
+"""The prompt in words: what to do, where the nest is, what the tracker must see, what it sees."""
+
+from __future__ import annotations
+
+from textual.content import Content
+
+from hilcell.cell.file import Layout
+from hilcell.tui.engine.scene import Prompt, Scene
+from hilcell.tui.terminal.glyphs import Glyphs
+from hilcell.tui.text.run import short_age
+
+MAP_WIDTH, MAP_HEIGHT = 34, 5
+MOST_LINES = 3  # of a prompt's text
+
+
+def prompt_lines(prompt: Prompt, scene: Scene, glyphs: Glyphs, width: int) -> Content:
+    """Return element 9: one prompt, with the nest drawn where there is one."""
+    title = Content.styled(prompt.title, "bold $warn").truncate(width, ellipsis=True)
+    text = Content(prompt.text.replace("\n", " ")).truncate(MOST_LINES * width, ellipsis=True)
+    parts = [title, text]  # short, so that what the tracker sees stays in sight
+    if prompt.expected_mm is not None:
+        x, y, z = prompt.expected_mm
+        parts.append(
+            Content(f"expected reading: x {x:.1f}  y {y:.1f}  z {z:.1f} mm, tracker's frame")
+        )
+    parts.append(sight(prompt, scene))
+    drawing = nest_map(scene.log.cell.layout, prompt.place, glyphs)
+    return Content("\n").join(parts + drawing)
+
+
+def sight(prompt: Prompt, scene: Scene) -> Content:
+    """Return what the tracker sees there, and whether Enter works."""
+    if not prompt.check:
+        return Content.styled("Enter when it is done", "bold $good")
+    if scene.stale or prompt.age_s is None:
+        return Content.styled("the tracker has not looked yet; Enter does not work", "$dim")
+    age = short_age(prompt.age_s + scene.heard_s)
+    if prompt.seen_mm is None:
+        return Content.styled(f"tracker: sees nothing there ({age} ago); Enter waits", "$warn")
+    limit = "" if prompt.limit_mm is None else f", limit {prompt.limit_mm:.1f}"
+    seen = f"tracker: reflector {prompt.seen_mm:.2f} mm from there{limit} ({age} ago)"
+    if not prompt.ready:
+        return Content.styled(f"{seen}; Enter waits", "$warn")
+    return Content.styled(f"{seen}; press Enter", "bold $good")
+
+
+def nest_map(layout: Layout, place: str, glyphs: Glyphs) -> list[Content]:
+    """Return the floor or the slide from above, the wanted nest marked; x right, y up."""
+    floor = {nest.name: nest.xyz_mm for nest in layout.floor}
+    slide = {nest.name: nest.xyz_mm for nest in layout.slide}
+    where = floor if place in floor else slide
+    if place not in where:
+        return []
+    cells = [[" "] * MAP_WIDTH for _ in range(MAP_HEIGHT)]
+    xs = [float(xyz[0]) for xyz in where.values()]
+    ys = [float(xyz[1]) for xyz in where.values()]
+    for name, xyz in sorted(where.items(), key=lambda item: item[0] == place):
+        # Nests stand above one another: only the wanted one is named.
+        column = _scale(float(xyz[0]), xs, MAP_WIDTH - 6)
+        row = MAP_HEIGHT - 1 - _scale(float(xyz[1]), ys, MAP_HEIGHT - 1)
+        label = f">{name[:3]}<" if name == place else " o  "
+        cells[row][column : column + len(label)] = label
+    title = "floor" if where is floor else "slide"
+    lines = [Content.styled(f"the {title} from above: x right, y up", "$dim")]
+    return lines + [_marked("".join(row), f">{place[:3]}<") for row in cells]
+
+
+def _scale(value: float, values: list[float], most: int) -> int:
+    low, high = min(values), max(values)
+    return round((value - low) / (high - low) * most) if high > low else most // 2
+
+
+def _marked(line: str, label: str) -> Content:
+    before, found, after = line.partition(label)
+    return Content.assemble(before, (found, "bold $on-warn on $warn"), after)

@@ -1,0 +1,58 @@
+"""Calibrations made without a run: a known error field on a small grid."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.file import SCHEMA
+from hilcell.calibration.form import Calibration, Provenance, StationEntry, Validity
+from hilcell.geometry.frames import pose_from_zyx
+
+LOW_MM = np.array([1400.0, -450.0, 500.0])
+PITCH_MM = 450.0
+SHAPE = (3, 3, 3)
+T_W_B = pose_from_zyx(-1850.0, -3.0, 300.0, 0.02, 0.1, -0.06)
+STAMP = "%Y-%m-%dT%H:%M:%SZ"
+
+
+def field_mm(size_mm: float) -> Any:
+    """Return errors (3, 3, 3, 3) in {B}: about ``size_mm``, linear in the place."""
+    x, y, z = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in SHAPE), indexing="ij")
+    return size_mm * np.stack([0.5 + 0.2 * y, -0.4 + 0.1 * z, 0.6 - 0.2 * x], axis=-1)
+
+
+def calibration(size_mm: float = 1.2, **provenance: Any) -> Calibration:
+    """Return a calibration written now, its sign checked, of a real cell."""
+    made = Provenance(
+        "20261101-120000-calibrate-abcd",
+        "paper",
+        "d" * 64,
+        False,
+        "",
+        "",
+        "hilcell 0",
+        f"{datetime.now(UTC):{STAMP}}",
+        True,
+    )
+    high_mm = LOW_MM + PITCH_MM * (np.array(SHAPE) - 1)
+    entry = StationEntry(T_W_B.tolist(), np.eye(4).tolist(), np.eye(6).tolist(), 0.01, 1100.0)
+    values = {
+        "schema": SCHEMA,
+        "provenance": msgspec.structs.replace(made, **provenance),
+        "validity": Validity(
+            tuple(LOW_MM.tolist()),
+            tuple(high_mm.tolist()),
+            pose_from_zyx(0, 0, 0, 0, 75, 0)[:3, :3].tolist(),
+            2.0,
+            (22.0, 23.0),
+        ),
+        "stations": {"S1100": entry},
+        "method": "trilinear",
+        "pitch_mm": PITCH_MM,
+        "grid_errors_mm": field_mm(size_mm).tolist(),
+    }
+    return msgspec.convert(msgspec.to_builtins(values), Calibration)

@@ -1,0 +1,147 @@
+"""The calibration file: sealed, and refused with all problems where it is damaged."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from hilcell.calibration.file import SCHEMA, read_calibration, write_calibration
+from hilcell.calibration.form import Calibration
+from hilcell.cell.settings import SettingsError
+from tests.hilcell.calibration.calibrations import calibration
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "calibration.json"
+    write_calibration(calibration(), path)
+    return path
+
+
+def spoilt(change: Callable[[Any], Any], path: Path) -> str:
+    """Return what is said of a file that was written, and sealed, with this damage."""
+    values = msgspec.to_builtins(calibration())
+    change(values)
+    write_calibration(msgspec.convert(values, Calibration), path)
+    return refused(path)
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(SettingsError) as told:
+        read_calibration(path)
+    return str(told.value)
+
+
+def test_round_trip(file: Path) -> None:
+    assert read_calibration(file) == calibration(
+        written=json.loads(file.read_text())["provenance"]["written"]
+    )
+
+
+def test_layout_and_order_of_keys_do_not_matter(file: Path) -> None:
+    values = json.loads(file.read_text())
+    file.write_text(json.dumps(dict(reversed(values.items()))))
+    read_calibration(file)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("450.0", "450.1"),
+        ('"trilinear"', '"idw"'),
+        ('"simulated": false', '"simulated": true'),
+        ('"seal": "', '"seal": "0'),
+        ('"seal"', '"sael"'),
+        ('"method"', '"more": 1, "method"'),
+    ],
+)
+def test_any_change_is_told(file: Path, old: str, new: str) -> None:
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    assert "was changed after it was written" in refused(file)
+
+
+def put(path: str, value: Any) -> Callable[[Any], None]:
+    def change(values: Any) -> None:
+        *way, last = [int(key) if key.isdigit() else key for key in path.split(".")]
+        for key in way:
+            values = values[key]
+        values[last] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "says"),
+    [
+        ("method", "magic", "method: 'magic' is unknown; known here: idw, trilinear"),
+        ("grid_errors_mm", [], "grid_errors_mm: ragged"),
+        ("grid_errors_mm", [[]], "grid_errors_mm: ragged"),
+        ("grid_errors_mm.1", [[(0.0, 0.0, 0.0)]], "grid_errors_mm: ragged"),
+        ("grid_errors_mm", [[[(0.0, 0.0, 0.0)]]], "less than 2 vertices along an axis"),
+        ("grid_errors_mm.1.1.1", (0.0, 101.0, 0.0), "grid_errors_mm: 101 mm, wanted within +-100"),
+        ("grid_errors_mm.1.1.1", (0.0, 1e308, 0.0), "grid_errors_mm: 1e+308 mm"),
+        ("pitch_mm", 400.0, "pitch_mm: 3 x 3 x 3 vertices 400 mm apart do not fill"),
+        ("pitch_mm", -450.0, "pitch_mm: 3 x 3 x 3 vertices -450 mm"),
+        ("validity.high_mm", (2300.0, 450.0, 1401.0), "do not fill the validity's 900 x 900 x 901"),
+        ("validity.low_mm", (-1e9, 0.0, 0.0), "validity.low_mm: 1e+09 mm"),
+        ("validity.orientation", [[1.0]], "validity.orientation: wanted 3 x 3"),
+        ("validity.orientation.0.0", 5.0, "validity.orientation: is not rigid"),
+        ("validity.orientation_tolerance_deg", 181.0, "tolerance_deg: 181, wanted above 0"),
+        ("validity.orientation_tolerance_deg", 0.0, "tolerance_deg: 0, wanted above 0"),
+        ("validity.temperature_c", (23.0, 22.0), "23 .. 22, wanted the lower first"),
+        ("validity.temperature_c", (23.0, 1e9), "temperature_c: 1e+09 C"),
+        ("stations", {}, "stations: there is none"),
+        ("stations.S1100.T_W_B", [[1.0]], "stations.S1100.T_W_B: wanted 4 x 4"),
+        ("stations.S1100.T_W_B.1", [1.0], "stations.S1100.T_W_B: wanted 4 x 4"),
+        ("stations.S1100.T_W_B.3.0", 1.0, "its last row must be 0, 0, 0, 1"),
+        ("stations.S1100.T_W_B.0.0", 1.001, "stations.S1100.T_W_B: is not rigid"),
+        ("stations.S1100.T_W_B.0.3", 1e7, "stations.S1100.T_W_B: 1e+07 mm"),
+        ("stations.S1100.T_W_S.2.2", -1.0, "stations.S1100.T_W_S: is not rigid"),
+        ("stations.S1100.covariance", [[1.0]], "S1100.covariance: wanted 6 x 6"),
+        ("stations.S1100.tool_uncertainty_mm", -1.0, "tool_uncertainty_mm: -1, wanted 0 .. 100"),
+        ("stations.S1100.strip_mm", 1e7, "strip_mm: 1e+07 mm"),
+    ],
+)
+def test_sealed_nonsense_is_refused(tmp_path: Path, path: str, value: Any, says: str) -> None:
+    said = spoilt(put(path, value), tmp_path / "calibration.json")
+    assert says in said
+    assert "was changed" not in said
+
+
+def test_all_problems_come_at_once(file: Path) -> None:
+    values = json.loads(file.read_text())
+    values["method"], values["pitch_mm"] = "magic", 1.0
+    file.write_text(json.dumps(values))
+    said = refused(file)
+    assert "3 problems" in said
+    for part in ("was changed", "method: ", "pitch_mm: "):
+        assert part in said
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "not a calibration file"),
+        ("[]", "not a calibration file"),
+        ("{}", "missing required field `schema`"),
+        ('{"schema": true}', "not a calibration file"),
+        ('{"schema": 1}', f"schema 1, this hilcell reads {SCHEMA}"),
+        ('{"schema": 99}', f"schema 99, this hilcell reads {SCHEMA}"),
+        (f'{{"schema": {SCHEMA}}}', "missing required field"),
+        (f'{{"schema": {SCHEMA}, "a": {"[" * 9999}', "not a calibration file"),
+        (f'{{"schema": {SCHEMA}, "pitch_mm": 1e999}}', "not a calibration file"),
+        (f'{{"schema": {SCHEMA}, "pitch_mm": NaN}}', "not a calibration file"),
+        (f'{{"schema": 1{"0" * 300}}}', "schema 1e+300, this"),
+    ],
+)
+def test_what_is_no_calibration(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "calibration.json"
+    path.write_text(text)
+    said = refused(path)
+    assert says in said
+    assert len(said) < 500

@@ -1,0 +1,295 @@
+"""`fit` on measured robots: the reference's figures, a brute-force peer, refusals.
+
+Real laser-tracker data are taken from the folder HILCELL_DATA, or from ../shared/data beside the
+repository. Where neither is there, synthetic robots take their place, judged by the peer alone;
+the tests' names say which of the two they ran on.
+"""
+
+import csv
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from hilcell.calibration.fit import FitError, cross_validate, fit, idw, place
+from hilcell.calibration.robot_file import (
+    HEADER,
+    Measurements,
+    RobotModel,
+    Row,
+    read_measurements,
+    read_robot,
+)
+from hilcell.geometry.frames import FrameError, apply, pose_from_zyx
+from hilcell.geometry.kinematics import forward
+
+NEARBY = Path(__file__).parents[4] / "shared" / "data"
+DATA = Path(os.environ.get("HILCELL_DATA", NEARBY))
+REAL = "HILCELL_DATA" in os.environ or NEARBY.is_dir()
+TOLERANCE = 0.05
+
+Figures = tuple[float, float, float]  # mean, p95, max in mm
+Names = tuple[str, str, str]  # kind, robot and training rows of a pair
+
+# What a numpy/scipy reference reaches on the real data, all test rows.
+REFERENCE: dict[tuple[str, str], dict[str, Figures]] = {
+    ("irb120_faro", "train200"): {"nominal": (0.713, 1.642, 3.413), "idw": (0.488, 0.972, 3.609)},
+    ("irb120_faro", "train64"): {"nominal": (0.730, 1.666, 3.513), "idw": (0.570, 1.205, 3.535)},
+    ("motoman_left", "train150"): {"nominal": (0.222, 0.405, 0.457), "idw": (0.110, 0.216, 0.238)},
+    ("motoman_left", "train64"): {"nominal": (0.222, 0.418, 0.470), "idw": (0.123, 0.228, 0.285)},
+}
+REAL_PAIRS = [("real", folder, train) for folder, train in REFERENCE]
+SYNTHETIC_PAIRS = [("synthetic", "three reflectors", "60"), ("synthetic", "one reflector", "40")]
+IRB120 = RobotModel(
+    name="IRB 120 nominal",
+    convention="standard-dh",
+    joint=[
+        Row(a_mm=0, alpha_deg=-90, d_mm=290, offset_deg=0),
+        Row(a_mm=270, alpha_deg=0, d_mm=0, offset_deg=-90),
+        Row(a_mm=70, alpha_deg=-90, d_mm=0, offset_deg=0),
+        Row(a_mm=0, alpha_deg=90, d_mm=302, offset_deg=0),
+        Row(a_mm=0, alpha_deg=-90, d_mm=0, offset_deg=0),
+        Row(a_mm=0, alpha_deg=0, d_mm=72, offset_deg=180),
+    ],
+)
+T_L_B = pose_from_zyx(2200, -150, -600, 170, 2, -1)
+SMR_MM = {"SMR1": [0.2, -0.8, 120.5], "SMR2": [75.2, 90.6, 213.4], "SMR3": [150.7, -1.3, 121.7]}
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A robot, rows to learn from, rows to judge by, and the figures that must be met."""
+
+    robot: RobotModel
+    train: Measurements
+    test: Measurements
+    wanted: dict[str, Figures]
+
+
+def measured(seed: int, poses: int, targets: list[str], error: float = 1.0) -> Measurements:
+    """Rows of a robot with errors of about 1 mm, and 0.02 mm of noise."""
+    rng, crooked = np.random.default_rng(seed), np.random.default_rng(99)
+    nominal = IRB120.arm()
+    true = replace(
+        nominal,
+        a_mm=nominal.a_mm + error * crooked.normal(0, 0.2, 6),
+        offset_rad=nominal.offset_rad + error * crooked.normal(0, 1e-3, 6),
+        alpha_rad=nominal.alpha_rad + error * crooked.normal(0, 5e-4, 6),
+    )
+    joints = np.repeat(rng.uniform(-0.8, 0.8, (poses, 6)), len(targets), axis=0)
+    names = targets * poses
+    flange = forward(true, joints)
+    offsets = np.array([SMR_MM[name] for name in names])
+    at_mm = flange[:, :3, 3] + np.einsum("nij,nj->ni", flange[:, :3, :3], offsets)
+    noise = error * rng.normal(0, 0.02, at_mm.shape)
+    labels = [str(n) for n in np.repeat(np.arange(poses) + 1000 * seed, len(targets))]
+    return Measurements(labels, names, joints, apply(T_L_B, at_mm) + noise)
+
+
+def peer(robot: RobotModel, train: Measurements, test: Measurements) -> dict[str, Figures]:
+    """The figures by scipy's optimizer and plain loops."""
+    arm, names = robot.arm(), sorted(set(train.target))
+
+    def predict(x: np.ndarray, rows: Measurements) -> np.ndarray:
+        R, out = Rotation.from_rotvec(x[3:6]), []
+        for flange, target in zip(forward(arm, rows.joints_rad), rows.target, strict=True):
+            smr = x[6:].reshape(-1, 3)[names.index(target)]
+            out.append(R.apply(flange[:3, :3] @ smr + flange[:3, 3]) + x[:3])
+        return np.array(out)
+
+    def unexplained(x: np.ndarray) -> np.ndarray:
+        left: np.ndarray = train.xyz_mm - predict(x, train)
+        return left.ravel()
+
+    start = np.concatenate([T_L_B[:3, 3], Rotation.from_matrix(T_L_B[:3, :3]).as_rotvec()])
+    x = least_squares(
+        unexplained,
+        np.concatenate([start, *[SMR_MM[name] for name in names]]),
+        x_scale="jac",
+    ).x
+    known, asked = predict(x, train), predict(x, test)
+    misses: dict[str, list[float]] = {"nominal": [], "idw": []}
+    for at, target, seen in zip(asked, test.target, test.xyz_mm, strict=True):
+        same = [n for n in range(len(train)) if train.target[n] == target]
+        near = sorted(same, key=lambda n: np.linalg.norm(known[n] - at))[:8]
+        share = [1 / np.linalg.norm(known[n] - at) for n in near]
+        error = sum(w * (train.xyz_mm[n] - known[n]) for w, n in zip(share, near, strict=True))
+        misses["nominal"].append(float(np.linalg.norm(seen - at)))
+        misses["idw"].append(float(np.linalg.norm(seen - at - error / sum(share))))
+    return {
+        name: (float(np.mean(miss)), float(np.quantile(miss, 0.95)), max(miss))
+        for name, miss in misses.items()
+    }
+
+
+def pair_of(kind: str, folder: str, train: str) -> Pair:
+    if kind == "real":
+        return Pair(
+            read_robot(DATA / folder / "robot.toml"),
+            read_measurements(DATA / folder / f"{train}.csv"),
+            read_measurements(DATA / folder / "test.csv"),
+            REFERENCE[folder, train],
+        )
+    targets = list(SMR_MM) if folder == "three reflectors" else ["SMR2"]
+    rows, test = measured(1, int(train), targets), measured(2, 40, targets)
+    return Pair(IRB120, rows, test, peer(IRB120, rows, test))
+
+
+@pytest.mark.parametrize("names", REAL_PAIRS if REAL else SYNTHETIC_PAIRS, ids="-".join)
+def test_the_reference_s_figures_are_reached(names: Names) -> None:
+    pair = pair_of(*names)
+    result = fit(pair.robot, pair.train, pair.test)
+    for method, wanted in pair.wanted.items():
+        figures = result["methods"][method]
+        found = (figures["mean_mm"], figures["p95_mm"], figures["max_mm"])
+        np.testing.assert_allclose(found, wanted, rtol=TOLERANCE, err_msg=f"{names} {method}")
+    assert result["chosen"] == "idw"
+    assert (result["train"], result["test"]) == (len(pair.train), len(pair.test))
+    assert 0 < result["seconds"] < 60
+
+
+@pytest.mark.parametrize("names", SYNTHETIC_PAIRS, ids="-".join)
+def test_the_peer_agrees(names: Names) -> None:
+    pair = pair_of(*names)
+    result = fit(pair.robot, pair.train, pair.test)
+    for method, wanted in pair.wanted.items():
+        assert result["methods"][method]["mean_mm"] == pytest.approx(wanted[0], rel=0.03)
+
+
+@pytest.mark.parametrize("names", REAL_PAIRS if REAL else SYNTHETIC_PAIRS, ids="-".join)
+def test_without_test_rows_cross_validation_judges(names: Names) -> None:
+    pair = pair_of(*names)
+    result, again = fit(pair.robot, pair.train), fit(pair.robot, pair.train)
+    assert result["methods"] == again["methods"]
+    assert result["test"] == result["train"] == len(pair.train)
+    for method, wanted in pair.wanted.items():
+        assert result["methods"][method]["mean_mm"] == pytest.approx(wanted[0], rel=0.25)
+
+
+def test_base_and_reflectors_of_an_exact_robot_are_found() -> None:
+    rows = measured(3, 30, list(SMR_MM), error=0.0)
+    placement = place(IRB120.arm(), rows)
+    np.testing.assert_allclose(placement.T_L_B, T_L_B, atol=1e-6)
+    for name, smr in placement.smr_mm.items():
+        np.testing.assert_allclose(smr, SMR_MM[name], atol=1e-6)
+    assert max(f["max_mm"] for f in fit(IRB120, rows)["methods"].values()) < 1e-6
+
+
+def test_one_bad_row_does_not_move_the_base() -> None:
+    rows = measured(3, 30, list(SMR_MM), error=0.0)
+    rows.xyz_mm[7] += 50.0
+    placement = place(IRB120.arm(), rows)
+    np.testing.assert_allclose(placement.T_L_B[:3, 3], T_L_B[:3, 3], atol=0.2)
+
+
+def test_a_repeated_row_is_left_out_with_its_pose() -> None:
+    rows = measured(3, 40, ["SMR1"], error=0.0)
+    rows.xyz_mm[10] += [0.0, 0.0, 5.0]
+    twice = rows.at(np.repeat(np.arange(len(rows)), 2))
+    miss = np.linalg.norm(cross_validate(IRB120.arm(), twice)["idw"], axis=1)
+    np.testing.assert_allclose(miss[20:22], 5.0, atol=0.5)
+
+
+def test_a_reflector_learns_from_its_own_rows_only() -> None:
+    rows, test = measured(1, 40, ["SMR1", "SMR2"]), measured(2, 40, ["SMR1", "SMR2"])
+    placement = place(IRB120.arm(), rows)
+    of_smr2 = np.array(rows.target) == "SMR2"
+    spoilt = replace(rows, xyz_mm=rows.xyz_mm + 5.0 * of_smr2[:, None])
+    change = idw(placement, spoilt, test) - idw(placement, rows, test)
+    wanted = 5.0 * (np.array(test.target) == "SMR2")
+    np.testing.assert_allclose(change, np.tile(wanted[:, None], 3), atol=1e-9)
+
+
+def test_a_training_row_is_predicted_exactly() -> None:
+    rows = measured(1, 40, ["SMR1"])
+    result = fit(IRB120, rows, rows)
+    assert result["methods"]["idw"]["max_mm"] < 1e-9 < result["methods"]["nominal"]["mean_mm"]
+
+
+def test_rows_in_another_frame_give_the_same_figures() -> None:
+    rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
+    T = pose_from_zyx(-4000, 300, 20, 60, -45, 110)
+    moved = [replace(each, xyz_mm=apply(T, each.xyz_mm)) for each in (rows, test)]
+    for method, figures in fit(IRB120, rows, test)["methods"].items():
+        assert fit(IRB120, *moved)["methods"][method] == pytest.approx(figures, abs=1e-5)
+
+
+def test_an_unknown_target_is_refused() -> None:
+    with pytest.raises(FitError, match="no training row measures target SMR3"):
+        fit(IRB120, measured(1, 40, ["SMR1", "SMR2"]), measured(2, 5, ["SMR3"]))
+
+
+def test_too_few_rows_to_place_the_robot_are_refused() -> None:
+    with pytest.raises(FitError, match="2 rows do not place"):
+        place(IRB120.arm(), measured(1, 2, ["SMR1"]))
+
+
+@pytest.mark.parametrize(
+    ("poses", "says"), [(4, "4 poses, wanted at least 5"), (8, "8 to interpolate from")]
+)
+def test_too_few_poses_are_refused(poses: int, says: str) -> None:
+    with pytest.raises(FitError, match=says):
+        fit(IRB120, measured(1, poses, ["SMR1"]))
+
+
+@pytest.mark.parametrize(
+    ("joint_factor", "xyz_factor", "says"),
+    [
+        ([1, 1, 1, 1, 1, 1], [0.001, 0.001, 0.001], "miss half of .* check .* units"),
+        ([1, 1, 1, 1, -1, 1], [1, 1, 1], "miss half of .* joint signs"),
+        ([1, -1, 1, 1, 1, 1], [1, 1, 1], "mirror image"),
+        ([1, 1, 1, 1, 1, 1], [1, -1, 1], "left-handed"),
+        ([1, 1, 1, 1, 1, 1], [1, np.nan, 1], "not finite"),
+    ],
+)
+def test_rows_of_another_robot_or_unit_are_refused(
+    joint_factor: list[float], xyz_factor: list[float], says: str
+) -> None:
+    rows = measured(1, 40, ["SMR1"])
+    spoilt = replace(
+        rows, joints_rad=rows.joints_rad * joint_factor, xyz_mm=rows.xyz_mm * xyz_factor
+    )
+    with pytest.raises((FitError, FrameError), match=says):
+        fit(IRB120, spoilt)
+
+
+def test_a_test_set_of_another_robot_is_refused() -> None:
+    rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
+    other = replace(test, joints_rad=test.joints_rad[::-1])
+    with pytest.raises(FitError, match=r"the test set: .* miss half of .* wanted <= 20 mm"):
+        fit(IRB120, rows, other)
+
+
+@pytest.mark.parametrize("test", [None, measured(2, 20, ["SMR1", "SMR2"])])
+def test_gross_training_rows_are_named(test: Measurements | None) -> None:
+    rows = measured(1, 40, ["SMR1", "SMR2"])
+    rows.xyz_mm[7, 0] += 5000.0
+    rows.xyz_mm[10, 2] -= 25.0
+    with pytest.raises(FitError) as told:
+        fit(IRB120, rows, test)
+    said = str(told.value)
+    assert "pose 1003 target SMR2 by 5" in said
+    assert "pose 1005 target SMR1 by 2" in said
+    assert said.count("target SMR") == 2
+    rows.xyz_mm[7, 0] -= 5000.0
+    rows.xyz_mm[10, 2] += 25.0 + 10.0
+    fit(IRB120, rows, test)
+
+
+def test_files_lead_to_the_same_figures(tmp_path: Path) -> None:
+    """Written as the data's files are, with micrometres and micro-degrees."""
+    rows = measured(1, 40, ["SMR1", "SMR2"])
+    with (tmp_path / "train.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(HEADER)
+        for pose, target, joints, xyz in zip(
+            rows.pose, rows.target, np.degrees(rows.joints_rad), rows.xyz_mm, strict=True
+        ):
+            writer.writerow([pose, target, *np.round(joints, 6), *np.round(xyz, 4)])
+    read = fit(IRB120, read_measurements(tmp_path / "train.csv"))
+    for method, figures in fit(IRB120, rows)["methods"].items():
+        assert read["methods"][method] == pytest.approx(figures, abs=1e-3)

@@ -1,0 +1,148 @@
+"""Robot file and measurements: strict, all problems at once, with lines and nearest keys."""
+
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.robot_file import HEADER, read_measurements, read_robot
+from hilcell.cell.file import load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.compensation.targets import read_targets
+
+ROW = "[[robot.joint]]\na_mm = 10\nalpha_deg = -90.0\nd_mm = 20.5\noffset_deg = 0\n"
+ROBOT = '[robot]\nname = "arm"\nconvention = "standard-dh"\n'
+Write = Callable[[str], Path]
+LINE = "518,SMR1,-10,33.9,-0.3,-49.5,-15.8,3.5,2439.1,83.2,-289.9"
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Write:
+    def write(text: str) -> Path:
+        path = tmp_path / "given"
+        path.write_bytes(text.encode("utf-8"))
+        return path
+
+    return write
+
+
+def problems_of(read: Callable[[Path], object], path: Path) -> str:
+    with pytest.raises(SettingsError) as caught:
+        read(path)
+    return str(caught.value)
+
+
+def test_robot_is_read(written: Write) -> None:
+    arm = read_robot(written(ROBOT + 5 * ROW + ROW + "sign = -1\n")).arm()
+    np.testing.assert_array_equal(arm.a_mm, 6 * [10.0])
+    np.testing.assert_array_equal(arm.d_mm, 6 * [20.5])
+    np.testing.assert_allclose(arm.alpha_rad, 6 * [-np.pi / 2])
+    np.testing.assert_array_equal(arm.sign, [1, 1, 1, 1, 1, -1])
+    np.testing.assert_array_equal(arm.tool, np.eye(4))
+
+
+def test_a_byte_order_mark_is_taken_in_every_file(written: Write, tmp_path: Path) -> None:
+    assert read_robot(written("\ufeff" + ROBOT + 6 * ROW)).name == "arm"
+    targets = "\ufeffname,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,1,2,3,0,0,0\n"
+    assert read_targets(written(targets))[0] == ["H1"]
+    built_in = (resources.files("hilcell.cells") / "paper.toml").read_text("utf-8")
+    (tmp_path / "cell.toml").write_text("\ufeff" + built_in, "utf-8")
+    assert load_cell(str(tmp_path / "cell.toml")).digest == load_cell("paper").digest
+
+
+def test_all_problems_of_a_robot_come_at_once(written: Write) -> None:
+    text = (
+        (ROBOT + 6 * ROW).replace("standard-dh", "modified-dh").replace("a_mm = 10", "a_m = 10", 1)
+    )
+    said = problems_of(read_robot, written(text.replace("d_mm = 20.5", "d_mm = nan", 1)))
+    assert "robot.convention" in said
+    assert 'robot.joint[0].a_m: unknown key; did you mean "a_mm"?' in said
+    assert "robot.joint[0].a_mm: missing" in said
+    assert "robot.joint[0].d_mm: nan is not a finite number" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (ROBOT + 5 * ROW, "six joints are wanted, found 5"),
+        (ROBOT + 5 * ROW + ROW + "sign = 0\n", "joint 6: sign must be 1 or -1"),
+        (ROBOT + 5 * ROW + ROW + "sign = 2\n", "robot.joint[5].sign"),
+        (ROBOT.replace('"arm"', "3") + 6 * ROW, "robot.name"),
+        (ROBOT + (6 * ROW).replace("d_mm = 20.5", "d_mm = 1e308", 1), "robot.joint[0].d_mm"),
+        (ROBOT + (6 * ROW).replace("-90.0", "-1e308", 1), "robot.joint[0].alpha_deg"),
+        ("[robot\n", "not valid TOML"),
+        ("", "robot: missing"),
+    ],
+)
+def test_robot_is_refused(written: Write, text: str, says: str) -> None:
+    assert says in problems_of(read_robot, written(text))
+
+
+def test_missing_and_undecodable_files_are_refused(tmp_path: Path) -> None:
+    assert "cannot be read: No such file" in problems_of(read_robot, tmp_path / "none.toml")
+    assert "is a folder, not a file" in problems_of(read_robot, tmp_path)
+    (tmp_path / "given").write_bytes("ü".encode("latin-1"))
+    assert "is no text file (UTF-8)" in problems_of(read_measurements, tmp_path / "given")
+
+
+def test_measurements_are_read(written: Write) -> None:
+    header = ",".join(HEADER)
+    rows = read_measurements(
+        written(f"\ufeff{header}\r\n{LINE}\r\n{LINE.replace('SMR1', 'SMR2')}\r\n")
+    )
+    assert (rows.pose, rows.target, len(rows)) == (["518", "518"], ["SMR1", "SMR2"], 2)
+    np.testing.assert_allclose(np.degrees(rows.joints_rad[0]), [-10, 33.9, -0.3, -49.5, -15.8, 3.5])
+    np.testing.assert_array_equal(rows.xyz_mm[1], [2439.1, 83.2, -289.9])
+    assert rows.at([1]).target == ["SMR2"]
+
+
+def test_every_bad_line_is_named(written: Write) -> None:
+    lines = [
+        ",".join(HEADER),
+        LINE,
+        LINE.replace("33.9", "nan"),
+        LINE.replace("33.9", "33,9"),
+        LINE.replace("2439.1", "inf"),
+        LINE.replace("2439.1", "2439.1 mm"),
+        LINE.replace("SMR1", " "),
+        "",
+        LINE.replace("2439.1", "1e999"),
+        LINE.replace("2439.1", "1_0"),
+        LINE.replace("2439.1", "\u0661\u0662"),
+        LINE.replace("2439.1", "1e308"),
+        LINE.replace("33.9", "10001"),
+    ]
+    said = problems_of(read_measurements, written("\n".join(lines)))
+    assert "line 2" not in said
+    assert "line 3: j2_deg is 'nan', wanted a finite number" in said
+    assert "line 4: 12 fields, wanted 11" in said
+    assert "line 5: x_mm is 'inf'" in said
+    assert "line 6: x_mm is '2439.1 mm', wanted a number" in said
+    assert "line 7: target is empty" in said
+    assert "line 8: 0 fields" in said
+    assert "line 9: x_mm is '1e999'" in said
+    assert "line 10: x_mm is '1_0', wanted a number" in said
+    assert "line 11: x_mm is '\u0661\u0662', wanted a number" in said
+    assert "line 12: x_mm is '1e308', wanted within +-1e+06" in said
+    assert "line 13: j2_deg is '10001', wanted within +-10000" in said
+
+
+def test_a_long_list_of_bad_lines_is_cut(written: Write) -> None:
+    said = problems_of(read_measurements, written(",".join(HEADER) + 50 * "\nx"))
+    assert "and 30 more" in said
+    assert said.count("\n") == 21
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "line 1: header ''"),
+        (LINE, "line 1: header '518,"),
+        (",".join(reversed(HEADER)) + "\n" + LINE, "line 1: header 'z_mm"),
+        (",".join(HEADER) + "\n", "no measured target"),
+    ],
+)
+def test_measurements_are_refused(written: Write, text: str, says: str) -> None:
+    assert says in problems_of(read_measurements, written(text))

@@ -1,0 +1,104 @@
+"""Two spellings of one place are one place."""
+
+import socket
+import threading
+from pathlib import Path
+
+import pytest
+
+import hilcell.cell.addresses as places_module
+from hilcell.cell.addresses import places
+from hilcell.cell.devices import device_places
+from hilcell.cell.file import load_cell
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost", "LOCALHOST.", "127.0.0.1", "::1", "::ffff:127.0.0.1"]
+)
+def test_all_names_of_this_machine_are_one_place(host: str) -> None:
+    assert places({"host": host, "port": 7000}) == ["this machine:7000"]
+
+
+def test_a_url_and_host_with_port_are_one_place() -> None:
+    assert places({"channel": "socket://10.0.0.1:3000"}) == places(
+        {"host": "10.0.0.1", "port": 3000}
+    )
+    assert places({"channel": "socket://[::1]:3000"}) == ["this machine:3000"]
+
+
+def test_other_hosts_and_ports_are_other_places() -> None:
+    assert places({"host": "192.0.2.1", "port": 7000}) != places(
+        {"host": "192.0.2.2", "port": 7000}
+    )
+    assert places({"host": "192.0.2.1", "port": 7000}) != places(
+        {"host": "192.0.2.1", "port": 7001}
+    )
+
+
+def test_a_link_to_a_serial_port_is_that_port(tmp_path: Path) -> None:
+    (tmp_path / "ttyUSB0").touch()
+    (tmp_path / "by-id").symlink_to("ttyUSB0")
+    plain = places({"channel": f"{tmp_path}/ttyUSB0"})
+    assert plain == [f"{tmp_path.resolve()}/ttyUSB0"]
+    assert places({"channel": f"{tmp_path}/by-id@115200"}) == plain
+    assert places({"channel": f"{tmp_path}/../{tmp_path.name}/ttyUSB0"}) == plain
+
+
+def test_com_ports_and_can_interfaces() -> None:
+    assert places({"channel": "com3@115200"}) == places({"channel": "COM3"}) == ["COM3"]
+    assert places({"channel": "can0", "bitrate": 1}) == ["can0"]
+
+
+def test_a_driver_with_other_words_is_known_by_them() -> None:
+    assert places({"net_id": "5.1.2.3"}) != places({"net_id": "5.1.2.4"})
+
+
+def test_a_host_with_several_addresses_is_at_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    def answer(host: str, *_: object, **__: object) -> list[tuple[object, ...]]:
+        return [(0, 0, 0, "", (address, 0)) for address in ("192.0.2.1", "192.0.2.2")]
+
+    monkeypatch.setattr(socket, "getaddrinfo", answer)
+    both = places({"host": "tracker", "port": 700})
+    assert set(places({"host": "192.0.2.2", "port": 700})) < set(both)
+
+
+@pytest.mark.parametrize("url", ["socket://x:99999", "socket://[x", "socket://"])
+def test_a_url_that_is_none_is_left_to_the_driver(url: str) -> None:
+    assert len(places({"channel": url})) == 1
+
+
+def test_a_name_server_that_hangs_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    answered = threading.Event()
+
+    def hang(*_: object, **__: object) -> list[object]:
+        answered.wait(10)
+        return []
+
+    monkeypatch.setattr(socket, "getaddrinfo", hang)
+    monkeypatch.setattr(places_module, "RESOLVE_S", 0.01)
+    try:
+        assert places({"host": "Tracker", "port": 700}) == ["tracker:700"]
+    finally:
+        answered.set()
+
+
+def test_defaults_of_the_driver_are_part_of_the_place() -> None:
+    """paper states no port for robot and tracker: the drivers know them."""
+    stated = load_cell("paper", {"robot.options.port": "7000", "robot.options.host": "localhost"})
+    assert device_places(load_cell("paper"), {}) == device_places(stated, {})
+    assert device_places(stated, {})["this machine:7000"] == ["robot"]
+
+
+def test_devices_at_one_place_are_named_together() -> None:
+    one = load_cell("paper", {"robot.options.port": "700"})
+    assert device_places(one, {})["this machine:700"] == ["robot", "tracker"]
+
+
+def test_own_addresses_other_than_loopback_are_this_machine() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # sends nothing: it only chooses an address
+        except OSError:
+            return  # a machine without a network has no other address
+        own = str(probe.getsockname()[0])
+    assert places({"host": own, "port": 1}) == ["this machine:1"]

@@ -1,0 +1,58 @@
+"""A cell file copied from a built-in one is noticed."""
+
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from hilcell.cell.copied import check_copied
+from hilcell.cell.file import load_cell
+from hilcell.cell.settings import SettingsError
+
+PAPER = (resources.files("hilcell.cells") / "paper.toml").read_text("utf-8")
+REAL = PAPER.split("[simulation]")[0]
+
+
+def warning_of(file: Path, text: str) -> str:
+    file.write_text(text)
+    return check_copied(str(file), load_cell(str(file)))
+
+
+def own(text: str) -> str:
+    return text.replace('"paper"', '"shop"', 1).replace("HC-2014", "HC-7")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "cell.toml"
+
+
+def test_a_real_cell_with_the_name_and_serial_of_a_built_in_one_is_refused(file: Path) -> None:
+    with pytest.raises(SettingsError) as caught:
+        warning_of(file, REAL)
+    assert caught.value.problems == [
+        "name: 'paper' is that of the built-in cell paper; give this cell one of its own",
+        "serial: 'HC-2014' is that of the built-in cell paper; give this cell one of its own",
+    ]
+
+
+def test_one_of_both_is_enough(file: Path) -> None:
+    with pytest.raises(SettingsError, match="1 problem\n  serial: "):
+        warning_of(file, REAL.replace('"paper"', '"shop"', 1))
+    with pytest.raises(SettingsError, match="1 problem\n  name: "):
+        warning_of(file, REAL.replace("HC-2014", "HC-7"))
+
+
+def test_a_simulated_cell_that_differs_is_warned_of(file: Path) -> None:
+    warning = warning_of(file, PAPER.replace("speed_mm_s = 250.0", "speed_mm_s = 200.0"))
+    assert "name: 'paper' is that of the built-in cell paper" in warning
+    assert str(file) in warning
+
+
+def test_cells_of_their_own_and_the_built_in_ones_are_not(file: Path) -> None:
+    assert warning_of(file, own(REAL)) == ""
+    assert warning_of(file, PAPER) == ""  # the same cell
+    assert check_copied("paper", load_cell("paper", {"rail.speed_mm_s": "9.0"})) == ""
+    overridden = {"name": "shop", "serial": "HC-7"}
+    file.write_text(REAL)
+    assert check_copied(str(file), load_cell(str(file), overridden)) == ""

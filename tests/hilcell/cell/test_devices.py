@@ -1,0 +1,69 @@
+"""A driver's options: the table's values are handed on, and stand in the file once."""
+
+import pytest
+
+from hilcell.cell.devices import abilities, check_options, driver_options
+from hilcell.cell.file import load_cell
+from hilcell.cell.settings import SettingsError
+from tests.whole.bench import command
+
+
+def test_options_may_not_state_again_what_the_table_states() -> None:
+    cell = load_cell(
+        "paper",
+        {
+            "rail.options.speed_mm_s": "500.0",
+            "rail.options.bitrat": "500000",
+            "tracker.options.max_std_mm": "0.5",
+            "robot.options.smr_mm": "[0.0, 0.0, 0.0]",
+        },
+    )
+    with pytest.raises(SettingsError) as caught:
+        check_options(cell)
+    rail, typo, robot, tracker = caught.value.problems
+    assert rail == (
+        "rail.options: speed_mm_s: 500.0 here, but rail.speed_mm_s is 250.0; "
+        "state it in [rail] only"
+    )
+    assert typo == 'rail.options: bitrat: unknown key; did you mean "bitrate"?'
+    assert "smr_mm: [0.0, 0.0, 0.0] here, but robot.smr_mm is (98.0, 0.0, 127.0)" in robot
+    assert "max_std_mm: 0.5 here, but tracker.max_std_mm is 0.05" in tracker
+
+
+def test_a_simulator_says_where_its_devices_listen() -> None:
+    _, options = driver_options(load_cell("paper"), "robot", "robots", {"host": "::1", "port": 5})
+    assert (getattr(options, "host"), getattr(options, "port")) == ("::1", 5)  # noqa: B009
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "found"),
+    [
+        ("simulation.machine", "nosuch", "simulation.machine 'nosuch': no such file"),
+        ("simulation.address", "nobody", "simulation.address: HOST:PORT is wanted"),
+        ("simulation.simulator", "replay", "simulation.data: missing"),
+        ("rail.options.channel", "socket://127.0.0.1:99999", "channel: socket://HOST:PORT"),
+        ("rail.options.channel", "socket://", "channel: socket://HOST:PORT is wanted"),
+        ("rail.options.channel", "http://x", "channel: socket://HOST:PORT is wanted"),
+        ("rail.options.channel", "/dev/ttyUSB0@fast", "PATH[@BAUD] is wanted"),
+        ("robot.options.port", "700", "robot and tracker share the address this machine:700"),
+        ("robot.options.port", "29536", "rail and robot share the address this machine:29536"),
+    ],
+)
+def test_what_can_never_run_is_refused_before_a_run(key: str, value: str, found: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        check_options(load_cell("paper", {key: value}))
+    assert len(caught.value.problems) == 1
+    assert found in caught.value.problems[0]
+
+
+def test_a_network_of_can_has_no_syntax_of_a_serial_line() -> None:
+    check_options(load_cell("paper", {"rail.options.channel": "/dev/ttyUSB0@115200"}))
+    words = {"rail.options.interface": "socketcan", "rail.options.channel": "can0"}
+    check_options(load_cell("paper", words))
+
+
+def test_what_the_drivers_can_is_known_before_anything_is_opened() -> None:
+    assert abilities(load_cell("paper")) == {"tracker_streams": True, "robot_sweeps": True}
+    assert "this tracker streams: yes, this robot sweeps an axis: yes" in command(
+        "check", "paper"
+    ).stderr.replace("\n", " ")

@@ -1,0 +1,262 @@
+"""Cell files: every problem at once, the nearest key, nothing that is not finite."""
+
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from hilcell.cell.file import built_in_cells, load_cell
+from hilcell.cell.settings import SettingsError
+
+
+def refused(overrides: dict[str, str]) -> list[str]:
+    with pytest.raises(SettingsError) as error:
+        load_cell("paper", overrides)
+    return error.value.problems
+
+
+@pytest.mark.parametrize("name", built_in_cells())
+def test_built_in_cells_are_sound(name: str) -> None:
+    assert load_cell(name).name == name
+
+
+def test_all_problems_are_told_at_once_with_the_nearest_key() -> None:
+    problems = refused(
+        {
+            "rail.travel_mx_mm": "5.0",
+            "robot.speed_percent": "nan",
+            "tracker.samples": '"three"',
+            "grid.pitch_mm": "-1.0",
+        }
+    )
+    assert problems == [
+        'rail.travel_mx_mm: unknown key; did you mean "travel_max_mm"?',
+        "robot.speed_percent: nan is not a finite number",
+        "tracker.samples: Expected `int`, got `str`, found 'three'; allowed: >= 1, <= 1000",
+        "grid.pitch_mm: Expected `float` >= 0.01, found -1.0; allowed: >= 0.01, <= 1e+06",
+    ]
+
+
+def test_who_carries_the_reflectors_changes_nothing_that_stands() -> None:
+    assert load_cell("paper").layout.reflectors == "mounted"
+    by_hand = load_cell("paper", {"layout.reflectors": "by_hand"})
+    assert by_hand.layout.by_hand
+    assert by_hand.digest == load_cell("paper").digest
+    (problem,) = refused({"layout.reflectors": "by_feet"})
+    assert problem.startswith("layout.reflectors: ")
+    assert "by_feet" in problem
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e999"])
+def test_numbers_must_be_finite(value: str) -> None:
+    assert any("not a finite number" in line for line in refused({"rail.speed_mm_s": value}))
+    assert any("not a finite" in line for line in refused({"grid.size_mm": f"[1.0, 2.0, {value}]"}))
+
+
+def test_collinear_slide_nests_are_refused() -> None:
+    nests = ", ".join(f'{{name="P{n}", x_mm={n}.0, y_mm=0.0, z_mm=0.0}}' for n in range(3))
+    (problem,) = refused({"layout.slide": f"[{nests}]"})
+    assert "P0, P1, P2 lie on one line" in problem
+    assert "move one nest aside" in problem
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "part"),
+    [
+        ("grid.pitch_mm", "310.0", "not a whole number of pitches"),
+        ("grid.station", '"S1"', "is none of S300, S1100, S1900"),
+        ("layout.rail_direction", "[0.0, 2.0, 0.0]", "length 1"),
+        ("rail.travel_max_mm", "1500.0", "station S1900: rail_mm 1900.0 is outside"),
+        ("robot.joint", "[]", "six joints are wanted, found 0"),
+        ("name", '"a/b"', "Expected `str` matching regex"),
+        ("rail", "3", "rail: a table is expected, found 3"),
+        ("grid.size_mm", "[9000.0, 9000.0, 9000.0]", "29791 vertices, at most 1000"),
+        ("grid.pitch_mm", "0.1", "vertices, at most 1000"),
+        ("grid.pitch_mm", "5e-324", "allowed: >= 0.01, <= 1e+06"),
+        ("station", "[]", "1 .. 1000 stations are needed, found 0"),
+        ("layout.floor", "[]", "3 .. 100 nests are needed, found 0"),
+        (
+            "validation.per_cell",
+            "200",
+            "200 targets in each of 27 grid cells are 5400, at most 1000",
+        ),
+        ("validation.per_cell", "1001", "allowed: >= 1, <= 1000"),
+        ("validation.others", "100001", "allowed: >= 1, <= 100000"),
+        ("survey.step_mm", "0.01", "200000 steps, at most 10000"),
+        ("settle.robot_s", "3601.0", "allowed: >= 0, <= 3600"),
+        ("settle.rail_s", "-1.0", "allowed: >= 0, <= 3600"),
+        ("rail.standstill_dwell_s", "0.0001", "allowed: >= 0.05, <= 5"),
+        ("settle.reading_age_s", "0.001", "allowed: >= 0.01, <= 10"),
+        ("settle.reading_age_s", "11.0", "allowed: >= 0.01, <= 10"),
+        ("rail.acceleration_mm_s2", "0.5", "allowed: >= 1, <= 1e+06"),
+        ("rail.speed_mm_s", "1e-9", "allowed: >= 0.1, <= 100000"),
+        ("rail.travel_max_mm", "1e7", "allowed: >= -1e+06, <= 1e+06"),
+        ("rail.travel_max_mm", "-1.0", "travel_min_mm 0.0 must be below travel_max_mm -1.0"),
+        ("robot.smr_mm", "[1e9, 0.0, 0.0]", "allowed: >= -1e+06, <= 1e+06"),
+        ("robot.home_deg", "[1e9, 0.0, 0.0, 0.0, 0.0, 0.0]", "allowed: >= -3600, <= 3600"),
+        (
+            "robot.safe_deg",
+            "[186.0, -100.0, 110.0, 0.0, -30.0, 0.0]",
+            "safe_deg: A1 at 186.0 deg is outside its limits -185.0 .. 185.0 deg",
+        ),
+        (
+            "robot.home_deg",
+            "[0.0, -1.0, 169.0, 0.0, -30.0, 0.0]",
+            "home_deg: A3 at 169.0 deg is outside its limits -120.0 .. 168.0 deg",
+        ),
+        ("tracker.min_range_mm", "20000.0", "min_range_mm 20000.0 must be below max_range_mm"),
+        ("base_frame.axis_1_sweep_deg", "[0.0, 0.0]", "axis_1_sweep_deg: 0.0 .. 0.0 deg is no arc"),
+        ("base_frame.axis_6_sweep_deg", "[30.0, 30.0]", "axis_6_sweep_deg: 30.0 .. 30.0 deg is"),
+        ("simulation.simulator", "5", "Expected `str`, got `int`"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(key: str, value: str, part: str) -> None:
+    assert any(part in line for line in refused({key: value}))
+
+
+@pytest.fixture(autouse=True)
+def _small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep what the tests could build small, should a limit fail."""
+    monkeypatch.setattr("hilcell.cell.file.MOST_POINTS", 1000)
+
+
+def stations(*rows: tuple[str, float, float]) -> dict[str, str]:
+    tables = (f'{{name="{n}", rail_mm={rail}, strip_mm={strip}}}' for n, rail, strip in rows)
+    return {"station": f"[{', '.join(tables)}]"}
+
+
+def test_two_stations_at_one_strip_reading_are_refused() -> None:
+    problems = refused(stations(("S300", 300.0, 300.0), ("S1100", 1100.0, 300.0)))
+    assert (
+        "file: station S1100: strip_mm 300.0 is also that of station S300 (300.0 mm); "
+        "they must differ by more than 0.01 mm" in problems
+    )
+
+
+def test_a_station_whose_strip_and_rail_disagree_is_refused() -> None:
+    problems = refused(stations(("S300", 300.0, 300.0), ("S1100", 1100.0, 1103.0)))
+    wanted = "strip_mm 1103.0 and rail_mm 1100.0 differ by more than rail.slip_limit_mm 2.0"
+    assert problems == [f"file: station S1100: {wanted}"]
+    assert load_cell("paper", stations(("S1100", 1100.0, 1101.9))).station[0].strip_mm == 1101.9
+
+
+def nests(*rows: tuple[str, float, float, float]) -> str:
+    tables = (f'{{name="{n}", x_mm={x}, y_mm={y}, z_mm={z}}}' for n, x, y, z in rows)
+    return f"[{', '.join(tables)}]"
+
+
+TRIANGLE = (("P1", 100.0, 0.0, 0.0), ("P2", 0.0, 100.0, 0.0), ("P3", -100.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("table", ["floor", "slide"])
+def test_the_first_three_nests_form_a_triangle(table: str) -> None:
+    line = (("N1", 100.0, 0.0, 0.0), ("N2", 200.0, 0.0, 0.0), ("N3", 300.0, 0.0, 0.0))
+    rows = (*line, ("N4", 0.0, 900.0, 0.0))
+    (problem,) = refused({f"layout.{table}": nests(*rows)})
+    assert "nests N1, N2, N3 lie on one line" in problem
+
+
+def test_nests_have_names_of_their_own() -> None:
+    problems = refused({"layout.slide": nests(*TRIANGLE, ("F1", 0.0, -100.0, 0.0))})
+    assert problems == ["layout: nest names must differ, found F1 twice"]
+
+
+def test_nests_at_one_place_are_refused() -> None:
+    problems = refused({"layout.slide": nests(*TRIANGLE, ("P4", 110.0, 10.0, 0.0))})
+    assert problems == ["layout: nests P1 and P4 are 14.1 mm apart, wanted at least 20.0 mm"]
+
+
+def test_all_problems_of_a_table_are_told_at_once() -> None:
+    safe = "[186.0, -4.0, 110.0, 0.0, -30.0, 0.0]"
+    assert len(refused({"robot.safe_deg": safe})) == 2
+
+
+def test_a_byte_order_mark_is_no_problem(tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    built_in = resources.files("hilcell.cells") / "paper.toml"
+    file.write_text("\ufeff" + built_in.read_text("utf-8"), "utf-8")
+    assert load_cell(str(file)).name == "paper"
+
+
+@pytest.mark.parametrize("value", ["[" * 5000 + "]" * 5000, "9" * 5000])
+def test_what_toml_cannot_hold_is_refused(tmp_path: Path, value: str) -> None:
+    file = tmp_path / "cell.toml"
+    file.write_text(f"name = {value}", "utf-8")
+    with pytest.raises(SettingsError, match=r"nested too deeply|not valid TOML"):
+        load_cell(str(file))
+
+
+def test_an_override_is_one_line() -> None:
+    assert refused({"rail.speed_mm_s": "250.0\nname = 'x'"}) == [
+        "rail.speed_mm_s: a value on one line is wanted, found \"250.0\\nname = 'x'\""
+    ]
+
+
+def test_missing_keys_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    file.write_text('name = "x"\n', "utf-8")
+    with pytest.raises(SettingsError) as error:
+        load_cell(str(file))
+    assert "rail: missing" in error.value.problems
+    assert "station: missing" in error.value.problems
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [(b"name = ", "not valid TOML"), (b"\xff\xfe", r"is no text file \(UTF-8\)$")],
+)
+def test_files_that_are_no_toml(tmp_path: Path, text: bytes, part: str) -> None:
+    file = tmp_path / "cell.toml"
+    file.write_bytes(text)
+    with pytest.raises(SettingsError, match=part):
+        load_cell(str(file))
+
+
+def test_a_cell_that_does_not_exist_names_those_that_do() -> None:
+    with pytest.raises(SettingsError, match=r"built in: .*paper"):
+        load_cell("papper")
+
+
+@pytest.mark.parametrize("where", ["", "  "])
+def test_a_cell_that_was_not_named_names_those_that_are_built_in(where: str) -> None:
+    with pytest.raises(SettingsError) as error:
+        load_cell(where)
+    known = ", ".join(built_in_cells())
+    assert "paper" in known
+    assert str(error.value) == (
+        "cell: 1 problem\n"
+        f"  no cell was named; built in are: {known}; or give a path to a TOML file"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        (".", "is a folder, not a cell file"),
+        ("x" * 300, "cannot be read: File name too long"),
+        ("cell.toml/x", "cannot be read: Not a directory"),
+    ],
+)
+def test_what_is_no_file_is_said_in_plain_words(tmp_path: Path, name: str, problem: str) -> None:
+    (tmp_path / "cell.toml").touch()
+    with pytest.raises(SettingsError) as error:
+        load_cell(str(tmp_path / name))
+    assert error.value.problems == [problem]
+
+
+def test_the_digest_is_of_the_cell_and_not_of_its_simulation() -> None:
+    cell = load_cell("paper")
+    assert load_cell("paper", {"simulation.address": "127.0.0.1:1"}).digest == cell.digest
+    assert load_cell("paper", {"rail.speed_mm_s": "251.0"}).digest != cell.digest
+
+
+def test_the_digest_leaves_out_how_long_devices_take() -> None:
+    """It changes nothing that stands there, and calibrations written earlier keep their cell."""
+    times = {"rail.homing_mm_s": "50.0", "rail.standstill_dwell_s": "1.0", "robot.ramp_s": "1.0"}
+    times |= {"tracker.pointing_s": "2.0", "tracker.reading_s": "2.0"}
+    assert load_cell("paper", times).digest == load_cell("paper").digest
+
+
+def test_an_override_may_be_bare_text() -> None:
+    cell = load_cell("paper", {"rail.options.channel": "socket://127.0.0.1:1"})
+    assert cell.rail.options["channel"] == "socket://127.0.0.1:1"

@@ -1,0 +1,69 @@
+"""The page on cell files is kept true by the structs that read them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from hilcell.cell import file as cell
+from hilcell.cell.settings import range_text
+
+PAGE = (Path(__file__).parents[3] / "docs" / "cell-file.md").read_text("utf-8")
+SECTIONS: dict[str, type[msgspec.Struct]] = {
+    "The whole file": cell.Cell,
+    "[rail]": cell.RailTable,
+    "[robot]": cell.RobotTable,
+    "[[robot.joint]]": cell.Joint,
+    "[tracker]": cell.TrackerTable,
+    "A pose": cell.Pose,
+    "[layout]": cell.Layout,
+    "A nest": cell.Nest,
+    "[[station]]": cell.Station,
+    "[grid]": cell.GridTable,
+    "[base_frame]": cell.BaseFrameTable,
+    "[survey]": cell.SurveyTable,
+    "[validation]": cell.ValidationTable,
+    "[settle]": cell.SettleTable,
+    "[campaign]": cell.CampaignTable,
+    "[simulation]": cell.SimulationTable,
+}
+
+
+def default_of(field: msgspec.structs.FieldInfo) -> str:
+    if field.required:
+        return "required"
+    if field.default is msgspec.NODEFAULT or field.default is None:
+        return "none"
+    return f"{field.default:g}" if isinstance(field.default, float) else f"{field.default!r}"
+
+
+def allowed(kind: Any) -> str:
+    return range_text(kind) or "–"
+
+
+def rows(section: str) -> dict[str, tuple[str, str]]:
+    """Return default and range by key, as the page's section states them."""
+    (text,) = re.findall(
+        rf"^## {re.escape(section)}\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL
+    )
+    cells = [[c.strip() for c in line.split("|")[1:-1]] for line in text.splitlines()]
+    return {row[0].strip("`"): (row[2], row[3]) for row in cells if row and row[0][:1] == "`"}
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_every_key_stands_there_with_its_default_and_range(section: str) -> None:
+    fields = msgspec.structs.fields(SECTIONS[section])
+    assert rows(section) == {f.name: (default_of(f), allowed(f.type)) for f in fields}
+
+
+def test_no_table_is_left_out() -> None:
+    tables = {
+        kind
+        for kind in vars(cell).values()
+        if isinstance(kind, type) and issubclass(kind, cell.Frozen) and kind is not cell.Frozen
+    }
+    assert tables == set(SECTIONS.values())

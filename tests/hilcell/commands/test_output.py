@@ -1,0 +1,32 @@
+"""What a run says on a plain terminal while it waits."""
+
+from typing import Any
+
+import pytest
+
+from hilcell.commands.output import progress_face
+from hilcell.journal.journal import Record
+
+HINT = "hilcell resume goes on, ctrl-C stops"
+PROMPT = {"title": "Seat the reflector in P1", "text": "Take it and seat it."}
+
+
+@pytest.mark.parametrize(
+    ("to", "facts", "words"),
+    [
+        ("paused", {}, "paused: " + HINT),
+        ("paused", {"reason": "the screen was lost"}, "paused: the screen was lost; " + HINT),
+        (
+            "suspended",
+            {"reason": "P1 is to be measured", "prompt": PROMPT},
+            "suspended: Seat the reflector in P1. Take it and seat it. When it is done, " + HINT,
+        ),
+    ],
+)
+def test_a_run_that_waits_says_for_what(
+    to: str, facts: dict[str, Any], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    face = progress_face("r", 3)
+    body = {"machine": "run", "from": "running", "to": to} | facts
+    face.take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
+    assert " ".join(capsys.readouterr().err.split()) == words

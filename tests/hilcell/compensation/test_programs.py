@@ -1,0 +1,78 @@
+"""Programs on disk: the pair is found, read as it is, and written together or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from hilcell.cell.settings import SettingsError
+from hilcell.compensation.programs import load_program, write_program
+from hilcell.writing import NotWritten
+from tests.hilcell.krl.samples import DAT, SRC
+
+
+def pair(folder: Path, src: str = "drill.src", dat: str = "drill.dat") -> Path:
+    (folder / src).write_bytes(SRC.replace("\n", "\r\n").encode())
+    (folder / dat).write_bytes(f";\xfcber {DAT}".encode("latin-1"))
+    return folder / src
+
+
+def written(folder: Path, out: str, src: str = "drill.src", dat: str = "drill.dat") -> list[str]:
+    source = pair(folder, src, dat)
+    program = load_program(source)
+    (folder / "out").mkdir()
+    paths = write_program(program.texts, source, folder / "out" / out)
+    for path, before in zip(paths, (source, folder / dat), strict=True):
+        assert path.read_bytes() == before.read_bytes()
+    assert sorted(each.name for each in (folder / "out").iterdir()) == sorted(p.name for p in paths)
+    return [path.name for path in paths]
+
+
+@pytest.mark.parametrize("out", ["corrected", "corrected.src", "corrected.DAT"])
+def test_the_pair_is_written_byte_for_byte(tmp_path: Path, out: str) -> None:
+    assert written(tmp_path, out) == ["corrected.src", "corrected.dat"]
+
+
+def test_suffixes_keep_their_case(tmp_path: Path) -> None:
+    names = written(tmp_path, "v1.2", "DRILL.SRC", "DRILL.Dat")
+    assert names == ["v1.2.SRC", "v1.2.Dat"]
+
+
+def test_a_source_alone(tmp_path: Path) -> None:
+    source = tmp_path / "drill.src"
+    source.write_bytes(b"LIN {X 1,Y 2,Z 3,A 0,B 75,C 0}")
+    program = load_program(source)
+    assert write_program(program.texts, source, tmp_path / "out") == [tmp_path / "out.src"]
+
+
+def test_nothing_is_written_where_one_file_cannot(tmp_path: Path) -> None:
+    source = pair(tmp_path)
+    program = load_program(source)
+    (tmp_path / "out.src").write_text("old")
+    (tmp_path / "out.dat").mkdir()
+    with pytest.raises(NotWritten, match=r"out\.dat is a folder"):
+        write_program(program.texts, source, tmp_path / "out.src")
+    assert (tmp_path / "out.src").read_text() == "old"
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_program_is_not_replaced_by_itself(tmp_path: Path) -> None:
+    source = pair(tmp_path)
+    program = load_program(source)
+    with pytest.raises(NotWritten, match="is what is read"):
+        write_program(program.texts, source, tmp_path / "drill")
+    (tmp_path / "out.src").symlink_to(tmp_path / "drill.dat")
+    with pytest.raises(NotWritten, match="is what is read"):
+        write_program(program.texts, source, tmp_path / "out")
+
+
+def test_files_that_are_no_programs(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="cannot be read"):
+        load_program(tmp_path / "nowhere.src")
+    (tmp_path / "wide.src").write_text("LIN {X 1}", "utf-16")
+    with pytest.raises(SettingsError, match="NUL bytes"):
+        load_program(tmp_path / "wide.src")
+    pair(tmp_path)
+    (tmp_path / "drill.DAT").write_text("")
+    if len(list(tmp_path.glob("drill.*"))) == 3:  # not on a disk that ignores case
+        with pytest.raises(SettingsError, match="several data lists"):
+            load_program(tmp_path / "drill.src")

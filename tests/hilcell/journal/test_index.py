@@ -1,0 +1,483 @@
+"""The index says what the journals say, quickly, and is never believed over one of them."""
+
+import json
+import os
+import shutil
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from hilcell.commands.cli import main
+from hilcell.journal import index
+from hilcell.journal.engine_file import EngineFile
+from hilcell.journal.index import NAME, RunRow, matches, read_index
+from hilcell.journal.journal import Journal, StorageError, read_journal
+from hilcell.journal.log import Log
+from hilcell.journal.runs import JOURNAL, find_run, read_log, run_folders
+from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer
+
+PLACES = {
+    "S300": {"before": {"mean": 9.0, "max": 9.5}, "chosen": {"mean": 8.0, "max": 8.5}},
+    "S1100": {"before": {"mean": 1.25, "max": 2.5}, "chosen": {"mean": 0.125, "max": 0.5}},
+}
+
+
+def written(folder: Path, state: str = "finished", **plan: Any) -> Path:
+    """Write a run whose journal has come to rest."""
+    writer = Writer(folder, **plan).began()
+    writer.validated("S1100", "before", BEFORE_MM).validated("S1100", "chosen", AFTER_MM)
+    reason = "Tracker: measure: beam broken" if state == "faulted" else ""
+    return settled(writer.ended(state, 3 if reason else 0, reason))
+
+
+def settled(folder: Path) -> Path:
+    """Let a journal look as if it was written some time ago."""
+    journal = folder / JOURNAL
+    journal.with_name(f"{JOURNAL}-wal").unlink(missing_ok=True)
+    at_ns = journal.stat().st_mtime_ns - 60 * 10**9
+    os.utime(journal, ns=(at_ns, at_ns))
+    return folder
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """Return a folder with a finished, a faulted and an abandoned run, and what is no run."""
+    written(tmp_path / "1-finished", procedure="calibrate", job="J-1")
+    written(tmp_path / "2-faulted", "faulted", operator="Bob", seed=12)
+    settled(Writer(tmp_path / "3-abandoned").began().left())
+    (tmp_path / "not-a-run").mkdir()
+    (tmp_path / "notes.txt").write_text("none")
+    return tmp_path
+
+
+class Opened:
+    """Counts which journals are read."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.names: list[str] = []
+        monkeypatch.setattr(index, "read_journal", self._read)
+
+    def _read(self, path: Path) -> Any:
+        self.names.append(path.parent.name)
+        return read_journal(path)
+
+    def since(self) -> list[str]:
+        names, self.names = sorted(self.names), []
+        return names
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> Opened:
+    return Opened(monkeypatch)
+
+
+def names(runs: Path) -> list[str]:
+    return [row.name for row in read_index(runs)]
+
+
+def test_rows_say_what_logs_say(runs: Path) -> None:
+    for rows in (read_index(runs), read_index(runs)):  # read, then kept
+        assert [row.name for row in rows] == ["3-abandoned", "2-faulted", "1-finished"]
+        for row in rows:
+            log = read_log(runs / row.name)
+            assert (row.procedure, row.operator) == (log.inputs.procedure, log.inputs.operator)
+            assert (row.cell, row.serial) == (log.cell.name, log.cell.serial)
+            assert (row.state, row.points) == (log.states["run"], len(log.points))
+            assert (row.job, row.seed) == (log.inputs.job, log.inputs.seed)
+            assert row.exit == (log.end or {}).get("exit")
+            assert row.simulated
+            assert not row.live
+        abandoned, faulted, _ = rows
+        assert faulted.reason == "Tracker: measure: beam broken"
+        assert abandoned.condition == "running, engine gone"
+        assert abandoned.ended == ""
+        assert faulted.begun <= faulted.ended
+        assert faulted.begun == f"{read_journal(runs / '2-faulted' / JOURNAL)[0].t[:19]}Z"
+
+
+def test_a_run_of_which_there_is_a_plan_and_no_more_is_not_begun() -> None:
+    row = msgspec.structs.replace(ROW, state="idle", exit=None, live=False)
+    assert (row.condition, row.gone) == ("not begun", False)
+    assert msgspec.structs.replace(row, live=True).condition == "idle"
+    assert msgspec.structs.replace(row, exit=2).condition == "idle"
+
+
+def test_only_what_changed_is_opened(runs: Path, opened: Opened) -> None:
+    read_index(runs)
+    assert opened.since() == ["1-finished", "2-faulted", "3-abandoned"]
+    read_index(runs)
+    assert opened.since() == ["3-abandoned"]
+    written(runs / "4-new")
+    shutil.rmtree(runs / "1-finished")
+    assert names(runs) == ["4-new", "3-abandoned", "2-faulted"]
+    assert opened.since() == ["3-abandoned", "4-new"]
+    shutil.copytree(runs / "4-new", runs / "1-finished", copy_function=shutil.copyfile)
+    read_index(runs)
+    assert "1-finished" in opened.since()
+
+
+def test_a_run_that_has_just_ended_may_still_change(tmp_path: Path, opened: Opened) -> None:
+    folder = Writer(tmp_path / "young").began().ended()
+    read_index(tmp_path)
+    read_index(tmp_path)
+    assert opened.since() == ["young", "young"]
+    settled(folder)
+    read_index(tmp_path)
+    read_index(tmp_path)
+    assert opened.since() == ["young"]
+
+
+def test_a_resumed_run_is_seen_though_its_file_is_as_it_was(runs: Path) -> None:
+    read_index(runs)
+    file = runs / "2-faulted" / JOURNAL
+    before = file.stat()
+    journal = Journal(file, "2-faulted", create=False)
+    journal.append("state", "", {"machine": "run", "to": "checking"})
+    assert (file.stat().st_mtime_ns, file.stat().st_size) == (before.st_mtime_ns, before.st_size)
+    row = {row.name: row for row in read_index(runs)}["2-faulted"]
+    assert (row.state, row.exit, row.ended, row.reason) == ("checking", None, "", "")
+    journal.close()
+
+
+def test_a_refused_resume_does_not_bring_the_engine_back(tmp_path: Path) -> None:
+    written(tmp_path / "r", "running")
+    (row,) = read_index(tmp_path)
+    assert (row.exit, row.condition) == (0, "running, engine gone")
+
+
+@contextmanager
+def engine(folder: Path) -> Iterator[None]:
+    """Let an engine seem to listen for the run of ``folder``."""
+    with tempfile.TemporaryDirectory() as private, socket.socket(socket.AF_UNIX) as server:
+        address = f"{private}/control"
+        server.bind(address)
+        server.listen()
+        (folder / "engine.json").write_bytes(msgspec.json.encode(EngineFile(os.getpid(), address)))
+        yield
+
+
+def test_a_live_run_is_told(runs: Path, opened: Opened) -> None:
+    with engine(runs / "3-abandoned"):
+        live = {row.name: row for row in read_index(runs)}["3-abandoned"]
+        assert (live.live, live.condition) == (True, "running")
+        assert matches(live, "state:live")
+    opened.since()
+    assert not any(row.live for row in read_index(runs))
+    assert opened.since() == ["3-abandoned"]
+
+
+def test_a_run_at_its_last_breath_is_not_kept(runs: Path, opened: Opened) -> None:
+    """Its end is written, its engine still there."""
+    with engine(runs / "1-finished"):
+        read_index(runs)
+    opened.since()
+    assert not any(row.live for row in read_index(runs))
+    assert opened.since() == ["1-finished", "3-abandoned"]
+
+
+def test_figures_are_of_the_grids_station(tmp_path: Path) -> None:
+    bodies: dict[str, dict[str, Any]] = {
+        "paper": {"validation": PLACES},
+        "campaign": {
+            "campaign": {
+                "chosen": "hybrid",
+                "methods": {
+                    "nominal": {"mean_mm": 1.25, "p95_mm": 2.0, "max_mm": 2.5},
+                    "hybrid": {"mean_mm": 0.125, "p95_mm": 0.3, "max_mm": 0.5},
+                },
+            }
+        },
+        "none": {"points": {"grid": 3}},
+        "another's": {"validation": "passed"},
+    }
+    for name, result in bodies.items():
+        writer = Writer(tmp_path / name).began()
+        writer.journal.append("end", "", {"state": "finished", "exit": 0, "result": result})
+        writer.left()
+    found = {
+        row.name: (row.before_mean_mm, row.chosen_mean_mm, row.chosen_max_mm)
+        for row in read_index(tmp_path)
+    }
+    assert found["paper"] == found["campaign"] == (1.25, 0.125, 0.5)
+    assert found["none"] == found["another's"] == (None, None, None)
+
+
+def test_damaged_journals_are_told_and_read_again(runs: Path, opened: Opened) -> None:
+    (runs / "2-faulted" / JOURNAL).write_bytes(b"not a database at all, by no means " * 30)
+    (runs / "5-empty").mkdir()
+    Journal(runs / "5-empty" / JOURNAL, "5-empty", create=True).close()
+    writer = Writer(runs / "6-alien", seed="seven")
+    writer.left()
+    rows = {row.name: row for row in read_index(runs)}
+    assert [name for name, row in rows.items() if not row.readable] == [
+        "6-alien",
+        "5-empty",
+        "2-faulted",
+    ]
+    assert "not a journal" in rows["2-faulted"].reason
+    assert "no plan" in rows["5-empty"].reason
+    assert "seed" in rows["6-alien"].reason
+    assert all(row.begun.endswith("Z") for row in rows.values())
+    opened.since()
+    read_index(runs)
+    assert {"2-faulted", "5-empty", "6-alien"} <= set(opened.since())
+
+
+def garbage(file: Path) -> None:
+    file.write_bytes(b"\x00garbage" * 4000)
+
+
+def torn(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[4096:] = b"\xff" * (len(content) - 4096)
+    file.write_bytes(content)
+
+
+def other_rows(file: Path) -> None:
+    change(file, "UPDATE run SET row = CAST('{\"name\": 5}' AS BLOB)")
+
+
+def no_text(file: Path) -> None:
+    change(file, "UPDATE run SET row = x'ff00'")
+
+
+def no_table(file: Path) -> None:
+    change(file, "DROP TABLE run")
+
+
+def other_columns(file: Path) -> None:
+    change(file, "ALTER TABLE run DROP COLUMN stamp")
+
+
+def other_version(file: Path) -> None:
+    change(file, "DROP TABLE run", "CREATE TABLE run (a, b)", "PRAGMA user_version = 77")
+
+
+def empty(file: Path) -> None:
+    file.write_bytes(b"")
+
+
+def change(file: Path, *commands: str) -> None:
+    base = sqlite3.connect(file, isolation_level=None)
+    for command in commands:
+        base.execute(command)
+    base.close()
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        garbage,
+        torn,
+        other_rows,
+        no_text,
+        no_table,
+        other_columns,
+        other_version,
+        empty,
+        Path.unlink,
+    ],
+)
+def test_a_damaged_index_is_made_anew(runs: Path, opened: Opened, harm: Any) -> None:
+    rows = read_index(runs)
+    harm(runs / NAME)
+    assert read_index(runs) == rows
+    assert read_index(runs) == rows
+    opened.since()
+    assert read_index(runs) == rows
+    assert opened.since() == ["3-abandoned"]
+
+
+def test_a_place_where_no_index_can_be(runs: Path, opened: Opened) -> None:
+    (runs / NAME).mkdir()
+    assert len(read_index(runs)) == len(read_index(runs)) == 3
+    assert len(opened.since()) == 6
+    assert (runs / NAME).is_dir()
+
+
+def test_an_index_that_another_holds(
+    runs: Path, opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = read_index(runs)
+    opened.since()
+    monkeypatch.setattr(index, "BUSY_S", 0.01)
+    holder = sqlite3.connect(runs / NAME, isolation_level=None)
+    holder.execute("BEGIN EXCLUSIVE")
+    assert read_index(runs) == rows
+    assert len(opened.since()) == 3
+    holder.execute("COMMIT")
+    holder.close()
+    assert read_index(runs) == rows
+    assert opened.since() == ["3-abandoned"]
+
+
+READ = """
+import json, os, sys, urllib.parse  # what the library loads late, nobody may read later
+from pathlib import Path
+from hilcell.journal.index import read_index
+from hilcell.run import control
+LEAVE
+print(json.dumps([row.state for row in read_index(Path(sys.argv[1]))]))
+"""
+READ_ONLY = READ.replace("LEAVE", "os.getuid() or os.setuid(65534)")  # root may write everywhere
+READ = READ.replace("LEAVE", "")
+
+
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """Return a folder that other users can reach."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
+def test_a_folder_that_may_only_be_read(open_folder: Path) -> None:
+    """Nothing may be written there, not even what SQLite wants beside a journal."""
+    for name in ("1", "2"):
+        folder = written(open_folder / name)
+        (folder / JOURNAL).chmod(0o444)
+        folder.chmod(0o555)
+    open_folder.chmod(0o555)
+    done = subprocess.run(
+        [sys.executable, "-c", READ_ONLY, open_folder], capture_output=True, text=True, check=False
+    )
+    found = [path.name for path in open_folder.rglob("*") if path.is_file()]
+    for folder in (open_folder, *open_folder.glob("?")):
+        folder.chmod(0o755)
+    assert done.stdout == '["finished", "finished"]\n', done.stderr
+    assert found == [JOURNAL, JOURNAL]
+
+
+def test_several_processes_at_once(tmp_path: Path) -> None:
+    model = written(tmp_path / "model")
+    runs = tmp_path / "runs"
+    for number in range(400):
+        settled(shutil.copytree(model, runs / f"{number:03d}"))
+    readers = [
+        subprocess.Popen([sys.executable, "-c", READ, runs], stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    for reader in readers:
+        assert json.loads(reader.communicate(timeout=60)[0]) == ["finished"] * 400
+    base = sqlite3.connect(runs / NAME)
+    assert base.execute("SELECT count(*) FROM run").fetchone() == (400,)
+    assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    base.close()
+
+
+def test_several_threads_at_once(runs: Path) -> None:
+    found: list[int] = []
+    threads = [
+        threading.Thread(target=lambda: found.append(len(read_index(runs)))) for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found == [3] * 4
+
+
+def test_strange_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    strange = [os.fsdecode(b"not\xfftext"), "[b]bold[b]", "ESC\x1b[2J", "a'b\"c;--", "run\u202e"]
+    for number, name in enumerate(strange):
+        written(tmp_path / str(number)).rename(tmp_path / name)
+    for _ in range(2):
+        assert sorted(names(tmp_path)) == sorted(strange)
+    assert main(["runs", "--runs", str(tmp_path)]) == 0
+    assert not {"\x1b", "\u202e"} & {*capsys.readouterr().out}
+
+
+def test_no_runs(tmp_path: Path) -> None:
+    assert read_index(tmp_path / "none") == []
+    assert read_index(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(StorageError, match="cannot be used: Not a directory"):
+        read_index(written(tmp_path / "a") / JOURNAL)
+
+
+def test_nothing_heavy_is_loaded() -> None:
+    code = "import sys, hilcell.journal.index; "
+    code += "print([m for m in ('numpy', 'scipy') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+ROW = RunRow(
+    name="20261103-081500-calibrate-a1b2", begun="2026-11-03T08:15:00Z", state="faulted",
+    ended="2026-11-03T09:00:00Z", reason="Rail: station S1100 not held", procedure="calibrate",
+    cell="paper", serial="P-1", operator="Ann Ørsted", job="J-17", seed=12, simulated=True,
+    points=64, exit=3,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "", "   ", "paper faulted 2026-11", "PAPER  Faulted", "ørsted", "a1b2", "j-17",
+        "state:faulted operator:ann", "run:calibrate", "begun:2026-11-03", "seed:12", "points:64",
+        "-finished", "-operator:bob paper", "rail:", "kind:simulated", "-", "state:", "-state:",
+        "held -seed:1", "exit:3", "simulated",
+    ],
+)  # fmt: skip
+def test_words_that_match(words: str) -> None:
+    assert matches(ROW, words)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "finished", "paper finished", "2026-12", "-faulted", "state:paper", "operator:bob",
+        "-operator:ann", "seed:1", "points:6", "kind:real", "nowhere:faulted", "paper -paper",
+        "live", "gone", "exit:0", "[b]",
+    ],
+)  # fmt: skip
+def test_words_that_do_not(words: str) -> None:
+    assert not matches(ROW, words)
+
+
+def test_a_row_without_a_seed_matches_no_seed() -> None:
+    unreadable = RunRow(name="x", begun="", state="unreadable", reason="damaged")
+    assert not matches(unreadable, "seed:1")
+    assert matches(unreadable, "state:unreadable -seed:1 damaged")
+    assert unreadable.condition == "unreadable"
+
+
+def test_the_command_keeps_its_keys(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (runs / "0-damaged").mkdir()
+    (runs / "0-damaged" / JOURNAL).write_bytes(b"x" * 5000)
+    assert main(["runs", "--json", "--runs", str(runs)]) == 0
+    listed = json.loads(capsys.readouterr().out)["runs"]
+    assert [each["run"] for each in listed] == [folder.name for folder in run_folders(runs)]
+    assert list(listed[0]) == ["run", "state", "reason"]
+    assert listed[2] == {
+        "run": "2-faulted", "procedure": "home", "cell": "paper", "state": "faulted", "points": 8,
+        "exit": 3, "simulated": True, "operator": "Bob", "job": "J-17", "live": False,
+    }  # fmt: skip
+    assert listed[3]["state"] == "running, engine gone"
+    assert main(["runs", "--runs", str(runs)]) == 0
+    table = capsys.readouterr().out
+    assert "1-finished" in table
+    assert "unreadable" in table
+    assert listed[3]["exit"] is None
+    assert "None" not in table
+
+
+def test_a_row_survives_its_file() -> None:
+    assert msgspec.json.decode(msgspec.json.encode(ROW), type=RunRow) == ROW
+
+
+def test_find_run_takes_the_folder(runs: Path) -> None:
+    """What the index leaves in the folder is no run."""
+    read_index(runs)
+    assert find_run(runs, "1").name == "1-finished"
+    assert Log(read_journal(find_run(runs, "2") / JOURNAL)).inputs.operator == "Bob"

@@ -1,0 +1,200 @@
+"""The journal keeps what it acknowledged, in order, and notices every change."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.journal.journal import Journal, Kind, NotFinite, StorageError, read_journal
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "journal.sqlite"
+
+
+def filled(path: Path) -> Path:
+    journal = Journal(path, "r", create=True)
+    for number in range(5):
+        journal.append("point", f"p/{number}", {"xyz_mm": np.arange(3.0) + number, "ok": True})
+    journal.close()
+    return path
+
+
+def test_records_come_back_as_written(path: Path) -> None:
+    records = read_journal(filled(path))
+    assert [record.key for record in records] == [f"p/{n}" for n in range(5)]
+    assert records[2].body == {"xyz_mm": [2.0, 3.0, 4.0], "ok": True}
+    assert [r.seq for r in read_journal(path, after=3)] == [4, 5]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(
+    ("kind", "where", "body"),
+    [
+        ("point", "std_mm[1]", lambda value: {"std_mm": np.array([0.1, value, 0.1])}),
+        ("frame", "matrix[3][3]", lambda value: {"matrix": np.diag([1.0, 1.0, 1.0, value])}),
+        (
+            "event",
+            "facts.age_s",
+            lambda value: {"facts": {"age_s": np.float64(value)}},
+        ),
+        ("verdict", "off_mm", lambda value: {"holds": False, "off_mm": value}),
+    ],
+)
+def test_what_is_not_finite_is_refused_before_it_is_written(
+    path: Path, kind: Kind, where: str, body: Callable[[float], dict[str, Any]], value: float
+) -> None:
+    journal = Journal(filled(path), "r", create=False)
+    with pytest.raises(NotFinite) as caught:
+        journal.append(kind, "p/9", body(value))
+    assert f"record 6 ({kind} p/9): {where} is {value}, wanted a finite number" in str(caught.value)
+    assert journal.append("event", "", {"what": "goes on"}).seq == 6
+    journal.close()
+    assert [record.kind for record in read_journal(path)][5:] == ["event"]
+
+
+def test_events_carry_the_record(path: Path) -> None:
+    event = read_journal(filled(path))[0].event("r")
+    assert event["run"] == "r"
+    assert event["seq"] == 1
+    assert event["kind"] == "point"
+    assert event["key"] == "p/0"
+    assert event["xyz_mm"] == [0.0, 1.0, 2.0]
+
+
+def test_a_listener_hears_only_what_is_durable(path: Path) -> None:
+    journal = Journal(path, "r", create=True)
+    heard = []
+    journal.listen(lambda record: heard.append([r.seq for r in read_journal(path)]))
+    journal.append("event", "", {"what": "a"})
+    journal.append("event", "", {"what": "b"})
+    assert heard == [[1], [1, 2]]
+    journal.close()
+
+
+def test_reopened_it_continues_the_chain(path: Path) -> None:
+    journal = Journal(filled(path), "r", create=False)
+    assert journal.append("event", "", {"what": "more"}).seq == 6
+    journal.close()
+    assert len(read_journal(path)) == 6
+
+
+@pytest.mark.parametrize("statement", ["DELETE FROM record", "UPDATE record SET body = '{}'"])
+def test_sql_cannot_change_it(path: Path, statement: str) -> None:
+    base = sqlite3.connect(filled(path))
+    with pytest.raises(sqlite3.IntegrityError, match="append-only"):
+        base.execute(statement)
+    base.close()
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE record SET body = replace(body, '3.0', '3.1') WHERE seq = 3",
+        "UPDATE record SET t = 'x' WHERE seq = 2",
+        "DELETE FROM record WHERE seq = 2",
+    ],
+)
+def test_a_changed_file_is_refused(path: Path, statement: str) -> None:
+    base = sqlite3.connect(filled(path))
+    base.execute("DROP TRIGGER record_is_never_changed")
+    base.execute("DROP TRIGGER record_is_never_deleted")
+    base.execute(statement)
+    base.commit()
+    base.close()
+    with pytest.raises(StorageError, match="cannot be trusted"):
+        read_journal(path)
+
+
+def test_another_version_is_refused(path: Path) -> None:
+    base = sqlite3.connect(filled(path))
+    base.execute("UPDATE meta SET value = '99' WHERE name = 'schema'")
+    base.commit()
+    base.close()
+    with pytest.raises(StorageError, match="schema '99'"):
+        read_journal(path)
+
+
+def test_something_else_is_refused(path: Path) -> None:
+    path.write_bytes(b"not a database, but long enough to look like one " * 10)
+    with pytest.raises(StorageError, match="not a journal"):
+        read_journal(path)
+    with pytest.raises(StorageError, match="no such file"):
+        read_journal(path.with_name("nowhere"))
+
+
+def test_a_full_disk_is_told_and_nothing_half_written(path: Path) -> None:
+    journal = Journal(filled(path), "r", create=False)
+    pages = journal._base.execute("PRAGMA page_count").fetchone()[0]
+    journal._base.execute(f"PRAGMA max_page_count = {pages}")
+    with pytest.raises(StorageError, match="full") as told:
+        append_many(journal)
+    assert "hilcell resume r" in str(told.value)
+    journal.close()
+    assert all(r.seq == n for n, r in enumerate(read_journal(path), start=1))
+
+
+def append_many(journal: Journal) -> None:
+    for _ in range(100):
+        journal.append("event", "", {"what": "x" * 1000})
+
+
+WRITER = """
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from hilcell.journal.journal import Journal
+journal = Journal(Path(sys.argv[1]), "r", create=True)
+journal.listen(lambda record: print(record.seq, flush=True))
+while True:
+    journal.append("event", "", {"what": "tick"})
+"""
+
+
+def test_one_that_was_killed_while_it_was_made_is_empty(path: Path) -> None:
+    base = sqlite3.connect(path)
+    base.execute("PRAGMA journal_mode=WAL")
+    base.close()
+    assert path.stat().st_size
+    assert read_journal(path) == []
+
+
+@pytest.mark.parametrize("how", ["removed", "replaced", "moved"])
+def test_a_journal_taken_away_acknowledges_nothing_more(path: Path, how: str) -> None:
+    journal = Journal(path, "r", create=True)
+    journal.append("point", "p/0", {})
+    if how == "moved":
+        path.rename(path.with_name("elsewhere"))
+    else:
+        path.unlink()
+    if how == "replaced":
+        path.write_bytes(b"another")
+    heard: list[object] = []
+    journal.listen(heard.append)
+    with pytest.raises(StorageError, match="taken away or replaced"):
+        journal.append("point", "p/1", {})
+    assert heard == []
+    journal.close()
+
+
+def test_kill_9_loses_nothing_acknowledged(path: Path) -> None:
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE)
+    assert writer.stdout is not None
+    for line in writer.stdout:
+        if int(line) >= 200:
+            break
+    os.kill(writer.pid, signal.SIGKILL)
+    rest = writer.stdout.read().splitlines()
+    writer.stdout.close()
+    writer.wait()
+    acknowledged = int(rest[-1]) if rest and rest[-1].isdigit() else 200
+    assert len(read_journal(path)) >= acknowledged

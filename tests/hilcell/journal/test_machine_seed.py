@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from hilcell.cell.file import Cell, load_cell
+from hilcell.commands import run
+from hilcell.commands.cli import _parser, main
+from hilcell.journal.runs import read_log
+from hilcell.ports import DeviceError
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (["run", "--seed", "7"], 7),
+        (["run", "--seed", "7", "--machine-seed", "0"], 0),
+        (["sim", "--machine-seed", "9"], 9),
+    ],
+)
+def test_the_machine_has_a_seed_of_its_own_or_the_runs(words: list[str], wanted: int) -> None:
+    assert run.machine_seed(load_cell("paper"), _parser().parse_args(words)) == wanted
+
+
+def test_a_resumed_run_has_the_machine_that_it_began_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[int] = []
+
+    def start(*_: object, seed: int, **__: object) -> None:
+        started.append(seed)
+        raise DeviceError("HC-C18", "Simulated cell", "start", "not here")
+
+    monkeypatch.setattr(run, "start_simulation", start)
+    words = ["--machine-seed", "5", "--seed", "2", "--name", "R", "--runs", str(tmp_path)]
+    assert main(["run", "home", *words]) == 3
+    assert main(["resume", "R", "--runs", str(tmp_path)]) == 3
+    assert started == [5, 5]
+    inputs = read_log(tmp_path / "R").inputs
+    assert (inputs.seed, inputs.machine_seed, inputs.truth_seed) == (2, 5, 5)
+    of_old = msgspec.structs.replace(inputs, machine_seed=None)
+    assert of_old.truth_seed == 2  # journals of schema 1 had one seed for both
+
+
+@pytest.mark.parametrize("address", ["", "127.0.0.1:9"])
+def test_a_machine_that_this_run_did_not_start_has_no_seed_in_the_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
+    def start(*_: object, **__: object) -> None:
+        raise DeviceError("HC-C18", "Simulated cell", "start", "not here")
+
+    def real(*_: object) -> Cell:
+        return msgspec.structs.replace(load_cell("paper"), simulation=None, name="n", serial="s")
+
+    monkeypatch.setattr(run, "start_simulation", start)
+    if not address:
+        monkeypatch.setattr(run, "load_cell", real)
+    words = ["--name", "R", "--runs", str(tmp_path), f"--set=simulation.address={address}"]
+    assert main(["run", "home", *words]) == 3
+    inputs = read_log(tmp_path / "R").inputs
+    assert (inputs.seed, inputs.machine_seed, inputs.truth_seed) == (1, None, None)
+    of_old = msgspec.structs.replace(inputs, machine_seed=1)  # recorded, though nobody knew it
+    assert of_old.truth_seed is None
+
+
+@pytest.mark.parametrize("option", ["--machine-seed", "--speed"])
+def test_a_cell_that_runs_already_has_its_machine_and_its_pace(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", "home", option, "3", "--dry-run"]
+    assert main(words) == 0
+    assert main([*words, "--set=simulation.address=127.0.0.1:9"]) == 2
+    assert f"give {option} to its `hilcell sim`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "sim"])
+def test_a_cell_slower_than_real_time_is_refused(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main([command, "--speed", "0.5"])
+    assert "a factor of 1 .. 1e+06, or max, is wanted (not slower" in capsys.readouterr().err

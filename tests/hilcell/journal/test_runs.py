@@ -1,0 +1,160 @@
+"""The folder of runs: what is a run there, and what is not."""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from hilcell.cell.file import Cell, load_cell
+from hilcell.commands import run
+from hilcell.commands.cli import _ports, main
+from hilcell.errors import DeviceError, HilcellError
+from hilcell.journal.index import read_index
+from hilcell.journal.runs import JOURNAL, find_run, forget, run_folders
+from hilcell.run.cell_lock import lock_of_device, locked
+from tests.hilcell.journal.test_index import written
+
+
+def test_entries_that_lead_nowhere_are_no_runs(tmp_path: Path) -> None:
+    runs = tmp_path
+    for name in ("1", "2"):
+        written(runs / name)
+    rows = read_index(runs)
+    (runs / "loop").symlink_to("loop")
+    (runs / "broken").symlink_to("nowhere")
+    (runs / "endless").symlink_to("x" * 300)
+    (runs / "3").mkdir()
+    (runs / "3" / JOURNAL).symlink_to(JOURNAL)
+    assert read_index(runs) == rows
+    assert len(run_folders(runs)) == 2
+    assert find_run(runs, "last").name in ("1", "2")
+    for name in ("loop", str(runs / "loop")):
+        with pytest.raises(HilcellError, match="is not in"):
+            find_run(runs, name)
+
+
+LOCKED = """
+import json, os, sys
+from pathlib import Path
+from hilcell.journal.index import read_index
+from hilcell.journal import engine_file, log
+from hilcell.run import control  # nothing more can be loaded once rights are given away
+from hilcell.journal.runs import find_run, read_log
+from hilcell.tui.app.first_run import run_to_open
+run_to_open(Path("."), "")
+os.getuid() or os.setuid(65534)  # root may look everywhere
+runs = Path(sys.argv[1])
+print(json.dumps([[row.name, row.state, row.reason] for row in read_index(runs)]))
+print(find_run(runs, "last").name)
+try:
+    read_log(find_run(runs, str(runs / "2")))
+except Exception as error:
+    print(f"{type(error).__name__}: {error}")
+print(run_to_open(runs, ""))
+try:
+    control.send_command(runs / "2", "pause")
+except Exception as error:
+    print(f"{type(error).__name__}: {error}")
+"""
+
+
+def test_a_run_that_must_not_be_looked_into_is_listed_with_its_reason() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        runs = Path(name)
+        runs.chmod(0o755)  # for other users
+        written(runs / "1")
+        locked = written(runs / "2")
+        locked.chmod(0)
+        done = subprocess.run(
+            [sys.executable, "-c", LOCKED, runs], capture_output=True, text=True, check=False
+        )
+        locked.chmod(0o755)
+        listed, last, told, live, refused = done.stdout.splitlines()
+        why = f"journal {locked / JOURNAL}: cannot be read: Permission denied"
+        assert [row[:2] for row in json.loads(listed)] == [["1", "finished"], ["2", "unreadable"]]
+        assert json.loads(listed)[1][2] == why
+        assert last == "1"
+        assert told == f"StorageError: {why}"
+        assert live == "None"
+        found = "whether its engine is running cannot be told: Permission denied"
+        assert refused == f"HilcellError: run 2: {found}"
+
+
+def test_the_newest_runs_are_the_newest_by_time(tmp_path: Path) -> None:
+    for age_s, name in enumerate(("b", "a", "d", "c")):
+        written(tmp_path / name)
+        os.utime(tmp_path / name / JOURNAL, (1e9 + age_s, 1e9 + age_s))
+    with pytest.raises(HilcellError, match=r"newest there: a, d, c$"):
+        find_run(tmp_path, "nosuch")
+
+
+def test_a_run_that_never_began_leaves_nothing_but_what_others_have_put_there(
+    tmp_path: Path,
+) -> None:
+    for name in ("a", "b"):
+        written(tmp_path / name)
+    (tmp_path / "b" / "notes").touch()
+    for name in ("a", "b"):
+        forget(tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+    assert [path.name for path in (tmp_path / "b").iterdir()] == ["notes"]
+
+
+def test_a_run_that_finds_its_device_locked_leaves_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def real(*_: object) -> Cell:
+        cell = load_cell("paper", {"rail.options.channel": "socket://192.0.2.1:9"})
+        return msgspec.structs.replace(cell, simulation=None, name="n", serial="s")
+
+    monkeypatch.setattr(run, "load_cell", real)
+    with locked(lock_of_device("192.0.2.1:9"), "rail", "other"):
+        assert main(["run", "home", "--name", "R", "--runs", str(tmp_path)]) == 6
+    assert "is locked by run other" in capsys.readouterr().err
+    assert run_folders(tmp_path) == []
+    assert not (tmp_path / "R").exists()
+
+
+def test_the_list_says_which_runs_are_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    written(tmp_path / "a")
+    assert main(["runs", "--runs", str(tmp_path)]) == 0
+    headers, row = (
+        line for line in capsys.readouterr().out.splitlines() if "home" in line or "kind" in line
+    )
+    assert "kind" in headers
+    assert "simulated" in row or "real" in row
+
+
+def test_what_leaves_nothing_to_resume_is_not_to_be_resumed() -> None:
+    moved = DeviceError("HC-T33", "Tracker", "control point F1", "moved by 1 mm")
+    assert run._wants_new_run(moved)
+    assert not run._wants_new_run(DeviceError("HC-R01", "Rail", "move", "it fails"))
+    assert not run._wants_new_run(None)
+
+
+def test_locks_do_not_depend_on_the_folder_of_temporary_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = lock_of_device("10.0.0.1:7000")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert lock_of_device("10.0.0.1:7000") == before
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("rail=27000,robot=27000", "port 27000 is given twice"),
+        ("rail=\u0662\u0667", "is wanted"),
+    ],
+)
+def test_ports_that_cannot_be_are_refused(text: str, why: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError, match=why):
+        _ports(text)

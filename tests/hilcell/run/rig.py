@@ -1,0 +1,150 @@
+"""Devices in memory, for tests of the runner alone: they do what they are told, or hang."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hilcell.cell.devices import Devices
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log
+from hilcell.ports import Array, Identity, LinkStatistics, RailReading, RobotReading, TrackerReading
+from hilcell.run.cell_session import CellSession
+from hilcell.run.procedure import Procedure, Step
+
+
+class DeskRail:
+    def __init__(self, cell: Cell) -> None:
+        self.cell, self.position_mm, self.powered = cell, 1100.0, False
+        self.stopped_s: float | None = None
+        self.closed = 0
+        self.link = LinkStatistics(frames=1000)
+        self.identity = Identity("Rail", "desk", "1", "memory", simulated=True)
+
+    def connect(self) -> list[Identity]:
+        return [self.identity]
+
+    def home(self) -> None:
+        self.position_mm = 0.0
+
+    def move_to(self, position_mm: float) -> None:
+        self.position_mm, self.powered = position_mm, True
+
+    def settle(self) -> RailReading:
+        return self.read()
+
+    def read(self) -> RailReading:
+        at_mm = self.position_mm
+        return RailReading(at_mm, at_mm, 0.0, True, self.powered, time.monotonic())
+
+    def hold(self) -> None:
+        self.powered = False
+
+    def statistics(self) -> LinkStatistics:
+        return self.link
+
+    def stop(self) -> None:
+        self.stopped_s = time.monotonic()
+
+    def close(self) -> None:
+        self.closed += 1
+        self.powered = False
+
+
+class DeskRobot:
+    def __init__(self, cell: Cell) -> None:
+        self.joints_rad = np.radians(cell.robot.safe_deg)
+        self.moves = 0
+        self.stopped = 0
+
+    def connect(self) -> list[Identity]:
+        return [Identity("Robot", "desk", "2", "memory", simulated=True)]
+
+    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
+        self.joints_rad = np.array(joints_rad)
+        self.moves += 1
+        return self.read()
+
+    def read(self) -> RobotReading:
+        return RobotReading(self.joints_rad, np.eye(4), True, time.monotonic())
+
+    def stop(self) -> None:
+        self.stopped += 1
+
+    def close(self) -> None: ...
+
+
+class DeskTracker:
+    """``answer`` may raise, block, or change what is measured."""
+
+    def __init__(self) -> None:
+        self.answer: Callable[[], None] = lambda: None
+        self.off_mm = np.zeros(3)
+        self.measured = 0
+
+    def connect(self) -> list[Identity]:
+        return [Identity("Tracker", "desk", "3", "memory", simulated=True)]
+
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        self.answer()
+        self.measured += 1
+        std = np.full(3, 0.01)
+        return TrackerReading(
+            np.array(near_mm) + self.off_mm,
+            std,
+            samples,
+            reflector,
+            22.0,
+            1013.0,
+            45.0,
+            time.monotonic(),
+        )
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def desk(cell: Cell) -> Devices:
+    return Devices(DeskRail(cell), DeskRobot(cell), DeskTracker())
+
+
+class Points:
+    """A part that measures the floor nest a number of times."""
+
+    name = "points"
+    needs = moves = measures = yields = ""
+
+    def __init__(self, count: int, act: Callable[[CellSession, int], None] | None = None) -> None:
+        self.count, self.act = count, act
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        return Step(self.name, self.count, 1.0)
+
+    def perform(self, session: CellSession) -> None:
+        session.reach("connect")
+        for number in range(self.count):
+            if self.act is not None:
+                self.act(session, number)
+            session.floor_point(f"p/{number}", "p", session.cell.layout.floor[0])
+
+    def result(self, log: Log) -> dict[str, Any]:
+        return {"measured": len(log.points)}
+
+
+def procedure(*parts: Any) -> Procedure:
+    return Procedure("desk", "for tests", tuple(parts), lambda result: ([], []))
+
+
+def hang(entered: threading.Event, release: threading.Event) -> Callable[[], None]:
+    """Return an answer that blocks until released, deaf to every stop."""
+
+    def answer() -> None:
+        entered.set()
+        release.wait(30.0)
+
+    return answer

@@ -1,0 +1,171 @@
+"""Lamps: what a device last said, whether it moves now, and why it is lost."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.cell.devices import Devices, streams_of, sweeps_of
+from hilcell.ports import DeviceError, DeviceRefused, NoReading, RailReading
+from hilcell.run.device_status import Lamps
+from tests.hilcell.run.bed import CELL, until
+from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk, hang
+
+
+class Board:
+    """Lamps over desk devices."""
+
+    def __init__(self) -> None:
+        bare = desk(CELL)
+        assert isinstance(bare.rail, DeskRail)
+        assert isinstance(bare.robot, DeskRobot)
+        assert isinstance(bare.tracker, DeskTracker)
+        self.rail, self.robot, self.tracker = bare.rail, bare.robot, bare.tracker
+        self.lamps = Lamps(bare)
+        self.devices = self.lamps.devices
+
+    def lamp(self, name: str) -> dict[str, Any]:
+        lamp = self.lamps.status()[name]
+        assert isinstance(lamp, dict)
+        return lamp
+
+
+@pytest.fixture
+def board() -> Board:
+    return Board()
+
+
+def test_a_reading_of_the_rail_lights_rail_and_strip(board: Board) -> None:
+    board.devices.rail.read()
+    for name, text in (("rail", "1100.00 mm, held"), ("strip", "1100.00 mm")):
+        lamp = board.lamp(name)
+        assert (lamp["state"], lamp["text"], lamp["reason"]) == ("fresh", text, "")
+        assert 0.0 <= lamp["age_s"] < 1.0
+    assert board.lamp("robot")["state"] == "unknown"
+
+
+def test_robot_and_tracker_tell_what_they_read(board: Board) -> None:
+    board.devices.robot.read()
+    board.devices.tracker.measure(np.array([1.0, 2.0, 3.0]), "SMR", 1)
+    assert board.lamp("robot")["text"] == "at rest at 0.0 -100.0 110.0 0.0 -30.0 0.0 deg"
+    assert board.lamp("tracker")["text"] == "1.00 2.00 3.00 mm, 22.0 C"
+
+
+def test_devices_that_cannot_fly_are_refused_by_name(board: Board) -> None:
+    tracker, robot = streams_of(board.devices.tracker), sweeps_of(board.devices.robot)
+    with pytest.raises(DeviceRefused, match="this tracker streams: no"):
+        tracker.stream(np.zeros(3), "SMR", 100.0).__enter__()
+    with pytest.raises(DeviceRefused, match="this robot sweeps an axis: no"):
+        robot.sweep(0, 1.0, 0.1).__enter__()
+
+
+def test_a_sweep_lights_the_robot_s_lamp(board: Board) -> None:
+    class Sweeping(DeskRobot):
+        @contextmanager
+        def sweep(self, *order: float) -> Iterator[Any]:
+            yield order
+
+    lamps = Lamps(Devices(board.rail, Sweeping(CELL), board.tracker))
+    moving = []
+    with sweeps_of(lamps.devices.robot).sweep(0, 1.0, 0.1):
+        moving.append(lamps.robot.moving)
+    assert [*moving, lamps.robot.moving] == [True, False]
+
+
+def test_ages_grow(board: Board) -> None:
+    board.devices.rail.read()
+    first = board.lamp("rail")["age_s"]
+    until(lambda: board.lamp("rail")["age_s"] >= first + 0.05)
+
+
+@pytest.mark.parametrize(
+    ("names", "move"),
+    [
+        (("rail", "strip"), lambda devices: devices.rail.move_to(5.0)),
+        (("rail", "strip"), lambda devices: devices.rail.home()),
+        (("robot",), lambda devices: devices.robot.move_to(np.zeros(6), 10.0)),
+    ],
+)
+def test_a_device_under_way_moves(
+    board: Board,
+    names: tuple[str, ...],
+    move: Callable[[Any], object],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    entered, release = threading.Event(), threading.Event()
+    wait = hang(entered, release)
+    for device, name in ((board.rail, "move_to"), (board.rail, "home"), (board.robot, "move_to")):
+        real = getattr(device, name)
+        monkeypatch.setattr(device, name, lambda *args, real=real: (wait(), real(*args))[1])
+    thread = threading.Thread(target=move, args=(board.devices,))
+    thread.start()
+    assert entered.wait(10)
+    states = {name: board.lamp(name)["state"] for name in ("rail", "strip", "robot", "tracker")}
+    release.set()
+    thread.join(10)
+    assert {name for name, state in states.items() if state == "moving"} == set(names)
+    assert all(board.lamp(name)["state"] != "moving" for name in names)
+
+
+def test_a_device_that_fails_is_lost_until_it_answers(
+    board: Board, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone() -> None:
+        raise DeviceError("HC-B02", "Robot", "read", "no answer")
+
+    board.devices.robot.read()
+    with monkeypatch.context() as patched:
+        patched.setattr(board.robot, "read", gone)
+        with pytest.raises(DeviceError, match="no answer"):
+            board.devices.robot.read()
+        lamp = board.lamp("robot")
+        assert (lamp["state"], lamp["reason"]) == ("lost", "Robot: read: no answer")
+        assert lamp["age_s"] is not None  # the last good reading's
+    board.devices.robot.read()
+    assert board.lamp("robot")["state"] == "fresh"
+
+
+def test_a_measurement_that_fails_leaves_the_tracker_well(board: Board) -> None:
+    def broken() -> None:
+        raise NoReading("HC-T10", "Tracker", "measure", "beam broken")
+
+    board.tracker.answer = broken
+    with pytest.raises(NoReading):
+        board.devices.tracker.measure(np.zeros(3), "SMR", 1)
+    assert board.lamp("tracker")["state"] == "unknown"
+    assert board.lamp("tracker")["reason"] == ""
+
+
+def test_refresh_reads_what_grows_old_and_no_oftener(
+    board: Board, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads: list[float] = []
+    real = board.rail.read
+
+    def read() -> RailReading:
+        reads.append(time.monotonic())
+        return real()
+
+    def refreshed() -> bool:
+        board.lamps.refresh()
+        return len(reads) >= 3
+
+    monkeypatch.setattr(board.rail, "read", read)
+    until(refreshed)
+    assert min(np.diff(reads)) >= 0.5
+
+
+def test_a_stop_reaches_the_device_itself(board: Board) -> None:
+    board.devices.rail.stop()
+    board.devices.robot.stop()
+    board.devices.tracker.stop()
+    assert board.rail.stopped_s is not None
+    assert board.robot.stopped == 1
+    board.devices.rail.close()
+    assert board.rail.closed == 1

@@ -1,0 +1,75 @@
+"""The gate of a pause: who waits is told, who passes is gone, whatever the haste."""
+
+import random
+import threading
+
+import pytest
+
+from hilcell.ports import Stopped
+from hilcell.run.pause_gate import PauseGate
+from tests.hilcell.run.bed import until
+
+
+def nothing() -> None: ...
+
+
+def test_an_open_gate_is_passed_at_once() -> None:
+    told: list[str] = []
+    gate = PauseGate(lambda: told.append("rests"))
+    gate.passage(lambda: told.append("waits"))
+    assert told == []
+    assert not gate.closed
+    assert not gate.resting
+
+
+def test_who_comes_to_a_closed_gate_says_so_and_waits() -> None:
+    told: list[str] = []
+    gate = PauseGate(lambda: told.append("rests"))
+    gate.close()
+    assert told == []  # nobody stands there yet
+    worker = threading.Thread(target=gate.passage, args=(nothing,))
+    worker.start()
+    until(lambda: told == ["rests"])
+    assert gate.resting
+    gate.open()
+    worker.join(10)
+    assert not gate.resting
+
+
+def test_a_stop_ends_the_wait() -> None:
+    def stopped() -> None:
+        raise Stopped("stop")
+
+    gate = PauseGate(nothing)
+    gate.close()
+    with pytest.raises(Stopped):
+        gate.passage(stopped)
+
+
+def test_opened_and_closed_in_haste_the_worker_is_never_in_between() -> None:
+    """After every close the worker rests and reports it, once it is there; never while open."""
+    rests = threading.Semaphore(0)
+    gate = PauseGate(rests.release)
+    ended = threading.Event()
+
+    def work() -> None:
+        while not ended.is_set():
+            gate.passage(nothing)
+
+    worker = threading.Thread(target=work)
+    worker.start()
+    rng = random.Random(1)
+    for _ in range(300):
+        gate.close()
+        assert rests.acquire(timeout=10)
+        assert gate.resting
+        for _ in range(rng.randrange(4)):
+            gate.open()
+            gate.close()
+        gate.open()
+        while rests.acquire(blocking=False):  # nothing is reported while the gate is open
+            pass
+    ended.set()
+    gate.open()
+    worker.join(10)
+    assert not worker.is_alive()

@@ -1,0 +1,75 @@
+"""The whole state x trigger matrix of both machines."""
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from hilcell.run.states import CALIBRATION, RUN, StateMachine, Table, TransitionRefused, mermaid
+
+TRIGGERS = {table.name: sorted({row[0] for row in table.rows}) for table in (RUN, CALIBRATION)}
+MATRIX = [
+    (table, state, trigger)
+    for table in (RUN, CALIBRATION)
+    for state, trigger in product(table.states, TRIGGERS[table.name])
+]
+
+
+def allowed(table: Table, state: str, trigger: str) -> str | None:
+    for name, sources, target in table.rows:
+        if name == trigger and state in sources:
+            return target
+    return None
+
+
+@pytest.mark.parametrize(("table", "state", "trigger"), MATRIX)
+def test_every_state_and_trigger(table: Table, state: str, trigger: str) -> None:
+    written: list[dict[str, object]] = []
+    machine = StateMachine(table, state, written.append)
+    target = allowed(table, state, trigger)
+    assert machine.allows(trigger) == (target is not None)
+    if target is None:
+        with pytest.raises(TransitionRefused, match=state):
+            machine.fire(trigger)
+        assert machine.state == state
+        assert written == []
+    else:
+        machine.fire(trigger, reason="because")
+        assert machine.state == target
+        assert written == [
+            {
+                "machine": table.name,
+                "from": state,
+                "to": target,
+                "trigger": trigger,
+                "reason": "because",
+            }
+        ]
+
+
+@pytest.mark.parametrize("table", [RUN, CALIBRATION], ids=lambda table: table.name)
+def test_no_trigger_has_two_targets_from_one_state(table: Table) -> None:
+    pairs = [(name, source) for name, sources, _ in table.rows for source in sources]
+    assert len(pairs) == len(set(pairs))
+
+
+def test_a_state_that_cannot_be_written_is_not_entered() -> None:
+    def full(body: dict[str, object]) -> None:
+        raise OSError("disk full")
+
+    machine = StateMachine(RUN, "running", full)
+    with pytest.raises(OSError, match="disk full"):
+        machine.fire("pause")
+    assert machine.state == "running"
+
+
+def test_stop_and_fault_are_possible_whenever_something_lives() -> None:
+    for state in ("checking", "running", "paused", "suspended"):
+        assert allowed(RUN, state, "stop") == "stopping"
+        assert allowed(RUN, state, "fault") == "faulted"
+
+
+def test_the_readme_shows_the_tables() -> None:
+    readme = (Path(__file__).parents[3] / "README.md").read_text("utf-8")
+    for table in (RUN, CALIBRATION):
+        assert f"```mermaid\n{mermaid(table)}\n```" in readme

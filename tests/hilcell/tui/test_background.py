@@ -1,0 +1,65 @@
+"""Work aside: what it returns and raises comes back, and an end does not wait for it."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from hilcell.tui.engine.background import aside
+
+NEVER = """
+import asyncio, threading
+from hilcell.tui.engine.background import aside
+
+async def leave():
+    task = asyncio.create_task(aside(threading.Event().wait))
+    await asyncio.sleep(0)
+    task.cancel()
+
+asyncio.run(leave())
+"""
+
+
+def test_what_is_returned_or_raised_comes_back() -> None:
+    assert asyncio.run(aside(divmod, 7, 2)) == (3, 1)
+    with pytest.raises(ZeroDivisionError):
+        asyncio.run(aside(divmod, 7, 0))
+
+
+def test_others_work_meanwhile() -> None:
+    async def both() -> bool:
+        came = threading.Event()
+        waiting = asyncio.create_task(aside(came.wait, timeout=10.0))
+        await asyncio.sleep(0)
+        came.set()
+        return await waiting
+
+    assert asyncio.run(both())
+
+
+def test_an_end_does_not_wait_for_what_never_ends() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", NEVER], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_was_given_up_may_still_end() -> None:
+    go_on, ended = threading.Event(), threading.Event()
+
+    def work() -> None:
+        go_on.wait(10.0)
+        ended.set()
+
+    async def give_up() -> None:
+        task = asyncio.create_task(aside(work))
+        await asyncio.sleep(0)
+        task.cancel()
+
+    asyncio.run(give_up())
+    go_on.set()
+    assert ended.wait(10.0)

@@ -1,0 +1,112 @@
+"""What the environment says of its terminal: colours, and shapes beyond ASCII."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from hilcell.tui.terminal.capabilities import has_colours, has_shapes
+
+XTERM = {"TERM": "xterm-256color"}
+COERCED = "C.UTF-8"
+
+
+@pytest.mark.parametrize(
+    "term",
+    ["xterm", "xterm-256color", "linux", "screen", "tmux-256color", "vt525", "foot", "xterm-kitty"],
+)
+def test_terminals_with_colours(term: str) -> None:
+    assert has_colours({"TERM": term})
+
+
+@pytest.mark.parametrize(
+    "term",
+    ["", "dumb", "unknown", "vt52", "vt100", "vt102", "vt220", "vt320-w", "xterm-mono", "linux-m"],
+)
+def test_terminals_without_colours(term: str) -> None:
+    assert not has_colours({"TERM": term, "COLORTERM": "truecolor"})
+
+
+def test_an_unnamed_terminal_has_neither() -> None:
+    assert not has_colours({})
+    assert not has_shapes({"LANG": "C.UTF-8"})
+
+
+@pytest.mark.parametrize("value", ["1", "0", "false"])
+def test_no_color_is_obeyed_whatever_it_says(value: str) -> None:
+    assert not has_colours(XTERM | {"NO_COLOR": value})
+
+
+def test_an_empty_no_color_says_nothing() -> None:
+    assert has_colours(XTERM | {"NO_COLOR": ""})
+
+
+@pytest.mark.parametrize(
+    "locale",
+    [
+        {"LANG": "en_US.UTF-8"},
+        {"LANG": "C.utf8"},
+        {"LC_CTYPE": "UTF-8"},
+        {"LANG": "C", "LC_CTYPE": "de_DE.UTF-8"},
+        {"LANG": "C", "LC_CTYPE": "C", "LC_ALL": "C.UTF-8"},
+        {"LANG": "en_US.UTF-8", "LC_ALL": ""},
+        {"LANG": "en_US.UTF-8@variant"},
+        {},
+    ],
+)
+def test_a_locale_with_utf_8_or_none_has_shapes(locale: dict[str, str]) -> None:
+    assert has_shapes(XTERM | locale)
+    for term in ("vt100", "dumb", "linux"):
+        assert not has_shapes({"TERM": term} | locale)
+
+
+@pytest.mark.parametrize(
+    "locale",
+    [
+        {"LANG": "C"},
+        {"LANG": "POSIX"},
+        {"LANG": "de_DE"},
+        {"LANG": "de_DE.ISO-8859-1"},
+        {"LANG": "en_US.UTF-8", "LC_ALL": "C"},
+        {"LANG": "en_US.UTF-8", "LC_CTYPE": "POSIX"},
+    ],
+)
+def test_every_other_locale_that_is_named_is_ascii(locale: dict[str, str]) -> None:
+    assert not has_shapes(XTERM | locale)
+
+
+def test_what_python_wrote_into_its_environment_is_no_claim_of_the_terminals() -> None:
+    assert has_shapes(XTERM | {"LC_CTYPE": COERCED})
+    assert has_shapes(XTERM | {"LC_CTYPE": COERCED}, coerced=True)
+    assert not has_shapes(XTERM | {"LC_CTYPE": COERCED, "LANG": "C"}, coerced=True)
+    assert has_shapes(XTERM | {"LC_CTYPE": COERCED, "LANG": "not_HERE.UTF-8"}, coerced=True)
+    assert has_shapes(XTERM | {"LC_CTYPE": COERCED, "LC_ALL": COERCED}, coerced=True)
+
+
+SAID = (
+    "import os, sys; from hilcell.tui.terminal.capabilities import has_shapes, is_coerced;"
+    "print(has_shapes(os.environ, coerced=is_coerced()))"
+)
+
+
+@pytest.mark.parametrize(
+    ("locale", "shapes"),
+    [
+        ({}, True),
+        ({"LANG": "C"}, False),
+        ({"LC_ALL": "POSIX"}, False),
+        ({"LC_CTYPE": "C.UTF-8"}, True),
+        ({"LANG": "C.UTF-8"}, True),
+        ({"LC_ALL": "C.UTF-8"}, True),
+        ({"LANG": "not_HERE.UTF-8"}, True),
+        ({"LANG": "C.UTF-8", "PYTHONUTF8": "1"}, True),
+        ({"LANG": "C", "PYTHONCOERCECLOCALE": "0"}, False),
+    ],
+)
+def test_a_fresh_python_says_what_its_shell_said(locale: dict[str, str], shapes: bool) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SAID], env=XTERM | locale, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == str(shapes)
