@@ -1,0 +1,112 @@
+"""The manual says what is: the picture of the rooms, and every name of code or file."""
+
+import ast
+import pkgutil
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+NEIGHBOURS = ("drivers", "procedures", "fakes")
+PAGES = ("docs/architecture.md",)
+PICTURE = (ROOT / "docs/architecture.md").read_text("utf-8")
+CODE = re.compile(rf"`((?:hilcell|{'|'.join(NEIGHBOURS)})(?:\.\w+)+)`")
+FILE = re.compile(rf"`((?:hilcell|{'|'.join(NEIGHBOURS)}|tests|docs)/[\w./-]+)`")
+
+Arrow = tuple[str, str]
+
+
+def room_of(module: str) -> str:
+    """The room of a module by its full name; loose modules of the core are ``base``."""
+    top, _, rest = module.partition(".")
+    name = rest.partition(".")[0]
+    if top in NEIGHBOURS:
+        return top
+    if name == "__main__":
+        return "commands"
+    return name if (ROOT / top / name / "__init__.py").is_file() and name else "base"
+
+
+def imports(path: Path) -> set[str]:
+    """The modules that a file imports when it runs, inside functions too."""
+    found: set[str] = set()
+    waiting: list[ast.AST] = [ast.parse(path.read_text("utf-8"))]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            waiting += node.orelse
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+        waiting += ast.iter_child_nodes(node)
+    return found
+
+
+def arrows_between_rooms() -> set[Arrow]:
+    """Every import from one room to another."""
+    found: set[Arrow] = set()
+    for top in ("hilcell", *NEIGHBOURS):
+        for path in (ROOT / top).rglob("*.py"):
+            room = room_of(".".join(path.relative_to(ROOT).with_suffix("").parts))
+            ours = {
+                name for name in imports(path) if name.split(".")[0] in ("hilcell", *NEIGHBOURS)
+            }
+            found |= {(room, other) for other in map(room_of, ours) if other != room}
+    return found
+
+
+def reach(arrows: set[Arrow], start: str) -> set[str]:
+    """The rooms that are reached from ``start``."""
+    found: set[str] = set()
+    waiting = [start]
+    while waiting:
+        room = waiting.pop()
+        new = {other for one, other in arrows if one == room} - found
+        found |= new
+        waiting += new
+    return found
+
+
+def drawn(sign: str) -> set[Arrow]:
+    return {(one, other) for one, other in re.findall(rf"(\w+) {re.escape(sign)} (\w+)", PICTURE)}
+
+
+def test_the_picture_shows_the_imports_that_exist() -> None:
+    """The fewest arrows from which all the others follow."""
+    arrows = arrows_between_rooms()
+    needed = {
+        (one, other) for one, other in arrows if other not in reach(arrows - {(one, other)}, one)
+    }
+    assert sorted(drawn("-->") ^ needed) == []
+
+
+def test_the_dotted_arrows_are_the_entry_points() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    groups = {name: row for name, row in project["entry-points"].items() if "alarms" not in name}
+    targets = {target.partition(".")[0] for row in groups.values() for target in row.values()}
+    loaders = {
+        path.parent.name
+        for path in (ROOT / "hilcell").rglob("*.py")
+        if ".load()" in path.read_text("utf-8")
+    }
+    assert drawn("-.->") == {(loader, target) for loader in loaders for target in targets}
+
+
+def test_the_table_has_every_room() -> None:
+    rooms = {f"hilcell/{path.parent.name}" for path in (ROOT / "hilcell").glob("*/__init__.py")}
+    named = set(re.findall(r"^\| `([\w/]+)` \|", PICTURE, re.MULTILINE))
+    assert sorted(named ^ (rooms | set(NEIGHBOURS))) == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_name_code_and_files_that_exist(page: str) -> None:
+    text = (ROOT / page).read_text("utf-8")
+    for name in CODE.findall(text):
+        pkgutil.resolve_name(name)
+    assert [name for name in FILE.findall(text) if not (ROOT / name).exists()] == []
+    links = re.findall(r"\]\(([^)#:]+)[^):]*\)", text)
+    assert [link for link in links if not (ROOT / page).parent.joinpath(link).exists()] == []
