@@ -1,5 +1,6 @@
 """kill -9 at any moment, then resume: nothing acknowledged is lost or measured twice."""
 
+import math
 import random
 import sqlite3
 from collections import Counter
@@ -26,6 +27,10 @@ from tests.whole.bench import (
 )
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
+
+
+SAME_MM = 0.005  # one reading made at another time: the air drifts
+NOISE_MM = 0.2  # two samples, drawn twice
 
 
 def figures(result: dict[str, Any]) -> dict[str, float]:
@@ -77,12 +82,29 @@ def test_kills_change_nothing(tmp_path: Path, golden: GoldenRuns, kills: int) ->
     assert set(acknowledged) <= set(kept)
     measured = {key for key in kept if not key.startswith("control/")}
     assert measured == {k for k in points_of(whole.events) if not k.startswith("control/")}
+    again = again_mm(journal, whole.events)
+    assert len(again) <= kills, again  # at most the point in flight at each kill
+    assert not [each for each in again if not each <= NOISE_MM]
     found, uninterrupted = figures(end["result"]), figures(whole.result)
     for key, value in uninterrupted.items():
-        # Over 4 targets a station, and with three points measured at another landing, the
-        # paper's method scatters; the chosen one rests on all nests.
-        limit_mm = 0.06 if key.endswith(".idw") else 0.02
-        assert found[key] == pytest.approx(value, abs=limit_mm), key
+        # A point in flight at a kill is measured again, with new noise. Over 4 targets a station
+        # the paper's method scatters by that; at the others one nest turns the station frame.
+        far = key.endswith(".idw") or not key.startswith("S1100")
+        assert found[key] == pytest.approx(value, abs=0.06 if far else 0.02), key
+
+
+def again_mm(found: list[dict[str, Any]], whole: list[dict[str, Any]]) -> list[float]:
+    """How far each point that both runs measured in one place lies from itself, where it moved."""
+    before = {event["key"]: event["xyz_mm"] for event in whole if event["kind"] == "point"}
+    moved_mm = [
+        math.dist(event["xyz_mm"], before[event["key"]])
+        for event in found
+        if event["kind"] == "point"
+        and event["key"] in before
+        # Targets of the validation follow from the frames, and move with them.
+        and not event["key"].startswith(("validate/", "control/"))
+    ]
+    return [each for each in moved_mm if not each <= SAME_MM]
 
 
 LAST_ERROR = b"t60584003100100000000", b"t58584303100130810000"  # 1003h:01 of the drive: 8130h
