@@ -28,7 +28,6 @@ from tests.whole.bench import (
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
-
 SAME_MM = 0.005  # one reading made at another time: the air drifts
 NOISE_MM = 0.2  # two samples, drawn twice
 
