@@ -9,9 +9,8 @@ from pathlib import Path
 
 from hilcell.commands.messages import tell
 from hilcell.errors import HilcellError
-from hilcell.tui.keys.table import load_keys
-from hilcell.tui.terminal.capabilities import has_colours, has_shapes, is_coerced
-from hilcell.tui.terminal.glyphs import ASCII, UNICODE
+from hilcell.tui.keys import load_keys
+from hilcell.tui.terminal.capabilities import ASCII, UNICODE, has_colours, has_shapes, is_coerced
 
 COLOURS = {"16": "standard", "none": "truecolor"}  # Textual's names, where they are others
 SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one that draws
@@ -27,7 +26,7 @@ def tui(args: argparse.Namespace) -> int:
     glyphs = ASCII if args.ascii or not _has_shapes() else UNICODE
     _say_to_textual(args.colors)
     from hilcell.tui.app.app import HilcellApp
-    from hilcell.tui.screens.application import Options
+    from hilcell.tui.screens.base import Options
 
     options = Options(
         runs=args.runs,

@@ -19,9 +19,9 @@ import pytest
 from textual.pilot import Pilot
 
 from hilcell.tui.app.app import HilcellApp
-from hilcell.tui.keys.table import load_keys
-from hilcell.tui.screens.application import Options
-from hilcell.tui.terminal.glyphs import UNICODE
+from hilcell.tui.keys import load_keys
+from hilcell.tui.screens.base import Options
+from hilcell.tui.terminal.capabilities import UNICODE
 from tests.whole.bench import HILCELL, LIMIT_S, SMALL, Simulation, hilcell, sets, simulation
 from tests.whole.golden import GoldenRuns
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from textual.app import App
+from textual.binding import Binding, BindingType
 from textual.driver import Driver
 from textual.events import Event, Key, Paste
 from textual.message import Message
@@ -24,23 +25,15 @@ from textual.widgets import Input
 from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
 from hilcell.tui.app.actions import Acts
-from hilcell.tui.app.garbage import Collector
-from hilcell.tui.app.pages import PAGES, page_of
-from hilcell.tui.app.palette import Actions, Palette
-from hilcell.tui.engine.background import aside
+from hilcell.tui.app.navigation import PAGES, Actions, Opening, Palette, page_of
+from hilcell.tui.engine.background import Collector, aside
 from hilcell.tui.engine.open_runs import OpenRuns
-from hilcell.tui.keys.bindings import BINDINGS
-from hilcell.tui.keys.order import built, settled
-from hilcell.tui.keys.table import BY_NAME, shown
-from hilcell.tui.screens.application import Options
-from hilcell.tui.screens.base import SceneScreen
-from hilcell.tui.screens.confirm import Confirm
-from hilcell.tui.screens.opening import Opening
+from hilcell.tui.keys import ACTIONS, BY_NAME, built, settled, shown
+from hilcell.tui.screens.base import Confirm, Options, SceneScreen
 from hilcell.tui.terminal.driver import StopDriver
 from hilcell.tui.terminal.themes import NAMES, PALETTES
 from hilcell.tui.text.refusals import ELSEWHERE, refusal
-from hilcell.tui.widgets.choice import Choice
-from hilcell.tui.widgets.scroll_bars import WholeBar
+from hilcell.tui.widgets import Choice, WholeBar
 
 if TYPE_CHECKING:
     from hilcell.alarms import Latch
@@ -69,7 +62,15 @@ class HilcellApp(App[int]):
     CSS_PATH = Path(__file__).with_name("style.tcss")
     COMMANDS: ClassVar = {Actions}
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - as Textual has it
-    BINDINGS = BINDINGS
+    BINDINGS: ClassVar[list[BindingType]] = [  # all act before widgets see them, in their order
+        Binding("tab", "focus_next", show=False, priority=True),
+        Binding("shift+tab", "focus_previous", show=False, priority=True),
+        *(
+            Binding(",".join(action.keys), f"do('{action.name}')", action.label, show=False,
+                    id=action.name, priority=True)
+            for action in ACTIONS
+        ),
+    ]  # fmt: skip
 
     def __init__(self, options: Options) -> None:
         self.attached = OpenRuns()  # first: the terminal's driver wants its stop
@@ -152,7 +153,7 @@ class HilcellApp(App[int]):
 
     async def _open(self) -> None:
         """Open the run asked for, or the one that is live, or the form for a new one."""
-        from hilcell.tui.app.first_run import run_to_open
+        from hilcell.tui.app.navigation import run_to_open
 
         try:
             found = await aside(run_to_open, self.options.runs, self.options.run)

@@ -1,12 +1,15 @@
-"""Work that waits, in a thread of its own: neither keys nor the end of the screen wait for it.
+"""Keeps the screen's thread free: slow work runs in threads, full garbage collections wait.
 
-asyncio's own threads are joined when a program ends; an engine that works for an hour, or one that
-does not answer, would hold a screen that was left.
+asyncio joins its own threads when a program ends, so an engine that works for an hour, or one that
+does not answer, would keep a closed screen's process alive. A collection over all that a screen
+holds takes a tenth of a second in which no thread runs, and a stop may not wait for that: young
+objects are collected as always, all objects only while nothing moves.
 """
 
 from __future__ import annotations
 
 import asyncio
+import gc
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -29,3 +32,28 @@ async def aside(work: Callable[P, T], *args: P.args, **facts: P.kwargs) -> T:
 
     threading.Thread(target=run, name="aside", daemon=True).start()
     return await asyncio.wrap_future(future)
+
+
+WHOLE_S = 30.0
+NEVER = 1_000_000_000
+
+
+class Collector:
+    """Takes whole collections over from the interpreter until `end`."""
+
+    def __init__(self, now_s: float) -> None:
+        self._whole_s = now_s
+        self._before = gc.get_threshold()
+        gc.set_threshold(self._before[0], self._before[1], NEVER)
+        gc.freeze()  # what was loaded stays
+
+    def tick(self, *, at_rest: bool, now_s: float) -> None:
+        """Collect everything, where that may be done now and was not done lately."""
+        if at_rest and now_s - self._whole_s >= WHOLE_S:
+            self._whole_s = now_s
+            gc.collect()
+
+    def end(self) -> None:
+        """Give the collection back."""
+        gc.unfreeze()
+        gc.set_threshold(*self._before)

@@ -1,23 +1,85 @@
-"""What all screens share: the state on top, keys at the bottom, and a scene to show."""
+"""The base classes of screens, pages and dialogs, and what they use of the application."""
 
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, ClassVar, cast
+from collections.abc import Coroutine
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, cast
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
+from textual.containers import Vertical
 from textual.content import Content
-from textual.screen import Screen
+from textual.screen import ModalScreen, Screen
 from textual.widget import Widget
 from textual.widgets import Input
 
-from hilcell.tui.keys.table import BY_NAME, shown
-from hilcell.tui.screens.application import Application
-from hilcell.tui.widgets.panel import Panel
+from hilcell.tui.keys import BY_NAME, Keymap, shown
+from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.terminal.themes import NAMES
+from hilcell.tui.widgets import Panel
 
 if TYPE_CHECKING:
+    from hilcell.alarms import Latch
+    from hilcell.tui.app.actions import Acts
+    from hilcell.tui.engine.open_runs import OpenRuns
     from hilcell.tui.engine.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How the screen was asked for."""
+
+    runs: Path
+    keymap: Keymap
+    glyphs: Glyphs
+    run: str = ""
+    cell: str = "paper"
+    settings: tuple[str, ...] = ()
+    theme: str = NAMES[0]
+    slow: bool = False
+
+
+class Application(Protocol):
+    """The application as its screens see it."""
+
+    options: Options
+    glyphs: Glyphs
+    keymap: Keymap
+    attached: OpenRuns
+    acts: Acts
+    unhurried: bool  # whether the key under way came by itself, not in a burst
+
+    @property
+    def scene(self) -> Scene | None:
+        """Return what is known of the run that is shown."""
+
+    @property
+    def latch(self) -> Latch:
+        """Return its alarms; raises `HilcellError` where no run is shown."""
+
+    def allowed(self, name: str) -> bool:
+        """Whether an action does something now."""
+
+    def label(self, name: str) -> str:
+        """Return what an action is called now."""
+
+    def do(self, name: str) -> None:
+        """Do an action, where it is allowed."""
+
+    def background(self, work: Coroutine[Any, Any, None]) -> None:
+        """Do something that may take a while; what goes wrong is said."""
+
+    def attach(self, folder: Path, process: Any = None) -> None:
+        """Show a run in place of the one shown."""
+
+    def go_back(self) -> None:
+        """Show the live run again that goes on behind this one."""
+
+    def open_run(self, folder: Path) -> None:
+        """Show another run; leaving a live one asks."""
 
 
 class SceneScreen(Screen[None]):
@@ -180,3 +242,66 @@ class Page(SceneScreen):
     def action_back(self) -> None:
         """Go back to the screen below."""
         self.app.pop_screen()
+
+
+T = TypeVar("T")
+FRAME = 2  # rows of a dialog's border
+
+
+class Dialog(ModalScreen[T]):
+    """A question and, under it, what may be answered: that stays in sight where room is short."""
+
+    def compose(self) -> ComposeResult:
+        """Build the box."""
+        with Vertical(id="dialog"):
+            yield Panel("question")
+            yield Panel("answers")
+
+    @property
+    def deliberate(self) -> bool:
+        """Whether the key under way is an answer: a scanner's Enter, or a held one, is none."""
+        return cast("Application", self.app).unhurried
+
+    def put(self, question: Content, answers: Content) -> None:
+        """Show both."""
+        self.query_one("#question", Panel).show(question)
+        self.query_one("#answers", Panel).show(answers)
+
+    def on_resize(self) -> None:
+        """Let the question yield to the answers."""
+        question, answers = self.query_one("#question"), self.query_one("#answers")
+        room = self.app.size.height - FRAME - answers.size.height
+        question.styles.max_height = max(room, 1)
+
+
+def answer_keys(yes: str, no: str) -> Content:
+    """Return the two keys of a dialog with what they do."""
+    return Content.assemble(
+        (" Enter ", "bold $on-quiet on $quiet"),
+        f" {yes}   ",
+        (" q ", "bold $on-quiet on $quiet"),
+        f" {no}",
+    )
+
+
+class Confirm(Dialog[str]):
+    """Returns the key that was pressed: ``yes``, ``no``, or one of the others offered."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("y,enter", "reply('yes')", show=False, priority=True),
+        Binding("n,q,backspace", "reply('no')", show=False, priority=True),
+    ]
+
+    def __init__(self, title: str, text: str, yes: str) -> None:
+        super().__init__()
+        self._title, self._text, self._yes = title, text, yes
+
+    def on_mount(self) -> None:
+        """Show the question."""
+        question = Content.assemble((self._title, "bold $warn"), "\n", self._text, "\n")
+        self.put(question, answer_keys(self._yes, "no"))
+
+    def action_reply(self, word: str) -> None:
+        """Close with the answer."""
+        if word != "yes" or self.deliberate:
+            self.dismiss(word)

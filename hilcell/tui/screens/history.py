@@ -1,21 +1,25 @@
-"""Earlier runs: filter as you type, open one, mark two and compare them."""
+"""Earlier runs: a list with a filter, and the comparison of two."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
+import msgspec
 from textual.app import ComposeResult
 from textual.content import Content
 
+from hilcell.errors import HilcellError
+from hilcell.tui.engine import process as engine
 from hilcell.tui.engine.background import aside
-from hilcell.tui.keys.table import shown
+from hilcell.tui.keys import shown
 from hilcell.tui.screens.base import Page
-from hilcell.tui.screens.find import Finding
-from hilcell.tui.text.history import columns_for, history_row
-from hilcell.tui.widgets.table import Rows
+from hilcell.tui.screens.pages import Finding
+from hilcell.tui.text.tables import columns_for, history_row
+from hilcell.tui.widgets import Column, Panel, Row, Rows
 
 if TYPE_CHECKING:
     from hilcell.journal.index import RunRow
+
 
 TO_COMPARE = 2
 AGAIN_S = 3.0
@@ -101,7 +105,77 @@ class HistoryPage(Finding, Page):
         if len(self._marked) != TO_COMPARE:
             self.notice(f"mark two runs with {shown(self.cell.keymap['mark'][0])} first")
             return
-        from hilcell.tui.screens.compare import ComparePage
+        from hilcell.tui.screens.history import ComparePage
 
         first, second = sorted(self._marked)
         self.app.push_screen(ComparePage(first, second))
+
+
+COLUMNS = (
+    Column("where", 9),
+    Column("what", 20),
+    Column("first", 9, right=True),
+    Column("second", 9, right=True),
+    Column("change", 9, right=True),
+    Column("limit", 7, right=True),
+    Column("verdict", 9),
+)
+DIGITS = {"mm": 4, "deg": 5}
+
+
+class ComparePage(Page):
+    """Shows what `hilcell compare` says of two runs."""
+
+    title_text = "Comparison"
+    footer = ("stop", "quit")
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__()
+        self._first, self._second = first, second
+
+    def body(self) -> ComposeResult:
+        """Build the words and the rows."""
+        yield Panel("told")
+        yield Rows(COLUMNS, empty="reading both journals ...", plain=self.cell.glyphs.plain)
+
+    def on_mount(self) -> None:
+        """Compare."""
+        super().on_mount()
+        self.cell.background(self._compare())
+
+    async def _compare(self) -> None:
+        runs = str(self.cell.options.runs)
+        words = ("compare", self._first, self._second, "--runs", runs, "--json")
+        try:
+            found = msgspec.json.decode(await engine.ask_hilcell(*words), type=dict[str, Any])
+        except HilcellError:
+            if self.here:
+                self.query_one(Rows).empty = "nothing to compare"
+                self.query_one(Rows).refresh()
+            raise
+        if self.here:
+            self.panel("told").show(told(found))
+            self.query_one(Rows).put([change_row(each) for each in found["changes"]])
+
+
+def told(found: dict[str, Any]) -> Content:
+    """Return which runs, in what they differ, and the verdict."""
+    lines = [f"{found['first']}  ->  {found['second']}"]
+    lines += [
+        f"{each['key']}: {each['first'] or '-'} -> {each['second'] or '-'}"
+        for each in found["settings"][:4]
+    ]
+    return Content.assemble("\n".join(lines), "\n", (str(found["verdict"]), "bold"))
+
+
+def change_row(change: dict[str, Any]) -> Row:
+    """Return one change; what lies beyond its limit stands out."""
+    digits = DIGITS.get(change["unit"], 2)
+    numbers = [
+        "" if change[name] is None else f"{change[name]:{sign}.{digits}f}"
+        for name, sign in (("first", ""), ("second", ""), ("change", "+"), ("limit", ""))
+    ]
+    what = f"{change['what']}, {change['unit']}"
+    tone = "" if change["verdict"] in ("", "within") else "bad"
+    cells = (change["place"], what, *numbers, change["verdict"])
+    return Row(f"{change['place']}/{change['what']}", cells, tone)

@@ -1,19 +1,30 @@
-"""Pages of text over a run: alarms, interlocks, help, one point."""
+"""Pages over a run: alarms, interlocks, help, one point, plots, report and event log."""
 
 from __future__ import annotations
 
+import os
+import time
+import webbrowser
+from abc import abstractmethod
+from pathlib import Path
+from typing import ClassVar
+
 from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
 from textual.content import Content
+from textual.widgets import Input
 
-from hilcell.tui.engine.scene import DeviceStatus, Scene
-from hilcell.tui.screens.base import Page
-from hilcell.tui.terminal.glyphs import Glyphs
-from hilcell.tui.text import run as words
-from hilcell.tui.text.alarms import alarm_page
+from hilcell.errors import HilcellError
+from hilcell.tui.engine import process as engine
+from hilcell.tui.engine.scene import Scene
+from hilcell.tui.screens.base import Page, SceneScreen
+from hilcell.tui.text.alarms import alarm_page, interlock_page
 from hilcell.tui.text.help import help_lines
-from hilcell.tui.text.point import point_page
-from hilcell.tui.widgets.panel import Panel
+from hilcell.tui.text.plots import PLOTS, draw
+from hilcell.tui.text.points import point_page
+from hilcell.tui.text.tables import COLUMNS, record_row
+from hilcell.tui.widgets import Field, Panel, Row, Rows
 
 
 class TextPage(Page):
@@ -90,29 +101,177 @@ class DetailPage(TextPage):
         self.cell.acts.retake(self._key)
 
 
-def interlock_page(scene: Scene, glyphs: Glyphs) -> Content:
-    """Return element 15 whole: each condition, then each device's last reading."""
-    status = scene.status
-    if status is None or not scene.live:
-        return Content("No engine is at work on this run: nothing can move from here.")
-    lines = [
-        Content.styled(f"{glyphs.lost} {each.name} blocked: {each.blocked}", "bold $warn")
-        if each.blocked
-        else Content.styled(f"{glyphs.fresh} {each.name}: free", "$good")
-        for each in status.interlocks
+class Finding(SceneScreen):
+    """A screen with rows and a filter; ``wanted`` is what was typed."""
+
+    in_box = (("Enter", "to the rows"),)
+    wanted = ""
+
+    def find_box(self, hint: str) -> Input:
+        """Return the filter's box, to stand under the rows."""
+        box = Field(placeholder=hint, id="find")
+        box.display = False
+        return box
+
+    @abstractmethod
+    def filter_rows(self) -> None:
+        """Show the rows that are wanted."""
+
+    def do_find(self) -> None:
+        """Open the filter."""
+        box = self.query_one("#find", Input)
+        box.display = True
+        self.set_focus(box)  # at once: what is typed ahead belongs into it
+
+    def on_input_changed(self, message: Input.Changed) -> None:
+        """Filter as one types."""
+        self.wanted = message.value
+        message.input.display = bool(message.value) or message.input.has_focus  # never unseen
+        self.filter_rows()
+
+    def on_input_submitted(self) -> None:
+        """Keep the filter and go back to the rows; an empty one closes."""
+        box = self.query_one("#find", Input)
+        box.display = bool(box.value)
+        self.set_focus(self.query_one(Rows))  # at once, as above
+
+
+class LogPage(Finding, Page):
+    """Element 13: the newest two thousand records; the journal keeps all."""
+
+    title_text = "Event log"
+    footer = ("stop", "find", "pause", "quit")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._rows: list[Row] = []
+        self._seq = 0
+
+    def body(self) -> ComposeResult:
+        """Build rows and filter."""
+        rows = Rows(COLUMNS, empty="no records", plain=self.cell.glyphs.plain)
+        rows.follow = True
+        yield rows
+        yield self.find_box("filter: words of a record")
+
+    def on_mount(self) -> None:
+        """Begin at the newest record."""
+        super().on_mount()
+        self.query_one(Rows).action_to(-1)
+
+    def show(self, scene: Scene | None) -> None:
+        """Add what is new."""
+        super().show(scene)
+        if scene is None:
+            return
+        fresh = [record for record in scene.records if record.seq > self._seq]
+        if fresh:
+            self._seq = fresh[-1].seq
+            self._rows += [record_row(record) for record in fresh]
+            self.filter_rows()
+
+    def filter_rows(self) -> None:
+        """Show the records with all the words."""
+        words = self.wanted.lower().split()
+        wanted = [row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)]
+        self.query_one(Rows).put(wanted)
+
+
+REDRAW_S = 0.5
+
+
+class PlotPage(Page):
+    """Element 11. Drawn twice a second at most: a drawing costs as much as twenty lines."""
+
+    footer = ("stop", "pause", "alarms", "quit")
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("left right", "other plot"))
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("left", "turn(-1)", show=False),
+        Binding("right", "turn(1)", show=False),
+        *[Binding(str(n), f"choose({n - 1})", show=False) for n in range(1, 5)],
     ]
-    lines.append(Content(""))
-    for name in words.LAMPS:
-        device = status.devices.get(name, DeviceStatus())
-        head = words.lamp(name, device, scene, glyphs)
-        said = device.reason or device.text
-        lines.append(head.append(f"   {said}" if said else ""))
-    lines += [
-        Content(""),
-        Content.styled(
-            "These interlocks protect the measurement. They are no safety function: guards, "
-            "enabling switch and E-stop work without hilcell.",
-            "$dim",
-        ),
-    ]
-    return Content("\n").join(lines)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._chosen = 0
+        self._drawn_s = -REDRAW_S
+        self._seen: tuple[object, ...] = ()
+
+    def body(self) -> ComposeResult:
+        """Build the plot's place."""
+        yield Panel("plot")
+
+    def show(self, scene: Scene | None) -> None:
+        """Draw the chosen plot, if there is anything new to draw."""
+        super().show(scene)
+        if scene is None or scene.log.plan is None:
+            return
+        now_s = time.monotonic()
+        state = (len(scene.log.points), self._chosen, self.app.size, self.app.theme)
+        if state == self._seen or now_s - self._drawn_s < REDRAW_S:
+            return
+        self._seen, self._drawn_s = state, now_s
+        plot = PLOTS[self._chosen](scene.log)
+        title = f"Plot {self._chosen + 1} of {len(PLOTS)}: {plot.title}"
+        self.panel("title").show(Content.styled(title, "bold"))
+        height = max(self.app.size.height - 4, 6)
+        self.panel("plot").show(draw(plot, self.wide, height))
+
+    def action_turn(self, step: int) -> None:
+        """Choose the next plot."""
+        self.action_choose((self._chosen + step) % 4)
+
+    def action_choose(self, index: int) -> None:
+        """Choose a plot."""
+        self._chosen, self._drawn_s = index, -REDRAW_S
+        self.show(self.cell.scene)
+
+
+FILE = "report.html"
+
+
+class ReportPage(TextPage):
+    """Element 17. Both are recomputed from the journal, by the commands of the same names."""
+
+    title_text = "Report"
+    footer = ("stop", "history", "quit")
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._folder = folder
+        self._where = "writing the report ..."
+        self._figures = "computing the figures from the journal ..."
+
+    def on_mount(self) -> None:
+        """Write the report."""
+        super().on_mount()
+        self.cell.background(self._show_figures())
+        self.cell.background(self._write())
+
+    def text(self, scene: Scene | None) -> Content:
+        """Return where the file is, and the figures."""
+        return Content.assemble((self._where, "bold"), "\n\n", self._figures)
+
+    async def _show_figures(self) -> None:
+        runs = str(self._folder.parent)
+        try:
+            self._figures = await engine.ask_hilcell("show", self._folder.name, "--runs", runs)
+        except HilcellError:
+            self._figures = "the figures could not be computed"
+            raise
+        finally:
+            self.show_again()
+
+    async def _write(self) -> None:
+        path = (self._folder / FILE).resolve()
+        runs = str(self._folder.parent)
+        try:
+            await engine.ask_hilcell("report", self._folder.name, "--runs", runs, "-o", str(path))
+        except Exception:
+            self._where = "the report was not written"
+            self.show_again()
+            raise
+        self._where = f"report written: {path}"
+        if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+            webbrowser.open(path.as_uri())
+        self.show_again()

@@ -11,16 +11,15 @@ from textual.containers import Horizontal, Vertical
 from textual.widgets import Input
 
 from hilcell.tui.engine.scene import Scene
-from hilcell.tui.keys.table import shown
-from hilcell.tui.screens.find import Finding
+from hilcell.tui.keys import shown
+from hilcell.tui.screens.pages import Finding
 from hilcell.tui.text import run as words
 from hilcell.tui.text.alarms import alarm_lines
-from hilcell.tui.text.deviation import deviation_of
+from hilcell.tui.text.deviation import deviation_lines, deviation_of
+from hilcell.tui.text.plots import side_lines
 from hilcell.tui.text.points import PointTable, columns_for, filtered
 from hilcell.tui.text.prompt import prompt_lines
-from hilcell.tui.text.side import side_lines
-from hilcell.tui.widgets.panel import Panel
-from hilcell.tui.widgets.table import Rows
+from hilcell.tui.widgets import Panel, Rows
 
 WIDE = 120  # columns, as in the style sheet
 LINES = ("banner", "identity", "step", "progress", "lamps", "interlock")
@@ -106,7 +105,7 @@ class RunScreen(Finding):
         point = scene.newest_target if scene.live or not key else scene.log.points.get(key)
         found = None if point is None else deviation_of(scene.log, point)
         none = f"{key}: no nominal place, so no deviation" if key else "no point measured yet"
-        lines = words.deviation(found, self.cell.glyphs, self.wide, none)
+        lines = deviation_lines(found, self.cell.glyphs, self.wide, none)
         self.panel("deviation").show(lines)
 
     def on_rows_moved(self) -> None:

@@ -15,14 +15,9 @@ from hilcell.errors import HilcellError
 from hilcell.tui.engine import process as engine
 from hilcell.tui.engine.background import aside
 from hilcell.tui.engine.scene import Scene
-from hilcell.tui.screens.base import SceneScreen
-from hilcell.tui.screens.confirm import Dialog, answer_keys
-from hilcell.tui.text.columns import Column, Row
+from hilcell.tui.screens.base import Dialog, SceneScreen, answer_keys
 from hilcell.tui.text.run import MOVES, NOT_E_STOP, duration
-from hilcell.tui.widgets.choice import Choice
-from hilcell.tui.widgets.field import Field
-from hilcell.tui.widgets.panel import Panel
-from hilcell.tui.widgets.table import Rows
+from hilcell.tui.widgets import Choice, Column, Field, Panel, Row, Rows
 
 FIELDS = (
     ("cell", "paper", "a built-in cell, or a path to a TOML file"),

@@ -1,12 +1,12 @@
-"""What the terminal at hand can show, as the environment claims it.
+"""What the terminal can show, judged by its environment, and the glyphs for it.
 
-A locale that is named and is no UTF-8 means ASCII: a shape that a terminal cannot show tears the
-lines of 80 columns. One that is not named at all, as in containers and over bare SSH, says nothing
-against UTF-8, which terminals have had for decades. Terminals are judged by name, for slim
-containers have no terminfo. The way back is to name the truth: ``LC_ALL=C.UTF-8``, ``TERM=xterm``.
+A locale that is named and is not UTF-8 means ASCII: a glyph that a terminal cannot show breaks the
+lines of 80 columns. No named locale, as in containers and over bare SSH, counts as UTF-8, which
+terminals have had for decades. Terminals are judged by name because slim containers have no
+terminfo. To override: ``LC_ALL=C.UTF-8``, ``TERM=xterm``.
 
-The trap: where Python finds no UTF-8 in the locale, it writes its own into the environment that it
-then shows (PEP 538).
+Where Python finds no UTF-8 in the locale, it writes its own LC_CTYPE into the environment
+(PEP 538); ``coerced`` leaves that out.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 _COLOURLESS = re.compile(r"|dumb|unknown|vt52|vt[1-4]\d\d(-.*)?|.*-m(ono)?")
 _FEW_SHAPES = "linux"  # the kernel's console: 256 or 512 shapes, ours not among them
@@ -41,3 +42,58 @@ def is_coerced() -> bool:
 
 def _is_colourless(environment: Mapping[str, str]) -> bool:
     return _COLOURLESS.fullmatch(environment.get("TERM", "")) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Glyphs:
+    """One set of shapes; every one of them is a single column wide."""
+
+    states: dict[str, str]
+    fresh: str
+    moving: str
+    stale: str
+    lost: str
+    full: str
+    empty: str
+    mark: str
+    rule: str
+    over_left: str
+    over_right: str
+    degree: str
+    plus_minus: str
+    delta: str
+    dot: str
+    plain: bool
+
+
+UNICODE = Glyphs(
+    states={
+        "idle": "○", "checking": "◌", "running": "■", "pausing": "▽", "paused": "▲",
+        "suspended": "◆", "stopping": "▼", "done": "●", "intolerant": "▣", "aborted": "□",
+        "fault": "✖", "gone": "◇", "silent": "◎", "unreadable": "▤", "looking": "◔",
+    },
+    fresh="●", moving="◐", stale="○", lost="✖", full="█", empty="░", mark="▼", rule="─",
+    over_left="◀", over_right="▶", degree="°", plus_minus="±", delta="Δ", dot="·", plain=False,
+)  # fmt: skip
+
+ASCII = Glyphs(
+    states={
+        "idle": "-", "checking": "~", "running": "#", "pausing": "=", "paused": "^",
+        "suspended": "?", "stopping": "V", "done": "*", "intolerant": "!", "aborted": "o",
+        "fault": "X", "gone": "/", "silent": "%", "unreadable": "$", "looking": ":",
+    },
+    fresh="*", moving="~", stale="o", lost="X", full="#", empty=".", mark="V", rule="-",
+    over_left="<", over_right=">", degree=" deg", plus_minus="+-", delta="d", dot="|", plain=True,
+)  # fmt: skip
+
+_PLAIN = str.maketrans(
+    {
+        "─": "-", "│": "|", "┌": "+", "┐": "+", "└": "+", "┘": "+", "├": "+", "┤": "+", "┬": "+",
+        "┴": "+", "┼": "+", "°": " ", "±": "~", "·": "|", "…": "~", "⚠": "!", "→": ">",
+    }
+)  # fmt: skip
+
+
+def to_ascii(text: str) -> str:
+    """Return ``text`` in ASCII: known shapes by their like, everything else as ``?``."""
+    return text.translate(_PLAIN).encode("ascii", "replace").decode()

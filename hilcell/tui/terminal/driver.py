@@ -1,10 +1,14 @@
-"""Textual's terminal driver, with two differences: Esc acts the moment its byte arrives, and where
-there are to be no colours, none is written.
+"""Textual's terminal driver, with two differences: Esc acts the moment its byte arrives, and
+without colours none is written.
 
-Textual waits to see whether Esc begins a longer sequence, and hands keys to a loop that may be
-drawing. Neither may hold up a stop, so the thread that reads the terminal calls it by itself.
-The price: Alt with a letter, and a sequence that a bad link tears right after its Esc, stop the
-run, too: both look like Esc with the next key.
+Textual waits to see whether Esc begins a longer sequence, and hands keys to an event loop that may
+be drawing. Neither may delay a stop, so the thread that reads the terminal calls it. The price: Alt
+with a letter, and a sequence that is cut right after its Esc, also stop the run.
+
+Textual has a filter for colours, but it leaves greys. Here the colours are removed from every SGR
+sequence (ECMA-48, 8.3.117). A background of the theme becomes reverse video; a text box, which has
+the cursor row's colour but not its weight, is underlined, so that the caret in it is still seen.
+Backgrounds are recognised by their exact greys, so Textual must write them in 24 bits.
 """
 
 from __future__ import annotations
@@ -14,11 +18,13 @@ import re
 import selectors
 from codecs import getincrementaldecoder
 from collections.abc import Callable
+from functools import cache, lru_cache
 
 from textual._xterm_parser import XTermParser
+from textual.color import Color
 from textual.drivers.linux_driver import LinuxDriver
 
-from hilcell.tui.terminal.no_colour import bare
+from hilcell.tui.terminal.themes import PALETTES, TONES
 
 TICK_S = 0.05
 # Esc that begins no sequence, or as terminals with the kitty protocol write it, however often held.
@@ -63,3 +69,56 @@ class StopDriver(LinuxDriver):
             return os.read(self.fileno, 4096)
         except OSError:
             return b""
+
+
+_SGR = re.compile(r"\x1b\[([\d;:]+)m")
+_LONG = ("38", "48", "58")  # text, background, underline: a kind and its numbers follow
+_NUMBERS = {"5": 1, "2": 3}
+_SHORT = frozenset(
+    map(str, [*range(30, 38), 39, *range(40, 48), 49, 59, *range(90, 98), *range(100, 108)])
+)
+FOCUS_TINT = 0.05  # of the text's colour, as in Textual's style of `Input:focus`
+BOLD, UNDERLINE, REVERSE = "1", "4", "7"
+
+
+def bare(written: str, theme: str) -> str:
+    """Return what Textual writes in a theme, without its colours."""
+    return _SGR.sub(lambda found: _bare_style(found[1], theme), written)
+
+
+@lru_cache(1024)
+def _bare_style(codes: str, theme: str) -> str:
+    kept, ground = _parted(codes.split(";"))
+    tones, boxes = _grounds(theme)
+    if ground in boxes and BOLD not in kept:
+        kept.append(UNDERLINE)
+    elif ground in tones | boxes and REVERSE not in kept:
+        kept.append(REVERSE)
+    return f"\x1b[{';'.join(kept)}m" if kept else ""
+
+
+def _parted(codes: list[str]) -> tuple[list[str], str]:
+    """Return the codes that are no colours, and the background's numbers."""
+    kept, ground = [], ""
+    left = iter(codes)
+    for code in left:
+        if code in _LONG:
+            numbers = [next(left, "") for _ in range(_NUMBERS.get(next(left, ""), 0))]
+            ground = ";".join(numbers) if code == "48" else ground
+        elif code not in _SHORT and code.partition(":")[0] not in _LONG:
+            kept.append(code)
+    return kept, ground
+
+
+@cache
+def _grounds(theme: str) -> tuple[frozenset[str], frozenset[str]]:
+    """Return, in Textual's greys, the backgrounds of tones and caret, and of boxes and cursor."""
+    palette = next(each for each in PALETTES if each.name == theme)
+    tones = (Color.parse(getattr(palette, name)) for name in (*TONES, "text"))
+    box = Color.parse(palette.cursor)
+    focused = box.tint(Color.parse(palette.text).with_alpha(FOCUS_TINT))
+    return frozenset(map(_grey, tones)), frozenset(map(_grey, (box, focused)))
+
+
+def _grey(colour: Color) -> str:
+    return ";".join(map(str, colour.monochrome.rgb))

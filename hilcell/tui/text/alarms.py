@@ -1,4 +1,4 @@
-"""Alarms in words: one box on the run's screen, one page for all of them."""
+"""Alarms and interlocks as text: the alarm box of the run's screen, and a page for each."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from textual.content import Content
 
 from hilcell.alarms import Alarm, Latch, Latched, Severity
-from hilcell.tui.keys.table import Keymap, shown
-from hilcell.tui.terminal.glyphs import Glyphs
+from hilcell.tui.engine.scene import DeviceStatus, Scene
+from hilcell.tui.keys import Keymap, shown
+from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.text.run import LAMPS, lamp
 
 MOST_ROWS, SPARE = 2, 12  # of a part; what breaking lines at words may cost
 _TONES = {"fault": "bad", "warning": "warn", "notice": "info"}
@@ -78,3 +80,31 @@ def _one(alarm: Alarm, glyphs: Glyphs, *, open_: bool) -> Content:
         ("do\n", "$dim"),
         steps,
     )
+
+
+def interlock_page(scene: Scene, glyphs: Glyphs) -> Content:
+    """Return element 15 whole: each condition, then each device's last reading."""
+    status = scene.status
+    if status is None or not scene.live:
+        return Content("No engine is at work on this run: nothing can move from here.")
+    lines = [
+        Content.styled(f"{glyphs.lost} {each.name} blocked: {each.blocked}", "bold $warn")
+        if each.blocked
+        else Content.styled(f"{glyphs.fresh} {each.name}: free", "$good")
+        for each in status.interlocks
+    ]
+    lines.append(Content(""))
+    for name in LAMPS:
+        device = status.devices.get(name, DeviceStatus())
+        head = lamp(name, device, scene, glyphs)
+        said = device.reason or device.text
+        lines.append(head.append(f"   {said}" if said else ""))
+    lines += [
+        Content(""),
+        Content.styled(
+            "These interlocks protect the measurement. They are no safety function: guards, "
+            "enabling switch and E-stop work without hilcell.",
+            "$dim",
+        ),
+    ]
+    return Content("\n").join(lines)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from textual.content import Content
 
-from hilcell.tui.keys.table import ACTIONS, Keymap, shown
-from hilcell.tui.terminal.glyphs import Glyphs
+from hilcell.tui.keys import ACTIONS, Keymap, shown
+from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import STATES
 
 LINES = (

@@ -6,7 +6,7 @@ from textual.content import Content
 
 from hilcell.cell.file import Layout
 from hilcell.tui.engine.scene import Prompt, Scene
-from hilcell.tui.terminal.glyphs import Glyphs
+from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import short_age
 
 MAP_WIDTH, MAP_HEIGHT = 34, 5

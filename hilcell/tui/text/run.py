@@ -10,9 +10,7 @@ from textual.content import Content
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.tui.engine.scene import DeviceStatus, EngineState, Scene
-from hilcell.tui.terminal.glyphs import Glyphs
-from hilcell.tui.text.deviation import Deviation
-from hilcell.tui.text.digits import large
+from hilcell.tui.terminal.capabilities import Glyphs
 
 STATES = {
     "looking": ("LOOKING", "quiet"),
@@ -289,47 +287,6 @@ def _free(scene: Scene) -> str:
     if scene.at_rest:
         return "nothing is blocked; nothing moves before one goes on"
     return "rail and robot may move"
-
-
-def deviation(found: Deviation | None, glyphs: Glyphs, width: int, none: str = "") -> Content:
-    """Return element 6 in five rows: names, large digits, and |e| against its limit.
-
-    ``none``: what is said where there is no deviation.
-    """
-    if found is None:
-        return Content.styled("\n".join([f"deviation: {none}", "", "", "", ""]), "$dim")
-    values = [
-        ("dx", f"{found.error_mm[0]:+.3f}"),
-        ("dy", f"{found.error_mm[1]:+.3f}"),
-        ("dz", f"{found.error_mm[2]:+.3f}"),
-        ("|e|", f"{found.norm_mm:.3f}"),
-    ]
-    columns = [large(text) for _, text in values]
-    gap = "   "
-    head = gap.join(
-        f"{name} mm".ljust(len(rows[0])) for (name, _), rows in zip(values, columns, strict=True)
-    )
-    digits = "\n".join(gap.join(column[row] for column in columns) for row in range(3))
-    return Content.assemble(
-        (head, "$dim"), "\n", (digits, "bold"), "\n", tolerance_line(found, glyphs, width)
-    )
-
-
-def tolerance_line(found: Deviation, glyphs: Glyphs, width: int) -> Content:
-    """Return |e| on a scale from 0 over the limit, with the point's name."""
-    if found.limit_mm is None:
-        return Content.styled(f"{found.key}: raw, not corrected; no limit", "$dim")
-    room = 30
-    share = found.norm_mm / (1.5 * found.limit_mm)
-    at = math.floor(room * share) if share <= 1.0 else room  # NaN is beyond everything
-    edge = math.floor(room / 1.5)
-    cells = ["="] * at + [glyphs.rule] * (room + 1 - at)
-    cells[edge] = "|"
-    cells[min(at, room)] = glyphs.over_right if at >= room else glyphs.mark
-    verdict = "in" if found.within else "OUT OF"
-    tone = "$good" if found.within else "bold $bad"
-    text = f"[{''.join(cells)}] {verdict} {found.limit_mm:.3f} mm  {found.key}"
-    return Content.styled(text, tone).truncate(width, ellipsis=True)
 
 
 def prospect(scene: Scene | None) -> str:

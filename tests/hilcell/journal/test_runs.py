@@ -46,7 +46,7 @@ from hilcell.journal.index import read_index
 from hilcell.journal import engine_file, log
 from hilcell.run import control  # nothing more can be loaded once rights are given away
 from hilcell.journal.runs import find_run, read_log
-from hilcell.tui.app.first_run import run_to_open
+from hilcell.tui.app.navigation import run_to_open
 run_to_open(Path("."), "")
 os.getuid() or os.setuid(65534)  # root may look everywhere
 runs = Path(sys.argv[1])

@@ -9,13 +9,17 @@ from pathlib import Path
 from textual.pilot import Pilot
 
 from hilcell.tui.engine.feed import Fresh
-from hilcell.tui.keys.table import Keymap
+from hilcell.tui.keys import Keymap
 from hilcell.tui.screens.base import SceneScreen
 from hilcell.tui.screens.history import HistoryPage
-from hilcell.tui.screens.log import LogPage
-from hilcell.tui.screens.pages import AlarmPage, HelpPage, InterlockPage
-from hilcell.tui.screens.plots import PlotPage
-from hilcell.tui.screens.report import ReportPage
+from hilcell.tui.screens.pages import (
+    AlarmPage,
+    HelpPage,
+    InterlockPage,
+    LogPage,
+    PlotPage,
+    ReportPage,
+)
 from tests.hilcell.tui.stage import Stage, options, settle, text_of
 
 RUNS = Path("/runs")

@@ -22,11 +22,11 @@ from hilcell.tui.app.actions import Acts, Host
 from hilcell.tui.app.app import HilcellApp
 from hilcell.tui.engine.feed import Fresh
 from hilcell.tui.engine.session import Session
-from hilcell.tui.keys.table import ACTIONS, Keymap
-from hilcell.tui.screens.application import Options
+from hilcell.tui.keys import ACTIONS, Keymap
+from hilcell.tui.screens.base import Options
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
-from hilcell.tui.terminal.glyphs import ASCII, UNICODE
+from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from tests.hilcell.tui.scenes import BEGAN, RUN, fresh, stories
 
 DEFAULT_KEYS = {action.name: action.keys for action in ACTIONS}

@@ -12,15 +12,13 @@ from hilcell.tui.app.app import Delivered
 from hilcell.tui.engine.feed import Fresh
 from hilcell.tui.engine.scene import EngineState
 from hilcell.tui.engine.session import utc_now
-from hilcell.tui.keys.table import ACTIONS
-from hilcell.tui.screens.base import SceneScreen
-from hilcell.tui.screens.confirm import Confirm
+from hilcell.tui.keys import ACTIONS
+from hilcell.tui.screens.base import Confirm, SceneScreen
 from hilcell.tui.screens.history import HistoryPage
-from hilcell.tui.screens.log import LogPage
-from hilcell.tui.screens.pages import DetailPage, HelpPage
+from hilcell.tui.screens.pages import DetailPage, HelpPage, LogPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from hilcell.tui.widgets.table import Rows
+from hilcell.tui.widgets import Rows
 from tests.hilcell.tui.playing import PAGES, footer, play
 from tests.hilcell.tui.scenes import HEARD, LIVE, PROMPT, fresh, status, stories
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead

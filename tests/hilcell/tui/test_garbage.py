@@ -6,7 +6,7 @@ import gc
 
 import pytest
 
-from hilcell.tui.app.garbage import NEVER, WHOLE_S, Collector
+from hilcell.tui.engine.background import NEVER, WHOLE_S, Collector
 
 
 def test_whole_collections_wait_until_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,8 +19,8 @@ from textual.keys import Keys, _normalize_key_list
 
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import UNSAFE
-from hilcell.tui.keys import table as keys
-from hilcell.tui.keys.table import (
+from hilcell.tui import keys
+from hilcell.tui.keys import (
     ACTIONS,
     BY_NAME,
     ESCAPE,

@@ -9,8 +9,8 @@ import pytest
 from textual._xterm_parser import XTermParser
 from textual.events import Key
 
-from hilcell.tui.keys.table import load_keys
-from hilcell.tui.terminal.glyphs import ASCII
+from hilcell.tui.keys import load_keys
+from hilcell.tui.terminal.capabilities import ASCII
 from hilcell.tui.text.help import help_lines
 from tests.hilcell.tui.scenes import fresh
 from tests.hilcell.tui.stage import SIZE, Stage, options, settle, text_of

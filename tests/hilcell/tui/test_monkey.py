@@ -10,8 +10,8 @@ import pytest
 from textual.events import Resize
 from textual.geometry import Size
 
-from hilcell.tui.keys.table import ACTIONS, RESERVED
-from hilcell.tui.screens.confirm import Confirm
+from hilcell.tui.keys import ACTIONS, RESERVED
+from hilcell.tui.screens.base import Confirm
 from tests.hilcell.tui.stage import SIZE, Stage, options, settle, type_ahead
 from tests.hilcell.tui.walk import outside
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from textual.color import Color
 
-from hilcell.tui.terminal.no_colour import bare
+from hilcell.tui.terminal.driver import bare
 from hilcell.tui.terminal.themes import NAMES, PALETTES, TONES, Palette
 from tests.hilcell.tui.sgr import colours_of
 

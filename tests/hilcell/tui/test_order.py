@@ -6,12 +6,11 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input
 
-from hilcell.tui.screens.confirm import Confirm
+from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from hilcell.tui.widgets.choice import Choice
-from hilcell.tui.widgets.table import Rows
+from hilcell.tui.widgets import Choice, Rows
 from tests.hilcell.tui.playing import play
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import PLAN, outside

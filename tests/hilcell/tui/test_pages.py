@@ -13,14 +13,13 @@ from textual.widgets import Input
 
 from hilcell.journal import index
 from hilcell.tui.engine.process import Order
-from hilcell.tui.keys.table import load_keys
-from hilcell.tui.screens.confirm import Confirm
+from hilcell.tui.keys import load_keys
+from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import InterlockPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from hilcell.tui.widgets.choice import Choice
-from hilcell.tui.widgets.table import Rows
+from hilcell.tui.widgets import Choice, Rows
 from tests.hilcell.tui.playing import PAGES, footer, play
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import PLAN, outside

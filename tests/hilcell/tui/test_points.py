@@ -16,18 +16,17 @@ from hilcell.journal.runs import read_log
 from hilcell.report.errors import errors_of
 from hilcell.tui.engine.scene import Scene
 from hilcell.tui.text.deviation import deviation_of, rms_mm, row_of, state_of
-from hilcell.tui.text.plot import draw
-from hilcell.tui.text.point import point_page
-from hilcell.tui.text.points import WIDE, PointTable, columns_for, filtered, to_row
-from hilcell.tui.text.series import (
+from hilcell.tui.text.plots import (
     PLOTS,
     Line,
     Plot,
+    draw,
     errors_plot,
     repeat_plot,
     sorted_plot,
     strip_plot,
 )
+from hilcell.tui.text.points import WIDE, PointTable, columns_for, filtered, point_page, to_row
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.scenes import Story, measuring, validated
 

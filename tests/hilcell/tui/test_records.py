@@ -9,8 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.journal.journal import Kind, Record
-from hilcell.tui.text.history import NARROW, WIDE, WIDE_FROM, columns_for, history_row
-from hilcell.tui.text.record import COLUMNS, record_row, record_words
+from hilcell.tui.text.tables import (
+    COLUMNS,
+    NARROW,
+    WIDE,
+    WIDE_FROM,
+    columns_for,
+    history_row,
+    record_row,
+    record_words,
+)
 from tests.hilcell.tui.scenes import stories
 from tests.hilcell.tui.walk import RUNS
 

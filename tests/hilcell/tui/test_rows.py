@@ -12,8 +12,7 @@ from textual.app import App, ComposeResult
 from textual.pilot import Pilot
 
 from hilcell.tui.terminal.themes import PALETTES
-from hilcell.tui.text.columns import Column, Row
-from hilcell.tui.widgets.table import Rows
+from hilcell.tui.widgets import Column, Row, Rows
 
 MANY = 10_000
 HEIGHT = 20  # rows in sight, under the header

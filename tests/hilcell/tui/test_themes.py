@@ -11,7 +11,7 @@ from rich.segment import Segment
 
 from hilcell.commands.cli import _parser
 from hilcell.tui.engine.scene import Scene
-from hilcell.tui.terminal.glyphs import ASCII, UNICODE, Glyphs
+from hilcell.tui.terminal.capabilities import ASCII, UNICODE, Glyphs
 from hilcell.tui.terminal.themes import NAMES, PALETTES, TONES, Palette
 from hilcell.tui.text.run import STATES
 from tests.hilcell.tui.eyes import MATRICES, contrast, distance

@@ -17,11 +17,10 @@ from hilcell.alarms import Latch
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.tui.engine.scene import DeviceStatus, Scene
-from hilcell.tui.terminal.glyphs import ASCII, UNICODE, to_ascii
+from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
 from hilcell.tui.text import run as words
 from hilcell.tui.text.alarms import alarm_lines, alarm_page
-from hilcell.tui.text.deviation import Deviation
-from hilcell.tui.text.digits import large
+from hilcell.tui.text.deviation import Deviation, deviation_lines, large, tolerance_line
 from hilcell.tui.text.prompt import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, sight
 from tests.hilcell.tui.scenes import BEGAN, PROMPT, fresh, measuring, stories
 from tests.hilcell.tui.stage import DEFAULT_KEYS, Listener
@@ -270,19 +269,19 @@ def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
 def test_the_tolerance_bar(norm_mm: float, limit_mm: float | None, said: str) -> None:
     found = Deviation("p", (norm_mm, 0.0, 0.0), (0.0, 0.0, 0.0), limit_mm)
     for glyphs in (UNICODE, ASCII):
-        assert said in words.tolerance_line(found, glyphs, 80).plain
-        assert len(words.deviation(found, glyphs, 80).plain.split("\n")) == 5
+        assert said in tolerance_line(found, glyphs, 80).plain
+        assert len(deviation_lines(found, glyphs, 80).plain.split("\n")) == 5
 
 
 @given(ANY, ANY, ANY, st.one_of(st.none(), st.floats(1e-3, 1e3)))
 def test_any_deviation_can_be_shown(dx: float, dy: float, dz: float, limit: float | None) -> None:
     found = Deviation("p", (dx, dy, dz), (0.0, 0.0, 0.0), limit)
-    assert len(words.deviation(found, UNICODE, 80).plain.split("\n")) == 5
+    assert len(deviation_lines(found, UNICODE, 80).plain.split("\n")) == 5
 
 
 def test_the_mark_crosses_the_limit_with_the_error() -> None:
     lines = [
-        words.tolerance_line(Deviation("p", (e, 0, 0), (0, 0, 0), 1.0), UNICODE, 80).plain
+        tolerance_line(Deviation("p", (e, 0, 0), (0, 0, 0), 1.0), UNICODE, 80).plain
         for e in (0.9, 1.1)
     ]
     assert lines[0].index("▼") < lines[0].index("|")

@@ -13,7 +13,7 @@ from textual.pilot import Pilot
 from hilcell.journal.index import RunRow
 from hilcell.tui.engine import process as engine
 from hilcell.tui.screens import start
-from hilcell.tui.screens.confirm import Confirm
+from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from tests.hilcell.tui.scenes import RUN, STEPS

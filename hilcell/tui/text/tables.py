@@ -1,11 +1,72 @@
-"""A journal's record in one line."""
+"""Rows of tables: the runs of the history, and the records of the event log."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
+from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
-from hilcell.tui.text.columns import Column, Row
+from hilcell.tui.widgets import Column, Row
+
+PROCEDURE = 13
+NARROW = (
+    Column("", 1),
+    Column("begun UTC", 16),
+    Column("procedure", PROCEDURE),
+    Column("state", 16),
+    Column("points", 6, right=True),
+    Column("before", 6, right=True),
+    Column("after", 6, right=True),
+    Column("job", 6),
+)
+WIDE = (
+    *NARROW[:-1],
+    Column("max mm", 6, right=True),
+    Column("job", 12),
+    Column("operator", 12),
+    Column("cell", 12),
+    Column("kind", 9),
+    Column("run", 36),
+)
+WIDE_FROM = 130
+_RUN_TONES = {"finished": "", "aborted": "dim", "faulted": "bad"}
+
+
+def columns_for(width: int) -> tuple[Column, ...]:
+    """Return the columns that fit; mean |e| before and after in mm."""
+    return WIDE if width >= WIDE_FROM else NARROW
+
+
+def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
+    """Return the cells of one run; ``marked`` are those to be compared."""
+    state = "LIVE " + run.state if run.live else "engine gone" if run.gone else run.condition
+    if run.exit == 1:
+        state = "out of tolerance"
+    mark = "*" if run.name in marked else ""
+    begun = run.begun[:16].replace("T", " ")
+    tone = (
+        "info" if run.live else "bad" if run.exit in (1, 3) else _RUN_TONES.get(run.state, "warn")
+    )
+    head = (
+        mark,
+        begun,
+        run.procedure or run.name[-PROCEDURE:],
+        state,
+        str(run.points or ""),
+        _mm(run.before_mean_mm),
+        _mm(run.chosen_mean_mm),
+    )
+    if width < WIDE_FROM:
+        return Row(run.name, (*head, run.job), tone)
+    kind = "simulated" if run.simulated else "real"
+    tail = (_mm(run.chosen_max_mm), run.job, run.operator, run.cell, kind, run.name)
+    return Row(run.name, head + tail, tone)
+
+
+def _mm(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"
+
 
 COLUMNS = (
     Column("record", 6, right=True),
@@ -13,7 +74,7 @@ COLUMNS = (
     Column("kind", 8),
     Column("what", 200),
 )
-_TONES = {"faulted": "bad", "suspended": "warn", "aborted": "warn"}
+_RECORD_TONES = {"faulted": "bad", "suspended": "warn", "aborted": "warn"}
 _LONG = (
     "matrix",
     "pose",
@@ -31,7 +92,7 @@ _LONG = (
 def record_row(record: Record) -> Row:
     """Return one row of the event log."""
     body = record.body
-    tone = _TONES.get(str(body.get("to", "")), "") if record.kind == "state" else ""
+    tone = _RECORD_TONES.get(str(body.get("to", "")), "") if record.kind == "state" else ""
     cells = (str(record.seq), record.t[11:23], record.kind, record_words(record))
     return Row(str(record.seq), cells, tone)
 

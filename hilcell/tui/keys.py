@@ -5,21 +5,31 @@
     history = ["h", "ctrl+y"]
     log = ["l", "д"]
 
-A key is any printed character, a word for one, or `ctrl+` with a letter from a to z. The trap:
-terminals, multiplexers and layouts eat keys, so no action hangs on a function key alone, and Esc
+A key is any printed character, a word for one, or `ctrl+` with a letter from a to z. Terminals,
+multiplexers and keyboard layouts eat keys: no action depends on a function key alone, and Esc
 stops whatever a file says.
+
+Keys may come in bursts, from a scanner or over a slow connection. Widgets and screens pass keys on
+as messages, so `settled` and `built` wait until one key has taken effect before the next is read.
 """
 
 from __future__ import annotations
 
+import asyncio
 import difflib
 import os
 import string
 import tomllib
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hilcell.cell.settings import SettingsError
+
+if TYPE_CHECKING:
+    from textual.message_pump import MessagePump
 
 ESCAPE = "escape"
 
@@ -175,3 +185,25 @@ def conflicts(keymap: Keymap) -> list[str]:
 def shown(key: str) -> str:
     """Return a key as it is printed."""
     return _SHOWN.get(key, key.replace("ctrl+", "^"))
+
+
+LONGEST_S = 0.2  # a widget that is being removed may take nothing any more
+BUILT_S = 2.0  # a screen that is left before it was built never is
+
+
+async def settled(nodes: Iterable[MessagePump]) -> None:
+    """Wait until each in turn has taken what it was sent; never for long."""
+    for node in nodes:
+        taken = asyncio.Event()
+        if node.call_later(taken.set):
+            await _soon(taken, LONGEST_S)
+
+
+async def built(stands: asyncio.Event) -> None:
+    """Wait until a screen stands; never for long, or no key would be taken any more."""
+    await _soon(stands, BUILT_S)
+
+
+async def _soon(event: asyncio.Event, limit_s: float) -> None:
+    with suppress(TimeoutError):
+        await asyncio.wait_for(event.wait(), limit_s)

@@ -1,25 +1,137 @@
-"""A table that draws only the rows in sight: ten thousand runs cost what twenty cost.
+"""The widgets that the screens are built of.
 
-Cells are plain text; nothing in them is taken for markup, and control characters are cleaned.
+Every text of the screen passes a `Panel` or `Rows`. Both replace control and direction characters,
+so that text from a device or an operator cannot reach the terminal as a command.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, cast
 
 from rich.cells import cell_len, set_cell_size
 from rich.segment import Segment
 from rich.style import Style
-from textual.binding import Binding, BindingType
+from textual.binding import Binding, BindingsMap, BindingType
+from textual.content import Content
+from textual.events import Key
 from textual.geometry import Size
 from textual.message import Message
 from textual.scroll_view import ScrollView
+from textual.scrollbar import ScrollBarRender
 from textual.strip import Strip
+from textual.widgets import Input, Static
 
-from hilcell.clean import clean
-from hilcell.tui.terminal.glyphs import to_ascii
-from hilcell.tui.text.columns import Column, Row
+from hilcell.clean import UNSAFE, clean
+from hilcell.tui.terminal.capabilities import Glyphs, to_ascii
+
+
+class Drawn(Protocol):
+    """The application: which shapes its terminal can show."""
+
+    glyphs: Glyphs
+
+
+def harmless(content: Content, *, plain: bool) -> Content:
+    """Return content of the same length whose characters are all safe to print."""
+    text = "\n".join(UNSAFE.sub("?", line) for line in content.plain.split("\n"))
+    return Content(to_ascii_lines(text) if plain else text, spans=list(content.spans))
+
+
+def to_ascii_lines(text: str) -> str:
+    """Return text in ASCII, line by line."""
+    return "\n".join(to_ascii(line) for line in text.split("\n"))
+
+
+class Panel(Static):
+    """Shows content; never reads markup."""
+
+    def __init__(self, id: str | None = None, *, classes: str | None = None) -> None:
+        super().__init__("", markup=False, id=id, classes=classes)
+        self.content_shown: Content | None = None
+
+    def show(self, content: Content | str) -> None:
+        """Show content, where it differs from what is shown."""
+        wanted = Content(content) if isinstance(content, str) else content
+        safe = harmless(wanted, plain=cast("Drawn", self.app).glyphs.plain)
+        if self.content_shown is None or not same(safe, self.content_shown):
+            self.content_shown = safe
+            self.update(safe)
+
+
+def same(one: Content, other: Content) -> bool:
+    """Whether two contents look the same."""
+    return one.plain == other.plain and one.spans == other.spans
+
+
+class WholeBar(ScrollBarRender):
+    """Draws the bar as reversed spaces, so that it is seen without colours, too."""
+
+    VERTICAL_BARS: ClassVar[list[str]] = [" "]
+    HORIZONTAL_BARS: ClassVar[list[str]] = [" "]
+
+
+class Choice(Panel, can_focus=True):
+    """Shows the chosen word between arrows."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("left", "turn(-1)", show=False, priority=True),  # in the order typed
+        Binding("right,space", "turn(1)", show=False, priority=True),
+    ]
+
+    def __init__(self, words: Sequence[str], id: str) -> None:
+        super().__init__(id=id, classes="choice")
+        self.words, self.index = tuple(words), 0
+
+    @property
+    def value(self) -> str:
+        """Return the chosen word."""
+        return self.words[self.index]
+
+    def on_mount(self) -> None:
+        """Show the first word."""
+        self._draw()
+
+    def action_turn(self, step: int) -> None:
+        """Choose the next word."""
+        self.index = (self.index + step) % len(self.words)
+        self._draw()
+
+    def _draw(self) -> None:
+        self.show(f"< {self.value} >")
+
+
+_KEYS = BindingsMap(Input.BINDINGS).key_to_bindings
+
+
+class Field(Input):
+    """An input that acts on its own keys at once."""
+
+    async def on_key(self, event: Key) -> None:
+        """Edit, or submit, before the next letter is taken."""
+        for binding in _KEYS.get(event.key, ()):
+            event.stop()
+            event.prevent_default()
+            await self.run_action(binding.action)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its header with the unit, its width, and whether numbers stand in it."""
+
+    title: str
+    width: int
+    right: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row: what it stands for, its cells, and its tone (a theme's variable)."""
+
+    key: str
+    cells: tuple[str, ...]
+    tone: str = ""
 
 
 class Rows(ScrollView, can_focus=True):

@@ -1,4 +1,7 @@
-"""What the plots show, as plain numbers: errors, sorted errors, repeatability, strip."""
+"""Plots as text: errors, sorted errors, repeatability, strip; drawn by plotext.
+
+Series differ by letter and name, not by colour.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import plotext
+from textual.content import Content
+
 from hilcell.journal.log import Log, Point
+from hilcell.tui.engine.scene import Scene
 from hilcell.tui.text.deviation import deviation_of
+from hilcell.tui.text.tables import record_words
 
 HOWS = (("validate_before", "before"), ("validate_idw", "idw"), ("validate_chosen", "chosen"))
 
@@ -96,3 +104,47 @@ def strip_plot(log: Log) -> Plot:
 
 
 PLOTS: tuple[Callable[[Log], Plot], ...] = (errors_plot, sorted_plot, repeat_plot, strip_plot)
+
+
+MARKS = ("o", "+", "x")
+TICKS = 5
+
+
+def draw(plot: Plot, width: int, height: int) -> Content:
+    """Return a plot of this size in columns and rows."""
+    shown = [line for line in plot.lines if any(map(math.isfinite, line.values))]
+    if not shown:
+        return Content.styled("nothing measured for this plot yet", "$dim")
+    longest = max(len(line.values) for line in shown)
+    plotext.clear_figure()
+    plotext.theme("clear")
+    plotext.plotsize(width, height)
+    for mark, line in zip(MARKS, shown, strict=False):
+        numbers = [(at, y) for at, y in enumerate(line.values, start=1) if math.isfinite(y)]
+        plotext.scatter(*zip(*numbers, strict=True), marker=mark, label=line.name)
+    if plot.limit is not None:
+        plotext.hline(plot.limit)
+    plotext.ylim(*plot.y_limits)
+    plotext.xticks(sorted({1 + round(n * (longest - 1) / (TICKS - 1)) for n in range(TICKS)}))
+    plotext.xlabel(plot.x_label)
+    plotext.ylabel(plot.y_label)
+    return Content(plotext.uncolorize(plotext.build()))
+
+
+LEAST_PLOT = 8
+
+
+def side_lines(scene: Scene, width: int, height: int) -> Content:
+    """Return a plot over the newest records, in a space of this size."""
+    plot_height = max(LEAST_PLOT, height // 2)
+    plot = sorted_plot(scene.log)
+    lines = [Content.styled(plot.title, "bold"), draw(plot, width, plot_height)]
+    newest = scene.records[-max(height - plot_height - 2, 1) :]
+    lines.append(Content.styled("newest records", "bold"))
+    lines += [
+        Content.assemble((f"{record.t[11:19]} ", "$dim"), record_words(record)).truncate(
+            width, ellipsis=True
+        )
+        for record in newest
+    ]
+    return Content("\n").join(lines)

@@ -1,0 +1,145 @@
+"""Which screen opens: the first one, the run to show first, a page for each action, the palette."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, cast
+
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.command import CommandPalette, DiscoveryHit, Hit, Hits, Provider
+from textual.content import Content
+from textual.widgets import Input
+
+from hilcell import __version__
+from hilcell.tui.keys import ACTIONS, Action
+from hilcell.tui.screens.base import Application, SceneScreen
+from hilcell.tui.widgets import Panel
+
+if TYPE_CHECKING:
+    from hilcell.tui.engine.session import Session
+
+
+NOT_A_SAFETY_FUNCTION = "hilcell is not a safety function: keep the E-stop in reach."
+
+
+class Opening(SceneScreen):
+    """Says what is being opened."""
+
+    footer = ("quit",)
+
+    def __init__(self, run: str) -> None:
+        super().__init__()
+        self._run = run
+
+    def compose(self) -> ComposeResult:
+        """Build the lines."""
+        yield Panel("title")
+        yield Panel("what")
+        yield Panel("notice")
+        yield Panel("keys")
+
+    def on_mount(self) -> None:
+        """Show them."""
+        self.panel("title").show(Content.styled(f"hilcell {__version__}", "bold"))
+        what = f"opening run {self._run} ..." if self._run else "looking for a live run ..."
+        self.panel("what").show(f"{what}\n\n{NOT_A_SAFETY_FUNCTION}")
+        self.panel("notice").display = False
+        super().on_mount()
+
+
+LATER = (
+    "hilcell.tui.engine.session",
+    "hilcell.journal.index",
+    *(f"hilcell.tui.screens.{name}" for name in ("run", "pages", "history", "start")),
+)
+
+
+def run_to_open(runs: Path, name: str) -> Path | None:
+    """Return the folder of the run to show; raises `HilcellError` where the name means none.
+
+    Loads, in the caller's thread, everything that reads a journal.
+    """
+    for module in LATER:
+        importlib.import_module(module)
+    from hilcell.journal.engine_file import live_engine
+    from hilcell.journal.runs import find_run, run_folders
+
+    if name:
+        return find_run(runs, name)
+    live = [folder for folder in run_folders(runs) if live_engine(folder) is not None]
+    return live[-1] if live else None
+
+
+PAGES = ("alarms", "interlocks", "help", "log", "plots", "report", "history")
+
+
+def page_of(name: str, session: Session | None) -> SceneScreen:
+    """Return the page of an action of `PAGES`; only help and history need no run."""
+    from hilcell.tui.screens import history, pages
+
+    if name == "report" and session is not None:
+        return pages.ReportPage(session.folder)
+    found: dict[str, type[SceneScreen]] = {
+        "alarms": pages.AlarmPage,
+        "interlocks": pages.InterlockPage,
+        "log": pages.LogPage,
+        "plots": pages.PlotPage,
+        "history": history.HistoryPage,
+    }
+    return found.get(name, pages.HelpPage)()
+
+
+HINT = "what to do?   ^p or Backspace: back   Esc: STOP"
+
+
+class Palette(CommandPalette):
+    """Textual's own, but its Enter acts at once: a second one in a burst finds it closed."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("enter", "enter", show=False, priority=True),
+        Binding("backspace", "erase", show=False, priority=True),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__(placeholder=HINT, id="--command-palette")
+
+    async def action_enter(self) -> None:
+        """Choose what is highlighted."""
+        await self.query_one(Input).action_submit()
+
+    def action_erase(self) -> None:
+        """Take a letter back; with none left, go back."""
+        box = self.query_one(Input)
+        if box.value:
+            box.action_delete_left()
+        else:
+            self.dismiss()
+
+
+class Actions(Provider):
+    """What can be done now."""
+
+    async def discover(self) -> Hits:
+        """Yield every allowed action; the stop last, for it has a key that needs no palette."""
+        for action in sorted(self._allowed(), key=lambda action: action.name == "stop"):
+            yield DiscoveryHit(self._words(action), lambda name=action.name: self._desk.do(name))
+
+    async def search(self, query: str) -> Hits:
+        """Yield the allowed actions that match."""
+        matcher = self.matcher(query)
+        for action in self._allowed():
+            score = matcher.match(self._words(action))
+            if score > 0:
+                yield Hit(score, self._words(action), lambda name=action.name: self._desk.do(name))
+
+    def _allowed(self) -> list[Action]:
+        return [action for action in ACTIONS if self._desk.allowed(action.name)]
+
+    @property
+    def _desk(self) -> Application:
+        return cast("Application", self.app)
+
+    def _words(self, action: Action) -> str:
+        return f"{self._desk.label(action.name)}: {action.help}"

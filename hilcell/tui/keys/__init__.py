@@ -1,1 +1,0 @@
-"""What the keys do, and in which order."""
