@@ -26,7 +26,7 @@ def test_modules_stay_small(path: Path) -> None:
 
 
 def test_no_vendor_is_named_outside_drivers() -> None:
-    vendors = ("leica", "emscon", "geocom", "siko", "kuka", "fanuc")
+    vendors = ("leica", "emscon", "geocom", "siko", "kuka", "krl", "fanuc")
     for room in ("hilcell", "procedures"):
         for path in (ROOT / room).rglob("*.py"):
             text = path.read_text("utf-8").lower()

@@ -233,8 +233,8 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     compensate.add_argument("calibration", metavar="CALIBRATION", help="a run or calibration.json")
     compensate.add_argument(
         "targets",
-        metavar="TARGETS.csv|PROGRAM.src",
-        help="nominal targets in {W}; a KRL program with its .dat beside it",
+        metavar="TARGETS.csv|PROGRAM",
+        help="nominal targets in {W}, or a robot program of an installed format",
     )
     compensate.add_argument("--station", required=True, metavar="S", help="where they are reached")
     compensate.add_argument(
@@ -243,7 +243,7 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     compensate.add_argument(
         "--cell",
         metavar="CELL",
-        help="refuse a calibration of another cell, and turns (T) that change",
+        help="refuse a calibration of another cell, and turns of the joints that change",
     )
     _set_option(compensate)
     compensate.add_argument(

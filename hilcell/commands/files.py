@@ -7,15 +7,16 @@ import os
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
 from hilcell.calibration.file import compensate_targets, read_calibration
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.turn_check import check_turns
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell, load_cell
 from hilcell.commands.common import say
 from hilcell.commands.messages import tell
 from hilcell.commands.output import print_table
-from hilcell.compensation.programs import is_program, load_program, write_program
+from hilcell.compensation.programs import Program, load_program, write_program
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.journal.runs import CALIBRATION, find_run
 
@@ -57,10 +58,11 @@ def compensate(args: argparse.Namespace) -> int:
     )
     source, out = Path(args.targets), Path(args.output)
     inputs = [source, path, Path(args.cell or source)]
-    if is_program(source):
-        count, written = _compensate_program(calibration, args.station, inputs, out, cell)
-    else:
+    program = load_program(source)
+    if program is None:
         count, written = _compensate_list(calibration, args.station, inputs, out)
+    else:
+        count, written = _compensate_program(calibration, args.station, program, inputs, out, cell)
     tell(f"{count} targets corrected for {args.station} into {written}")
     if calibration.provenance.simulated:
         tell(
@@ -80,18 +82,21 @@ def _compensate_list(
 
 
 def _compensate_program(
-    calibration: Calibration, station: str, inputs: list[Path], out: Path, cell: Cell | None
+    calibration: Calibration,
+    station: str,
+    program: Program,
+    inputs: list[Path],
+    out: Path,
+    cell: Cell | None,
 ) -> tuple[int, str]:
     source = inputs[0]
-    program = load_program(source)
     command = compensate_targets(calibration, station, program.values(), program.names)
     if cell is not None:
-        check_turns(cell, calibration, station, program, command)
-    elif any(target.posture is not None for target in program.targets):
-        tell(f"{source.name}: turns (T) were not checked; --cell CELL does")
-    texts = program.with_positions(command[:, :3])
-    written = write_program(texts, source, out, inputs=inputs)
+        T_W_B = np.array(calibration.stations[station].T_W_B)
+        program.check_joints(cell.robot.arm(), T_W_B, command)
+    elif program.needs_arm:
+        tell(f"{source.name}: {program.needs_arm} were not checked; --cell CELL does")
+    written = write_program(program, command[:, :3], source, out, inputs=inputs)
     for note in program.notes:
         tell(f"{source.name}: {note}")
-    tell(f"{source.name}: its targets were taken in {{W}}, its base must be {{W}}")
-    return len(program.targets), " and ".join(map(str, written))
+    return len(program.names), " and ".join(map(str, written))

@@ -1,77 +1,75 @@
-"""KRL programs on disk: ``NAME.src`` with its ``NAME.dat``, read and written as a pair.
+"""Robot programs on disk: which format reads one, and where the corrected one is written.
 
-Files are taken as latin-1, in which every byte is a character, so that what is not edited is
-written back byte for byte. The trap: the two files belong together, read and written.
+A format is a function that reads a file, and those that go with it, into a `Program`. The entry
+point group ``hilcell.programs`` names it by the file's suffix, in lower case without its dot:
+``src = "package.module:load_program"``. It raises `SettingsError` with everything, by file and
+line, that cannot be corrected safely.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Protocol
 
-from hilcell.cell.settings import SettingsError, unreadable
-from hilcell.krl.program import Program, read_program
+from hilcell.cell.devices import load_entry
+from hilcell.geometry.kinematics import Arm
+from hilcell.ports import Array
 from hilcell.writing import NotWritten, write_together
 
-ENCODING = "latin-1"
-SOURCE, DATA = ".src", ".dat"
+
+class Program(Protocol):
+    """A robot program that was read: its targets in {W}, and its files with other positions."""
+
+    @property
+    def names(self) -> list[str]:
+        """Return the targets' names, each with its place in the files, for messages."""
+
+    @property
+    def notes(self) -> list[str]:
+        """Return what the user should know: what was left unchanged, in which base targets are."""
+
+    @property
+    def suffixes(self) -> Sequence[str]:
+        """Return the suffixes, in lower case, of the files that may make one program."""
+
+    @property
+    def needs_arm(self) -> str:
+        """Return what of the joints `check_joints` would check, as a plural; may be empty."""
+
+    def values(self) -> Array:
+        """Return the targets (N, 6): x, y, z in mm, Z-Y-X angles a, b, c in deg."""
+
+    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
+        """Raise `HilcellError` where ``command`` (N, 6) would mean other turns of the joints."""
+
+    def with_positions(self, positions_mm: Array) -> Mapping[str, bytes]:
+        """Return the files by name, with other x, y, z (N, 3); nothing else differs."""
 
 
-def is_program(path: Path) -> bool:
-    """Whether the path names a KRL program's source."""
-    return path.suffix.lower() == SOURCE
-
-
-def load_program(path: Path) -> Program:
-    """Read a program with the data list beside it; raises `SettingsError`."""
-    data = _data_beside(path)
-    return read_program(path.name, _text(path), (data.name, _text(data)) if data else None)
+def load_program(path: Path) -> Program | None:
+    """Read a program by the format of its suffix; None where no format has it."""
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix not in {entry.name for entry in entry_points(group="hilcell.programs")}:
+        return None
+    program: Program = load_entry("programs", suffix)(path)
+    return program
 
 
 def write_program(
-    texts: dict[str, str], source: Path, out: Path, *, inputs: Iterable[Path] = ()
+    program: Program, positions_mm: Array, source: Path, out: Path, *, inputs: Iterable[Path] = ()
 ) -> list[Path]:
-    """Write a program's texts, by their names at ``source``, under another stem; return the paths.
+    """Write the program at ``source`` with other positions under another stem; return the paths.
 
-    ``out`` may end in ``.src``. Raises `NotWritten` as `write_together` does; the nominal program
-    is an input as well: corrected again, it would be corrected twice.
+    ``out`` may end in one of the program's suffixes. Raises `NotWritten` as `write_together` does;
+    the nominal program is an input as well: corrected again, it would be corrected twice.
     """
     if os.path.isdir(out):  # noqa: PTH112 - Path.is_dir raises for a name too long
         raise NotWritten(f"{out} is a folder; name a program in it")
-    contents = {
-        _sibling(out, Path(name).suffix): text.encode(ENCODING) for name, text in texts.items()
-    }
-    read = [source, *(source.with_name(name) for name in texts), *inputs]
-    write_together(contents, inputs=read)
+    files = program.with_positions(positions_mm)
+    stem = out.stem if out.suffix.lower() in program.suffixes else out.name
+    contents = {out.with_name(stem + Path(name).suffix): data for name, data in files.items()}
+    write_together(contents, inputs=[source, *map(source.with_name, files), *inputs])
     return list(contents)
-
-
-def _data_beside(path: Path) -> Path | None:
-    try:
-        found = [
-            each
-            for each in path.parent.iterdir()
-            if each.stem == path.stem and each.suffix.lower() == DATA and each.is_file()
-        ]
-    except OSError as error:
-        raise unreadable(str(path), error) from error
-    if len(found) > 1:
-        names = ", ".join(sorted(each.name for each in found))
-        raise SettingsError(str(path), [f"several data lists beside it: {names}; leave one"])
-    return found[0] if found else None
-
-
-def _text(path: Path) -> str:
-    try:
-        text = path.read_bytes().decode(ENCODING)
-    except OSError as error:
-        raise unreadable(str(path), error) from error
-    if "\0" in text:
-        raise SettingsError(str(path), ["has NUL bytes: not a KRL text, or saved as UTF-16"])
-    return text
-
-
-def _sibling(out: Path, suffix: str) -> Path:
-    stem = out.stem if out.suffix.lower() in (SOURCE, DATA) else out.name
-    return out.with_name(stem + suffix)

@@ -103,13 +103,6 @@ def status_of(arm: Arm, joints_rad: ArrayLike) -> Ints:
     return status
 
 
-def turn_of(joints_rad: ArrayLike) -> Ints:
-    """Return the turn bits (...) of joints (..., 6): bit i is set when joint i + 1 is below 0."""
-    negative = np.asarray(joints_rad) < 0
-    turn: Ints = np.sum(negative << np.arange(6), axis=-1)
-    return turn
-
-
 def joint_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
     """Return d({T} shift in mm, rotation vector in rad)/d(joints), (..., 6, 6), axes of {B}."""
     joints = np.asarray(joints_rad, dtype=float)

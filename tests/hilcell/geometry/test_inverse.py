@@ -20,7 +20,6 @@ from hilcell.geometry.inverse import (
     reachable,
     refine_inverse,
     status_of,
-    turn_of,
 )
 from hilcell.geometry.kinematics import forward
 
@@ -151,11 +150,6 @@ def test_turns_are_the_nearest_within_limits(seed: int) -> None:
         if inside.size:
             nearest = np.abs(inside - reference[joint]).min()
             assert abs(turned[joint] - reference[joint]) == pytest.approx(nearest, abs=1e-12)
-
-
-def test_turn_bits() -> None:
-    assert turn_of(np.radians([1, -90, 90, 0, -30, -1])) == 0b110010
-    np.testing.assert_array_equal(turn_of(np.zeros((2, 6))), [0, 0])
 
 
 @given(seeds)

@@ -11,8 +11,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from hilcell.krl.data import DataList, aggregate
-from hilcell.krl.tokens import KrlError, Statement, Token, closing, split, text_of
+from drivers.program_krl.data import DataList, aggregate
+from drivers.program_krl.tokens import KrlError, Statement, Token, closing, split, text_of
 
 SET_ONCE = {"$BASE": "base", "$TOOL": "tool"}
 NEVER_SET = (

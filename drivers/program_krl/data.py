@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from hilcell.krl.tokens import KrlError, Statement, Token, closing, split, text_of
+from drivers.program_krl.tokens import KrlError, Statement, Token, closing, split, text_of
 
 POSE = ("X", "Y", "Z", "A", "B", "C")
 EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")

@@ -7,9 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.program_krl.program import ENCODING, Program, formatted
+from drivers.program_krl.reader import read_program
+from drivers.program_krl.turns import turn_of
 from hilcell.cell.settings import SettingsError
-from hilcell.krl.program import Program, formatted, read_program
-from tests.hilcell.krl.samples import DAT, SRC
+from hilcell.ports import Array
+from tests.drivers.program_krl.samples import DAT, SRC
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 
@@ -23,12 +26,19 @@ def one(body: str, dat: str = "") -> Program:
     return program(f"DEF drill()\n{body}\nEND\n", dat)
 
 
+def moved(read: Program, positions_mm: Array) -> dict[str, str]:
+    """Return the texts with other positions."""
+    files = read.with_positions(positions_mm)
+    return {name: content.decode(ENCODING) for name, content in files.items()}
+
+
 def refusal(body: str, dat: str = "") -> str:
     with pytest.raises(SettingsError) as told:
         one(body, dat)
     return "\n".join(told.value.problems)
 
 
+BASE = "its targets were taken in {W}, its base must be {W}"
 P1 = "DECL E6POS XP1={X 1.0,Y 2.0,Z 3.0,A 0.0,B 75.0,C 0.0,S 6,T 19,E1 0.0}\n"
 P2 = "DECL E6POS XP2={X 4.0,Y 5.0,Z 6.0,A 0.0,B 75.0,C 0.0,S 6,T 19,E1 0.0}\n"
 
@@ -60,13 +70,14 @@ def test_what_is_left_is_told() -> None:
         "CHECK_HOLE is another program: its motions are not corrected (line 40)",
         "home move HOME: joint targets are left unchanged (line 42)",
         "not used by a motion, left: XP3",
+        BASE,
     ]
 
 
 def test_the_golden_program() -> None:
     """Every changed line, as it must come out."""
     read = program()
-    texts = read.with_positions(read.values()[:, :3] + [1.0, -2.0, 0.12345])
+    texts = moved(read, read.values()[:, :3] + [1.0, -2.0, 0.12345])
     changed = {
         name: [
             new
@@ -104,7 +115,7 @@ def test_bytes_outside_the_numbers_stay(
 
     src, dat = ends(SRC + f";{comment}\n"), ends(f";{comment}\n" + DAT)
     read = program(src, dat)
-    texts = read.with_positions(np.array(moves))
+    texts = moved(read, np.array(moves))
     for name, before in (("drill.src", src), ("drill.dat", dat)):
         assert NUMBER.sub("#", texts[name]) == NUMBER.sub("#", before)
     again = program(texts["drill.src"], texts["drill.dat"])
@@ -114,10 +125,10 @@ def test_bytes_outside_the_numbers_stay(
 
 def test_correcting_by_nothing_is_idempotent() -> None:
     first = program()
-    once = first.with_positions(first.values()[:, :3])
+    once = moved(first, first.values()[:, :3])
     second = program(once["drill.src"], once["drill.dat"])
     np.testing.assert_array_equal(second.values(), first.values())
-    assert second.with_positions(second.values()[:, :3]) == once
+    assert moved(second, second.values()[:, :3]) == once
 
 
 @pytest.mark.parametrize(
@@ -239,7 +250,7 @@ def test_data_that_is_no_point(dat: str, part: str) -> None:
 
 def test_faulty_data_that_nobody_moves_to_is_no_matter() -> None:
     read = one("PTP XP1", P1 + "DECL E6POS XP9={X 1.0}\n")
-    assert read.notes == ["not used by a motion, left: XP9"]
+    assert read.notes == ["not used by a motion, left: XP9", BASE]
 
 
 def test_external_axes_that_differ() -> None:
@@ -304,9 +315,14 @@ def test_which_targets_fix_their_joints(body: str, posture: int | None) -> None:
     assert [target.posture for target in one(body, P1).targets] == [posture]
 
 
+def test_turn_bits() -> None:
+    assert turn_of(np.radians([1, -90, 90, 0, -30, -1])) == 0b110010
+    np.testing.assert_array_equal(turn_of(np.zeros((2, 6))), [0, 0])
+
+
 def test_a_program_without_a_data_list() -> None:
     read = program("LIN {X 1,Y 2,Z 3,A 0,B 75,C 0}", None)
-    assert read.with_positions(np.array([[1.5, 2.0, 3.0]])) == {
+    assert moved(read, np.array([[1.5, 2.0, 3.0]])) == {
         "drill.src": "LIN {X 1.500,Y 2.000,Z 3.000,A 0,B 75,C 0}"
     }
 

@@ -1,4 +1,4 @@
-"""A KRL program whose targets can be corrected safely; all else is refused, line by line.
+"""Reads a KRL program whose targets can be corrected safely; all else is refused, line by line.
 
 Only absolute motions to points that stand as numbers in the program are corrected. The trap: a
 point that the program reads, changes or hands on besides moving to it would carry its correction
@@ -8,16 +8,12 @@ to places that nobody has checked, so that such a program is refused.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from decimal import Decimal
 
-import numpy as np
-
+from drivers.program_krl.data import AXES, EXTERNAL, POINTS, DataList, Datum, declared
+from drivers.program_krl.frames import FrameRule, assigned_at
+from drivers.program_krl.program import Program, Target
+from drivers.program_krl.tokens import KrlError, Statement, Token, closing, statements, text_of
 from hilcell.cell.settings import SettingsError
-from hilcell.krl.data import AXES, EXTERNAL, POINTS, POSE, DataList, Datum, Number, declared
-from hilcell.krl.frames import FrameRule, assigned_at
-from hilcell.krl.tokens import KrlError, Statement, Token, closing, statements, text_of
-from hilcell.ports import Array
 
 ABSOLUTE = ("PTP", "LIN", "SPTP", "SLIN")
 JOINTWISE = ("PTP", "SPTP")
@@ -32,79 +28,6 @@ CONTROL = (
     "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
     "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS",
 )  # fmt: skip
-DECIMALS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Edit:
-    """Characters ``start`` to ``end`` of a file and what is to stand there."""
-
-    start: int
-    end: int
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """A point that motions use: its name, where it stands, its numbers.
-
-    ``posture`` is S where a motion by joints uses it and S and T fix its joints to whole turns.
-    """
-
-    name: str
-    file: str
-    line: int
-    numbers: dict[str, Number] = field(repr=False)
-    posture: int | None = None
-
-    @property
-    def where(self) -> str:
-        """Return name, file and line for messages."""
-        return f"{self.name} ({self.file} line {self.line})"
-
-
-@dataclass(frozen=True, slots=True)
-class Program:
-    """Texts by file name, targets in the order of their first motion, and what is told of it."""
-
-    texts: dict[str, str] = field(repr=False)
-    targets: list[Target]
-    notes: list[str]
-
-    @property
-    def names(self) -> list[str]:
-        """Return the targets' names with file and line."""
-        return [target.where for target in self.targets]
-
-    def values(self) -> Array:
-        """Return the targets (N, 6): X, Y, Z in mm, A, B, C in deg, as the program states them."""
-        return np.array([[t.numbers[name].value for name in POSE] for t in self.targets])
-
-    def with_positions(self, positions_mm: Array) -> dict[str, str]:
-        """Return the texts with other X, Y, Z (N, 3); nothing else differs."""
-        edits: dict[str, list[Edit]] = {name: [] for name in self.texts}
-        for target, position in zip(self.targets, positions_mm, strict=True):
-            for name, value_mm in zip(POSE[:3], position, strict=True):
-                number = target.numbers[name]
-                text = formatted(float(value_mm), number.text)
-                edits[target.file].append(Edit(number.start, number.end, text))
-        return {name: _edited(text, edits[name]) for name, text in self.texts.items()}
-
-
-def formatted(value: float, like: str) -> str:
-    """Return a number with at least three decimals, or as many as ``like`` has."""
-    exponent = Decimal(like).as_tuple().exponent
-    decimals = max(DECIMALS, -exponent if isinstance(exponent, int) else 0)
-    text = f"{value:.{decimals}f}"
-    return text if float(text) else text.removeprefix("-")
-
-
-def _edited(text: str, edits: list[Edit]) -> str:
-    parts, at = list[str](), 0
-    for edit in sorted(edits, key=lambda each: each.start):
-        parts += [text[at : edit.start], edit.text]
-        at = edit.end
-    return "".join([*parts, text[at:]])
 
 
 def read_program(source: str, text: str, data: tuple[str, str] | None) -> Program:
@@ -146,12 +69,13 @@ class _Reader:
             self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
 
     def notes(self) -> list[str]:
-        """Return what was left as it is."""
+        """Return what was left as it is, and what the program's base must be."""
         used = {target.name for target in self.targets.values()}
         unused = [d.name for d in self._data.data.values() if d.kind in POINTS]
         unused = [name for name in unused if name not in used]
         told = [f"{what} (line {line})" for what, line in self._left.items()]
-        return told + ([f"not used by a motion, left: {', '.join(unused)}"] if unused else [])
+        told += [f"not used by a motion, left: {', '.join(unused)}"] if unused else []
+        return [*told, "its targets were taken in {W}, its base must be {W}"]
 
     # -- the first pass -----------------------------------------------------------------------
 

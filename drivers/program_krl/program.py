@@ -1,0 +1,106 @@
+"""A KRL program that was read: its targets, and its files' texts with other positions.
+
+Files are taken as latin-1, in which every byte is a character, so that what is not edited is
+written back byte for byte.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+import numpy as np
+
+from drivers.program_krl.data import POSE, Number
+from drivers.program_krl.turns import check_turns
+from hilcell.geometry.kinematics import Arm
+from hilcell.ports import Array
+
+ENCODING = "latin-1"
+SOURCE, DATA = ".src", ".dat"
+DECIMALS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """Characters ``start`` to ``end`` of a file and what is to stand there."""
+
+    start: int
+    end: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A point that motions use: its name, where it stands, its numbers.
+
+    ``posture`` is S where a motion by joints uses it and S and T fix its joints to whole turns.
+    """
+
+    name: str
+    file: str
+    line: int
+    numbers: dict[str, Number] = field(repr=False)
+    posture: int | None = None
+
+    @property
+    def where(self) -> str:
+        """Return name, file and line for messages."""
+        return f"{self.name} ({self.file} line {self.line})"
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """Texts by file name, targets in the order of their first motion, and what is told of it."""
+
+    texts: dict[str, str] = field(repr=False)
+    targets: list[Target]
+    notes: list[str]
+    suffixes = (SOURCE, DATA)
+
+    @property
+    def names(self) -> list[str]:
+        """Return the targets' names with file and line."""
+        return [target.where for target in self.targets]
+
+    def values(self) -> Array:
+        """Return the targets (N, 6): X, Y, Z in mm, A, B, C in deg, as the program states them."""
+        return np.array([[t.numbers[name].value for name in POSE] for t in self.targets])
+
+    @property
+    def needs_arm(self) -> str:
+        """Return what only an arm's joints show, where a motion by joints states S and T."""
+        return "turns (T)" if any(each.posture is not None for each in self.targets) else ""
+
+    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
+        """Raise `TurnError` where ``command`` (N, 6) in {W} would mean other whole turns."""
+        postures = [(target.where, target.posture) for target in self.targets]
+        check_turns(arm, T_W_B, postures, self.values(), command)
+
+    def with_positions(self, positions_mm: Array) -> dict[str, bytes]:
+        """Return the files by name, with other X, Y, Z (N, 3); nothing else differs."""
+        edits: dict[str, list[Edit]] = {name: [] for name in self.texts}
+        for target, position in zip(self.targets, positions_mm, strict=True):
+            for name, value_mm in zip(POSE[:3], position, strict=True):
+                number = target.numbers[name]
+                text = formatted(float(value_mm), number.text)
+                edits[target.file].append(Edit(number.start, number.end, text))
+        return {
+            name: _edited(text, edits[name]).encode(ENCODING) for name, text in self.texts.items()
+        }
+
+
+def formatted(value: float, like: str) -> str:
+    """Return a number with at least three decimals, or as many as ``like`` has."""
+    exponent = Decimal(like).as_tuple().exponent
+    decimals = max(DECIMALS, -exponent if isinstance(exponent, int) else 0)
+    text = f"{value:.{decimals}f}"
+    return text if float(text) else text.removeprefix("-")
+
+
+def _edited(text: str, edits: list[Edit]) -> str:
+    parts, at = list[str](), 0
+    for edit in sorted(edits, key=lambda each: each.start):
+        parts += [text[at : edit.start], edit.text]
+        at = edit.end
+    return "".join([*parts, text[at:]])
