@@ -2,9 +2,9 @@
 
 Big-endian. Request ``tag u16, length u16 of the rest, type u8, name length u16, name`` and, to
 write, ``value length u16, value``; reply ``tag, length, type, value length, value, error u16, ok``.
-The trap: the two servers fill the error field differently, so only the last byte says success;
-and a reply that comes after its deadline would answer the next question, so tags are compared
-and a connection that missed a reply is never used again.
+The two servers fill the error field differently, so only the last byte says success. A reply that
+comes after its deadline would answer the next question, so tags are compared and a connection that
+missed a reply is never used again.
 """
 
 from __future__ import annotations

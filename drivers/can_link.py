@@ -1,8 +1,8 @@
 """One CAN bus with everything that must go on by itself: receiving, and the PC's heartbeat.
 
-The trap: python-can's Notifier dies silently with the first error of its bus. Here the first
-error is kept, the heartbeat ends with it (so that the drive stops itself), and every use of the
-link raises it. A link is never repaired: connect builds a new one.
+python-can's Notifier dies silently with the first error of its bus. Here the first error is kept,
+the heartbeat ends with it (so that the drive stops itself), and every use of the link raises it. A
+link is never repaired: connect builds a new one.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ class CanLink:
         return max(recent_s, 0.0 if beat_s is None else now_s - beat_s)
 
     def close(self) -> None:
-        """End both threads and close the bus; what the dying bus says is of no use any more."""
+        """End both threads and close the bus; an error of the bus that closes is only kept."""
         self._end.set()
         for thread in self._threads:
             thread.join(JOIN_S)

@@ -1,7 +1,7 @@
 """CiA 406 linear encoders: the magnetic strip's sensor. Nothing here does I/O.
 
-The trap: the measuring step is an array on some makes and a plain value on others, in
-nanometres (multiples of 0.001 um).
+The measuring step is an array on some makes and a plain value on others, in nanometres (multiples
+of 0.001 um).
 """
 
 from __future__ import annotations

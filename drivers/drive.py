@@ -1,9 +1,9 @@
 """The sequencer of a CiA 402 drive: power, homing, profile position; everything by PDO and SYNC.
 
 canopen's BaseNode402 is not used: it drops the drive to "no mode" by its empty RPDO buffer,
-re-enables it behind a fault reset, and takes bits left by the last motion for this one's.
-The trap of time: a simulated cell may run faster than any clock. So a motion's planned duration is
-counted on the cell's clock (`drivers.motion_limits`).
+re-enables it behind a fault reset, and takes bits left by the last motion for this one's. A
+simulated cell may run faster than any clock, so a motion's planned duration is counted on the
+cell's clock (`drivers.motion_limits`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FULL_SPEED = 100.0  # percent: the drive has no override
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a healthy slide never exceeds, in counts and seconds, and the scale to tell it in."""
+    """Bounds that a healthy slide never exceeds, in counts and seconds, and the scale to mm."""
 
     counts_per_mm: float
     lowest: int

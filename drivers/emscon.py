@@ -1,8 +1,8 @@
 """Leica emScon TPI, the binary interface of Leica's laser trackers: codec and framing.
 
-Little-endian, packed to 4 bytes; every packet starts with its size and its type. The trap: a
-result is no reply. The reply to "start measurement" comes at once, the result later as a packet
-of its own, with status changes between them, two packets in one segment or one over two.
+Little-endian, packed to 4 bytes; every packet starts with its size and its type. A result is no
+reply: the reply to "start measurement" comes at once, the result later as a packet of its own, with
+status changes between them, two packets in one segment or one over two.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ Packet = Reply | Failure | StatusChange | Single | Multi | Other
 
 @dataclass(frozen=True, slots=True)
 class SystemStatus:
-    """What the tracker says of itself."""
+    """Processor state, version, weather station and serial number, as the tracker reports them."""
 
     processor: int
     version: str

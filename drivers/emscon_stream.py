@@ -1,8 +1,8 @@
 """A stream of an emScon tracker: continuous time mode, samples by the tracker's own clock.
 
-The trap: packets come late, cut and together, and a sample's time is only the one inside it. The
-mode belongs to the tracker, not to the connection: it is put back to stationary on every way out,
-and by the next connect after a kill.
+Packets come late, cut and together, so a sample's time is only the one inside it. The mode belongs
+to the tracker, not to the connection: it is put back to stationary on every way out, and by the
+next connect after a kill.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ENOUGH = 3  # steps that say how the tracker counts; fewer may be a gap
 
 
 class StreamingTracker(Protocol):
-    """What a stream needs of its tracker."""
+    """The tracker, as its stream uses it."""
 
     def point_at(self, near_mm: Array, reflector: str) -> None:
         """Choose a reflector and catch it near (3,) mm."""

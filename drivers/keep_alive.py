@@ -1,7 +1,7 @@
 """A thread that asks something harmless of idle connections, so that the server keeps them.
 
 The trap: KUKAVARPROXY drops a client after 30 s without a request, and a stop sent over a dropped
-connection is lost. What the thread finds broken is kept and raised at the device's next use.
+connection is lost. The thread keeps a failure that it finds; the device's next use raises it.
 """
 
 from __future__ import annotations

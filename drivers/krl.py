@@ -1,7 +1,7 @@
 """KRL values as text: ``{E6AXIS: A1 0.0, A2 -90.0, ...}``, ``#EX``, ``TRUE``, ``100``, ``"text"``.
 
-The trap: a controller with another locale, or a stale interface, answers ``1,234`` or ``NaN``.
-Only finite numbers with a decimal point are taken; anything else is refused, never guessed.
+A controller with another locale, or a stale interface, answers ``1,234`` or ``NaN``. Only finite
+numbers with a decimal point are taken; anything else is refused, never guessed.
 """
 
 from __future__ import annotations

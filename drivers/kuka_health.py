@@ -1,4 +1,4 @@
-"""What a KUKA controller and the program hilcell must show for work to go on, and their alarms."""
+"""States of a KUKA controller and of the program hilcell that work needs, and their alarms."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """One axis of a KUKA robot turned slowly, with its joints read meanwhile.
 
 Speed is HC_VEL (1 to 100 % of an axis) times $OV_PRO, which a sweep lowers: so an axis turns at
-1/10000 of its speed, too. The trap: $OV_PRO stays lowered when the PC dies. So the controller
-remembers what it was (HC_OV_OLD) and what it was set to (HC_OV_SET); every way out of a sweep and
-every connect give it back, at rest only, and only where nobody has changed it meanwhile.
+1/10000 of its speed, too. $OV_PRO stays lowered when the PC dies. So the controller remembers what
+it was (HC_OV_OLD) and what it was set to (HC_OV_SET); every way out of a sweep and every connect
+give it back, at rest only, and only where nobody has changed it meanwhile.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ROUND = (
 
 
 class SweepingRobot(Protocol):
-    """What a sweep needs of its robot."""
+    """The robot, as its sweep uses it."""
 
     def wire(self) -> C3Connection:
         """Return the connection."""

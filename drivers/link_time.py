@@ -1,8 +1,8 @@
-"""The time in which this PC has listened to a link: what every wire deadline is counted in.
+"""The time in which this PC has listened to a link; every wire deadline is counted in it.
 
-The trap: a PC that was busy finds its own deadline passed and the answer, which came in time,
-still unread. So the time of a link goes on only when all that has arrived was handed out, and a
-pause of the PC counts as `PAUSE_S` at most.
+A PC that was busy finds its own deadline passed and the answer, which came in time, still unread.
+So the time of a link goes on only when all that has arrived was handed out, and a pause of the PC
+counts as `PAUSE_S` at most.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class LinkTime:
 
     def __init__(self) -> None:
         self.listened_s = 0.0
-        self.emptied_s = time.monotonic()  # what is handed out next came after this moment
+        self.emptied_s = time.monotonic()  # the frames handed out next came after this moment
         self._counted_s = self.emptied_s
 
     def emptied(self, now_s: float) -> None:

@@ -1,6 +1,6 @@
 """When a motion has failed: it gets no further, or it takes far longer than was planned.
 
-The trap: a fixed deadline ends a slow motion that is well, and none at all lets an arm creep for
+A fixed deadline would end a slow motion that is well, and none at all would let an arm creep for
 ever. So the time that a motion may take follows from its plan, in the cell's time, and it passes
 only as fast as the override lets the motion go: an override that is lowered on the way is no fault.
 A simulated cell may run faster than any clock, so a motion is overdue only after the real time of a
@@ -47,7 +47,8 @@ class MotionLimits:
     def overdue(self, now_s: float, override_percent: float) -> bool:
         """Whether the motion has taken longer than it may; ``now_s`` is the cell's time.
 
-        Between two looks the lower of their overrides counts. What stands is stalled, not overdue.
+        Between two looks the lower of their overrides counts. A robot that stands is stalled, not
+        overdue.
         """
         share = override_percent / 100.0
         if self._now_s is not None:

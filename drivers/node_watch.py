@@ -1,7 +1,7 @@
-"""What one CANopen node says unasked: heartbeat, boot-up, emergencies (CiA 301, 7.2.8 and 7.2.7).
+"""Frames that a CANopen node sends unasked: heartbeat, boot-up, EMCY (CiA 301, 7.2.8 and 7.2.7).
 
-The trap: a node that was reset is back within a second with its settings lost. Its boot-up frame
-is the only witness, so one that comes once the node is being set up is a failure.
+A node that was reset is back within a second with its settings lost. Only its boot-up frame shows
+it, so one that comes once the node is being set up is a failure.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class NodeWatch:
         link.subscribe(0x080 + node, self._on_emergency)
 
     def begin_set_up(self) -> None:
-        """Take a boot-up from now on as a failure: what has been set would be lost."""
+        """Take a boot-up from now on as a failure: the settings would be lost."""
         self._set_up = True
 
     def forget_state(self) -> None:

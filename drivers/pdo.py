@@ -1,7 +1,7 @@
 """PDO mappings written by SDO, read back, and the process image that they fill (CiA 301, 7.5.2).
 
-The trap: a received PDO proves nothing about when it was sampled. All PDOs are synchronous, so a
-reading counts only when every one of them came after the SYNC that asked for it.
+A received PDO does not say when it was sampled. All PDOs are synchronous, and a reading counts only
+when every one of them came after the SYNC that asked for it.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Inbox:
         """Send SYNC; return all values by identifier and since when the oldest may be waiting here.
 
         A lost frame costs one more SYNC; raises `DeviceError` when `SYNCS` of them bring nothing.
-        What has waited in this PC for `STALE_S` is asked for again.
+        Values that have waited in this PC for `STALE_S` are asked for again.
         """
         before, sent_s = self._counted(), time.monotonic()
         for _ in range(SYNCS):
@@ -109,7 +109,7 @@ class Inbox:
         while True:
             check()
             self._link.check()
-            over = self._link.time.listened_s > deadline_s  # what came until then is counted
+            over = self._link.time.listened_s > deadline_s  # frames until then count
             with self._changed:
                 if all(self._count[cob_id] > before[cob_id] for cob_id in before):
                     return True

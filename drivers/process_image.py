@@ -1,4 +1,4 @@
-"""The rail's process image: what drive and strip report at one SYNC, and what the drive is told.
+"""The rail's process image: readings of drive and strip at one SYNC, and the drive's commands.
 
 The trap: a stop from another thread must not be undone by a control word that the worker was just
 about to send. Both pass one lock; after a quick stop no word that enables the drive goes out.

@@ -1,8 +1,8 @@
 """The rail: a CiA 402 drive and a CiA 406 magnetic-strip sensor on one CANopen bus.
 
-Moves and readings go by PDO and SYNC, settings by SDO. The trap: the drive's own word for where
-the slide is ends at its encoder. What counts is the strip, read at rest; this driver returns
-both, and the closed loop above it decides.
+Moves and readings go by PDO and SYNC, settings by SDO. The drive knows the position at its encoder
+only; the strip, read at rest, decides where the slide is. This driver returns both, and the closed
+loop above it decides.
 """
 
 from __future__ import annotations
@@ -330,7 +330,7 @@ class CanopenRail:
         try:
             self.stop()
         except DeviceError:
-            return  # the first failure, which is being raised, is the one to be told
+            return  # the first failure, which is being raised, is the one to report
 
     def _release(self, link: CanLink, image: ProcessImage) -> None:
         """Disable the drive without the run's clock, which no longer waits after a stop."""

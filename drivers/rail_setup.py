@@ -1,7 +1,7 @@
-"""Who the rail's two nodes are, and the settings that make the drive stop by itself.
+"""Identities of the rail's two nodes, and the settings that make the drive stop by itself.
 
-The trap: a setting that was written is not a setting that holds. Every object is read back; the
-ones that stop the slide when the PC dies (1016h, 6007h, 605Ah) matter most.
+A node may acknowledge a setting and not keep it, so every object is read back; the ones that stop
+the slide when the PC dies (1016h, 6007h, 605Ah) matter most.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LARGEST_U16 = 0xFFFF
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What a node must be; 0 is not checked."""
+    """The wanted identity of a node; 0 is not checked."""
 
     name: str
     node: int
@@ -45,7 +45,7 @@ class Expected:
 def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, clock: Clock) -> int:
     """Return the node's device type as soon as it answers; raises `DeviceError` after `FIND_S`.
 
-    A lost link is told at once as `LinkLost`.
+    A lost link is raised at once as `LinkLost`.
     """
     deadline_s = time.monotonic() + FIND_S
     while True:

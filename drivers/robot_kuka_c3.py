@@ -42,7 +42,7 @@ PROGRAM_VERSION, SWEEPING_VERSION = 1, 2
 PTP_JOINTS = 1
 MAX_SEQUENCE = 1_000_000_000
 POLL_S = 0.03
-POLL_LOOK_S = 0.5  # what one poll counts for, at most
+POLL_LOOK_S = 0.5  # one poll counts for this long, at most
 STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
 CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
@@ -215,7 +215,7 @@ class KukaC3Robot:
         return Identity(DEVICE, model, str(serial), address, says_simulated(model))
 
     def check(self, *names: str) -> None:
-        """Refuse to work with a wrong state; the first cause is told, not its consequence."""
+        """Refuse to work with a wrong state; report the first cause, not its consequence."""
         for name in names:
             if problem := self._problem(name):
                 raise next(filter(None, map(self._problem, HEALTH)), problem)

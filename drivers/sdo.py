@@ -1,8 +1,8 @@
 """SDO to one node (CiA 301, 7.2.4): typed by its EDS, one at a time, stop-aware.
 
-The trap: after a timeout the late reply is handed to the next request of the same object. So a
-channel that missed a reply is tainted: it waits, drops what came, asks something else, and
-believes a value only when it reads twice the same.
+After a timeout canopen hands the late reply to the next request of the same object. So a channel
+that missed a reply is tainted: it waits, drops what came, asks something else, and believes a value
+only when it reads twice the same.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class _Client(SdoClient):
         while True:
             self.check()
             self.link.check()
-            over = self.link.time.listened_s > deadline_s  # what came until then is in the queue
+            over = self.link.time.listened_s > deadline_s  # replies until then count
             try:
                 response: bytes = self.responses.get(timeout=POLL_S)
             except queue.Empty:

@@ -1,9 +1,9 @@
 """A serial-line CAN gateway (slcan) that survives bad lines and a PC that is busy.
 
 python-can's own class loses its receiver to one byte >= 0x80 or one malformed line, takes a
-truncated frame for a short one, and calls a write that was late, but complete, an error. The trap
-of writing: the stop must get out while another thread waits for the port. So no thread holds a
-lock while it waits: lines stand in one queue, and the thread that finds the port ready sends.
+truncated frame for a short one, and calls a write that was late, but complete, an error. A stop
+must get out while another thread waits for the port. So no thread holds a lock while it waits:
+lines stand in one queue, and the thread that finds the port ready sends.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Whether a slide stands, judged from polls: a servo that holds a position dithers.
 
 A slide stands when every poll of a dwell shows a speed within a window, and all their positions,
-the drive's and the strip's, lie within windows. The trap: a slow creep passes any window of speed;
-only the spread of the positions shows it. Polls that agree with the newest are kept, so a slide
-that has stood since the last reading is confirmed by one poll and not by one more dwell.
+the drive's and the strip's, lie within windows. A slow creep passes any window of speed; only the
+spread of the positions shows it. Polls that agree with the newest are kept, so a slide that has
+stood since the last reading is confirmed by one poll and not by one more dwell.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from statistics import median
 
 from drivers.process_image import Snapshot
 
-READINGS = 5  # at least, of one dwell; what they show is told by their median
+READINGS = 5  # at least, of one dwell; the reading is their median
 HISTORY_S = 60.0  # of the cell; an older poll counts for nothing
 LONGEST_PAUSE_S = 0.1  # far below the time after which a motion counts as unattended
 ROUNDING_S = 0.001
@@ -23,7 +23,7 @@ ROUNDING_S = 0.001
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """What a slide at rest does not exceed: counts/s, counts from lowest to highest, seconds."""
+    """Bounds of a slide at rest: counts/s, counts from lowest to highest, seconds."""
 
     speed: float
     spread: int
@@ -125,7 +125,7 @@ class Standstill:
             self._polls.popleft()
 
     def _drop_needless(self, polls: deque[tuple[float, Snapshot]], now_s: float) -> None:
-        """Drop what is too old, and what the dwell and the medians do not need."""
+        """Drop polls that are too old, and those that neither dwell nor medians need."""
         while not now_s - polls[0][0] <= HISTORY_S:
             polls.popleft()
         while len(polls) > READINGS and now_s - polls[1][0] >= self._windows.dwell_s:

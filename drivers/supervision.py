@@ -1,10 +1,10 @@
 """Deadlines that count a device's silence, not the time in which this PC did not run.
 
-The trap: a thread that the system held up for a second finds every deadline passed, though the
-answer has long arrived. So one look counts for at most ``look_s``, and a miss is declared only by
-a look made after the time was up. Being late excuses the device, never the motion: nobody watches
-it meanwhile, so a gap longer than `LATE_S` between two looks at something that moves ends the run.
-An engine that hangs cannot say so: a heartbeat asks here, too, and pauses.
+A thread that the system held up for a second finds every deadline passed, though the answer has
+long arrived. So one look counts for at most ``look_s``, and a miss is declared only by a look made
+after the time was up. Being late excuses the device, never the motion: nobody watches it meanwhile,
+so a gap longer than `LATE_S` between two looks at something that moves ends the run. An engine that
+hangs cannot say so: a heartbeat asks here, too, and pauses.
 """
 
 from __future__ import annotations

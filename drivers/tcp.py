@@ -1,8 +1,8 @@
 """One TCP connection to a device, whose every wait ends within 20 ms of a stop.
 
-The trap: keepalive alone notices a dead peer after two hours. So the probe times are set, unsent
-bytes expire by TCP_USER_TIMEOUT where the system has it, and every read has a deadline. It counts
-from bytes that are not there, never from the clock of a thread that did not run.
+By default keepalive notices a dead peer after two hours. So the probe times are set, unsent bytes
+expire by TCP_USER_TIMEOUT where the system has it, and every read has a deadline. It counts from
+bytes that are not there, never from the clock of a thread that did not run.
 """
 
 from __future__ import annotations

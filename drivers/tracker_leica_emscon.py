@@ -1,7 +1,7 @@
 """A Leica laser tracker over emScon TPI (TCP 700).
 
 The trap: results carry no number. One that comes late, after its beam broke or its time was up,
-would pass for the next point. So what is pending is dropped before each start, a measurement that
+would pass for the next point. So pending results are dropped before each start, a measurement that
 failed is stopped and the stop awaited, and a result far from the expected place is refused.
 """
 
@@ -120,10 +120,10 @@ class LeicaEmsconTracker:
             self._link.close()
         self._link = None
 
-    # -- what a stream needs of its tracker, too ----------------------------------------------
+    # -- for a stream as well -----------------------------------------------------------------
 
     def point_at(self, near_mm: Array, reflector: str) -> None:
-        """Choose a reflector and catch it near (3,) mm; what is pending is dropped first."""
+        """Choose a reflector and catch it near (3,) mm; drop pending results first."""
         self._drop_pending()
         self._choose(reflector)
         self._aim(near_mm)

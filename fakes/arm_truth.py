@@ -1,9 +1,9 @@
-"""The robot as it really is: axes that lie askew, joints that do not turn as told.
+"""The robot as it really is: axes that lie askew, joints that do not turn as commanded.
 
 All but ripple, lost motion, repeatability and growth are scaled together, over the machine's own
 reference cube. The error is taken as the paper takes it: against the base frame built from the
-circles of axes 1 and 6 (section 4.2), here from the noise-free truth. The trap: this ideal {B} is
-not the frame in which the axes are drawn; `ideal_base` relates them.
+circles of axes 1 and 6 (section 4.2), here from the noise-free truth. This ideal {B} is not the
+frame in which the axes are drawn; `ideal_base` relates them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The object dictionary of a simulated CANopen node (CiA 301, clause 7.4).
 
-Values are held in the units of the object, little-endian on the wire. The trap: an object may
-exist and still be refused; every refusal carries the abort code that a real node would send.
+Values are held in the units of the object, little-endian on the wire. An object may exist and still
+be refused; every refusal carries the abort code that a real node would send.
 """
 
 from __future__ import annotations

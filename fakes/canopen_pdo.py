@@ -1,8 +1,8 @@
 """Process data of a simulated CANopen node (CiA 301, clauses 7.2.2 and 7.5.2.35-38).
 
-The trap: a mapping may be changed only while the PDO is switched off (bit 31 of its COB-ID) and
-its count is 0; the count is written last and is where the node judges the whole mapping. Remote
-frames are not answered, so bit 30 of a COB-ID must stay set.
+A mapping may be changed only while the PDO is switched off (bit 31 of its COB-ID) and its count is
+0; the count is written last and is where the node judges the whole mapping. Remote frames are not
+answered, so bit 30 of a COB-ID must stay set.
 """
 
 from __future__ import annotations

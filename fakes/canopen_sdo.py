@@ -1,7 +1,7 @@
 """The SDO server of a simulated CANopen node (CiA 301, clause 7.2.4): expedited and segmented.
 
-The trap: one transfer at a time; a new initiate request simply drops the transfer under way, and
-the toggle bit is the only thing that tells a repeated segment from the next one.
+One transfer at a time; a new initiate request simply drops the transfer under way, and the toggle
+bit is the only thing that tells a repeated segment from the next one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What a servo and a magnetic strip do at rest: their readings wander about the true value.
+"""Dither of a servo and a magnetic strip at rest: readings wander about the true value.
 
-The trap: a run must give the same figures however often a slow machine looks (decision 6). So
-every second step lies at zero and the others on its two sides in turn; the middle of any five
-steps in a row is then zero, wherever one begins.
+A run must give the same figures however often a slow machine looks (decision 6). So every second
+step lies at zero and the others on its two sides in turn; the middle of any five steps in a row is
+then zero, wherever one begins.
 """
 
 from __future__ import annotations

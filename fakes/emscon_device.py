@@ -1,4 +1,4 @@
-"""What an emScon tracker does with each command: settings, pointing, finding, measuring.
+"""Commands as an emScon tracker performs them: settings, pointing, finding, measuring.
 
 Positions on the wire have the units and axes that were set; inside all is mm, right-handed. The
 traps, as in the original: lengths are metres until SetUnits says otherwise, and a measurement is
@@ -52,7 +52,7 @@ BALL = 1  # target type: corner cube
 
 
 class Instrument(Protocol):
-    """What the device looks at: positions in the tracker's frame, mm."""
+    """The plant as the device sees it: positions in the tracker's frame, mm."""
 
     def reflectors(self) -> dict[str, Array]:
         """Return where every reflector is."""
@@ -78,7 +78,7 @@ class Later:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Packets to send now, and what comes later."""
+    """Packets to send now, and those that come later."""
 
     packets: list[bytes] = field(default_factory=list)
     later: Later | None = None

@@ -21,7 +21,7 @@ SAMPLE = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8"
 
 
 class Type(IntEnum):
-    """What a packet is."""
+    """Type of a packet."""
 
     COMMAND = 0
     ERROR = 1

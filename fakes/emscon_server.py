@@ -74,8 +74,8 @@ class EmsconServer:
     def _stream(self, session: _Session, stream: SampleStream, head: bytes) -> bytes | None:
         """Send samples until the client stops it; return a packet that came after their end.
 
-        The trap: the client lets time pass as soon as it has the reply, so the
-        stream is followed before that reply, and no longer followed before the reply to the stop.
+        The client lets time pass as soon as it has the reply, so the stream is followed before that
+        reply, and no longer followed before the reply to the stop.
         """
         lock = threading.Lock()
 

@@ -1,8 +1,8 @@
 """A continuous measurement of an emScon tracker: samples by its clock, in packets, late and cut.
 
-What is due follows from plant time alone, never from when somebody asks. The traps, as in the
-original: a packet holds several samples and comes late; it may come in two pieces, or together
-with the next; only the times inside it say when a sample was taken.
+The samples that are due follow from plant time alone, never from when somebody asks. As with the
+original a packet holds several samples and comes late; it may come in two pieces, or together with
+the next; only the times inside it say when a sample was taken.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A fake asks `Faults.take` at every occasion (a reply, a motion, a measurement); the answer is the
 fault's value when it strikes now, else None. ``after`` occasions pass untouched first, then it
-strikes ``count`` times. The trap: occasions count from when the fault is set, not from power-on.
+strikes ``count`` times. Occasions count from when the fault is set, not from power-on.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Vanished(Exception):
     """The device is gone: its server closes every socket and answers nobody any more."""
 
 
-# name: what happens (its value) | its occasion
+# name: its effect (its value) | its occasion
 KNOWN = {
     "rail.vanish": "sockets close, nothing answers any more | a poll of the moving slide",
     "rail.wrong_identity": "1018h names another product (product code) | an identity read",

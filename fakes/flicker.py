@@ -1,7 +1,7 @@
 """The last digit of a controller that holds still: it flickers from one look to the next.
 
-The trap: a run must give the same figures on any machine. So a look is known by where and how the
-robot landed, and by how often was looked since the program last answered, never by the time.
+A run must give the same figures on any machine. So the flicker follows from where and how the robot
+landed and from the number of looks since the program last answered, never from the time.
 """
 
 from __future__ import annotations

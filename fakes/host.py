@@ -36,7 +36,7 @@ class Ports(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What to simulate; ``seed`` is the machine's, ``speed`` None is stepped time."""
+    """The wanted simulated cell; ``seed`` is the machine's, ``speed`` None is stepped time."""
 
     cell: dict[str, Any]
     seed: int = 1

@@ -1,7 +1,7 @@
-"""What the joints do beside their command: gravity, harmonics, gear ripple, elasticity.
+"""Errors of the joints against their command: gravity, harmonics, gear ripple, elasticity.
 
-All depend on the joint angles alone. The trap: loads follow from how the links lie against
-gravity, not from the angles as the maker counts them.
+All depend on the joint angles alone. Loads follow from how the links lie against gravity, not from
+the angles as the maker counts them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The description of a machine: what its maker and its age have made of it, and how large.
+"""The description of a machine: its parts, and how large their errors are.
 
 A machine is a TOML file; with a seed it is one physical robot, rail, strip and tracker. Nothing in
 it refers to a cell's measuring plan: sizes are stated over reference poses of its own. Sizes of

@@ -1,6 +1,6 @@
 """Motion of one axis with constant accelerations: trapezoids and braking, on plant time.
 
-The trap: a trapezoid that is too short for its speed is a triangle.
+A trapezoid that is too short for its speed is a triangle.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """The one physical truth of a simulated cell: a machine's rail, robot, tracker and nests.
 
-Frames: {W} world, {S} the slide as the cell file thinks it (nominal {B}), {R} the robot's own
-base frame, which is bolted a little askew on the slide, {T} the reflector on the flange. Machine
-and seed fix the truth and the noise, whatever the cell's plan measures; a cell that is started
-again draws the same again from its beginning. The trap: nominal {B} is not {R} and neither is what
-a calibration finds; that is `base_in_world`.
+Frames: {W} world, {S} the slide as the cell file thinks it (nominal {B}), {R} the robot's own base
+frame, which is bolted a little askew on the slide, {T} the reflector on the flange. Machine and
+seed fix the truth and the noise, whatever the cell's plan measures; a cell that is started again
+draws the same again from its beginning. Nominal {B} is not {R}, and a calibration finds neither; it
+finds `base_in_world`.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Plant:
     def path_in_world(self, name: str, times_s: Array) -> Array:
         """Return where a reflector really was, (N, 3) in {W}, at times (N,) up to now.
 
-        None are left where it is out of sight. The trap: the slide is taken to stand meanwhile.
+        None are left where it is out of sight. The slide is taken to stand meanwhile.
         """
         now = self.reflectors_in_world()
         if name not in now:

@@ -2,7 +2,7 @@
 
 1000 counts/mm; speeds in counts/s, accelerations in counts/s^2. The brake is closed whenever the
 drive is not in OPERATION ENABLED and has come to rest; while it is open, the servo dithers by a few
-counts and its speed is almost never 0. The trap: bit 12 of the statusword says "set-point
+counts and its speed is almost never 0. Bit 12 of the statusword says "set-point
 acknowledged" in mode 1 and "homing attained" in mode 6.
 """
 

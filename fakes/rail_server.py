@@ -3,8 +3,8 @@
 Drive and sensor stay as they are when a client leaves; only the gateway's channel is new for the
 next one, and heartbeats that a fault has silenced are heard again. Heartbeats and wire deadlines
 run in real time, the slide in plant time: a SYNC or an SDO read looks at the slide once, before the
-nodes answer it. The trap: in stepped time nobody looks at a slide whose master has died, so a drive
-that brakes by itself is looked at until it stands.
+nodes answer it. In stepped time nobody looks at a slide whose master has died, so a drive that
+brakes by itself is looked at until it stands.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ IDLE_S = 0.5
 SDO_REQUESTS = (0x600 + rail_drive.NODE, 0x600 + rail_strip.NODE)
 SDO_READ = b"\x40"
 HEARTBEATS = range(0x700, 0x780)
-# What a fault means whose value only says that it strikes.
+# Values of the faults whose own value only says that they strike.
 DEFAULT_FAULT, DEFAULT_EMERGENCY, DEFAULT_ABORT = 0x8611, 0x7305, 0x08000022
 
 

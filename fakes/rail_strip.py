@@ -1,8 +1,7 @@
 """The simulated magnetic-strip sensor: CiA 406, absolute linear encoder, 100 counts/mm.
 
-Absolute, so it needs no homing. Its reading flickers by a count to either side. The trap: a sensor
-without its magnet goes on answering with the last position; only alarm bit 0 (6503h) and an EMCY
-tell.
+Absolute, so it needs no homing. Its reading flickers by a count to either side. A sensor without
+its magnet goes on answering with the last position; only alarm bit 0 (6503h) and an EMCY show it.
 """
 
 from __future__ import annotations

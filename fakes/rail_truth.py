@@ -2,7 +2,7 @@
 
 The motor stands where it was commanded. The slide follows it through backlash (play), along the
 error curve of Fig 1, and lands with a little noise that grows with the length of the move. The
-strip reads the slide. The trap: the motor's encoder knows nothing of all this.
+strip reads the slide. The motor's encoder shows nothing of all this.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ BRAKE_MM_S2 = 5000.0  # the closing brake
 
 @dataclass(frozen=True, slots=True)
 class RailState:
-    """The rail at one poll: what encoder, strip and switches say; unquantised."""
+    """The rail at one poll: encoder, strip and switches; unquantised."""
 
     encoder_mm: float
     velocity_mm_s: float
@@ -189,7 +189,7 @@ class RailTruth:
 
 
 class _Shape:
-    """What the seed fixes for good: error curves, straightness, leaning, strip."""
+    """Properties that the seed fixes for good: error curves, straightness, leaning, strip."""
 
     def __init__(self, cell: Cell, machine: Machine, rng: np.random.Generator) -> None:
         sizes = self._sizes = machine.rail

@@ -1,4 +1,4 @@
-"""RP of ISO 9283 that joint noise makes: what joins a data sheet to the noise of each joint.
+"""RP of ISO 9283 that joint noise makes; it leads from a data sheet to the noise of each joint.
 
 RP = mean + 3 s of the 3-D distances from the mean position (ISO 9283, 7.2.2).
 """

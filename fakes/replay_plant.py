@@ -2,7 +2,7 @@
 
 The data are rows of commanded joints and measured positions in the tracker's frame; one pose may
 carry several reflectors. Where the robot stands on no recorded pose, nothing is found. The rail
-stands where it was switched on. The trap: a replay has no floor and no slide nests.
+stands where it was switched on. A replay has no floor and no slide nests.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ RAMP_S = 0.4  # from standstill to full speed
 BRAKE_S = 0.15  # and from full speed to standstill on a stop
 NOT_MOVED_RAD = 1e-9
 
-Landing = Callable[[str], Array]  # what happens -> repeatability error (6,) in rad
+Landing = Callable[[str], Array]  # event -> repeatability error (6,) in rad
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class RobotState:
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """What moves from one moment on, until the next leg begins."""
+    """Motion from one moment on, until the next leg begins."""
 
     start_s: float
     from_rad: Array

@@ -1,8 +1,8 @@
 """A serial arm as a product of exponentials: six joint axes where they lie at joints zero.
 
 ``T(q) = exp(s1 q1) .. exp(s6 q6) T(0)`` (Brockett 1984): each joint turns everything behind it
-about a line that is stated once, in the robot's base frame. Lengths mm, angles rad. The trap: a
-joint's positive sense is its axis's direction; there are no signs or offsets beside it.
+about a line that is stated once, in the robot's base frame. Lengths mm, angles rad. A joint's
+positive sense is its axis's direction; there are no signs or offsets beside it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """A CAN gateway that speaks slcan (the Lawicel ASCII protocol) over TCP, to one client at a time.
 
 Every command ends with CR and is answered: CR for done, ``z`` CR for a frame sent, BELL for
-refused. As on any gateway lines come glued, in two pieces, or a little late. The trap: a client
-may throw away what arrives before its ``O`` (open); so nothing is sent unasked until the channel is
-open.
+refused. As on any gateway lines come glued, in two pieces, or a little late. A client may throw
+away all that arrives before its ``O`` (open); so nothing is sent unasked until the channel is open.
 """
 
 from __future__ import annotations

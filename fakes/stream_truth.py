@@ -1,8 +1,8 @@
-"""What a tracker reads of a reflector that it follows, sample by sample, by its own clock.
+"""Samples of a reflector that a tracker follows, by the tracker's own clock.
 
-The truth of a sample is where the reflector was at the sample's time, however late it is asked
-for. Noise follows the sample's number in its stream. The trap: the tracker's clock began at
-another moment than any other, and runs a little too fast or too slow.
+The truth of a sample is where the reflector was at the sample's time, however late it is asked for.
+Noise follows the sample's number in its stream. The tracker's clock began at another moment than
+any other, and runs a little too fast or too slow.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """The simulated cell's time: paced (real time times a speed) or stepped (as fast as it goes).
 
-In stepped time nothing passes by itself. Time advances by the waits that the engine asks for on
-the control channel, and by the polls of a moving device: each poll lets a third of the motion
-pass, never beyond its end. So a whole run takes the same simulated time whatever the machine.
-While somebody follows a motion (a tracker that streams), a poll lets only the time of an exchange
-with a controller pass, and what happened meanwhile is handed out before the poll is answered.
+In stepped time nothing passes by itself. Time advances by the waits that the engine asks for on the
+control channel, and by the polls of a moving device: each poll lets a third of the motion pass,
+never beyond its end. So a whole run takes the same simulated time whatever the machine. While
+somebody follows a motion (a tracker that streams), a poll lets only the time of an exchange with a
+controller pass, and all that happened meanwhile is handed out before the poll is answered.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The truth of the tracker: where it stands, what it finds, what it reads, and the air.
 
 Noise along the beam is a length, across it an angle. All positions are in the tracker's frame, mm.
-The trap: how much plant time passes between two measurements depends a little on the machine's
-speed, so slow drift and air follow the number of measurements, each counted as 5 s.
+The plant time between two measurements depends a little on the machine's speed, so slow drift and
+air follow the number of measurements, each counted as 5 s.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Strings from outside, made harmless: at the driver's edge, and again before they are shown.
 
-The trap: escape sequences, markup and bidirectional marks in a device's text reach terminals,
-logs and reports raw and act there. Drivers clean what devices say; operator, job and reasons come
-from elsewhere, and a journal can be written by anybody, so what is shown is made harmless, too.
+Escape sequences, markup and bidirectional marks in a device's text would reach terminals, logs and
+reports raw and act there. Drivers clean the texts of devices; operator, job and reasons come from
+elsewhere, and journal text is untrusted, so all text is cleaned again before it is shown.
 """
 
 from __future__ import annotations

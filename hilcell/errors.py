@@ -1,4 +1,4 @@
-"""What hilcell raises: facts as data, which become one clear message only where one is shown.
+"""The errors of hilcell: facts as data, which become one clear message only where one is shown.
 
 Every error has the code of its entry in the catalogue of alarms (`hilcell.alarms`). Apart from
 `hilcell.ports`, so that an error can be shown without loading arrays.

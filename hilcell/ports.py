@@ -1,4 +1,4 @@
-"""What the core asks of devices: small Protocols, their readings and their errors.
+"""The ports: small Protocols that devices satisfy, their readings and their errors.
 
 Every rail, robot and tracker satisfies one of three. A tracker that can also stream satisfies
 `Streams`, a robot that can turn one axis slowly and report its joints meanwhile `Sweeps`; both hand
@@ -6,9 +6,9 @@ out a flyer: prepared by ``with``, started by ``kickoff``, read by ``collect``, 
 ``complete``, and put back to what it was on every way out of the ``with``.
 
 A driver is one plain class that satisfies one of these; it is built as ``Driver(options, clock)``
-with its own checked options (``Driver.Options``, a msgspec Struct) and the clock of the cell.
-The trap: a reading is only as good as its age. ``taken_s`` is ``time.monotonic()`` at the moment
-the bytes that carry the reading arrived; nobody may use one older than its limit.
+with its own checked options (``Driver.Options``, a msgspec Struct) and the clock of the cell. A
+reading is only as good as its age: ``taken_s`` is ``time.monotonic()`` at the moment the bytes that
+carry the reading arrived; nobody may use one older than its limit.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who answered: every string was cleaned at the driver's edge.
+    """The device that answered: every string was cleaned at the driver's edge.
 
     ``simulated`` is what the device says of itself: see `says_simulated`.
     """
@@ -65,11 +65,11 @@ def says_simulated(name: str) -> bool:
 class RailReading:
     """Drive and strip together: ``position_mm`` of the encoder, ``strip_mm`` of the strip.
 
-    ``still`` is the driver's judgement over a dwell: the speed within a window, and drive and
-    strip each within a window of position. A speed alone does not say it: a servo that holds a
-    position dithers, and a creep is slow. Positions of a slide that stands are medians of at least
-    five readings of the drive and of the same five of the strip; ``taken_s`` is when the newest of
-    them arrived, which agrees with the others. A slide that moves is told by its newest reading.
+    ``still`` is the driver's judgement over a dwell: the speed within a window, and drive and strip
+    each within a window of position. A speed alone does not say it: a servo that holds a position
+    dithers, and a creep is slow. Positions of a slide that stands are medians of at least five
+    readings of the drive and of the same five of the strip; ``taken_s`` is when the newest of them
+    arrived, which agrees with the others. For a slide that moves it is the newest.
     """
 
     position_mm: float
@@ -82,7 +82,7 @@ class RailReading:
 
 @dataclass(frozen=True, slots=True)
 class LinkStatistics:
-    """What a wire has carried since connect: whole frames received, and what was lost on it."""
+    """Counts of a wire since connect: whole frames received, and losses."""
 
     frames: int = 0
     bad_lines: int = 0  # that the gateway garbled
@@ -118,8 +118,8 @@ class TrackerReading:
 class StreamBlock:
     """Samples of a tracker: times (N,) of its own clock, positions (N, 3) in its frame.
 
-    They arrived between ``after_s`` and ``by_s`` of the cell's clock. The trap: they were taken
-    before; how long before is known from many blocks only.
+    They arrived between ``after_s`` and ``by_s`` of the cell's clock. They were taken before; how
+    long before is known from many blocks only.
     """
 
     device_s: Array

@@ -1,7 +1,7 @@
 """Files appear whole or not at all: written beside their place, then renamed.
 
-The trap: a rename replaces whatever has the name, a device, a pipe or a link as well. So links
-are followed, and what is no regular file is opened and written to.
+A rename replaces anything of that name, a device, a pipe or a link as well. So links are followed,
+and all but regular files are opened and written to.
 """
 
 from __future__ import annotations

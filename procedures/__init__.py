@@ -1,1 +1,1 @@
-"""Procedures: what is done and in which order; found through entry points."""
+"""Procedures: acts in their order; found through entry points."""

@@ -63,7 +63,7 @@ class BaseFrame:
         )
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return the base in {W}, its uncertainty, and what shorter arcs would have told."""
+        """Return the base in {W}, its uncertainty, and that of shorter arcs."""
         frame = log.frames["base"]
         u = np.sqrt(np.diag(np.array(frame["covariance"])))
         return {
@@ -100,11 +100,11 @@ def shorter_arcs(log: Log, axis: int) -> list[dict[str, float]]:
     cell = log.cell
     points = [p for p in log.group("base") if p.key.startswith(f"base/axis{axis}/")]
     begin_deg, end_deg = sweep_of(cell, axis)[1]
-    told = []
+    found = []
     for arc in arcs(len(points)):
         circle = circle_of(cell, log, axis, [points[n] for n in arc])
         u = np.sqrt(np.diag(circle.covariance))
-        told.append(
+        found.append(
             {
                 "arc_deg": abs(end_deg - begin_deg) * (len(arc) - 1) / (len(points) - 1),
                 "points": len(arc),
@@ -112,7 +112,7 @@ def shorter_arcs(log: Log, axis: int) -> list[dict[str, float]]:
                 "axis_u_mrad": float(np.linalg.norm(u[3:]) * 1e3),
             }
         )
-    return told
+    return found
 
 
 def arcs(points: int) -> list[range]:

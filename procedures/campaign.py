@@ -1,7 +1,7 @@
 """A campaign from a file: every pose is driven, every reflector on it measured, then fitted.
 
 The file is a CSV of measured targets (`hilcell fit`): its joints are commanded, its positions are
-where the tracker looks. What is journalled is what the devices answer.
+where the tracker looks. The journal gets the devices' answers.
 """
 
 from __future__ import annotations

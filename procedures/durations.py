@@ -1,7 +1,7 @@
 """How long motions and measurements take in the cell's time: trapezoids, waits and readings.
 
-What a controller adds between them, and what nobody can know before, as a vertex that stands out
-and is measured again, is left out: the run's pace shows it.
+Times that a controller adds, and points that nobody can foresee, as a vertex that stands out and is
+re-measured, are left out: the run's pace shows them.
 """
 
 from __future__ import annotations

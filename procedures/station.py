@@ -33,7 +33,7 @@ class HoldStation:
         return Step(self.name, 0, approach_s(cell, cell.rail.travel_min_mm, station))
 
     def perform(self, session: CellSession) -> None:
-        """Hold the station once; who needs it later holds it himself."""
+        """Hold the station once; a later act that needs it holds it itself."""
         if not session.reached("station_held"):
             session.hold_station(session.cell.station_named(session.cell.grid.station))
             session.reach("hold_station")
@@ -46,7 +46,7 @@ class HoldStation:
 class StationRepeatability:
     """Approaches one station many times, by the drive alone and by the strip.
 
-    First always from below, then from a random side: what differs is the direction's effect.
+    First always from below, then from a random side: the difference is the direction's effect.
     """
 
     name = "station-repeatability"

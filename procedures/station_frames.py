@@ -1,7 +1,7 @@
 """{S} at every station from nests on the slide (section 4.2, eqs 14-17, Fig 7).
 
-All nests averaged, best fit: the lever arm to the tool multiplies every angle. The trap: the
-station's frame and the reference's both carry noise, and both count.
+All nests averaged, best fit: the lever arm to the tool multiplies every angle. The station's frame
+and the reference's both carry noise, and both count.
 """
 
 from __future__ import annotations

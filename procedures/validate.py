@@ -66,7 +66,7 @@ class Validate:
         keys = [f"validate/{station.name}/{how}/{n:03d}" for n in range(len(targets_mm))]
         if all(key in session.log.points for key in keys):
             return
-        # Who carries the reflector by hand proves the tracker once a station.
+        # Where the reflector is carried by hand, the tracker is proven once a station.
         if keys[0] not in session.log.points and (
             how == "before" or not session.cell.layout.by_hand
         ):

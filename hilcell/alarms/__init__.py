@@ -1,4 +1,4 @@
-"""Alarms: what a run's faults and oddities mean, where they are, and what to do about them."""
+"""Alarms: the faults and warnings of a run, their meaning, their place, and the steps to take."""
 
 from hilcell.alarms.alarm import Alarm, alarms_of
 from hilcell.alarms.catalogue import Entry, Severity, catalogue

@@ -1,6 +1,6 @@
 """The alarms of a run, from its journal alone: the same for a live run, a past one, a crash.
 
-The trap: a run is performed in sessions, and what stopped an earlier one was dealt with. So only
+A run is performed in sessions, and the fault that stopped an earlier one was dealt with. So only
 the last session's events count, while verdicts and the room's temperature concern the whole run.
 """
 
@@ -62,7 +62,7 @@ def alarms_of(
     ``go_on`` is the key that lets a run continue, as the screen has it; ``lost`` tells that no
     calibration's file is there, which matters where the run has ended with one.
 
-    What no record dates (verdicts, temperature) stands first.
+    Alarms that no record dates (verdicts, temperature) stand first.
     """
     if log.plan is None:
         return []

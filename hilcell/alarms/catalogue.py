@@ -1,4 +1,4 @@
-"""The catalogue: what each code means to a technician, and what to do about it.
+"""The catalogue: the meaning of each code for a technician, and the steps to take.
 
 Entries are TOML files in packages: this one has those of the core; the entry points
 ``hilcell.alarms`` name the packages beside the code of drivers and procedures. An error says its

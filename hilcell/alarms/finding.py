@@ -1,6 +1,6 @@
-"""What was found, with the code of its alarm: an error's facts as a journal has them.
+"""An error's facts as a journal has them, with the code of its alarm.
 
-The trap: a text may come from a device, so nothing of it reaches a screen uncleaned.
+A text may come from a device, so nothing of it reaches a screen uncleaned.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 A notice latches too, but is let go when it is raised no more: the screen that was lost is back, the
 run that was stopped goes on. So is an alarm of a condition (`Entry.passes`), which latches again
-when it is raised again. No clock: what is new follows from the records that alarms come from, so
-the same journal, read again, counts nothing twice.
+when it is raised again. No clock: an alarm is new by the records that it comes from, so the same
+journal, read again, counts nothing twice.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Latch:
         return sorted(newest, key=lambda each: -SEVERITIES.index(each.severity))
 
     def acknowledge(self, code: str = "") -> None:
-        """Let go of one code, or of all; what comes later latches again."""
+        """Let go of one code, or of all; later ones latch again."""
         if code:
             self._latched.pop(code, None)
         else:

@@ -27,8 +27,8 @@ catalogues of hilcell, its drivers and its procedures by `python -m hilcell.alar
 
 A **fault** has stopped the run; devices are stopped, measured points are kept. A **warning** asks
 for somebody: the run waits, or its result is in doubt. A **notice** is worth knowing. A warning
-that nobody can answer, because the run is unattended, ends it as a fault; what a repetition has
-healed is shown as a notice. `hilcell explain CODE` prints one entry.
+that nobody can answer, because the run is unattended, ends it as a fault; a warning that a
+repetition has healed is shown as a notice. `hilcell explain CODE` prints one entry.
 
 On the screen an alarm also says where it was found, what was read and what was wanted. Where this
 list does not know a fault (codes that end in 99), the first step there is what the failing

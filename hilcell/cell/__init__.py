@@ -1,1 +1,1 @@
-"""What stands in the cell: its file, its layout, its devices."""
+"""The cell: its file, its layout, its devices."""

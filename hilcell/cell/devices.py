@@ -207,7 +207,7 @@ class ConnectFailed(DeviceError):
 def connect_all(devices: Devices, claim: Callable[[list[Identity]], None]) -> list[Identity]:
     """Open every device and return the identities; raises `ConnectFailed` naming all failures.
 
-    ``claim`` takes what each device says it is, before the next is opened; what it raises ends.
+    ``claim`` takes the identities of each device before the next is opened; its error ends it.
     """
     identities: list[Identity] = []
     failures: dict[str, DeviceError] = {}

@@ -1,4 +1,4 @@
-"""What stands in the cell: a strict TOML file becomes typed, checked objects.
+"""The cell file: strict TOML becomes typed, checked objects.
 
 Lengths mm, angles deg in the file; properties give rad. Frames: {W} world (three floor nests),
 {B} robot base, {S} slide (its nests are given in nominal {B}: the slide carries the robot).
@@ -52,7 +52,7 @@ __all__ = [
 MOST_POINTS = 100_000  # of the grid, and of targets in it
 MOST_STEPS = 10_000
 MOST_STATIONS = 1000
-# What a device takes its time for: known to plans and drivers, and nothing of what stands there.
+# Durations of devices: known to plans and drivers, and no part of what stands in the cell.
 PACE = {
     "rail": ("homing_mm_s", "standstill_dwell_s"),
     "robot": ("ramp_s",),
@@ -352,7 +352,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)
-        values["layout"].pop("reflectors")  # who carries them changes nothing that stands there
+        values["layout"].pop("reflectors")  # by hand or not, the cell is the same
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
     def station_named(self, name: str) -> Station:

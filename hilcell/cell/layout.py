@@ -1,4 +1,4 @@
-"""Where the rail and the nests stand, and who moves the reflectors.
+"""Where the rail and the nests stand, and whether reflectors are carried by hand.
 
 Frames: {W} world (three floor nests), {B} robot base, {S} slide (its nests are given in nominal
 {B}: the slide carries the robot).

@@ -1,7 +1,7 @@
 """Strict reading of settings: every problem at once, each with its path and the nearest key.
 
-The trap: TOML and msgspec let NaN and infinities through, and msgspec stops at the first problem;
-so each field is converted on its own and every float is checked to be finite.
+TOML and msgspec let NaN and infinities through, and msgspec stops at the first problem; so each
+field is converted on its own and every float is checked to be finite.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class SettingsError(HilcellError):
 def read_text(path: Path) -> str:
     """Return a file's text; raises `OSError`, `UnicodeDecodeError`.
 
-    The trap: reading a device file or a FIFO may never end, so only regular files are read.
+    Reading a device file or a FIFO may never end, so only regular files are read.
     """
     if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):
         raise OSError(errno.EINVAL, "it is not a regular file")

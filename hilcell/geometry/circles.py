@@ -1,7 +1,7 @@
 """Circles that a reflector runs about one robot axis, and the base frame they define (Fig 6).
 
-The trap: a circle has two axes. Which one is meant is told by the order of the points, so
-`fit_circle` must know whether they were taken in the positive or in the negative sense.
+A circle has two axes. The order of the points decides between them, so `fit_circle` must know
+whether they were taken in the positive or in the negative sense.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LEAST_ANGLE = 0.1  # sine between axes 1 and 6 below which x is not defined
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """A circle in space: centre (3,), unit axis (3,), radius, and what is left over.
+    """A circle in space: centre (3,), unit axis (3,), radius, and residuals.
 
     ``residuals_mm`` (N, 2): along the axis, and radially. ``covariance`` (6, 6) of centre (mm)
     and axis together, scaled by the residuals; all NaN with three points, which leave none.

@@ -2,8 +2,8 @@
 
 ``T_W_B`` carries coordinates of {B} into {W}. A small error of a frame is written as six numbers:
 the shift of its origin (mm) and a rotation vector (rad) about that origin, both with the axes of
-the frame it is stated in. The trap: three points fit a frame and its mirror image equally well,
-so left-handed data show only in four or more points that do not lie in one plane.
+the frame it is stated in. Three points fit a frame and its mirror image equally well, so
+left-handed data show only in four or more points that do not lie in one plane.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.ports import HilcellError
 
 LEAST_SPREAD = 0.02  # across over along: below this the points count as one line
-LEAST_DEPTH = 1e-3  # out of plane over along: below this handedness cannot be told
+LEAST_DEPTH = 1e-3  # out of plane over along: below this handedness is undefined
 ITERATIONS = 20
 CONVERGED = 1e-13
 

@@ -1,9 +1,9 @@
 """How errors of link parameters move the tool: the differential error model, eqs 3-7.
 
 Each link's error is a small shift and rotation of its own frame {i}, ``dA_i = A_i deltaA_i``;
-``U_{i+1} = A_{i+1} .. A_n {tool}`` carries it into {T}. The trap: eq 7's vectors have the axes of
-{T}; what a tracker sees has those of {B} and is turned by R_T. And eq 5 is a product, not a sum;
-eq 6 follows from it to first order, with U behind the last link being the tool frame alone.
+``U_{i+1} = A_{i+1} .. A_n {tool}`` carries it into {T}. Eq 7's vectors have the axes of {T}; a
+tracker's have those of {B} and are turned by R_T. And eq 5 is a product, not a sum; eq 6 follows
+from it to first order, with U behind the last link being the tool frame alone.
 """
 
 from __future__ import annotations

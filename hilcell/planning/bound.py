@@ -1,12 +1,12 @@
 """A proven lower bound on the length of open routes: Held and Karp's 1-trees.
 
-A hub at distance 0 from every hole closes a route with free ends to a tour. Give each hole a
-price that all its edges cost in addition: a tour has two edges at each hole, so it costs twice
-the prices more than its length; and the hub's two cheapest edges with the least spanning tree of
-the holes never cost more than a tour. Their cost less twice the prices is a bound for any prices.
-The trap: prices may be tuned on few edges, but a bound counts only when evaluated on all; and
-the best prices still leave a gap, about 1 % for scattered holes, 12 % where single rows meet.
-`hilcell.planning.cuts` narrows that.
+A hub at distance 0 from every hole closes a route with free ends to a tour. Give each hole a price
+that all its edges cost in addition: a tour has two edges at each hole, so it costs twice the prices
+more than its length; and the hub's two cheapest edges with the least spanning tree of the holes
+never cost more than a tour. Their cost less twice the prices is a bound for any prices. Prices may
+be tuned on few edges, but a bound counts only when evaluated on all; and the best prices still
+leave a gap, about 1 % for scattered holes, 12 % where single rows meet. `hilcell.planning.cuts`
+narrows that.
 """
 
 from __future__ import annotations

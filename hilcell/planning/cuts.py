@@ -1,10 +1,10 @@
 """A stronger lower bound where Held and Karp's is weak: linear programming with cuts.
 
-Single rows of holes that meet leave 1-trees up to 12 % below any tour. Here edges get shares
-0..1, two per hole, and cuts that every tour respects: subtours (2 edges leave any set of holes),
-blossoms and stars. The trap: what the solver returns is no proof, it saw few edges and rounds.
-Its prices are one: any prices of holes and cuts bound every tour, once the edges that they make
-cheap are counted over all pairs.
+Single rows of holes that meet leave 1-trees up to 12 % below any tour. Here edges get shares 0..1,
+two per hole, and cuts that every tour respects: subtours (2 edges leave any set of holes), blossoms
+and stars. The solver's value is no proof, for it saw few edges and rounds. Its prices are one: any
+prices of holes and cuts bound every tour, once the edges that they make cheap are counted over all
+pairs.
 """
 
 from __future__ import annotations

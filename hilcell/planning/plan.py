@@ -1,8 +1,8 @@
 """From holes to stations and orders of visit, after the paper's section 2.
 
-As few stations as reach all holes; each hole belongs to the station closest to it among those
-that reach it, and the slide moves only when the next hole is out of reach. The trap: travel is
-counted between the holes of one station; between stations the robot is at its safe pose.
+As few stations as reach all holes; each hole belongs to the station closest to it among those that
+reach it, and the slide moves only when the next hole is out of reach. Travel is counted between the
+holes of one station; between stations the robot is at its safe pose.
 """
 
 from __future__ import annotations

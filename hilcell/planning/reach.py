@@ -1,7 +1,7 @@
 """Which holes the robot reaches from which place on the rail, with how much room, and why not.
 
-The configuration is the cell's, for which its errors are known. The trap: the tracker must see
-the hole wherever the robot stands, so range is a matter of the hole alone.
+The configuration is the cell's, for which its errors are known. The tracker must see the hole
+wherever the robot stands, so range depends on the hole alone.
 """
 
 from __future__ import annotations

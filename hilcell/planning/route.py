@@ -3,8 +3,8 @@
 A route is open and its ends are free: a hub at distance 0 from every hole closes it to a tour.
 Nearest neighbours start it, 2-opt and Or-opt over near holes shorten it, and small kicks repeat
 that until it is near its bound. Where a few kicks do not get it there, the bound is sharpened
-first. The trap: a search that stops by the clock answers differently on another machine; this
-one counts its kicks and draws them from a fixed seed.
+first. A search that stops by the clock would answer differently on another machine; this one counts
+its kicks and draws them from a fixed seed.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Cuts that shares of edges break: subtours, blossoms, and the stars that blossoms grow to.
 
 Found by looking where they lie as a rule, not by proof: among the parts into which edges of
-middling and of large shares fall, and among the stretches of a good tour. The trap: that none is
-found does not say that none is broken.
+middling and of large shares fall, and among the stretches of a good tour. Where none is found, one
+may be broken all the same.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Star inequalities: what an odd number of row ends at one place costs every tour.
+"""Star inequalities: the cost for every tour of an odd number of row ends at one place.
 
 Where three rows meet, one has to be gone over twice or left by a jump. A blossom sees that at one
 step along the rows; shares avoid it by going over the row one and a third times. A star sees it
@@ -92,7 +92,7 @@ class _Growth:
         first = self._handles[0]
         inner, outer = self._tips(first), self._tips(~first)
         self._grow(first, outer)
-        self._grow(~first, inner)  # what leaves a handle leaves its complement
+        self._grow(~first, inner)  # an edge that leaves a handle leaves its complement
         return star(self._handles, self._teeth)
 
     def _tips(self, side: Bools) -> Ints:

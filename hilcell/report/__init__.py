@@ -1,1 +1,1 @@
-"""What a run found, for people: one HTML file, and tables for other programs."""
+"""Results of a run: one HTML file for people, tables for other programs."""

@@ -38,7 +38,7 @@ STEEL_EXPANSION_PER_K = 11.5e-6
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What the budget predicts where the data were transferred to, and what was found there."""
+    """The error that the budget predicts at the other stations, and the one measured there."""
 
     predicted_mm: float
     found_mm: float
@@ -188,7 +188,8 @@ def _station_frame(log: Log) -> list[Contribution]:
 def _check(log: Log, seen: Sequence[Contribution]) -> Check | None:
     """Compare with the other stations, whose errors no contribution was estimated from.
 
-    What stays the same from calibration to validation (SMR, scale of the tracker) cannot show.
+    Contributions that stay the same from calibration to validation (SMR, scale of the tracker)
+    cannot show.
     """
     reference = log.cell.grid.station
     others = [station.name for station in log.cell.station if station.name != reference]

@@ -1,7 +1,7 @@
-"""Two runs of one cell side by side: what drifted between the calibrations.
+"""Two runs of one cell side by side: the drift between the calibrations.
 
-A pure function of two logs. The trap: figures of two runs differ always; only a change beyond
-its stated uncertainty is drift, and what depends on the tracker's set-up is not compared at all.
+A pure function of two logs. Figures of two runs always differ; only a change beyond its stated
+uncertainty is drift, and figures that depend on the tracker's set-up are not compared at all.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What differs between two runs. ``moved_mm`` says by how much the error at each vertex did."""
+    """Changes between two runs. ``moved_mm`` is the change of the error at each vertex."""
 
     settings: list[Setting]
     changes: list[Change]

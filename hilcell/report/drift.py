@@ -1,8 +1,8 @@
-"""What moved between two runs of one cell, each figure with the uncertainty of its change.
+"""Changes between two runs of one cell, each figure with the uncertainty of its change.
 
 {W} is built from floor nests, so frames in {W} and errors in {B} can be compared between two
-set-ups of the tracker. The trap: where a frame is depends on {W}'s own noise, which a lever of
-metres multiplies; without it every station seems to have turned.
+set-ups of the tracker. The place of a frame depends on {W}'s own noise, which a lever of metres
+multiplies; without it every station seems to have turned.
 """
 
 from __future__ import annotations
@@ -169,7 +169,8 @@ def _world_covariance(log: Log, nests: Sequence[Point], at_mm: Array) -> Array:
 def grid_drift(first: Side, second: Side) -> GridDrift | None:
     """Return how the error at the vertices changed, or nothing where the grids differ.
 
-    An error of {B} moves all vertices together; what no small rigid motion explains is the arm's.
+    An error of {B} moves all vertices together; the rest, which no small rigid motion explains, is
+    the arm's.
     """
     if not _same_grid(first.log, second.log):
         return None

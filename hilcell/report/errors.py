@@ -1,4 +1,4 @@
-"""Position errors at the targets, from the log alone: what the figures and tables are drawn from.
+"""Position errors at the targets, from the log alone; figures and tables are drawn from them.
 
 Everything is in {W}, mm. An unfinished run gives what it has measured so far.
 """

@@ -1,6 +1,6 @@
 """A run's points, frames and results for other programs: CSV, XLSX or JSON, units in the headers.
 
-The trap: spreadsheets run text that begins like a formula, so such text is quoted.
+Spreadsheets run text that begins like a formula, so such text is quoted.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A run as its journal proves it, with its result recomputed.
 
-The trap: a report must be the same from the same journal, today and in a year, so nothing here
-asks for the time, for a live engine or for this machine.
+A report must be the same from the same journal, today and in a year, so nothing here asks for the
+time, for a live engine or for this machine.
 """
 
 from __future__ import annotations

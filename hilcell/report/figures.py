@@ -1,4 +1,4 @@
-"""The paper's figures, redrawn from what one run holds; what it does not hold is left out."""
+"""The paper's figures, redrawn from one run; a figure without data in it is left out."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """What a reader wants first: one place, before, after, and what was removed."""
+    """A reader's first lines: one place, before, after, and the share that was removed."""
 
     place: str
     before_mm: float

@@ -1,6 +1,6 @@
 """Figures become SVG that stands inside a page: small, the same every time, ids of its own.
 
-The trap: two figures on one page share one space of ids, so every id gets its figure's name.
+Two figures on one page share one space of ids, so every id gets its figure's name.
 """
 
 from __future__ import annotations

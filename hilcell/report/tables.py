@@ -167,7 +167,7 @@ def verdicts(facts: Facts) -> Sheet | None:
 
 
 def course(facts: Facts) -> Sheet:
-    """Return how the run went: its states, and what happened on the way."""
+    """Return how the run went: its states, and events on the way."""
     rows = []
     for record in facts.records:
         when, body = record.t[:19].replace("T", " "), record.body

@@ -1,8 +1,8 @@
 """Uncertainty after the GUM (JCGM 100:2008): contributions, combined and expanded.
 
-Every figure is for **one coordinate** of a position, in mm. The trap: a contribution that acts
-along one direction only, or a 3D length, counts with its root mean square over the three
-coordinates; 3D errors are sqrt(3) times larger than what stands here.
+Every figure is for **one coordinate** of a position, in mm. A contribution that acts along one
+direction only, or a 3D length, counts with its root mean square over the three coordinates; 3D
+errors are sqrt(3) times larger than what stands here.
 """
 
 from __future__ import annotations
