@@ -12,8 +12,7 @@ import msgspec
 from hilcell.cell.copied import check_copied
 from hilcell.cell.devices import abilities, check_options, load_entry, start_simulation
 from hilcell.cell.file import load_cell
-from hilcell.commands.common import say
-from hilcell.commands.messages import tell
+from hilcell.commands.output import print_answer, print_message
 from hilcell.commands.run import machine_seed
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
@@ -24,7 +23,7 @@ def check(args: argparse.Namespace) -> int:
     """Check a cell file, the drivers' options and the calibration's plan."""
     cell = load_cell(args.cell, dict(args.set))
     if warning := check_copied(args.cell, cell):
-        tell(warning)
+        print_message(warning)
     check_options(cell)
     procedure: Procedure = load_entry("procedures", "calibrate")
     plan = procedure.plan(cell, seed=1)
@@ -43,7 +42,7 @@ def check(args: argparse.Namespace) -> int:
         f"this tracker streams: {_word(able['tracker_streams'])}, "
         f"this robot sweeps an axis: {_word(able['robot_sweeps'])}"
     )
-    say(facts, words, as_json=args.json)
+    print_answer(facts, words, as_json=args.json)
     return 0
 
 
@@ -74,7 +73,7 @@ def sim(args: argparse.Namespace) -> int:
     try:
         print(msgspec.json.encode(simulated.options | {"control": simulated.address}).decode())
         sys.stdout.flush()
-        tell(
+        print_message(
             "simulated cell is up; in another terminal:\n"
             f"  hilcell run --cell {args.cell} --set simulation.address={simulated.address}\n"
             "ctrl-C ends it"

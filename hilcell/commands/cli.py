@@ -16,7 +16,7 @@ from pathlib import Path
 
 from hilcell import __version__
 from hilcell.clean import clean
-from hilcell.commands.messages import tell
+from hilcell.commands.output import print_message
 
 LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
@@ -402,7 +402,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         act = getattr(importlib.import_module(f"hilcell.{module}"), function)
         return int(act(args))
     except KeyboardInterrupt:
-        tell("hilcell: interrupted")
+        print_message("hilcell: interrupted")
         return 4
     except BrokenPipeError:
         sys.stderr.close()
@@ -416,10 +416,10 @@ def _refuse(error: Exception, *, as_json: bool) -> int:
 
     code = exit_code(error)
     if code == EXIT_INTERNAL:
-        tell("".join(traceback.format_exception(error)).rstrip())
-        tell("hilcell: this is a defect of hilcell; please report it")
+        print_message("".join(traceback.format_exception(error)).rstrip())
+        print_message("hilcell: this is a defect of hilcell; please report it")
     else:
-        tell(f"hilcell: {error}")
+        print_message(f"hilcell: {error}")
     if as_json:
         import json
 

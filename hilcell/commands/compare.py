@@ -7,9 +7,7 @@ import argparse
 import msgspec
 
 from hilcell.clean import encodable, harmless
-from hilcell.commands.common import say
-from hilcell.commands.messages import tell
-from hilcell.commands.output import print_table
+from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.runs import find_run, read_log
@@ -29,7 +27,7 @@ def compare(args: argparse.Namespace) -> int:
     found = compare_runs(first, second, live=(lives, other_lives))
     names = [encodable(folder.resolve().name) for folder in folders]
     if args.json:
-        say(_facts(found, *names), "", as_json=True)
+        print_json(_facts(found, *names))
         return 0
     _print(found, *names)
     return 0
@@ -48,8 +46,8 @@ def _print(found: Comparison, first: str, second: str) -> None:
     headers = ["where", "what", "first", "second", "change", "limit", "unit", "verdict"]
     _draw(headers, [_row(each) for each in found.changes])
     for note in found.notes:
-        tell(f"note: {note}")
-    tell(found.verdict)
+        print_message(f"note: {note}")
+    print_message(found.verdict)
 
 
 def _draw(headers: list[str], rows: list[list[str]]) -> None:

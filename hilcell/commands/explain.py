@@ -6,7 +6,7 @@ import argparse
 from difflib import get_close_matches
 
 from hilcell.alarms.catalogue import Entry, catalogue
-from hilcell.commands.common import say
+from hilcell.commands.output import print_json
 from hilcell.errors import HilcellError
 
 NEAREST = 3
@@ -17,7 +17,7 @@ def explain(args: argparse.Namespace) -> int:
     entry = _entry(args.code)
     facts = {"code": entry.code, "title": entry.title, "means": entry.means, "do": entry.do}
     if args.json:
-        say(facts, "", as_json=True)
+        print_json(facts)
     else:
         steps = (f"  {number}. {step}" for number, step in enumerate(entry.do, start=1))
         print(f"{entry.code} {entry.title}", entry.means, *steps, sep="\n")

@@ -13,9 +13,7 @@ from hilcell.calibration.file import compensate_targets, read_calibration
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell, load_cell
-from hilcell.commands.common import say
-from hilcell.commands.messages import tell
-from hilcell.commands.output import print_table
+from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.compensation.programs import Program, load_program, write_program
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.journal.runs import CALIBRATION, find_run
@@ -29,7 +27,7 @@ def fit(args: argparse.Namespace) -> int:
     test = read_measurements(Path(args.test)) if args.test else None
     result = fit_rows(read_robot(Path(args.robot)), read_measurements(Path(args.train)), test)
     if args.json:
-        say(result, "", as_json=True)
+        print_json(result)
         return 0
     rows = [
         [name, *(f"{figures[key]:.4f}" for key in ("mean_mm", "p95_mm", "max_mm"))]
@@ -63,9 +61,9 @@ def compensate(args: argparse.Namespace) -> int:
         count, written = _compensate_list(calibration, args.station, inputs, out)
     else:
         count, written = _compensate_program(calibration, args.station, program, inputs, out, cell)
-    tell(f"{count} targets corrected for {args.station} into {written}")
+    print_message(f"{count} targets corrected for {args.station} into {written}")
     if calibration.provenance.simulated:
-        tell(
+        print_message(
             f"hilcell: SIMULATED: run {calibration.provenance.run} measured no real robot; what "
             "was written is for trying out, not for a machine"
         )
@@ -95,8 +93,8 @@ def _compensate_program(
         T_W_B = np.array(calibration.stations[station].T_W_B)
         program.check_joints(cell.robot.arm(), T_W_B, command)
     elif program.needs_arm:
-        tell(f"{source.name}: {program.needs_arm} were not checked; --cell CELL does")
+        print_message(f"{source.name}: {program.needs_arm} were not checked; --cell CELL does")
     written = write_program(program, command[:, :3], source, out, inputs=inputs)
     for note in program.notes:
-        tell(f"{source.name}: {note}")
+        print_message(f"{source.name}: {note}")
     return len(program.names), " and ".join(map(str, written))

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hilcell.clean import encodable
-from hilcell.commands.common import say
-from hilcell.commands.messages import tell
-from hilcell.commands.output import Face, json_face, kind_of, progress_face
+from hilcell.commands.output import print_answer, print_message
+from hilcell.commands.run_output import JsonOutput, ProgressOutput, RunOutput, kind_of
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
@@ -33,7 +32,7 @@ def stop(args: argparse.Namespace) -> int:
 def _command(args: argparse.Namespace, command: str) -> int:
     folder = find_run(args.runs, args.run)
     answer = order(folder, command)
-    say(answer, f"run {folder.name}: asked to {command}", as_json=args.json)
+    print_answer(answer, f"run {folder.name}: asked to {command}", as_json=args.json)
     return 0
 
 
@@ -44,19 +43,19 @@ def watch(args: argparse.Namespace) -> int:
     records = _follow(folder)
     first = next(records, None)
     if first is None or first.kind != "plan":
-        tell(f"run {folder.name}: nothing to see yet")
+        print_message(f"run {folder.name}: nothing to see yet")
         return 2
     log.take(first)
     name = encodable(folder.name)
-    face: Face = json_face(name) if args.json else progress_face(name, log.inputs.points)
-    with face:
-        face.take(first)
+    output: RunOutput = JsonOutput(name) if args.json else ProgressOutput(name, log.inputs.points)
+    with output:
+        output.take(first)
         for record in records:
             log.take(record)
-            face.take(record)
+            output.take(record)
     state = log.states["run"]
     ended = "" if log.end is not None else "; its engine is gone, `hilcell resume` continues it"
-    tell(f"{kind_of(log)} {folder.name}: {state}{ended}")
+    print_message(f"{kind_of(log)} {folder.name}: {state}{ended}")
     return 0
 
 

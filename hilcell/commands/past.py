@@ -7,9 +7,7 @@ from typing import Any
 
 from hilcell.cell.devices import load_entry
 from hilcell.clean import encodable, harmless
-from hilcell.commands.common import say
-from hilcell.commands.messages import tell
-from hilcell.commands.output import print_table
+from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.journal.index import RunRow, read_index, row_of
 from hilcell.journal.runs import find_run, read_log
 from hilcell.run.procedure import Procedure
@@ -19,10 +17,10 @@ def runs(args: argparse.Namespace) -> int:
     """List the runs of a folder, in the order of their names."""
     found = [_summary(row) for row in sorted(read_index(args.runs), key=lambda row: row.name)]
     if args.json:
-        say({"runs": found}, "", as_json=True)
+        print_json({"runs": found})
         return 0
     if not found:
-        tell(f"no runs in {args.runs}")
+        print_message(f"no runs in {args.runs}")
         return 0
     headers = ["run", "procedure", "cell", "state", "points", "exit"]
     rows = [[*(_word(each.get(name)) for name in headers), _kind(each)] for each in found]
@@ -79,7 +77,7 @@ def show(args: argparse.Namespace) -> int:
         "result": result,
     }
     if args.json:
-        say(summary, "", as_json=True)
+        print_json(summary)
         return 0
     rows = [[name, str(summary[name])] for name in _SHOWN if summary.get(name) not in ("", None)]
     rows.append(["state", summary["state"]])

@@ -7,9 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hilcell.cell.file import Cell, load_cell
-from hilcell.commands.common import say
-from hilcell.commands.messages import tell
-from hilcell.commands.output import print_table
+from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.compensation.targets import write_rows
 from hilcell.planning.holes import read_holes
 from hilcell.planning.plan import HolePlan, StationPlan, ratio
@@ -26,7 +24,7 @@ def plan(args: argparse.Namespace) -> int:
             Path(args.output), header, _rows(found), inputs=map(Path, (args.holes, args.cell))
         )
     if args.json:
-        say(_facts(found), "", as_json=True)
+        print_json(_facts(found))
     else:
         _print(cell, found)
     return 0
@@ -80,7 +78,9 @@ def _print(cell: Cell, found: HolePlan) -> None:
     print_table((headers, rows))
     new = [each.station.name for each in found.stations if each.station not in cell.station]
     if new:
-        tell(f"not in the cell file yet: {', '.join(new)}; add them, with the strip's readings")
+        print_message(
+            f"not in the cell file yet: {', '.join(new)}; add them, with the strip's readings"
+        )
 
 
 def _figures(travel_mm: float, bound_mm: float) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from hilcell.commands.messages import tell
+from hilcell.commands.output import print_message
 from hilcell.journal.runs import CALIBRATION, JOURNAL, find_run
 from hilcell.report.facts import read_facts
 from hilcell.writing import write_whole
@@ -18,7 +18,7 @@ def report(args: argparse.Namespace) -> int:
     folder = find_run(args.runs, args.run)
     facts = read_facts(folder)
     write_whole(Path(args.output), report_html(facts).encode(), inputs=_files(folder))
-    tell(f"report of run {facts.run} in {args.output}")
+    print_message(f"report of run {facts.run} in {args.output}")
     return 0
 
 
@@ -30,7 +30,7 @@ def export(args: argparse.Namespace) -> int:
     folder = find_run(args.runs, args.run)
     facts = read_facts(folder)
     write_whole(Path(args.output), forms[args.form](facts), inputs=_files(folder))
-    tell(f"{args.form} of run {facts.run} in {args.output}")
+    print_message(f"{args.form} of run {facts.run} in {args.output}")
     return 0
 
 

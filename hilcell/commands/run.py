@@ -1,4 +1,4 @@
-"""``run`` and ``resume``: from words to a runner, and from its journal to a face."""
+"""``run`` and ``resume``: from words to a runner, and from its journal to its output."""
 
 from __future__ import annotations
 
@@ -29,8 +29,14 @@ from hilcell.cell.devices import (
 from hilcell.cell.file import Cell, load_cell
 from hilcell.clean import encodable
 from hilcell.clock import WallClock
-from hilcell.commands.messages import tell
-from hilcell.commands.output import Face, json_face, print_dry_run, print_end, progress_face
+from hilcell.commands.output import print_message
+from hilcell.commands.run_output import (
+    JsonOutput,
+    ProgressOutput,
+    RunOutput,
+    print_dry_run,
+    print_end,
+)
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.journal import Journal, StorageError
 from hilcell.journal.log import Log
@@ -64,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     _check_of_simulator(cell, "--machine-seed", args.machine_seed)
     check_attended(cell, unattended=args.unattended)
     if warning := check_copied(args.cell, cell):
-        tell(warning)
+        print_message(warning)
     procedure: Procedure = load_entry("procedures", args.procedure)
     plan = procedure.plan(cell, args.seed)
     check_options(cell)
@@ -82,10 +88,10 @@ def run(args: argparse.Namespace) -> int:
         journal = Journal(folder / JOURNAL, name, create=True)
         log = Log()
         journal.listen(log.take)
-        face = _face(args.json, name, plan.points, journal)
+        output = _output(args.json, name, plan.points, journal)
         journal.append("plan", "", _plan_record(cell, procedure, plan, args))
         try:
-            return _perform(cell, procedure, journal, log, face, folder, args)
+            return _perform(cell, procedure, journal, log, output, folder, args)
         except CellLocked:
             forget(folder)
             raise
@@ -112,11 +118,11 @@ def resume(args: argparse.Namespace) -> int:
     with locked(lock_of_name(folder.parent, cell.name), f"cell {cell.name}", folder.name):
         journal = Journal(folder / JOURNAL, encodable(folder.name), create=False)
         journal.listen(log.take)
-        face = _face(args.json, journal.run, inputs.points, journal)
+        output = _output(args.json, journal.run, inputs.points, journal)
         for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
-        face.already(sum(point.group != "control" for point in log.points.values()))
-        return _perform(cell, procedure, journal, log, face, folder, args)
+        output.skip_measured(sum(point.group != "control" for point in log.points.values()))
+        return _perform(cell, procedure, journal, log, output, folder, args)
 
 
 def machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
@@ -159,7 +165,7 @@ def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
     for key in retakes:
         order(folder, "retake", key=key)
     answer = order(folder, "proceed")
-    tell(f"run {folder.name}: asked to go on; it was {answer.get('state')}")
+    print_message(f"run {folder.name}: asked to go on; it was {answer.get('state')}")
     return 0
 
 
@@ -168,24 +174,24 @@ def _perform(
     procedure: Procedure,
     journal: Journal,
     log: Log,
-    face: Face,
+    output: RunOutput,
     folder: Path,
     args: argparse.Namespace,
 ) -> int:
     """Run to an end, write the calibration, and say how it went."""
     with ExitStack() as stack:
         stack.callback(journal.close)
-        stack.enter_context(face)
+        stack.enter_context(output)
         if log.states["run"] == "finished" and not log.retakes:
             code = finish(procedure, journal, log)
             code, fault = _with_calibration(code, None, log, journal.run, folder)
         else:
             code, fault = _run(cell, procedure, journal, log, folder, args)
-    face.close(code, log, fault)
-    print_end(folder, log, procedure, face, fault)
+    output.close(code, log, fault)
+    print_end(folder, log, procedure, output, fault)
     if code in RESUMABLE and not _wants_new_run(fault):
         runs = "" if folder.parent == Path("runs") else f" --runs {folder.parent}"
-        tell(f"resume with: hilcell resume {folder.name}{runs}")
+        print_message(f"resume with: hilcell resume {folder.name}{runs}")
     return code
 
 
@@ -257,10 +263,10 @@ def _with_calibration(
     return code, fault
 
 
-def _face(as_json: bool, run: str, points: int, journal: Journal) -> Face:
-    face = json_face(run) if as_json else progress_face(run, points)
-    journal.listen(face.take)
-    return face
+def _output(as_json: bool, run: str, points: int, journal: Journal) -> RunOutput:
+    output = JsonOutput(run) if as_json else ProgressOutput(run, points)
+    journal.listen(output.take)
+    return output
 
 
 def _plan_record(

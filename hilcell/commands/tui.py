@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from hilcell.commands.messages import tell
+from hilcell.commands.output import print_message
 from hilcell.errors import HilcellError
 from hilcell.tui.keys import load_keys
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, has_colours, has_shapes, is_coerced
@@ -46,7 +46,7 @@ def tui(args: argparse.Namespace) -> int:
     if app.return_code:
         from hilcell.run.exits import EXIT_INTERNAL
 
-        tell(
+        print_message(
             "hilcell: the screen ended by a defect of its own; please report it. A live run is"
             " not stopped by that: `hilcell tui last` shows it again"
         )
@@ -54,7 +54,7 @@ def tui(args: argparse.Namespace) -> int:
     runs = "" if args.runs == Path("runs") else f" --runs {args.runs}"
     for detached in app.detached:
         again = f"hilcell tui {detached}{runs}"
-        tell(f"hilcell: detached; the run goes on: `{again}` shows it again")
+        print_message(f"hilcell: detached; the run goes on: `{again}` shows it again")
     return 0
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from hilcell.cell.devices import load_entry
 from hilcell.commands.cli import main
-from hilcell.commands.output import Face, print_end
+from hilcell.commands.run_output import RunOutput, print_end
 from hilcell.journal.log import LinkRecord
 from hilcell.journal.runs import read_log
 from hilcell.report.facts import read_facts
@@ -32,7 +32,7 @@ def test_the_warning_stands_at_the_end_in_show_and_in_the_report(
 ) -> None:
     folder, loses = run_with(tmp_path, bad_lines), LOSES.format("0.50")
     log = read_log(folder)
-    print_end(folder, log, load_entry("procedures", "home"), Face(as_json=False), None)
+    print_end(folder, log, load_entry("procedures", "home"), RunOutput(as_json=False), None)
     assert (f"warning: {loses}" in " ".join(capsys.readouterr().err.split())) is warned
     assert main(["show", "r1", "--runs", str(tmp_path)]) == 0
     assert (loses in capsys.readouterr().out) is warned

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.commands.messages import tell
+from hilcell.commands.output import print_message
 from tests.hilcell.report.journals import Writer
 
 NAMES = ["one\x1b[31mred\x9b2J\u202e\x07", os.fsdecode(b"one\xff\xfe")]
@@ -57,5 +57,5 @@ def test_no_command_repeats_what_a_terminal_obeys(
 
 
 def test_lines_stay_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    tell("paper: 2 problems\n  a\x1b\n  b")
+    print_message("paper: 2 problems\n  a\x1b\n  b")
     assert capsys.readouterr().err == "paper: 2 problems\n  a\N{REPLACEMENT CHARACTER}\n  b\n"

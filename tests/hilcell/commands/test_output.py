@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from hilcell.commands.output import progress_face
+from hilcell.commands.run_output import ProgressOutput
 from hilcell.journal.journal import Record
 
 HINT = "hilcell resume goes on, ctrl-C stops"
@@ -26,7 +26,7 @@ PROMPT = {"title": "Seat the reflector in P1", "text": "Take it and seat it."}
 def test_a_run_that_waits_says_for_what(
     to: str, facts: dict[str, Any], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    face = progress_face("r", 3)
+    output = ProgressOutput("r", 3)
     body = {"machine": "run", "from": "running", "to": to} | facts
-    face.take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
+    output.take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
     assert " ".join(capsys.readouterr().err.split()) == words

@@ -1,0 +1,215 @@
+"""Prints a run as it goes: events as JSON lines, or a progress bar and a table.
+
+Output only listens: a closed pipe or a lost terminal never ends the run.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+
+from hilcell.cell.file import Cell
+from hilcell.clean import harmless
+from hilcell.commands.output import harmless_lines, print_message, print_table
+from hilcell.errors import facts_of
+from hilcell.journal.journal import Record
+from hilcell.journal.log import Log
+from hilcell.run.procedure import Plan, Procedure
+
+
+class RunOutput:
+    """Takes every durable record of a run; this base class prints nothing."""
+
+    def __init__(self, *, as_json: bool) -> None:
+        self.as_json = as_json
+        self._closed = False
+
+    def __enter__(self) -> Self:
+        """Start printing."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop printing."""
+
+    def skip_measured(self, points: int) -> None:
+        """Count the points that a resumed run already has."""
+
+    def close(self, code: int, log: Log, fault: Exception | None) -> None:
+        """Print the end where the journal could not store it."""
+
+    def take(self, record: Record) -> None:
+        """Print one record; after a failed write nothing more is printed."""
+        if not self._closed:
+            try:
+                self.print_record(record)
+            except (OSError, ValueError):
+                self._closed = True
+
+    def print_record(self, record: Record) -> None:
+        """Print one record."""
+
+
+class JsonOutput(RunOutput):
+    """Prints every record as one line of JSON on stdout."""
+
+    def __init__(self, run: str) -> None:
+        super().__init__(as_json=True)
+        self._run = run
+
+    def print_record(self, record: Record) -> None:
+        """Print the record as an event."""
+        self._write(record.event(self._run))
+
+    def close(self, code: int, log: Log, fault: Exception | None) -> None:
+        """Print the end where the journal could not store it."""
+        if log.end is None and not self._closed:
+            end: dict[str, Any] = {
+                "run": self._run,
+                "kind": "end",
+                "state": log.states["run"],
+                "exit": code,
+            }
+            end |= {"result": {}, "reason": str(fault)}
+            end |= {} if fault is None else {"error": facts_of(fault)}
+            with suppress(OSError, ValueError):
+                self._write(end)
+
+    def _write(self, event: dict[str, Any]) -> None:
+        sys.stdout.buffer.write(msgspec.json.encode(event) + b"\n")
+        sys.stdout.buffer.flush()
+
+
+class ProgressOutput(RunOutput):
+    """Draws a progress bar on stderr."""
+
+    def __init__(self, run: str, points: int) -> None:
+        super().__init__(as_json=False)
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        self._console = Console(stderr=True)
+        self._progress = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self._console,
+        )
+        self._task = self._progress.add_task(harmless(run), total=points)
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with suppress(OSError, ValueError):
+            self._progress.stop()
+
+    def skip_measured(self, points: int) -> None:
+        """Advance the bar."""
+        self._progress.advance(self._task, points)
+
+    def print_record(self, record: Record) -> None:
+        """Advance the bar, or print what the operator must know."""
+        body = record.body
+        if record.kind == "point" and body["group"] != "control":
+            place = f" at {body['station']}" if body["station"] else ""
+            text = harmless(f"{body['group']}{place}")
+            self._progress.update(self._task, advance=1, description=text)
+        elif record.kind == "state" and body["machine"] == "calibration":
+            self._print(f"{body['to'].replace('_', ' ')}")
+        elif record.kind == "state" and body["to"] in ("paused", "suspended"):
+            self._print(f"{body['to']}: {_waits_for(body)}hilcell resume goes on, ctrl-C stops")
+        elif record.kind == "event" and body["what"] == "no reading":
+            self._print(f"{body['key']}: {body['reason']} (try {body['tries']})")
+
+    def _print(self, text: str) -> None:
+        self._console.print(harmless_lines(text), markup=False, highlight=False)
+
+
+def print_end(
+    folder: Path, log: Log, procedure: Procedure, output: RunOutput, fault: Exception | None
+) -> None:
+    """Print how the run ended: its table on stdout, everything else on stderr."""
+    if fault is not None:
+        print_message(f"hilcell: {fault}")
+    if output.as_json:
+        return
+    if log.end is not None and log.end["result"]:
+        with suppress(OSError):  # a closed pipe does not change the run
+            print_table(procedure.table(log.end["result"]))
+            sys.stdout.flush()
+    for key, verdict in log.verdicts.items():
+        if not verdict["holds"]:
+            print_message(f"out of tolerance: {key}: {_facts(verdict)}")
+    if log.link is not None and log.link.warning:
+        print_message(f"warning: {log.link.warning}")
+    state = log.states["run"]
+    ended = state if log.end is not None else f"cut off while {state}"
+    print_message(f"{kind_of(log)} {folder.name}: {ended}; journal in {folder}")
+
+
+def kind_of(log: Log) -> str:
+    """Return the word for a run, which says so where it is simulated."""
+    return "SIMULATED run" if log.inputs.simulated else "run"
+
+
+def _waits_for(body: dict[str, Any]) -> str:
+    """Return what a paused or suspended run waits for, as the start of a sentence."""
+    prompt = body.get("prompt")
+    if prompt is not None:
+        return f"{prompt['title']}. {prompt['text']} When it is done, "
+    return f"{body['reason']}; " if "reason" in body else ""
+
+
+def _facts(verdict: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{name} {value:.4f}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in verdict.items()
+        if name != "holds"
+    )
+
+
+def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool) -> None:
+    """Print the plan: steps, points and duration."""
+    if as_json:
+        body = {
+            "procedure": procedure.name,
+            "cell": cell.name,
+            "digest": cell.digest,
+            "simulated": cell.simulation is not None,
+            "steps": msgspec.to_builtins(plan.steps),
+            "points": plan.points,
+            "duration_s": plan.duration_s,
+        }
+        head = {"run": None, "seq": 1, "kind": "plan"}
+        end = {"run": None, "seq": 2, "kind": "end", "state": "idle", "exit": 0, "result": body}
+        for event in (head | body, end):
+            print(msgspec.json.encode(event).decode())
+        return
+    rows = [[step.name, str(step.points), f"{step.duration_s / 60:.1f}"] for step in plan.steps]
+    rows.append(["all", str(plan.points), f"{plan.duration_s / 60:.1f}"])
+    print_table((["step", "points", "minutes"], rows))
