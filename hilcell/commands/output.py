@@ -11,8 +11,6 @@ import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-import msgspec
-
 from hilcell.clean import harmless
 
 if TYPE_CHECKING:
@@ -36,6 +34,8 @@ def print_answer(values: Mapping[str, object], words: str, *, as_json: bool) -> 
 
 def print_json(values: Mapping[str, object]) -> None:
     """Print ``values`` as one JSON object on stdout."""
+    import msgspec  # `--help` does without it
+
     print(msgspec.json.encode(values).decode())
 
 
