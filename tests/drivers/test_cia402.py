@@ -36,6 +36,12 @@ def test_an_independent_table_agrees(statusword: int) -> None:
     assert theirs == ([] if ours is State.UNKNOWN else [ours.value.upper()])
 
 
+def test_a_drive_that_brakes_has_power_too() -> None:
+    """Figure 8: from operation enabled until the end of a quick stop or of a fault's reaction."""
+    powered = {State.ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION}
+    assert powered == cia402.POWERED
+
+
 def test_the_way_up_and_none_from_a_fault() -> None:
     words = [
         cia402.next_control(s) for s in (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON)

@@ -100,6 +100,10 @@ MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], None], str]] = {
         lambda p: setattr(p.axis, "speed", 300_001),
         r"speed 300\.001 mm/s, allowed 300\.000 mm/s",
     ),
+    "runaway back": (
+        lambda p: setattr(p.axis, "speed", -300_001),
+        r"speed -300\.001 mm/s, allowed 300\.000 mm/s",
+    ),
     "outside": (
         lambda p: vars(p.axis).update(position=3_005_100, frozen=True),
         r"3005\.100 mm is beyond -5\.000 mm \.\. 3005\.000 mm",
@@ -120,8 +124,9 @@ MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], None], str]] = {
     "end of stream": (lambda p: p.server.drop(), "link lost"),
 }
 MOTION_ALARMS = {
-    "following error": "HC-R26", "limit": "HC-R32", "runaway": "HC-R33", "outside": "HC-R34",
-    "fault": "HC-R27", "power lost": "HC-R30", "magnet": "HC-S01", "emcy": "HC-R24",
+    "following error": "HC-R26", "limit": "HC-R32", "runaway": "HC-R33",
+    "runaway back": "HC-R33", "outside": "HC-R34", "fault": "HC-R27", "power lost": "HC-R30",
+    "magnet": "HC-S01", "emcy": "HC-R24",
     "strip emcy": "HC-R27", "reset": "HC-R03", "heartbeat": "HC-R02", "nmt stop": "HC-R03",
     "freeze": "HC-R31", "early": "HC-R31", "end of stream": "HC-R01",
 }  # fmt: skip

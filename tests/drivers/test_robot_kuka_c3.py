@@ -88,6 +88,10 @@ def test_a_move_ends_at_the_target_at_rest(robot: KukaC3Robot, peer: KukaPeer) -
     assert len(peer.requests) - before <= 15
 
 
+def test_joints_are_read_in_radians(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    np.testing.assert_allclose(robot.read().joints_rad, np.radians(peer.axes))
+
+
 def test_a_reading_and_a_point_cost_few_exchanges(robot: KukaC3Robot, peer: KukaPeer) -> None:
     """Every point is approached from below: two motions; three looks each until acknowledged."""
     robot.move_to(TARGET_RAD, 30.0)
@@ -235,6 +239,7 @@ ALARMS = {
         ("$ACT_TOOL", "3", r"\$ACT_TOOL is 3, wanted 1"),
         ("$ACT_BASE", "2", r"\$ACT_BASE is 2, wanted 0"),
         ("$TOOL", VARIABLES["$TOOL"].replace("127.0", "127.002"), "Z 127.002"),
+        ("$TOOL", VARIABLES["$TOOL"].replace("127.0", "126.998"), "Z 126.998"),
         ("$TOOL", VARIABLES["$TOOL"].replace("B 0.0", "B 90.0"), "B 90.000"),
         ("$BASE", VARIABLES["$BASE"].replace("X 0.0", "X 0.5"), "X 0.500"),
         ("HC_ACK", "6", "HC_ACK 6, wanted HC_SEQ 7"),

@@ -80,6 +80,17 @@ def test_a_listener_hears_only_what_is_durable(path: Path) -> None:
     journal.close()
 
 
+def test_what_is_acknowledged_is_on_the_disk(path: Path) -> None:
+    """The settings of SQLite by which a loss of power undoes no commit; no test can pull a plug."""
+    journal = Journal(path, "r", create=True)
+    settings = [
+        journal._base.execute(f"PRAGMA {name}").fetchone()[0]
+        for name in ("journal_mode", "synchronous")
+    ]
+    journal.close()
+    assert settings == ["wal", 2]  # 2: FULL
+
+
 def test_reopened_it_continues_the_chain(path: Path) -> None:
     journal = Journal(filled(path), "r", create=False)
     assert journal.append("event", "", {"what": "more"}).seq == 6

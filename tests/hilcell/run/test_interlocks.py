@@ -12,6 +12,7 @@ from hilcell.run.interlocks import (
     Blocked,
     Sight,
     check_joint_limits,
+    check_strip,
     overview,
     rail_may_move,
     robot_may_move,
@@ -81,6 +82,7 @@ def test_the_rail_stays(changes: dict[str, object], now_s: float, part: str) -> 
         ({"velocity_mm_s": float("inf")}, 10.0, "slide moves at inf"),
         ({"position_mm": float("nan")}, 10.0, "slide moves at"),
         ({"powered": True}, 10.0, "power to move"),
+        ({"powered": True, "velocity_mm_s": 0.0}, 10.0, "power to move"),
         ({"strip_mm": 1100.03}, 10.0, "station S1100 not held: strip 1100.03 mm, wanted 1100.00"),
         ({"strip_mm": float("nan")}, 10.0, "slide moves at"),
         ({"strip_mm": float("inf")}, 10.0, "slide moves at"),
@@ -89,6 +91,13 @@ def test_the_rail_stays(changes: dict[str, object], now_s: float, part: str) -> 
 def test_the_robot_stays(changes: dict[str, object], now_s: float, part: str) -> None:
     with pytest.raises(Blocked, match=part):
         robot_may_move(CELL, rail(**changes), S1100, now_s)
+
+
+def test_a_strip_that_says_nothing_proves_no_station() -> None:
+    """Also where the slide's standstill was not asked for first: after a measurement."""
+    check_strip(CELL, rail(), S1100, "hold")
+    with pytest.raises(Blocked, match="strip nan mm"):
+        check_strip(CELL, rail(strip_mm=float("nan")), S1100, "hold")
 
 
 @pytest.mark.parametrize("deg", [-4.0, -141.0, float("nan")])

@@ -69,9 +69,11 @@ def test_a_slide_that_does_not_follow_is_refused() -> None:
         approach_station(slide, CELL.rail, S1100)
 
 
-def test_a_slip_is_refused() -> None:
-    with pytest.raises(DeviceError, match=r"drive 1100.00 mm and strip 1102.50 mm differ"):
-        approach_station(Slide(offset_mm=2.5), CELL.rail, S1100)
+@pytest.mark.parametrize("slip_mm", [2.5, -2.5])
+def test_a_slip_to_either_side_is_refused(slip_mm: float) -> None:
+    found = rf"drive 1100.00 mm and strip {1100 + slip_mm:.2f} mm differ"
+    with pytest.raises(DeviceError, match=found):
+        approach_station(Slide(offset_mm=slip_mm), CELL.rail, S1100)
 
 
 def test_a_frozen_strip_is_refused() -> None:

@@ -1,0 +1,41 @@
+"""The order in which CiA 301, 7.5.2.36 wants a PDO mapped: strict devices refuse any other."""
+
+import struct
+from typing import cast
+
+import pytest
+
+from drivers.pdo import DISABLED, EVERY_SYNC, NO_RTR, Mapping, configure
+from drivers.sdo import SdoChannel
+
+PDO = Mapping(0x1801, 0x1A01, 0x285, EVERY_SYNC, ((0x606C, 32), (0x6061, 8)), struct.Struct("<ib"))
+
+
+class Objects:
+    """Keeps what is written, in its order."""
+
+    def __init__(self, cob_id: int) -> None:
+        self.cob_id = cob_id
+        self.written: list[tuple[int, int, int]] = []
+
+    def read(self, index: int, sub: int = 0) -> int:
+        assert (index, sub) == (0x1801, 1)
+        return self.cob_id
+
+    def write(self, index: int, sub: int, value: int) -> None:
+        self.written.append((index, sub, value))
+
+
+@pytest.mark.parametrize("kept", [0, NO_RTR])
+def test_a_pdo_is_off_while_it_is_mapped(kept: int) -> None:
+    objects = Objects(kept | 0x123)
+    configure(cast("SdoChannel", objects), PDO)
+    assert objects.written == [
+        (0x1801, 1, DISABLED | kept | 0x285),
+        (0x1A01, 0, 0),
+        (0x1A01, 1, 0x606C0020),
+        (0x1A01, 2, 0x60610008),
+        (0x1A01, 0, 2),
+        (0x1801, 2, 1),
+        (0x1801, 1, kept | 0x285),
+    ]

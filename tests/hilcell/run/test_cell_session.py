@@ -1,0 +1,91 @@
+"""What a session believes of a measurement, and from which side every axis comes."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.ports import Array, RobotReading, TrackerReading
+from hilcell.run.cell_session import CellSession
+from tests.hilcell.run.bed import CELL, Bed
+from tests.hilcell.run.rig import Points, procedure
+
+HOME_RAD = np.radians(CELL.robot.home_deg)
+S1100 = CELL.station_named("S1100")
+
+
+@pytest.fixture
+def bed(tmp_path: Path) -> Bed:
+    return Bed(tmp_path)
+
+
+def flange(session: CellSession, number: int) -> None:
+    session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+    session.flange_point(f"flange/{number}", "grid", S1100, HOME_RAD)
+
+
+def nothing(session: CellSession, number: int) -> None:
+    """Leave the robot where it is: the floor nest alone is measured."""
+
+
+def fault_of(bed: Bed, act: Callable[[CellSession, int], None]) -> str:
+    """Return the code of the fault that ends a run of ``act``; "" where none does."""
+    bed.run(procedure(Points(1, act)))
+    end = bed.log().end
+    assert end is not None
+    return str(end.get("error", {}).get("code", ""))
+
+
+def test_an_answer_to_an_earlier_request_is_refused(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure = bed.tracker.measure
+
+    def replayed(near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        reading = measure(near_mm, reflector, samples)
+        return replace(reading, taken_s=reading.taken_s - 10.0)
+
+    monkeypatch.setattr(bed.tracker, "measure", replayed)
+    assert fault_of(bed, nothing) == "HC-T31"
+
+
+@pytest.mark.parametrize(("off_mm", "code"), [(0.5, ""), (15.0, "HC-T17"), (np.nan, "HC-T17")])
+def test_a_reflector_far_from_its_place_is_refused(bed: Bed, off_mm: float, code: str) -> None:
+    bed.tracker.off_mm = np.array([0.0, off_mm, 0.0])
+    assert fault_of(bed, flange) == code
+
+
+def test_a_point_is_not_kept_where_the_slide_crept_meanwhile(bed: Bed) -> None:
+    def creep() -> None:
+        bed.rail.position_mm += 0.05
+
+    bed.tracker.answer = creep
+    assert fault_of(bed, flange) == "HC-S05"
+    assert not bed.log().points
+
+
+def test_a_point_is_measured_once_in_a_run_s_life(bed: Bed) -> None:
+    def twice(session: CellSession, number: int) -> None:
+        flange(session, 0)
+        flange(session, 0)
+
+    assert fault_of(bed, twice) == ""
+    assert bed.tracker.measured == 2  # the flange, and the floor nest of `Points`
+    assert list(bed.log().points) == ["flange/0", "p/0"]
+
+
+def test_every_axis_comes_from_below(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
+    targets: list[Array] = []
+    move = bed.robot.move_to
+
+    def moved(joints_rad: Array, speed_percent: float) -> RobotReading:
+        targets.append(np.array(joints_rad))
+        return move(joints_rad, speed_percent)
+
+    monkeypatch.setattr(bed.robot, "move_to", moved)
+    assert fault_of(bed, flange) == ""
+    before_rad, there_rad = targets
+    assert np.array_equal(there_rad, HOME_RAD)
+    assert there_rad - before_rad == pytest.approx(np.radians(CELL.robot.approach_deg))
