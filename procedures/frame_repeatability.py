@@ -13,6 +13,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.statistics import lengths_mm, rms
 from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
@@ -89,17 +90,15 @@ def repeatability_figures(log: Log) -> dict[str, Any]:
     for kind in ("base", "station"):
         reference_mm = seen_from(log, kind, cell.station_named(cell.grid.station))
         figures[kind] = {
-            station.name: np.linalg.norm(
-                seen_from(log, kind, station) - reference_mm, axis=1
-            ).tolist()
+            station.name: lengths_mm(seen_from(log, kind, station) - reference_mm).tolist()
             for station in others
         }
-    rms = {kind: _rms(np.array(list(figures[kind].values()))) for kind in ("base", "station")}
-    ratio = rms["base"] / rms["station"]
+    rms_mm = {kind: rms(list(figures[kind].values())) for kind in ("base", "station")}
+    ratio = rms_mm["base"] / rms_mm["station"]
     freedoms = FREEDOMS * len(others)
     spread = float(np.sqrt(stats.f.ppf(0.5 + CONFIDENCE / 2, freedoms, freedoms)))
     return figures | {
-        "rms_mm": rms,
+        "rms_mm": rms_mm,
         "ratio": ratio,
         "ratio_interval": [ratio / spread, ratio * spread],
     }
@@ -109,10 +108,6 @@ def seen_from(log: Log, kind: str, station: Station) -> Array:
     """Return the six points (6, 3) in the base or station frame of ``station``."""
     world_mm = apply(log.matrix("world"), positions_mm(log.group("six", station.name)))
     return apply(inverse(log.matrix(f"{kind}.{station.name}")), world_mm)
-
-
-def _rms(distances_mm: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(distances_mm))))
 
 
 def frame_repeatability_table(result: dict[str, Any]) -> Table:

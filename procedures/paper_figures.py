@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.errors import reduction as share_removed
 from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, grid_pairs
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.geometry.frames import apply, cross_matrix, inverse
 from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import forward
+from hilcell.geometry.statistics import lengths_mm, rms
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
 from procedures.base_frame import axis_6_height_mm, circle_of
@@ -47,7 +49,7 @@ def validation(where: str, *keys: str) -> Figure:
 def reduction(where: str) -> Figure:
     """Return by which share the paper's method lowers the mean error (abstract)."""
     before, after = validation(where, "before", "mean"), validation(where, "idw", "mean")
-    return lambda log, result: 1.0 - after(log, result) / before(log, result)
+    return lambda log, result: share_removed(before(log, result), after(log, result))
 
 
 def cells(log: Log, result: Result) -> float:
@@ -110,7 +112,7 @@ def interpolation_off_mm(log: Log, result: Result) -> float:
     grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
     once_mm = wanted_mm - by_eqs_9_10(grid, errors_mm, wanted_mm)
     twice_mm = wanted_mm - by_eqs_9_10(grid, errors_mm, grid.clamped(once_mm))
-    return float(np.linalg.norm(sent_mm - twice_mm, axis=1).max())
+    return float(lengths_mm(sent_mm - twice_mm).max())
 
 
 def by_eqs_9_10(grid: Grid, errors_mm: Array, points_mm: Array) -> Array:
@@ -161,5 +163,4 @@ def nests_moved_mm(log: Log, result: Result) -> float:
     """Return how far fixed floor nests were found from their first places: 3-D, rms."""
     again = log.group("control")
     first = [log.points[f"world/{point.key.split('/')[-1]}"] for point in again]
-    moved_mm = positions_mm(again) - positions_mm(first)
-    return float(np.sqrt(np.mean(np.sum(moved_mm**2, axis=1))))
+    return rms(lengths_mm(positions_mm(again) - positions_mm(first)))

@@ -10,8 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import grid_pairs
 from hilcell.geometry.frames import apply, inverse, rigid_fit, three_point_frame
+from hilcell.geometry.statistics import rms, variance_of_mean
 from hilcell.journal.log import Log
 from procedures.paper_figures import Result, transfer, validation
 from procedures.paper_stations import stations_needed
@@ -24,7 +26,6 @@ from procedures.station_frames import (
     station_fit,
     tool_uncertainty_mm,
 )
-from procedures.validate import errors_mm
 
 Limits = tuple[float, float]
 Limit = Callable[[Log, Result], Limits]
@@ -108,7 +109,7 @@ def circle_residual(log: Log, result: Result) -> Limits:
     """
     from scipy import stats
 
-    variance_mm2 = float(np.square(distances_mm(log)).mean()) / 3
+    variance_mm2 = rms(distances_mm(log)) ** 2 / 3
     visits_freedom = 3 * len(places_mm(log.cell)) * (VISITS - 1)
     circle_freedom = 2 * log.cell.base_frame.points - 6
     spread = float(stats.f.ppf(SURE, circle_freedom, visits_freedom))
@@ -151,8 +152,8 @@ def as_cross_validated(log: Log, result: Result) -> Limits:
     It is taken at twice the pitch, so the grid itself leaves less.
     """
     points = log.group("validate_idw", log.cell.grid.station)
-    norms_mm = np.linalg.norm(errors_mm(log, points), axis=1)
-    share = 3 * np.sqrt(2 / len(norms_mm)) * float(norms_mm.std(ddof=1) / norms_mm.mean())
+    norms_mm = errors_of(log, points).norms_mm
+    share = 3 * np.sqrt(2 * variance_of_mean(norms_mm)) / norms_mm.mean()
     return -INFINITE, (1 + share) * result["fit"]["loocv"]["idw"]["mean"]
 
 
@@ -173,8 +174,7 @@ def same_robot(log: Log, result: Result) -> Limits:
     variance_mm2 = max(tools_mm) ** 2
     for names in ([reference], others):
         points = [p for name in names for p in log.group("validate_before", name)]
-        norms_mm = np.linalg.norm(errors_mm(log, points), axis=1)
-        variance_mm2 += float(norms_mm.var(ddof=1)) / len(norms_mm)
+        variance_mm2 += variance_of_mean(errors_of(log, points).norms_mm)
     mean_mm = validation("reference", "before", "mean")(log, result)
     return mean_mm - 3 * np.sqrt(variance_mm2), mean_mm + 3 * np.sqrt(variance_mm2)
 

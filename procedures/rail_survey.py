@@ -9,6 +9,7 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, rigid_fit, unit
 from hilcell.geometry.rotations import to_rotvec
+from hilcell.geometry.statistics import variance_of_mean
 from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
 from hilcell.run.cell_session import FLANGE, CellSession
@@ -86,7 +87,7 @@ def survey_figures(log: Log) -> dict[str, Any]:
         "max_error_mm": float(np.abs([error_forth, error_back]).max()),
         "backlash_mm": {
             "value": float(lost_mm.mean()),
-            "u": float(lost_mm.std(ddof=1) / np.sqrt(len(lost_mm))),
+            "u": float(np.sqrt(variance_of_mean(lost_mm))),
         },
         "scale_ppm": {"value": float(slope.slope * 1e6), "u": float(slope.stderr * 1e6)},
         "straightness_mm": straightness_mm(forth_mm, along),

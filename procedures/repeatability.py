@@ -8,6 +8,13 @@ from typing import Any
 import numpy as np
 
 from hilcell.cell.file import Cell
+from hilcell.geometry.statistics import (
+    figures_of,
+    from_mean_mm,
+    reading_variances_mm2,
+    repeatability_mm,
+    rms,
+)
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
@@ -73,8 +80,8 @@ def distances_mm(log: Log) -> Array:
     clouds = [
         positions_mm(log.group(f"repeatability_{n}")) for n in range(len(places_mm(log.cell)))
     ]
-    from_mean = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds])
-    grown: Array = np.linalg.norm(from_mean, axis=1) * np.sqrt(VISITS / (VISITS - 1))
+    distances = np.concatenate([from_mean_mm(cloud) for cloud in clouds])
+    grown: Array = distances * np.sqrt(VISITS / (VISITS - 1))
     return grown
 
 
@@ -83,8 +90,7 @@ def rp_mm(log: Log) -> float:
 
     One place has too few visits for a figure of its own: three places make the standard's 30.
     """
-    distances = distances_mm(log)
-    return float(distances.mean() + 3 * distances.std(ddof=1))
+    return repeatability_mm(distances_mm(log))
 
 
 def rp_robot_mm(log: Log) -> float:
@@ -94,12 +100,12 @@ def rp_robot_mm(log: Log) -> float:
     states as standard deviations. Distances are taken to keep the shape of their distribution.
     """
     points = [point for place in visits(log) for point in place]
-    noise_mm2 = float(np.mean([np.square(point.std_mm).sum() / point.samples for point in points]))
-    share = 1.0 - noise_mm2 / float(np.square(distances_mm(log)).mean())
+    noise_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
+    share = 1.0 - float(noise_mm2.sum(axis=1).mean()) / rms(distances_mm(log)) ** 2
     return rp_mm(log) * math.sqrt(max(0.0, share))
 
 
 def floor(log: Log) -> dict[str, float]:
     """Return mean and p95 of what a perfect map would leave: one visit's distance from the mean."""
-    distances = distances_mm(log)
-    return {"mean": float(distances.mean()), "p95": float(np.quantile(distances, 0.95))}
+    figures = figures_of(distances_mm(log))
+    return {"mean": figures.mean, "p95": figures.p95}

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import command_mm, grid_errors_mm, grid_of
 from hilcell.cell.file import Cell
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.frames import apply
-from hilcell.journal.log import Log, positions_mm
+from hilcell.journal.log import Log
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
@@ -72,9 +73,7 @@ class SignCheck:
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors of the target before and corrected, and their ratio."""
         points = [log.points[key] for key in KEYS.values()]
-        nominal_mm = np.array([point.nominal_mm for point in points])
-        errors_mm = apply(log.matrix("world"), positions_mm(points)) - nominal_mm
-        before_mm, corrected_mm = (float(each) for each in np.linalg.norm(errors_mm, axis=1))
+        before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
         ratio = corrected_mm / before_mm
         return {"sign": {"before_mm": before_mm, "corrected_mm": corrected_mm, "ratio": ratio}}
 

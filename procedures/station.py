@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hilcell.cell.file import Cell
+from hilcell.geometry.statistics import from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
@@ -116,10 +117,9 @@ def approach_figures(log: Log, how: str, way: str) -> dict[str, float]:
     points = log.group(f"repeat_{how}_{way}")
     points_mm = positions_mm(points)
     along_mm = along_rail(log, points_mm)
-    spread_mm = np.linalg.norm(points_mm - points_mm.mean(axis=0), axis=1)
     figures = {
         "range_mm": float(np.ptp(along_mm)),
-        "rp_mm": float(spread_mm.mean() + 3 * spread_mm.std(ddof=1)),
+        "rp_mm": repeatability_mm(from_mean_mm(points_mm)),
     }
     above = np.array([point.key.endswith("+") for point in points])
     if above.any():

@@ -19,6 +19,7 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
+from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
@@ -136,7 +137,7 @@ def slide_noise_mm2(log: Log, station: Station) -> Array:
     """Return the covariances (N, 3, 3) in {W} of the averaged slide points, from their scatter."""
     R = log.matrix("world")[:3, :3]
     points = [log.points[f"slide/{station.name}/{nest.name}"] for nest in log.cell.layout.slide]
-    variance_mm2 = np.array([np.square(point.std_mm) / point.samples for point in points])
+    variance_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
     covariances: Array = np.einsum("ij,nj,kj->nik", R, variance_mm2, R)
     return covariances
 

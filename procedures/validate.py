@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import command_mm, grid_errors_mm, grid_of
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import Log
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -118,25 +119,8 @@ def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
     for how in ("before", "idw", "chosen"):
         points = [p for name in stations for p in log.group(f"validate_{how}", name)]
         figures["points"] = len(points)
-        figures[how] = figures_of(errors_mm(log, points))
+        figures[how] = errors_of(log, points).figures._asdict()
     return figures
-
-
-def errors_mm(log: Log, points: list[Point]) -> Array:
-    """Return e = actual - nominal in {W}, (N, 3), eq 18 before the norm."""
-    nominal_mm = np.array([point.nominal_mm for point in points])
-    error_mm: Array = apply(log.matrix("world"), positions_mm(points)) - nominal_mm
-    return error_mm
-
-
-def figures_of(errors: Array) -> dict[str, float]:
-    """Return mean, p95 and max of the norms of errors (N, 3)."""
-    norms = np.linalg.norm(errors, axis=1)
-    return {
-        "mean": float(norms.mean()),
-        "p95": float(np.quantile(norms, 0.95)),
-        "max": float(norms.max()),
-    }
 
 
 def targets(cell: Cell, seed: int) -> dict[str, Array]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from hilcell.calibration.robot_file import Measurements, RobotModel
 from hilcell.compensation.interpolation import inverse_distance_weights
+from hilcell.geometry import statistics
 from hilcell.geometry.frames import apply, cross_matrix, matrix, rigid_fit
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.rotations import from_rotvec
@@ -132,8 +133,7 @@ def _refuse_gross(placement: Placement, rows: Measurements) -> None:
 
 
 def _miss_mm(placement: Placement, rows: Measurements) -> Array:
-    miss: Array = np.linalg.norm(rows.xyz_mm - placement.predicted_mm(rows), axis=1)
-    return miss
+    return statistics.lengths_mm(rows.xyz_mm - placement.predicted_mm(rows))
 
 
 def nominal(placement: Placement, train: Measurements, test: Measurements) -> Array:
@@ -220,12 +220,8 @@ def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
 
 def figures_of(miss_mm: Array) -> Figures:
     """Return the figures of misses (N, 3)."""
-    norms = np.linalg.norm(miss_mm, axis=1)
-    return {
-        "mean_mm": float(norms.mean()),
-        "p95_mm": float(np.quantile(norms, 0.95)),
-        "max_mm": float(norms.max()),
-    }
+    mean_mm, p95_mm, max_mm = statistics.figures_of(statistics.lengths_mm(miss_mm))
+    return {"mean_mm": mean_mm, "p95_mm": p95_mm, "max_mm": max_mm}
 
 
 def _improved(

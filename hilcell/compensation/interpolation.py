@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from hilcell.compensation.grid import Grid, GridError, Ints
 from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import figures_of, lengths_mm
 
 CORNERS = np.array(list(product((0, 1), repeat=3)))  # (8, 3) steps from a cell's lowest vertex
 
@@ -95,12 +96,7 @@ def cross_validate(grid: Grid, errors_mm: ArrayLike) -> dict[str, dict[str, floa
     """Return mean, p95 and max (mm) of `loocv` by method."""
     figures = {}
     for method in METHODS:
-        norms = np.linalg.norm(loocv(grid, errors_mm, method), axis=1)
-        figures[method] = {
-            "mean": float(norms.mean()),
-            "p95": float(np.quantile(norms, 0.95)),
-            "max": float(norms.max()),
-        }
+        figures[method] = figures_of(lengths_mm(loocv(grid, errors_mm, method)))._asdict()
     return figures
 
 

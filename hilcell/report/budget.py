@@ -12,19 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilcell.calibration.errors import validation
 from hilcell.geometry.frames import apply
+from hilcell.geometry.statistics import pooled_std_mm, reading_variances_mm2, rms
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
-from hilcell.report.errors import validation
 from hilcell.report.uncertainty import (
     ASSUMED,
     MEASURED,
     Contribution,
     combined_mm,
-    coordinate_rms_mm,
     expanded_mm,
-    mean_reading_std_mm,
-    pooled_std_mm,
     remainder_mm,
     thermal_limit_mm,
 )
@@ -94,7 +92,8 @@ def budget_of(log: Log) -> Budget | None:
 
 def _reading_noise(log: Log) -> Contribution:
     points = [p for p in log.points.values() if p.smr_mm is not None] or list(log.points.values())
-    noise_mm = mean_reading_std_mm([p.std_mm for p in points], [p.samples for p in points])
+    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
+    noise_mm = math.sqrt(variances_mm2.mean())
     how = f"scatter of the readings of {len(points)} points"
     return Contribution("Tracker, reading noise", noise_mm, "normal", MEASURED, how, "4.2.3")
 
@@ -105,7 +104,7 @@ def _drift(log: Log) -> Contribution:
         how = "floor nests were measured once only"
         return Contribution("Drift", DRIFT_LIMIT_MM, "rectangular", ASSUMED, how, "4.3.7")
     how = f"{len(moved_mm)} measurements of the floor nests against the first"
-    return Contribution("Drift", coordinate_rms_mm(moved_mm), "normal", MEASURED, how, "4.2.2")
+    return Contribution("Drift", rms(moved_mm), "normal", MEASURED, how, "4.2.2")
 
 
 def _moves_mm(log: Log) -> Array:
@@ -142,11 +141,11 @@ def _target(log: Log, noise_mm: float) -> list[Contribution]:
         return []
     visits = sum(len(cloud) for cloud in clouds_mm)
     scatter_mm = pooled_std_mm(clouds_mm)
-    rms_mm = coordinate_rms_mm(reference.error_mm)
+    left_mm = rms(reference.error_mm)
     return [
         _strip(log),
         *_station_frame(log),
-        Contribution("Model residual", remainder_mm(rms_mm, scatter_mm), "normal", MEASURED,
+        Contribution("Model residual", remainder_mm(left_mm, scatter_mm), "normal", MEASURED,
                      f"{len(reference)} validated targets less repeatability", "4.2.2"),
         Contribution("Robot repeatability", remainder_mm(scatter_mm, noise_mm), "normal", MEASURED,
                      f"{visits} visits of {len(clouds_mm)} places less reading noise", "4.2.4"),
@@ -196,4 +195,4 @@ def _check(log: Log, seen: Sequence[Contribution]) -> Check | None:
     found = validation(log, others).get("chosen")
     if found is None:
         return None
-    return Check(combined_mm(seen), coordinate_rms_mm(found.error_mm), len(found))
+    return Check(combined_mm(seen), rms(found.error_mm), len(found))

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from hilcell.calibration.errors import Errors, places, validation
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.errors import HilcellError
+from hilcell.geometry.statistics import Figures, variance_of_mean
 from hilcell.journal.log import Log
 from hilcell.report.drift import Change, Side, base_variance_mm2, frame_changes, grid_drift, side_of
-from hilcell.report.errors import Errors, places, validation
 from hilcell.report.uncertainty import expanded_mm
 
 
@@ -110,19 +111,18 @@ def _validation(first: Side, second: Side) -> Iterator[Change]:
         if there.get(place) == stations:
             series, other = (validation(side.log, stations) for side in (first, second))
             for how in (how for how in series if how in other):
-                one, two = series[how], other[how]
-                limit = _mean_limit_mm(how, (first, one), (second, two))
-                where = (place, how)
-                yield _validated(*where, "mean", one.mean_mm, two.mean_mm, limit)
-                yield _validated(*where, "p95", one.p95_mm, two.p95_mm, None)
-                yield _validated(*where, "max", one.max_mm, two.max_mm, None)
+                yield from _validated(place, how, (first, series[how]), (second, other[how]))
 
 
 def _validated(
-    place: str, how: str, what: str, one_mm: float, two_mm: float, limit_mm: float | None
-) -> Change:
-    change_mm = two_mm - one_mm
-    return Change("validation", place, f"{how} {what}", "mm", one_mm, two_mm, change_mm, limit_mm)
+    place: str, how: str, first: tuple[Side, Errors], second: tuple[Side, Errors]
+) -> Iterator[Change]:
+    """Yield the change of each figure; the mean alone has a limit."""
+    limits_mm = (_mean_limit_mm(how, first, second), None, None)
+    pairs = zip(Figures._fields, first[1].figures, second[1].figures, limits_mm, strict=True)
+    for what, one_mm, two_mm, limit_mm in pairs:
+        change_mm, figure = two_mm - one_mm, f"{how} {what}"
+        yield Change("validation", place, figure, "mm", one_mm, two_mm, change_mm, limit_mm)
 
 
 def _mean_limit_mm(how: str, *runs: tuple[Side, Errors]) -> float | None:
@@ -135,7 +135,7 @@ def _mean_limit_mm(how: str, *runs: tuple[Side, Errors]) -> float | None:
         base_mm2 = base_variance_mm2(side.log)
         if side.u_mm is None or base_mm2 is None or len(errors) < 2:
             return None
-        variance_mm2 += float(np.var(errors.norms_mm, ddof=1)) / len(errors)
+        variance_mm2 += variance_of_mean(errors.norms_mm)
         variance_mm2 += side.u_mm**2 + (base_mm2 if how == "before" else 0.0)
     return expanded_mm(math.sqrt(variance_mm2))
 

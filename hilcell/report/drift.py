@@ -25,10 +25,10 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
+from hilcell.geometry.statistics import lengths_mm, pooled_std_mm, reading_variances_mm2
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
 from hilcell.report.budget import budget_of
-from hilcell.report.uncertainty import pooled_std_mm
 
 CONFIDENCE = 0.95
 Verdict = Literal["within", "beyond", ""]
@@ -152,7 +152,7 @@ def _world_covariance(log: Log, nests: Sequence[Point], at_mm: Array) -> Array:
     standard deviation.
     """
     measured_mm = positions_mm(nests)
-    std_mm = np.array([np.array(point.std_mm) / math.sqrt(point.samples) for point in nests])
+    std_mm = np.sqrt(reading_variances_mm2([p.std_mm for p in nests], [p.samples for p in nests]))
     T_W_L = log.matrix("world")
     as_built, at_tracker_mm = three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
     covariance: Array = np.zeros((6, 6))
@@ -183,11 +183,9 @@ def grid_drift(first: Side, second: Side) -> GridDrift | None:
     before_mm, after_mm, places_mm = (
         each[both] for each in (before_mm, after_mm, grid.serpentine_mm())
     )
-    moved_mm = np.linalg.norm(after_mm - before_mm, axis=1)
-    own_mm = np.linalg.norm(_less_rigid(places_mm, after_mm - before_mm), axis=1)
-    one_mm, other_mm = (
-        float(np.linalg.norm(each, axis=1).mean()) for each in (before_mm, after_mm)
-    )
+    moved_mm = lengths_mm(after_mm - before_mm)
+    own_mm = lengths_mm(_less_rigid(places_mm, after_mm - before_mm))
+    one_mm, other_mm = (float(lengths_mm(each).mean()) for each in (before_mm, after_mm))
     keys = [f"grid/{i}-{j}-{k}" for i, j, k in grid.serpentine()[both]]
     worst = int(np.argmax(moved_mm))
     whole, own = _vertex_u_mm(first, second, based=True), _vertex_u_mm(first, second, based=False)

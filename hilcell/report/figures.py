@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hilcell.calibration.errors import OTHERS, Errors, grid_errors, places, validation
 from hilcell.calibration.frames import grid_pairs
 from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
-from hilcell.report.errors import OTHERS, Errors, grid_errors, places, validation
 from hilcell.report.facts import Facts
 from hilcell.report.svg import INK, MUTED, house_style, svg_of
 
@@ -127,12 +127,13 @@ def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn 
     ax: Axes = axes[0, 0]
     for how, errors in series.items():
         _scatter(ax, how, errors.norms_mm, series_name(how, facts))
-        ax.axhline(errors.mean_mm, color=COLOURS[how], linewidth=0.8, linestyle=(0, (4, 2)))
+        mean_mm = errors.figures.mean
+        ax.axhline(mean_mm, color=COLOURS[how], linewidth=0.8, linestyle=(0, (4, 2)))
         if how != "idw":  # it would lie on the other mean
             ax.text(
                 1.008,
-                errors.mean_mm,
-                f"{errors.mean_mm:.3f}",
+                mean_mm,
+                f"{mean_mm:.3f}",
                 color=COLOURS[how],
                 va="center",
                 fontsize=7.5,
@@ -236,7 +237,7 @@ def _vector_rows(facts: Facts) -> list[tuple[str, str, Errors]]:
 def _magnification(errors: Errors) -> float:
     """Return the 1, 2 or 5 times a power of ten that draws the errors large, yet apart."""
     spread_mm = float(np.ptp(errors.nominal_mm, axis=0).max()) or 1000.0
-    return _round_down(0.2 * spread_mm / max(errors.max_mm, 1e-6))
+    return _round_down(0.2 * spread_mm / max(errors.figures.max, 1e-6))
 
 
 def _round_down(value: float) -> float:
@@ -275,7 +276,7 @@ def _cube(errors: Errors, scale: float) -> tuple[Array, Array]:
 def _scale_bar(
     ax: Axes, left: float, bottom: float, span: float, scale: float, errors: Errors
 ) -> None:
-    bar_mm = _round_down(max(errors.max_mm, 1e-6))
+    bar_mm = _round_down(max(errors.figures.max, 1e-6))
     begin, height = left + 0.03 * span, bottom + 0.035 * span
     end = begin + scale * bar_mm
     ax.plot([begin, end], [height, height], "|-", color=INK, markersize=4, linewidth=1.0)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hilcell import __version__
+from hilcell.calibration.errors import OTHERS, places, reduction, validation
 from hilcell.clean import harmless
 from hilcell.report import tables
 from hilcell.report.budget import budget_of
 from hilcell.report.certificate import certificate, title
-from hilcell.report.errors import OTHERS, places, reduction, validation
 from hilcell.report.facts import Facts
 from hilcell.report.figures import drawings
 
@@ -99,10 +99,10 @@ def headlines(facts: Facts) -> list[Headline]:
     for place, stations in list(places(facts.cell).items())[:2]:
         series = validation(facts.log, stations)
         if "before" in series and "chosen" in series:
-            before, after = series["before"], series["chosen"]
+            before, after = series["before"].figures, series["chosen"].figures
             name = f"Stations {' and '.join(stations)}" if place == OTHERS else f"Station {place}"
-            removed = reduction(before.mean_mm, after.mean_mm)
-            found.append(Headline(name, before.mean_mm, after.mean_mm, after.max_mm, removed))
+            removed = reduction(before.mean, after.mean)
+            found.append(Headline(name, before.mean, after.mean, after.max, removed))
     return found
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.errors import OTHERS, Errors, places, reduction, validation
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.report.budget import Budget
-from hilcell.report.errors import OTHERS, Errors, places, reduction, validation
 from hilcell.report.facts import Facts
 from hilcell.report.figures import series_name
 from hilcell.report.uncertainty import Contribution
@@ -61,12 +61,11 @@ def _accuracy_row(facts: Facts, place: str, series: Mapping[str, Errors], how: s
     removed = ["", ""]
     if before is not None and how != "before":
         removed = [
-            f"{100 * reduction(before.mean_mm, errors.mean_mm):.1f}",
-            f"{100 * reduction(before.max_mm, errors.max_mm):.1f}",
+            f"{100 * reduction(before.figures.mean, errors.figures.mean):.1f}",
+            f"{100 * reduction(before.figures.max, errors.figures.max):.1f}",
         ]
     name = "others together" if place == OTHERS else place
-    figures = _mm(errors.mean_mm, errors.p95_mm, errors.max_mm)
-    return [name, series_name(how, facts), str(len(errors)), *figures, *removed]
+    return [name, series_name(how, facts), str(len(errors)), *_mm(*errors.figures), *removed]
 
 
 def stations(facts: Facts) -> Sheet | None:

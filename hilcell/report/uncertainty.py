@@ -8,14 +8,9 @@ errors are sqrt(3) times larger than what stands here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
-
-import numpy as np
-from numpy.typing import ArrayLike
-
-from hilcell.ports import Array
 
 COVERAGE_FACTOR = 2.0  # about 95 % of a normal distribution (GUM 6.3.3)
 MEASURED, ASSUMED = "measured in this run", "stated assumption"
@@ -56,29 +51,6 @@ def combined_mm(contributions: Iterable[Contribution]) -> float:
 def expanded_mm(u_mm: float, k: float = COVERAGE_FACTOR) -> float:
     """Return the expanded uncertainty U = k u (GUM 6.2.1)."""
     return k * u_mm
-
-
-def coordinate_rms_mm(vectors_mm: ArrayLike) -> float:
-    """Return the root mean square of one coordinate of vectors (N, 3)."""
-    return float(np.sqrt(np.mean(np.square(np.asarray(vectors_mm, dtype=float)))))
-
-
-def pooled_std_mm(clouds_mm: Sequence[Array]) -> float:
-    """Return the standard deviation of one coordinate, pooled over clouds (N_i, 3) (GUM 4.2.4).
-
-    Each cloud spends one degree of freedom a coordinate on its own mean.
-    """
-    squares = sum(float(np.square(cloud - cloud.mean(axis=0)).sum()) for cloud in clouds_mm)
-    return math.sqrt(squares / (3 * sum(len(cloud) - 1 for cloud in clouds_mm)))
-
-
-def mean_reading_std_mm(std_mm: ArrayLike, samples: ArrayLike) -> float:
-    """Return the standard deviation of one coordinate of averaged readings (GUM 4.2.3).
-
-    ``std_mm`` (N, 3) is that of a single reading, ``samples`` (N,) how many were averaged.
-    """
-    variance_mm2 = np.square(np.asarray(std_mm, dtype=float)) / np.asarray(samples)[:, None]
-    return float(np.sqrt(variance_mm2.mean()))
 
 
 def thermal_limit_mm(length_mm: float, expansion_per_k: float, range_k: float) -> float:

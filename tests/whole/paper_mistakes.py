@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import grid_errors_mm, grid_of
 from hilcell.compensation.interpolation import idw
 from hilcell.geometry.frames import apply, inverse
@@ -17,7 +18,6 @@ from hilcell.ports import Array
 from hilcell.run.procedure import Procedure
 from procedures.paper import EXPERIMENTS, paper_table
 from procedures.paper_rows import ROWS, Row
-from procedures.validate import errors_mm
 from tests.whole.conftest import PaperRun
 
 EXPERIMENT = Procedure("experiments", "", EXPERIMENTS, paper_table)
@@ -64,7 +64,7 @@ def as_if_sent(log: Log, correct: Callable[[Array], Array], stations: Iterable[s
         nominal_mm = np.array([p.nominal_mm for p in log.group("validate_idw", station)])
         in_base_mm = apply(T_B_W @ moved_to_reference(log, station), nominal_mm)
         off_mm = correct(in_base_mm) @ inverse(T_B_W)[:3, :3].T
-        before_mm = errors_mm(log, log.group("validate_before", station))
+        before_mm = errors_of(log, log.group("validate_before", station)).error_mm
         reached_mm = apply(T_L_W, nominal_mm + before_mm - off_mm)
         points += [
             placed(point, at_mm)

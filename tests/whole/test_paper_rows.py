@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hilcell.calibration import frames as calibration
+from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import Frames, command_mm, grid_errors_mm, grid_of, grid_pairs
 from hilcell.cell.file import Cell
 from hilcell.compensation.interpolation import idw
@@ -23,16 +24,16 @@ from hilcell.compensation.similarity import Pairs
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.statistics import figures_of
 from hilcell.journal.log import Log, positions_mm
 from hilcell.planning.plan import HolePlan
 from hilcell.ports import Array
-from procedures import paper_figures, paper_stations, rail_survey, validate
+from procedures import paper_figures, paper_stations, rail_survey
 from procedures.base_frame import circle_of
 from procedures.paper import paper_table
 from procedures.paper_rows import ROWS, Row
 from procedures.plan import joints_for
 from procedures.station_frames import station_fit, tool_uncertainty_mm
-from procedures.validate import errors_mm
 from tests.whole.conftest import PaperRun
 from tests.whole.paper_mistakes import (
     BY_NAME,
@@ -174,7 +175,7 @@ def test_a_links_error_left_in_the_tools_frame(
 def test_errors_of_other_vertices_are_not_similar(paper: PaperRun) -> None:
     log = paper.log
     vertices = log.group("grid")
-    errors = errors_mm(log, vertices)[np.random.default_rng(1).permutation(len(vertices))]
+    errors = errors_of(log, vertices).error_mm[np.random.default_rng(1).permutation(len(vertices))]
     nominal_mm = np.array([point.nominal_mm for point in vertices])
     dealt_mm = apply(inverse(log.matrix("world")), nominal_mm + errors)
     points = [placed(point, at_mm) for point, at_mm in zip(vertices, dealt_mm, strict=True)]
@@ -248,7 +249,7 @@ def test_commands_by_another_equation(
 def test_a_correction_that_is_not_taken_off(paper: PaperRun, share: float) -> None:
     log = paper.log
     before, corrected = log.points["sign/before"], log.points["sign/corrected"]
-    (error_mm,) = errors_mm(log, [before])
+    (error_mm,) = errors_of(log, [before]).error_mm
     at_mm = apply(inverse(log.matrix("world")), [np.array(before.nominal_mm) + share * error_mm])
     assert "sec3.3.sign" in failing(changed(log, [placed(corrected, at_mm[0])]))
 
@@ -449,13 +450,7 @@ def test_one_target_that_is_sent_as_it_is(paper: PaperRun) -> None:
 
 
 def test_averaged_squares(paper: PaperRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    def squares(errors: Array) -> dict[str, float]:
-        norms = np.sum(errors**2, axis=1)
-        return {
-            "mean": float(norms.mean()),
-            "p95": float(np.quantile(norms, 0.95)),
-            "max": float(norms.max()),
-        }
-
-    monkeypatch.setattr(validate, "figures_of", squares)
+    monkeypatch.setattr(
+        "hilcell.calibration.errors.figures_of", lambda lengths_mm: figures_of(lengths_mm**2)
+    )
     assert "abstract.reduction.reference" in failing(paper.log)

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 
 from textual.content import Content
 
+from hilcell.calibration.errors import errors_of
+from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
+from hilcell.ports import Array
 from hilcell.tui.terminal.capabilities import Glyphs
 
 JUDGED = "validate_chosen"  # the paper's method is measured beside it, to be compared
@@ -40,24 +43,20 @@ def deviation_of(log: Log, point: Point) -> Deviation | None:
     """Return a point's deviation, or None where it has no nominal target or {W} is not known."""
     if point.nominal_mm is None or "world" not in log.frames:
         return None
-    rows = log.frames["world"]["matrix"]
-    x, y, z = point.xyz_mm
-    actual = [row[0] * x + row[1] * y + row[2] * z + row[3] for row in rows[:3]]
-    error = [a - n for a, n in zip(actual, point.nominal_mm, strict=True)]
+    found = errors_of(log, [point])
+    error, actual = found.error_mm[0], found.nominal_mm[0] + found.error_mm[0]
     limit = log.cell.validation.max_tolerance_mm if point.group == JUDGED else None
-    return Deviation(
-        point.key, (error[0], error[1], error[2]), (actual[0], actual[1], actual[2]), limit
-    )
+    return Deviation(point.key, _xyz(error), _xyz(actual), limit)
 
 
-def rms_mm(point: Point) -> float:
-    """Return the root of the mean square of a point's standard deviations."""
-    return math.sqrt(sum(each * each for each in point.std_mm) / 3)
+def _xyz(vector: Array) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z
 
 
 def state_of(log: Log, point: Point, deviation: Deviation | None) -> str:
     """Return a point's state in one word: ok, out, noisy, again (re-measured)."""
-    if not rms_mm(point) <= log.cell.tracker.max_std_mm:
+    if not rms(point.std_mm) <= log.cell.tracker.max_std_mm:
         return "noisy"
     if deviation is not None and not deviation.within:
         return "out"

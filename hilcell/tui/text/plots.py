@@ -6,15 +6,16 @@ Series differ by letter and name, not by colour.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import plotext
 from textual.content import Content
 
-from hilcell.journal.log import Log, Point
+from hilcell.calibration.errors import errors_of
+from hilcell.geometry.statistics import from_mean_mm
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.tui.engine.scene import Scene
-from hilcell.tui.text.deviation import deviation_of
 from hilcell.tui.text.tables import record_words
 
 HOWS = (("validate_before", "before"), ("validate_idw", "idw"), ("validate_chosen", "chosen"))
@@ -47,17 +48,16 @@ class Plot:
         return low * 1.08, high * 1.08
 
 
-def _norms(log: Log, points: Sequence[Point]) -> list[float]:
-    found = [deviation_of(log, point) for point in points]
-    return [each.norm_mm for each in found if each is not None]
+def _norms(log: Log, group: str) -> list[float]:
+    return errors_of(log, log.group(group)).norms_mm.tolist() if "world" in log.frames else []
 
 
 def errors_plot(log: Log) -> Plot:
     """Return |e| at the targets before and after correction, in their order."""
-    lines = [Line(name, _norms(log, log.group(group))) for group, name in HOWS]
+    lines = [Line(name, _norms(log, group)) for group, name in HOWS]
     lines = [line for line in lines if line.values]
     if not lines:
-        lines = [Line("grid", _norms(log, log.group("grid")))]
+        lines = [Line("grid", _norms(log, "grid"))]
     return Plot("|e| at each target", "target", "mm", lines)
 
 
@@ -76,19 +76,13 @@ def repeat_plot(log: Log) -> Plot:
             place = point.key.rsplit("/", 1)[0]
             groups.setdefault(place, []).append(point)
     lines = [
-        Line(name.removeprefix("repeat/"), _from_mean(points)) for name, points in groups.items()
+        Line(name.removeprefix("repeat/"), from_mean_mm(positions_mm(points)).tolist())
+        for name, points in groups.items()
     ]
     merged = [value for line in lines for value in line.values]
     if len(lines) > 3:
         lines = [Line("repeat visits", merged)]
     return Plot("repeatability: distance from the mean", "visit", "mm", lines)
-
-
-def _from_mean(points: Sequence[Point]) -> list[float]:
-    mean = [sum(point.xyz_mm[axis] for point in points) / len(points) for axis in range(3)]
-    return [
-        sum((point.xyz_mm[axis] - mean[axis]) ** 2 for axis in range(3)) ** 0.5 for point in points
-    ]
 
 
 def strip_plot(log: Log) -> Plot:

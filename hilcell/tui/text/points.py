@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from textual.content import Content
 
+from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
 from hilcell.tui.engine.scene import Scene
 from hilcell.tui.text.deviation import BAD_STATES, PointRow, row_of
-from hilcell.tui.text.deviation import rms_mm as rms_of
 from hilcell.tui.widgets import Column, Row
 
 WIDE = 112
@@ -98,7 +98,7 @@ def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
     else:
         errors = (*(f"{each:+.3f}" for each in deviation.error_mm), f"{deviation.norm_mm:.3f}")
         actual = deviation.actual_mm
-    narrow = (*errors, f"{rms_of(point):.3f}", state)
+    narrow = (*errors, f"{rms(point.std_mm):.3f}", state)
     if width < WIDE + 40:
         return Row(point.key, (point.key, *narrow), _TONES.get(state, ""))
     nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 2)
@@ -136,7 +136,7 @@ def point_page(scene: Scene, key: str) -> Content:
 def _measured(point: Point) -> list[tuple[str, str]]:
     facts = [
         ("reading, tracker {L}, mm", _numbers(point.xyz_mm, 4)),
-        ("standard deviation, mm", f"{_numbers(point.std_mm, 4)}   rms {rms_of(point):.4f}"),
+        ("standard deviation, mm", f"{_numbers(point.std_mm, 4)}   rms {rms(point.std_mm):.4f}"),
         ("samples", str(point.samples)),
         ("reflector", point.reflector),
         ("air", _air(point)),

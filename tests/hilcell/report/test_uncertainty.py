@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from hilcell.report.uncertainty import (
@@ -10,10 +9,7 @@ from hilcell.report.uncertainty import (
     Contribution,
     Distribution,
     combined_mm,
-    coordinate_rms_mm,
     expanded_mm,
-    mean_reading_std_mm,
-    pooled_std_mm,
     remainder_mm,
     thermal_limit_mm,
 )
@@ -56,28 +52,6 @@ def test_a_whole_budget_by_hand() -> None:
     ]
     assert combined_mm(lines) == pytest.approx(math.sqrt(239.8744e-6), rel=1e-6)
     assert expanded_mm(combined_mm(lines)) == pytest.approx(0.0309757, abs=1e-6)
-
-
-def test_coordinate_rms() -> None:
-    assert coordinate_rms_mm([[3, 0, 0], [0, 3, 0], [0, 0, 3]]) == pytest.approx(math.sqrt(3))
-
-
-def test_pooled_std_spends_a_degree_of_freedom_on_each_mean() -> None:
-    pair = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])  # squares 2, one degree a coordinate
-    assert pooled_std_mm([pair]) == pytest.approx(math.sqrt(2 / 3))
-    assert pooled_std_mm([pair, pair + 100.0]) == pytest.approx(math.sqrt(4 / 6))
-
-
-def test_pooled_std_is_the_truth_on_the_average() -> None:
-    rng = np.random.default_rng(5)
-    clouds = [rng.normal(scale=0.02, size=(10, 3)) + place for place in range(200)]
-    assert pooled_std_mm(clouds) == pytest.approx(0.02, rel=0.03)
-
-
-def test_averaged_readings() -> None:
-    assert mean_reading_std_mm([[3.0, 3.0, 3.0]], [9]) == pytest.approx(1.0)
-    both = mean_reading_std_mm([[3.0, 3.0, 3.0], [7.0, 7.0, 7.0]], [9, 1])
-    assert both == pytest.approx(5.0)  # root of the mean of 1 and 49
 
 
 def test_thermal_limit() -> None:

@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.errors import errors_of
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.runs import read_log
-from hilcell.report.errors import errors_of
 from hilcell.tui.engine.scene import Scene
-from hilcell.tui.text.deviation import deviation_of, rms_mm, row_of, state_of
+from hilcell.tui.text.deviation import deviation_of, row_of, state_of
 from hilcell.tui.text.plots import (
     PLOTS,
     Line,
@@ -125,12 +125,6 @@ def test_states_of_points(more: dict[str, Any], wanted: str) -> None:
     log = log_of(validated())
     point = changed(log, "validate/S1100/chosen/000", **more)
     assert state_of(log, point, deviation_of(log, point)) == wanted
-
-
-def test_the_rms_of_three_axes() -> None:
-    log = log_of(measuring())
-    point = changed(log, "grid/0-0-0", std_mm=(0.03, 0.04, 0.0))
-    assert rms_mm(point) == pytest.approx(0.05 / math.sqrt(3))
 
 
 # -- the table -------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Position errors at the targets, from the log alone; figures and tables are drawn from them.
+"""Position errors e = actual - nominal at the targets, from the log alone (eq 18).
 
 Everything is in {W}, mm. An unfinished run gives what it has measured so far.
 """
@@ -11,6 +11,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
+from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.ports import Array
 
@@ -31,23 +32,12 @@ class Errors:
     @property
     def norms_mm(self) -> Array:
         """Return the 3D errors (N,) of eq 18."""
-        norms: Array = np.linalg.norm(self.error_mm, axis=1)
-        return norms
+        return lengths_mm(self.error_mm)
 
     @property
-    def mean_mm(self) -> float:
-        """Return the mean 3D error."""
-        return float(self.norms_mm.mean())
-
-    @property
-    def p95_mm(self) -> float:
-        """Return the 3D error that 95 % of the targets keep."""
-        return float(np.quantile(self.norms_mm, 0.95))
-
-    @property
-    def max_mm(self) -> float:
-        """Return the largest 3D error."""
-        return float(self.norms_mm.max())
+    def figures(self) -> Figures:
+        """Return mean, p95 and maximum of the 3D errors (mm)."""
+        return figures_of(self.norms_mm)
 
 
 def errors_of(log: Log, points: list[Point]) -> Errors:

@@ -1,0 +1,75 @@
+"""Statistics of position errors and of repeated positions: every figure is defined here once.
+
+Arrays in mm; vectors (N, 3), lengths (N,). ISO 9283 is the edition of 1998, the GUM is JCGM
+100:2008. Names and docstrings say whether a figure is of one coordinate or of a 3D length: in root
+mean squares the length is sqrt(3) times larger, and the mean of lengths lies between the two.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hilcell.geometry.kinematics import Array
+
+
+class Figures(NamedTuple):
+    """Mean, 95 % quantile and maximum of 3D errors (mm)."""
+
+    mean: float
+    p95: float
+    max: float
+
+
+def lengths_mm(vectors_mm: ArrayLike) -> Array:
+    """Return the 3D lengths (N,) of vectors (N, 3): of errors those of the paper's eq 18."""
+    lengths: Array = np.linalg.norm(np.asarray(vectors_mm, dtype=float), axis=1)
+    return lengths
+
+
+def figures_of(lengths: Array) -> Figures:
+    """Return mean, 95 % quantile and maximum of lengths (N,), N >= 1."""
+    return Figures(float(lengths.mean()), float(np.quantile(lengths, 0.95)), float(lengths.max()))
+
+
+def rms(values: ArrayLike) -> float:
+    """Return the root mean square of all values: of vectors that of one coordinate."""
+    return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=float)))))
+
+
+def from_mean_mm(cloud_mm: Array) -> Array:
+    """Return the distances (N,) of points (N, 3) from their barycentre, l_j of ISO 9283, 7.2.2."""
+    return lengths_mm(cloud_mm - cloud_mm.mean(axis=0))
+
+
+def repeatability_mm(distances_mm: Array) -> float:
+    """Return the pose repeatability RP = mean + 3 s of distances l_j (N,) (ISO 9283, 7.2.2)."""
+    return float(distances_mm.mean() + 3 * distances_mm.std(ddof=1))
+
+
+def pooled_std_mm(clouds_mm: Sequence[Array]) -> float:
+    """Return the standard deviation of one coordinate, pooled over clouds (N_i, 3) (GUM 4.2.4).
+
+    Each cloud spends one degree of freedom a coordinate on its own mean.
+    """
+    squares = sum(float(np.square(cloud - cloud.mean(axis=0)).sum()) for cloud in clouds_mm)
+    return math.sqrt(squares / (3 * sum(len(cloud) - 1 for cloud in clouds_mm)))
+
+
+def variance_of_mean(values: ArrayLike) -> float:
+    """Return the variance s^2 / n of the mean of n values (n,) (GUM 4.2.3, eq 5)."""
+    found = np.asarray(values, dtype=float)
+    return float(found.var(ddof=1)) / len(found)
+
+
+def reading_variances_mm2(std_mm: ArrayLike, samples: ArrayLike) -> Array:
+    """Return the variances (N, 3) of averaged readings (GUM 4.2.3, eq 5).
+
+    ``std_mm`` (N, 3) is that of a single reading, ``samples`` (N,) how many were averaged.
+    """
+    variances: Array = np.square(np.asarray(std_mm, dtype=float)) / np.asarray(samples)[:, None]
+    return variances
