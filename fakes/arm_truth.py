@@ -116,7 +116,7 @@ class ArmTruth:
             value = self._size_mm(drawn, factor)
         raise HilcellError(
             f"errors.size_mm: no errors of size {sizes.size_mm} mm are found; take another size, "
-            "or other sizes of what makes them up"
+            "or other sizes of their parts"
         )
 
     def _size_mm(self, drawn: _Errors, factor: float) -> float:

@@ -88,7 +88,7 @@ KNOWN = {
     "tracker.init_lost": "status 39 until initialised again | a measurement",
     "tracker.drift_step": "the tracker shifts by this along x (mm), for good | a measurement",
     "tracker.noisy": "stdTotal is this (mm), and the reading as noisy | a measurement",
-    "tracker.metres": "values are in m whatever SetUnits said | a measurement",
+    "tracker.metres": "values are in m, SetUnits is ignored | a measurement",
     "tracker.left_handed": "y has the wrong sign | a measurement",
     "tracker.spike": "the reading is off by this (mm) | a measurement",
     "tracker.no_weather": "T, P and H are 0, status 94 | a measurement",

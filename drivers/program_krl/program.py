@@ -51,7 +51,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """Texts by file name, targets in the order of their first motion, and what is told of it."""
+    """Texts by file name, targets in the order of their first motion, and remarks on them."""
 
     texts: dict[str, str] = field(repr=False)
     targets: list[Target]

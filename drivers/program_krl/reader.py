@@ -69,13 +69,13 @@ class _Reader:
             self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
 
     def notes(self) -> list[str]:
-        """Return what was left as it is, and what the program's base must be."""
+        """Return the parts that were left as they are, and the program's required base."""
         used = {target.name for target in self.targets.values()}
         unused = [d.name for d in self._data.data.values() if d.kind in POINTS]
         unused = [name for name in unused if name not in used]
-        told = [f"{what} (line {line})" for what, line in self._left.items()]
-        told += [f"not used by a motion, left: {', '.join(unused)}"] if unused else []
-        return [*told, "its targets were taken in {W}, its base must be {W}"]
+        remarks = [f"{what} (line {line})" for what, line in self._left.items()]
+        remarks += [f"not used by a motion, left: {', '.join(unused)}"] if unused else []
+        return [*remarks, "its targets were taken in {W}, its base must be {W}"]
 
     # -- the first pass -----------------------------------------------------------------------
 

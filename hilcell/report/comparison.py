@@ -50,7 +50,7 @@ class Comparison:
         """Return the whole in one sentence."""
         judged = [c for c in self.changes if c.verdict and c.group != "air"]
         if not judged:
-            return "no uncertainty is stated for what both runs have: nothing is judged"
+            return "no uncertainty is stated for the figures of both runs: nothing is judged"
         if not self.drifted:
             return f"no drift: all {len(judged)} judged changes are within their uncertainty"
         return f"drift: {len(self.drifted)} of {len(judged)} judged changes are beyond it"
@@ -166,7 +166,7 @@ def _unfinished(first: Log, second: Log, live: tuple[bool, bool]) -> Iterator[st
         if state != "finished":
             stands = lives or state in ("aborted", "faulted")
             how = f"is {state}" if stands else f"was {state} when its engine was lost"
-            yield f"the {which} run {how}: what it has measured is compared"
+            yield f"the {which} run {how}: its measured points are compared"
 
 
 def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:

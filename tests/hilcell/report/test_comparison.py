@@ -273,7 +273,7 @@ def test_other_grids_are_not_compared(first: Log, records: list[Record]) -> None
 def test_an_unfinished_run_is_compared_as_far_as_it_is(first: Log, records: list[Record]) -> None:
     framed = next(n for n, r in enumerate(records) if r.key == "station.S300")
     cut = Log(records[: framed + 1])
-    kept = "what it has measured is compared"
+    kept = "its measured points are compared"
     live = compare_runs(cut, first, live=(True, False)).notes
     assert f"the first run is running: {kept}" in live
     aborted = msgspec.structs.replace(
