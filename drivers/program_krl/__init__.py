@@ -1,1 +1,1 @@
-"""KRL programs as text: which numbers are targets, and whether they can be corrected safely."""
+"""KRL programs as text: their targets, and whether these can be corrected safely."""

@@ -2,8 +2,8 @@
 
 Targets are taken in {W}: the base that is in force must be {W} at the station. A base is set by
 ``$BASE=``, ``BAS(#BASE,n)`` or the frame data of inline forms, ``FDAT_ACT=FP1`` for all motions
-that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. The trap: home moves bring frame data of
-their own, which count for nothing as long as only home moves use them.
+that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. Home moves bring frame data of their own,
+which count for nothing as long as only home moves use them.
 """
 
 from __future__ import annotations

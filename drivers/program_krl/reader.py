@@ -1,8 +1,8 @@
 """Reads a KRL program whose targets can be corrected safely; all else is refused, line by line.
 
-Only absolute motions to points that stand as numbers in the program are corrected. The trap: a
-point that the program reads, changes or hands on besides moving to it would carry its correction
-to places that nobody has checked, so that such a program is refused.
+Only absolute motions to points that stand as numbers in the program are corrected. A point that the
+program reads, changes or hands on besides moving to it would carry its correction to places that
+nobody has checked, so that such a program is refused.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """KRL text as statements of tokens: one statement a line, comments and ``&`` headers left out.
 
 Every token knows where it stands, so that a number can be replaced and all else stays byte for
-byte. The trap: ``;`` within a string starts no comment, and names ignore case.
+byte. ``;`` within a string starts no comment, and names ignore case.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def exactly(connection: socket.socket, size: int) -> bytes:
 def scripted(script: list[tuple[bytes, list[bytes]]], surprises: list[bytes]) -> Handler:
     """Return a handler that expects each request byte for byte and answers in the given pieces.
 
-    What else comes is appended to ``surprises``.
+    Other frames are appended to ``surprises``.
     """
 
     def handle(connection: socket.socket) -> None:

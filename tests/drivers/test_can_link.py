@@ -30,8 +30,8 @@ def test_nobody_listening_is_named() -> None:
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2])
-def test_a_gateway_that_hangs_up_while_connecting_is_told(frames: int) -> None:
-    """Wherever in the connecting it happens, reading or writing: a lost link, told within 2 s."""
+def test_a_gateway_that_hangs_up_while_connecting_is_reported(frames: int) -> None:
+    """Anywhere in the connecting, reading or writing: a lost link, reported within 2 s."""
 
     def hangs_up(connection: socket.socket) -> None:
         heard = 0

@@ -25,7 +25,7 @@ from drivers.cia402 import State
         (0x0001, State.UNKNOWN),
     ],
 )
-def test_states_are_told_by_the_statusword(statusword: int, state: State) -> None:
+def test_states_follow_from_the_statusword(statusword: int, state: State) -> None:
     assert cia402.state_of(statusword) is state
 
 
@@ -72,7 +72,7 @@ def test_words_that_may_not_go_out_after_a_stop(word: int, enables: bool) -> Non
         (0xA000, "0xA000 (unknown)"),
     ],
 )
-def test_emergencies_are_told_in_words(code: int, text: str) -> None:
+def test_emergencies_have_words(code: int, text: str) -> None:
     assert emcy.text(code) == text
 
 

@@ -200,5 +200,5 @@ def test_any_bytes_decode_or_are_refused(data: bytes) -> None:
         (777, "status 777 (unknown)"),
     ],
 )
-def test_codes_are_told_in_words(status: int, text: str) -> None:
+def test_codes_have_words(status: int, text: str) -> None:
     assert emscon.status_text(status) == text

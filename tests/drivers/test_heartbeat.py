@@ -160,7 +160,7 @@ def test_nothing_is_started_by_a_reading_that_is_old(
     with pytest.raises(DeviceError, match=r"PC late: the reading to move by is 0\.6 s old"):
         image.control(0x000F)
     assert len(cell.peer.frames(0x205)) == sent
-    image.control(0x0000)  # what takes the power away always goes
+    image.control(0x0000)  # a word that takes the power away always goes out
 
 
 def emergency(cell: Cell) -> DeviceError:

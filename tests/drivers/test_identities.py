@@ -1,4 +1,4 @@
-"""Who a device says it is, and whether it says that it is simulated."""
+"""Identities of devices, and whether they report that they are simulated."""
 
 import struct
 from collections.abc import Iterator

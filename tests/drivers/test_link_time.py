@@ -1,4 +1,4 @@
-"""A PC that is late excuses its devices; what it has not seen it does not move by."""
+"""A PC that is late excuses its devices; it does not move by readings that it has not seen."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ def test_a_fault_in_motion_stops_and_is_named(
         rail.move_to(1100.0)
 
 
-def test_a_set_point_never_acknowledged_is_told(
+def test_a_set_point_never_acknowledged_is_reported(
     rail: CanopenRail, peer: CanPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     never_starts(peer, monkeypatch)
@@ -165,13 +165,13 @@ def test_a_set_point_never_acknowledged_is_told(
         rail.move_to(1100.0)
 
 
-def test_a_drive_that_does_not_enable_is_told(rail: CanopenRail, peer: CanPeer) -> None:
+def test_a_drive_that_does_not_enable_is_reported(rail: CanopenRail, peer: CanPeer) -> None:
     peer.axis.deaf = True
     with pytest.raises(DeviceError, match="wanted drive to leave 'switch on disabled'"):
         rail.move_to(1100.0)
 
 
-def test_a_refused_mode_is_told(rail: CanopenRail, peer: CanPeer) -> None:
+def test_a_refused_mode_is_reported(rail: CanopenRail, peer: CanPeer) -> None:
     peer.abort[0x6060, 0] = 0x08000022
     with pytest.raises(DeviceError, match=r"0x08000022, .*present device state"):
         rail.move_to(1100.0)

@@ -1,4 +1,4 @@
-"""What the rail's driver asks, writes and refuses before anything may move."""
+"""Requests, settings and refusals of the rail's driver before anything may move."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_a_missing_node_is_named(peer: CanPeer) -> None:
         rail_for(peer).connect()
 
 
-def test_a_missing_node_on_a_line_full_of_garbage_is_told_with_what_was_lost(
+def test_a_missing_node_on_a_line_full_of_garbage_is_reported_with_the_losses(
     peer: CanPeer,
 ) -> None:
     peer.ignore.add((0x1000, 0))
@@ -111,7 +111,7 @@ def test_a_missing_node_on_a_line_full_of_garbage_is_told_with_what_was_lost(
         rail_for(peer).connect()
 
 
-def test_an_abort_is_told_in_the_standards_words(peer: CanPeer) -> None:
+def test_an_abort_is_reported_in_the_standards_words(peer: CanPeer) -> None:
     peer.abort[0x6007, 0] = 0x06010002
     with pytest.raises(
         DeviceError, match="6007h:00: SDO abort 0x06010002, Attempt to write a read"
@@ -220,7 +220,7 @@ def test_an_old_fault_is_reset_and_nothing_enabled(peer: CanPeer) -> None:
     rail.close()
 
 
-def test_a_fault_that_stays_is_told(peer: CanPeer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_that_stays_is_reported(peer: CanPeer, monkeypatch: pytest.MonkeyPatch) -> None:
     peer.axis.state = FAULT
     monkeypatch.setattr(peer.axis, "control", lambda word, target: None)
     peer.objects[DRIVE][0x603F, 0] = u16(0x8611)

@@ -1,4 +1,4 @@
-"""A rail whose servo hunts, creeps, or is home at once: what the driver makes of it."""
+"""A rail whose servo hunts, creeps, or is home at once, as the driver judges it."""
 
 from __future__ import annotations
 
@@ -113,9 +113,9 @@ def test_a_window_too_narrow_for_this_servo_is_named_with_its_option(
     (option,) = narrow
     with pytest.raises(
         DeviceError, match=f"not come to rest: .*{found}.*, wanted .*{wanted}.*{option}"
-    ) as told:
+    ) as raised:
         rail.move_to(700.0)
-    assert told.value.code == "HC-R43"
+    assert raised.value.code == "HC-R43"
     assert abs(peer.axis.position - 700_000) < 10
     rail.close()
 

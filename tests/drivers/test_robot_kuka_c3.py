@@ -298,7 +298,7 @@ def test_a_frame_changed_in_motion_spoils_the_reading(
         robot.move_to(TARGET_RAD, 30.0)
 
 
-def test_the_cause_is_told_before_its_consequence(robot: KukaC3Robot, peer: KukaPeer) -> None:
+def test_the_cause_is_reported_before_its_consequence(robot: KukaC3Robot, peer: KukaPeer) -> None:
     peer.frozen = True
     peer.variables |= {"$PRO_STATE1": "#P_STOP", "$PERI_RDY": "FALSE", "$ALARM_STOP": "FALSE"}
     with pytest.raises(DeviceError, match=r"\$ALARM_STOP is FALSE, wanted TRUE; emergency stop"):
@@ -306,7 +306,7 @@ def test_the_cause_is_told_before_its_consequence(robot: KukaC3Robot, peer: Kuka
 
 
 @pytest.mark.parametrize(("error", "message"), [("1", "unknown command"), ("2", "software limits")])
-def test_the_programs_errors_are_told(
+def test_the_programs_errors_are_reported(
     robot: KukaC3Robot, peer: KukaPeer, error: str, message: str
 ) -> None:
     peer.error = error
@@ -428,7 +428,7 @@ def test_a_restarted_controller_fails_every_read(robot: KukaC3Robot, peer: KukaP
         robot.move_to(TARGET_RAD, 30.0)
 
 
-def test_idle_connections_are_kept_and_a_loss_is_told(
+def test_idle_connections_are_kept_and_a_loss_is_reported(
     peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(keep_alive, "IDLE_S", 0.02)

@@ -109,7 +109,7 @@ def test_a_write_is_read_back(peer: CanPeer) -> None:
         (0x08000022, "present device state"),
     ],
 )
-def test_an_abort_is_told_and_taints_nothing(peer: CanPeer, code: int, words: str) -> None:
+def test_an_abort_is_reported_and_taints_nothing(peer: CanPeer, code: int, words: str) -> None:
     peer.abort[0x6007, 0] = code
     with channel_to(peer) as channel:
         with pytest.raises(Aborted, match=f"0x{code:08X}, .*{words}") as caught:
@@ -118,7 +118,7 @@ def test_an_abort_is_told_and_taints_nothing(peer: CanPeer, code: int, words: st
         assert channel.read(*PROFILE_VELOCITY) == 111
 
 
-def test_silence_is_told_after_three_tries(peer: CanPeer) -> None:
+def test_silence_is_reported_after_three_tries(peer: CanPeer) -> None:
     peer.ignore.add(PROFILE_VELOCITY)
     with (
         channel_to(peer) as channel,

@@ -76,7 +76,7 @@ def test_what_was_before_a_motion_is_forgotten() -> None:
     assert standstill.rest is None
 
 
-def test_a_slide_that_came_to_rest_is_told_by_what_came_after() -> None:
+def test_a_slide_that_came_to_rest_is_read_by_later_polls() -> None:
     way = [poll(1000 * n, 100 * n, velocity=400) for n in range(9)]
     assert after(*way, *[poll(9000, 900)] * 5).rest == Rest(9000, 900)
 

@@ -73,7 +73,7 @@ def test_what_has_arrived_is_taken_though_the_time_is_up() -> None:
         link.close()
 
 
-def test_a_device_that_takes_no_bytes_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_takes_no_bytes_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.tcp.SEND_S", 0.05)
     end = threading.Event()
 

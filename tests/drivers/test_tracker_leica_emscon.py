@@ -401,7 +401,9 @@ def test_a_search_that_fails_tells_what_was_tried_before(tracker: Quick, peer: E
         tracker.measure(POINT, SMR, 1)
 
 
-def test_a_stop_that_is_refused_is_told_beside_the_cause(tracker: Quick, peer: EmsconPeer) -> None:
+def test_a_stop_that_is_refused_is_reported_beside_the_cause(
+    tracker: Quick, peer: EmsconPeer
+) -> None:
     peer.answers[49] = lambda _: [reply(49), NOT_READY]
     peer.answers[52] = lambda _: [failure(52, 10014)]
     with pytest.raises(NoReading, match=r"beam broke, and it was not stopped: status 10014 "):

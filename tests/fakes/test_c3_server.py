@@ -183,7 +183,7 @@ def test_commands_sent_while_stopped_are_not_carried_out(robot: Robot) -> None:
     assert robot.client.read("$AXIS_ACT") == before
 
 
-def test_limits_and_unknown_commands_are_told_in_hc_err(robot: Robot) -> None:
+def test_limits_and_unknown_commands_show_in_hc_err(robot: Robot) -> None:
     robot.client.go(1, [0.0, 0.0, 90.0, 0.0, 0.0, 0.0])
     assert robot.client.read("HC_ERR") == "2"
     robot.client.write("HC_CMD", "7")

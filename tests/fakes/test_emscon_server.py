@@ -97,7 +97,7 @@ def test_golden_find_and_measure(ready: Tracker) -> None:
     assert 40 < values[16] < 50
 
 
-def test_lengths_are_metres_until_told_otherwise(tracker: Tracker) -> None:
+def test_lengths_are_metres_until_units_are_set(tracker: Tracker) -> None:
     client = tracker.client
     assert client.ask(7)[0] == OK
     assert client.ask(40, "i", 3)[0] == OK
@@ -147,7 +147,7 @@ def test_settings_are_read_back(ready: Tracker) -> None:
     ):
         sent = values or (22.5, 1013.25, 45.0)
         assert client.ask(put, form, *sent)[0] == OK
-        assert client.packet()[0] == 8  # and everybody is told
+        assert client.packet()[0] == 8  # and every client receives it
         found = struct.unpack("<" + form, client.ask(get)[1])
         if values is not None:
             assert found == pytest.approx(sent)

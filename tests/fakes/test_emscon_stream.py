@@ -123,7 +123,7 @@ SAMPLES_MM = [[4310.026863, 734.159453, 741.175222], [4213.506950, 909.945631, 4
 
 
 @pytest.mark.parametrize("leaps_s", [[0.01] * 60, [0.157, 0.001, 0.442], [0.6]])
-def test_the_same_samples_whoever_asks_when(cell: Cell, leaps_s: list[float]) -> None:
+def test_the_same_samples_at_any_time_of_asking(cell: Cell, leaps_s: list[float]) -> None:
     faults, time = Faults(), PlantTime()
     plant = Plant(cell, 1, time, faults)
     plant.robot.move(plant.robot.state().joints_rad + 0.1, 0.2)

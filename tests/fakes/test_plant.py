@@ -147,7 +147,7 @@ def test_lost_zero_turns_the_tool(cell: Cell) -> None:
 
 
 def test_the_machine_is_the_same_under_another_plan(cell: Cell) -> None:
-    """What is measured changes nothing of what stands there, to the last digit."""
+    """The plan of measurements changes nothing of the plant, to the last digit."""
     replace = msgspec.structs.replace
     grid = replace(
         cell.grid,

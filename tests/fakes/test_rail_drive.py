@@ -35,28 +35,28 @@ WORDS = {
 
 @dataclass
 class StillRail(RailTruth):
-    """A rail that notes what it is told and never moves."""
+    """A rail that notes its calls and never moves."""
 
-    told: list[str] = field(default_factory=list)
+    calls: list[str] = field(default_factory=list)
 
     def poll(self) -> RailState:
         return RailState(0.0, 0.0, 0.0, False, False, False)
 
     def move(self, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        self.told.append(f"move {target_mm} {speed_mm_s} {acceleration_mm_s2}")
+        self.calls.append(f"move {target_mm} {speed_mm_s} {acceleration_mm_s2}")
 
     def quick_stop(self, deceleration_mm_s2: float) -> None:
-        self.told.append(f"stop {deceleration_mm_s2}")
+        self.calls.append(f"stop {deceleration_mm_s2}")
 
     def brake(self, closed: bool) -> None:
-        self.told.append("brake closed" if closed else "brake open")
+        self.calls.append("brake closed" if closed else "brake open")
 
 
 def alone(state: State = State.SWITCH_ON_DISABLED) -> tuple[RailDrive, StillRail]:
     rail = StillRail()
     drive = RailDrive(rail, Faults(), load_cell("paper").rail, lambda *_: None)
     drive.state = state
-    rail.told.clear()
+    rail.calls.clear()
     return drive, rail
 
 
@@ -126,16 +126,16 @@ def test_fault_is_reset_by_the_edge_only() -> None:
 def test_no_set_point_outside_operation_enabled(state: State) -> None:
     drive, rail = alone(state)
     obey(drive, 0x10)
-    assert not any(told.startswith("move") for told in rail.told)
+    assert not any(call.startswith("move") for call in rail.calls)
 
 
 @pytest.mark.parametrize("word", [0x00, 0x02, 0x06, 0x07])
 def test_brake_closes_on_leaving_operation_enabled(word: int) -> None:
     drive, rail = alone(State.SWITCHED_ON)
     obey(drive, 0x0F)
-    assert rail.told == ["brake open"]
+    assert rail.calls == ["brake open"]
     obey(drive, word)
-    assert rail.told[-1] == "brake closed"
+    assert rail.calls[-1] == "brake closed"
 
 
 def in_motion(**objects: int) -> tuple[RailDrive, StillRail]:
@@ -152,11 +152,11 @@ def in_motion(**objects: int) -> tuple[RailDrive, StillRail]:
 
 def test_profile_of_a_move() -> None:
     _, rail = in_motion(x6081=90_000, x607F=80_000, x6083=70_000, x6084=60_000)
-    assert rail.told == ["brake open", "move 5.0 80.0 60.0"]
+    assert rail.calls == ["brake open", "move 5.0 80.0 60.0"]
 
 
 @pytest.mark.parametrize(
-    ("option", "told", "state"),
+    ("option", "call", "state"),
     [
         (0, "brake closed", State.SWITCH_ON_DISABLED),
         (1, "stop 60.0", State.QUICK_STOP_ACTIVE),
@@ -165,10 +165,10 @@ def test_profile_of_a_move() -> None:
         (6, "stop 50.0", State.QUICK_STOP_ACTIVE),
     ],
 )
-def test_quick_stop_options(option: int, told: str, state: State) -> None:
+def test_quick_stop_options(option: int, call: str, state: State) -> None:
     drive, rail = in_motion(x605A=option, x6084=60_000, x6085=50_000)
     obey(drive, 0x02)
-    assert (rail.told[2], drive.state) == (told, state)
+    assert (rail.calls[2], drive.state) == (call, state)
 
 
 def test_no_way_back_from_a_quick_stop_that_ends_disabled() -> None:
@@ -178,7 +178,7 @@ def test_no_way_back_from_a_quick_stop_that_ends_disabled() -> None:
     kept = drive.state
     drive.observe(rail.poll())
     assert (kept, drive.state) == (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
-    assert rail.told[-1] == "brake closed"
+    assert rail.calls[-1] == "brake closed"
 
 
 def test_set_point_during_halt_is_not_taken() -> None:
@@ -186,7 +186,7 @@ def test_set_point_during_halt_is_not_taken() -> None:
     drive.dictionary.download(0x6060, 0, b"\x01")
     obey(drive, 0x0F)
     obey(drive, 0x11F)
-    assert rail.told == ["brake open"]
+    assert rail.calls == ["brake open"]
 
 
 @pytest.mark.parametrize("command", [b"\x02\x00", b"\x82\x05"])
@@ -307,7 +307,7 @@ def test_halt_of_nothing_starts_nothing() -> None:
     drive.dictionary.download(0x6060, 0, b"\x01")
     for word in (0x0F, 0x10F, 0x0F):
         obey(drive, word)
-    assert rail.told == ["brake open"]
+    assert rail.calls == ["brake open"]
 
 
 def test_software_limit_holds_the_target_back() -> None:

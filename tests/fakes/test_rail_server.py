@@ -1,4 +1,4 @@
-"""The served rail as a whole: who may come, who is killed, what nonsense does to it."""
+"""The served rail as a whole: clients that come, clients that are killed, nonsense."""
 
 from __future__ import annotations
 

@@ -208,7 +208,7 @@ def test_faults_over_the_control_channel(simulated: PaperCell) -> None:
         control.ask("fault", name="robot.mode_t1")
         assert robot.read("$MODE_OP") == "#T1"
         control.ask("clear", name="robot.mode_t1")
-        assert robot.read("$MODE_OP") == "#T1"  # what the fault left behind stays
+        assert robot.read("$MODE_OP") == "#T1"  # the fault is over, its consequence stays
         control.ask("clear")
         assert robot.read("$MODE_OP") == "#EX"
         with pytest.raises(DeviceError, match="did you mean"):

@@ -78,12 +78,12 @@ def test_plans_refuse_before_anything_moves() -> None:
         check_range(CELL, np.array([[0.0, 0.0, 0.0], [20_000.0, 0.0, 0.0]]), "nests")
 
 
-def test_all_refusals_are_told_at_once() -> None:
+def test_all_refusals_are_reported_at_once() -> None:
     cell = load_cell("paper", {"tracker.max_range_mm": "4000.0", "grid.centre.x_mm": "2600.0"})
-    with pytest.raises(HilcellError) as told:
+    with pytest.raises(HilcellError) as raised:
         CALIBRATE.plan(cell, 1)
     for part in ("world-frame", "robot-grid", "station-frames", "validate"):
-        assert f"\n{part}: " in str(told.value)
+        assert f"\n{part}: " in str(raised.value)
 
 
 def test_one_cell_is_no_grid() -> None:

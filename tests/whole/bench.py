@@ -51,13 +51,13 @@ def hilcell(*words: str | Path, limit_s: float = LIMIT_S) -> subprocess.Complete
 
 def command(*words: str | Path) -> subprocess.CompletedProcess[str]:
     """Do the same in this process: quicker, where nothing depends on a process of its own."""
-    out, told = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
-    with redirect_stdout(out), redirect_stderr(told):
+    out, err = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    with redirect_stdout(out), redirect_stderr(err):
         try:
             code = main([str(word) for word in words])
         except SystemExit as refused:  # of a command line that makes no sense
             code = int(refused.code or 0)
-    said = [each.buffer.getvalue().decode() for each in (out, told)]
+    said = [each.buffer.getvalue().decode() for each in (out, err)]
     return subprocess.CompletedProcess(words, code, *said)
 
 
@@ -94,7 +94,7 @@ class Engine:
             if wanted(self.events[-1]):
                 return self.events[-1]
         self.rest()
-        raise AssertionError(f"the run ended first: {self.events[-1:]}\n{self.told}")
+        raise AssertionError(f"the run ended first: {self.events[-1:]}\n{self.errors}")
 
     def kill(self) -> list[dict[str, Any]]:
         """Kill -9 and return all events that were printed, the torn last line left out."""
@@ -106,7 +106,7 @@ class Engine:
         assert self.process.stdout is not None
         assert self.process.stderr is not None
         lines = self.process.stdout.readlines()
-        self.told = self.process.stderr.read()
+        self.errors = self.process.stderr.read()
         self.process.wait(LIMIT_S)
         self.process.stdout.close()
         self.process.stderr.close()

@@ -14,7 +14,7 @@ from tests.whole.golden import GoldenRuns
 
 @dataclass(frozen=True)
 class PaperRun:
-    """A finished run: what it printed, line by line, and its journal as read again.
+    """A finished run: its printed lines, and its journal as read again.
 
     Tests copy what they change.
     """

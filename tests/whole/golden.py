@@ -1,6 +1,6 @@
 """Runs that many tests look at: each is made once, by the worker that needs it first.
 
-Nobody changes a golden run: what resumes or retakes works on a copy.
+Nobody changes a golden run: a test that resumes or retakes works on a copy.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ RUNS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class GoldenRun:
-    """A finished run: its folder, and what its command said."""
+    """A finished run: its folder, and the output of its command."""
 
     folder: Path
     done: subprocess.CompletedProcess[str]
@@ -69,5 +69,5 @@ class GoldenRuns:
                 words = ("run", *RUNS[name], "--json", "--name", name, "--runs", str(runs))
                 done = hilcell(*words, limit_s=LIMIT_S)
                 said.write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
-        code, out, told = json.loads(said.read_text())
-        return GoldenRun(runs / name, subprocess.CompletedProcess(name, code, out, told))
+        code, out, err = json.loads(said.read_text())
+        return GoldenRun(runs / name, subprocess.CompletedProcess(name, code, out, err))

@@ -1,4 +1,4 @@
-"""A real terminal, as a pty with a screen in memory: keys go in, what is seen comes out."""
+"""A real terminal, as a pty with a screen in memory: keys go in, the visible text comes out."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ AROUND = ("COLUMNS", "LINES", "NO_COLOR")  # of the terminal that the tests run 
 
 
 def _own_terminal() -> None:
-    """Make the terminal the program's own, so that its loss is told to the program, and heard."""
+    """Make the terminal the program's own, so that the program learns of its loss."""
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # tests may run under nohup
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 

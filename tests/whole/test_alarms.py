@@ -20,8 +20,8 @@ from hilcell.commands.cli import main
 from hilcell.journal.runs import read_log
 from tests.whole.bench import Simulation, sets, simulation
 
-# What each fault does to the run: its alarm, and the value with which it strikes.
-# Where a strip freezes or the backlash grows, what shows first depends on where the slide stands.
+# Effect of each fault on the run: its alarm, and the value with which it strikes.
+# Where a strip freezes or the backlash grows, the first alarm depends on where the slide stands.
 ENDS: dict[str, tuple[str, object]] = {
     "rail.vanish": ("HC-R01", True),
     "rail.wrong_identity": ("HC-R08", 0x999),
@@ -99,7 +99,7 @@ SURVIVED: dict[str, tuple[int, object]] = {
     "tracker.split_packet": (1000, True),
     "tracker.glued_packets": (1000, True),
 }
-# What these leave behind stays, or comes late, so the next fault gets another cell.
+# Traces of these faults stay, or come late, so the next fault gets another cell.
 LASTING = (
     ".vanish",
     ".backlash",

@@ -122,7 +122,7 @@ def test_a_whole_calibration_with_one_reflector(tmp_path: Path, cell: Simulation
         operator.obey()
     listener.join(60)
     printed = engine.rest()
-    assert printed[-1]["exit"] == 0, engine.told
+    assert printed[-1]["exit"] == 0, engine.errors
     assert judge(printed) == []
     seated = [e["place"] for e in printed if e.get("what") == "seated"]
     assert seated == operator.seats
@@ -186,7 +186,7 @@ def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
     assert operator.status()["state"] == "suspended"
     operator.seat("flange")
     assert command("resume", "hand", "--runs", tmp_path).returncode == 0
-    assert engine.rest()[-1]["exit"] == 0, engine.told
+    assert engine.rest()[-1]["exit"] == 0, engine.errors
     assert judge(engine.events) == []
 
 

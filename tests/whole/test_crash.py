@@ -159,9 +159,9 @@ def test_a_run_resumes_from_between_any_two_records(
         folder = tmp_path / f"cut-{seq}"
         cut(whole.folder, folder, seq)
         main(["resume", folder.name, "--runs", str(tmp_path), "--json"])
-        out, told = capsys.readouterr()
+        out, err = capsys.readouterr()
         end = events(out)[-1]
-        assert end["state"] == "finished", (seq, told)
+        assert end["state"] == "finished", (seq, err)
         assert (folder / "calibration.json").is_file(), seq
         for key, value in figures(end["result"]).items():
             limit_mm = 0.06 if key.endswith(".idw") else 0.03
@@ -202,7 +202,7 @@ def faulted(engine: Engine, device: str) -> None:
     assert printed[-1]["state"] == "faulted"
     assert device.capitalize() in printed[-1]["reason"]
     assert any(e["kind"] == "event" and e["what"] == "safe stop" for e in printed)
-    assert "hilcell resume" in engine.told
+    assert "hilcell resume" in engine.errors
     assert judge(printed) == []
 
 

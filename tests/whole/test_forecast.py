@@ -1,4 +1,4 @@
-"""What a plan says of its steps is what a run then does, act by act."""
+"""A run keeps to the steps of its plan, act by act."""
 
 from __future__ import annotations
 

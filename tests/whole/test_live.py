@@ -39,7 +39,7 @@ def test_pause_resume_watch_from_other_processes(tmp_path: Path) -> None:
     assert engine.rest()[-1]["exit"] == 4
     assert watcher.rest() == engine.events
     assert judge(engine.events) == []
-    assert "hilcell resume" in engine.told
+    assert "hilcell resume" in engine.errors
 
 
 @pytest.mark.parametrize(("number", "twice"), [(signal.SIGTERM, False), (signal.SIGINT, True)])
@@ -67,8 +67,8 @@ def test_a_lost_listener_does_not_stop_a_run(tmp_path: Path) -> None:
     assert engine.process.stdout is not None
     engine.process.stdout.close()
     engine.process.stdout = None
-    _, told = engine.process.communicate(timeout=90)
-    assert engine.process.returncode in (0, 1), told
+    _, err = engine.process.communicate(timeout=90)
+    assert engine.process.returncode in (0, 1), err
     (run,) = events(command("runs", "--json", "--runs", tmp_path).stdout)[0]["runs"]
     assert run["state"] == "finished"
 

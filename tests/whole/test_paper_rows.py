@@ -86,7 +86,7 @@ def test_rows_that_cannot_fail_say_so_and_all_others_say_when_they_fail(paper: P
 
 
 def test_a_real_machine_sets_nothing(paper: PaperRun) -> None:
-    """What the simulated machine brings about is a finding where the machine is real."""
+    """A row that the simulated machine sets is judged where the machine is real."""
     real = copy.copy(paper.log)
     assert real.plan is not None
     real.plan = msgspec.structs.replace(real.plan, simulated=False)

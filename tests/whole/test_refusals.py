@@ -1,4 +1,4 @@
-"""What is wrong is refused with one clear message and its exit code before anything moves."""
+"""Wrong input is refused with one clear message and its exit code before anything moves."""
 
 import socket
 from pathlib import Path
@@ -62,7 +62,7 @@ def test_dry_run_opens_nothing_and_prints_the_plan(tmp_path: Path) -> None:
 
 
 def test_a_port_nobody_listens_on(tmp_path: Path) -> None:
-    """All three devices are tried and all failures told, before anything moves."""
+    """All three devices are tried and all failures reported, before anything moves."""
     cell = tmp_path / "real.toml"
     built_in = Path("hilcell/cells/paper.toml")
     text = (Path(__file__).parents[2] / built_in).read_text("utf-8")

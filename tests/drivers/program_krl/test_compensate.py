@@ -46,12 +46,12 @@ def test_a_corrected_program_arrives(desk: Workplace, capsys: pytest.CaptureFixt
     assert np.abs(command.values()[:, :3] - nominal.values()[:, :3]).max() > 0.3
     np.testing.assert_allclose(arrived, wanted, atol=2e-3)
     np.testing.assert_array_equal(command.values()[:, 3:], nominal.values()[:, 3:])
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "5 targets corrected for S1100 into" in told.err
-    assert "drill.src: not used by a motion, left: XP3" in told.err
-    assert "its base must be {W}" in told.err
-    assert "SIMULATED" not in told.err
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "5 targets corrected for S1100 into" in said.err
+    assert "drill.src: not used by a motion, left: XP3" in said.err
+    assert "its base must be {W}" in said.err
+    assert "SIMULATED" not in said.err
 
 
 def test_program_and_list_agree(desk: Workplace, tmp_path: Path) -> None:
@@ -114,15 +114,15 @@ def test_the_nominal_program_is_not_replaced(desk: Workplace, out: str) -> None:
 
 
 @pytest.mark.parametrize("where", [".", "/", "n" * 300, "nowhere/out", "file/out"])
-def test_places_that_cannot_be_written_are_told_in_one_line(
+def test_places_that_cannot_be_written_are_reported_in_one_line(
     desk: Workplace, capsys: pytest.CaptureFixture[str], where: str
 ) -> None:
     (desk.folder / "file").write_text("")
     before = desk.files
     assert desk.compensate(out=desk.folder / where) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert len([line for line in told if "not checked" not in line]) == 1
-    assert ("is a folder" in told[-1]) == (where in "./")
+    err = capsys.readouterr().err.splitlines()
+    assert len([line for line in err if "not checked" not in line]) == 1
+    assert ("is a folder" in err[-1]) == (where in "./")
     assert desk.files == before
 
 
@@ -155,12 +155,14 @@ def test_turns_that_the_correction_changes(
     desk.calibrate(digest=load_cell("paper").digest)
     desk.program(f"{motion} XP1", near_zero(posture))
     assert desk.compensate("--cell", "paper") == code
-    told = capsys.readouterr().err
-    assert ("XP1 (drill.dat line 1): A1 goes from 0.00" in told) == (code == 2)
+    err = capsys.readouterr().err
+    assert ("XP1 (drill.dat line 1): A1 goes from 0.00" in err) == (code == 2)
     assert desk.out.exists() == (code == 0)
 
 
-def test_turns_nobody_checked_are_told(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
+def test_turns_that_were_not_checked_are_reported(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
     desk.program("PTP XP1", near_zero(",S 6,T 19"))
     assert desk.compensate() == 0
     assert "turns (T) were not checked; --cell CELL does" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""KRL programs: what is a target, what is refused and where, and that nothing else changes."""
+"""KRL programs: targets, refusals by line, and that nothing else changes."""
 
 import re
 
@@ -33,9 +33,9 @@ def moved(read: Program, positions_mm: Array) -> dict[str, str]:
 
 
 def refusal(body: str, dat: str = "") -> str:
-    with pytest.raises(SettingsError) as told:
+    with pytest.raises(SettingsError) as raised:
         one(body, dat)
-    return "\n".join(told.value.problems)
+    return "\n".join(raised.value.problems)
 
 
 BASE = "its targets were taken in {W}, its base must be {W}"
@@ -64,7 +64,7 @@ def test_targets_are_the_points_that_motions_use() -> None:
     )
 
 
-def test_what_is_left_is_told() -> None:
+def test_remarks_name_the_lines_left_as_they_are() -> None:
     assert program().notes == [
         "home move XHOME: joint targets are left unchanged (line 20)",
         "CHECK_HOLE is another program: its motions are not corrected (line 40)",
@@ -226,9 +226,9 @@ def test_refused_with_its_line(body: str, part: str) -> None:
         "DECL FDAT FTCP={TOOL_NO 1,BASE_NO 2,IPO_FRAME #TCP}\n"
     )
     # The program works without the line; XP1 and XP2 are its points.
-    told = refusal(f"{body}\nPTP XP1\nLIN XP2", dat)
-    hits = [line for line in told.split("\n") if part in line]
-    assert hits, told
+    said = refusal(f"{body}\nPTP XP1\nLIN XP2", dat)
+    hits = [line for line in said.split("\n") if part in line]
+    assert hits, said
     where = re.match(r"drill\.src line (\d+): ", hits[0])
     assert where, hits
     assert where[1] == str(2 + body.count("\n"))
@@ -255,8 +255,8 @@ def test_faulty_data_that_nobody_moves_to_is_no_matter() -> None:
 
 def test_external_axes_that_differ() -> None:
     moved = P2.replace("E1 0.0", "E1 500.0")
-    told = refusal("PTP XP1\nPTP XP2", P1 + moved)
-    assert told == (
+    said = refusal("PTP XP1\nPTP XP2", P1 + moved)
+    assert said == (
         "drill.dat line 2: XP2 has E1 500, XP1 (drill.dat line 1) has 0: "
         "a program is corrected for one station"
     )
@@ -264,8 +264,8 @@ def test_external_axes_that_differ() -> None:
 
 def test_variables_of_the_program_hide_points() -> None:
     assert "XP1 is a variable" in refusal("DECL E6POS XP1\nPTP XP1", P1)
-    told = refusal("END\nDEF GO(XP1 :IN)\nPTP XP1", P1)
-    assert told.startswith("drill.src line 4: XP1 is a variable")
+    said = refusal("END\nDEF GO(XP1 :IN)\nPTP XP1", P1)
+    assert said.startswith("drill.src line 4: XP1 is a variable")
 
 
 def test_inline_forms_of_single_splines() -> None:
@@ -284,9 +284,9 @@ def test_a_program_without_targets() -> None:
     assert refusal("PTP HOME") == "no motion to a point with X, Y, Z: nothing to correct"
 
 
-def test_all_problems_are_told_at_once() -> None:
-    told = refusal("PTP_REL {Z 1}\nLIN XP1\nCIRC XP1,XP1", P1).split("\n")
-    assert [line.split(":")[0] for line in told[:2]] == ["drill.src line 2", "drill.src line 4"]
+def test_all_problems_are_reported_at_once() -> None:
+    said = refusal("PTP_REL {Z 1}\nLIN XP1\nCIRC XP1,XP1", P1).split("\n")
+    assert [line.split(":")[0] for line in said[:2]] == ["drill.src line 2", "drill.src line 4"]
 
 
 def test_what_is_allowed() -> None:
