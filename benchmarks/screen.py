@@ -13,13 +13,11 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any
-
-import msgspec
 
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.run.control import Control
+from hilcell.run.protocol import Status
 from tests.hilcell.tui.scenes import RUN, status, stories
 from tests.whole.terminal import Terminal
 
@@ -35,7 +33,7 @@ class StandIn:
     def __init__(self, state: str) -> None:
         self.stopped = threading.Event()
         self.stopped_s = 0.0
-        self._answer: dict[str, Any] = msgspec.to_builtins(status(state))
+        self._status = status(state)
 
     def stop(self) -> None:
         self.stopped_s = time.monotonic()
@@ -53,8 +51,8 @@ class StandIn:
     def watched(self, by: int) -> int:
         return 1
 
-    def status(self) -> dict[str, object]:
-        return self._answer
+    def status(self) -> Status:
+        return self._status
 
 
 def write_run(runs: Path, state: str) -> Path:

@@ -14,7 +14,8 @@ from hilcell.journal.engine_file import live_engine
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, find_run
-from hilcell.run.control import order
+from hilcell.run.client import order
+from hilcell.run.protocol import Command
 
 FOLLOW_S = 0.1
 
@@ -29,10 +30,10 @@ def stop(args: argparse.Namespace) -> int:
     return _command(args, "stop")
 
 
-def _command(args: argparse.Namespace, command: str) -> int:
+def _command(args: argparse.Namespace, command: Command) -> int:
     folder = find_run(args.runs, args.run)
     answer = order(folder, command)
-    print_answer(answer, f"run {folder.name}: asked to {command}", as_json=args.json)
+    print_answer(answer.answer(), f"run {folder.name}: asked to {command}", as_json=args.json)
     return 0
 
 

@@ -52,7 +52,8 @@ from hilcell.journal.runs import (
 )
 from hilcell.ports import HilcellError, Stopped
 from hilcell.run.cell_lock import CellLocked, lock_of_device, lock_of_name, locked
-from hilcell.run.control import Control, order
+from hilcell.run.client import order
+from hilcell.run.control import Control
 from hilcell.run.exits import EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
@@ -165,7 +166,7 @@ def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
     for key in retakes:
         order(folder, "retake", key=key)
     answer = order(folder, "proceed")
-    print_message(f"run {folder.name}: asked to go on; it was {answer.get('state')}")
+    print_message(f"run {folder.name}: asked to go on; it was {answer.state}")
     return 0
 
 

@@ -18,14 +18,21 @@ class EngineFile(msgspec.Struct, frozen=True):
     socket: str
 
 
+def read_engine_file(folder: Path) -> EngineFile | None:
+    """Return where an engine of a run has listened last; None where the file says nothing."""
+    try:
+        return msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
+    except (OSError, msgspec.DecodeError):
+        return None
+
+
 def live_engine(folder: Path) -> EngineFile | None:
     """Return where the engine of a run listens, or None where none lives.
 
     One whose process stands still lives: it moves again as soon as it goes on.
     """
-    try:
-        engine = msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
-    except (OSError, msgspec.DecodeError):
+    engine = read_engine_file(folder)
+    if engine is None:
         return None
     with socket.socket(socket.AF_UNIX) as link:
         link.settimeout(ANSWER_S)

@@ -1,39 +1,60 @@
-"""The screen's line to an engine: one connection that asks, and one that only ever says stop.
+"""The client of a live engine: one connection that asks, and one that only ever says stop.
 
 The stop has a socket of its own, open from the start, so that it is one `sendall` away whatever
-else is under way. The trap: an answer may come late, and must not be taken for the next one's: it
-is waited for, and dropped, before anything else is asked.
+else is under way. An answer may come late, and must not be taken for the next request's: it is
+waited for, and dropped, before anything else is asked.
 """
 
 from __future__ import annotations
 
 import socket
 import threading
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, Self
 
 import msgspec
 
 from hilcell.errors import HilcellError
-from hilcell.journal.engine_file import ENGINE, EngineFile
-from hilcell.run.control import in_time
+from hilcell.journal.engine_file import ENGINE, EngineFile, read_engine_file
+from hilcell.journal.journal import is_there
+from hilcell.run.protocol import (
+    ANSWER_S,
+    LONGEST_ANSWER,
+    ORDER_S,
+    Command,
+    Refusal,
+    Request,
+    Status,
+)
 
-ANSWER_S = 2.0
-LONGEST = 1 << 16
-_STOP = msgspec.json.encode({"command": "stop"}) + b"\n"
+
+class EngineSilent(HilcellError):
+    """The engine's process lives, and has not answered in time."""
+
+    code = "HC-J08"
 
 
-class Link:
-    """A screen's attachment to a live engine. Safe to use from several threads."""
+class EngineLost(HilcellError):
+    """The engine has hung up, or answers nonsense; the client is closed."""
 
-    def __init__(self, path: str, patience_s: float | None = None) -> None:
+    code = "HC-J08"
+
+
+class OrderRefused(HilcellError):
+    """The engine refuses what was asked, with its reason."""
+
+
+class EngineClient:
+    """A client of one live engine. Safe to use from several threads."""
+
+    def __init__(self, engine: EngineFile, patience_s: float | None = None) -> None:
+        """Connect; raises `OSError`. ``patience_s``: how long it waits for an answer."""
         self._lock = threading.Lock()
         self._patience_s = ANSWER_S if patience_s is None else patience_s
-        self._asking = _connect(path)
-        self._asking.settimeout(self._patience_s)
+        self._asking = _connect(engine.socket, self._patience_s)
         try:
-            self._stopping = _connect(path)
+            self._stopping = _connect(engine.socket, self._patience_s)
             self._stopping.setblocking(False)  # a stop waits for nothing
         except OSError:
             self._asking.close()
@@ -42,25 +63,24 @@ class Link:
         self._owed = 0  # answers that are still to come
 
     @classmethod
-    def to(cls, folder: Path, patience_s: float | None = None) -> Self | None:
-        """Return the link to the engine of a run, or None where none lives.
+    def of_run(cls, folder: Path, patience_s: float | None = None) -> Self | None:
+        """Return a client of the engine of a run, or None where none lives.
 
-        ``patience_s`` is for what takes longer than an answer usually may. Raises
-        `LinkSilentError` where an engine lives that takes nobody any more.
+        Raises `EngineSilent` where an engine lives that takes no connection any more.
         """
+        engine = read_engine_file(folder)
         try:
-            engine = msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
-            return cls(engine.socket, patience_s)
+            return None if engine is None else cls(engine, patience_s)
         except (BlockingIOError, TimeoutError) as error:
-            raise LinkSilentError(f"engine: connect: no answer: {error}") from error
-        except (OSError, msgspec.DecodeError):
+            raise EngineSilent(f"engine: connect: no answer: {error}") from error
+        except OSError:
             return None
 
     def stop(self) -> bool:
         """Ask for a stop now, waiting for nothing; return whether the words went out."""
         try:
             self._forget_answers()
-            self._stopping.sendall(_STOP)
+            self._stopping.sendall(_line(Request("stop")))
         except OSError:
             return False
         return True
@@ -70,88 +90,118 @@ class Link:
 
         What is owed is waited for: an engine that answers into a closed line reads no further.
         """
-        with suppress(HilcellError):  # an engine that is gone has nothing to be told
+        with suppress(HilcellError):  # the engine is gone, and misses no screen
             self.ask("leave")
 
-    def _forget_answers(self) -> None:
-        """Make room: an engine whose answers nobody takes would stand still over the next one."""
-        with suppress(BlockingIOError):
-            while self._stopping.recv(LONGEST):
-                pass
-
-    def ask(self, command: str, **facts: str) -> dict[str, Any]:
+    def ask(self, command: Command, *, key: str = "") -> Status:
         """Send a command and return the answer.
 
-        Raises `HilcellError` with the refusal, `LinkSilentError` where none comes in time,
-        `LinkLostError` where none can come any more.
+        Raises `OrderRefused`, `EngineSilent` where no answer comes in time, `EngineLost` where
+        none can come any more, and `HilcellError` where the answer makes no sense.
         """
         with self._lock:
             try:
                 while self._owed:
-                    self._line()
-                words = {"command": command} | in_time(command, self._patience_s) | facts
-                self._asking.sendall(msgspec.json.encode(words) + b"\n")
+                    self._answer()
+                self._asking.sendall(_line(Request.within(self._patience_s, command, key)))
                 self._owed += 1
-                answer: dict[str, Any] = msgspec.json.decode(self._line(), type=dict[str, Any])
+                answer = msgspec.json.decode(self._answer(), type=dict[str, Any])
             except TimeoutError as error:
-                raise LinkSilentError(f"{command}: the engine does not answer") from error
+                raise EngineSilent(f"{command}: the engine does not answer") from error
             except (OSError, msgspec.DecodeError) as error:
                 self.close()
-                raise LinkLostError(f"engine: {command}: no answer: {error}") from error
-        if not answer.get("ok"):
-            raise HilcellError(str(answer.get("error", "the engine refused without a reason")))
-        return answer
+                raise EngineLost(f"engine: {command}: no answer: {error}") from error
+        try:
+            if not answer.get("ok"):
+                raise OrderRefused(msgspec.convert(answer, Refusal).error)
+            return msgspec.convert(answer, Status)
+        except msgspec.ValidationError as error:
+            raise HilcellError(f"engine: {command}: the answer makes no sense: {error}") from error
 
-    def _line(self) -> bytes:
+    def close(self) -> None:
+        """Close both connections; a thread that waits for an answer gets `EngineLost`."""
+        for each in (self._asking, self._stopping):
+            with suppress(OSError):  # it has ended by itself
+                each.shutdown(socket.SHUT_RDWR)
+            each.close()
+
+    def _forget_answers(self) -> None:
+        """Make room: an engine whose answers nobody takes would stand still over the next one."""
+        with suppress(BlockingIOError):
+            while self._stopping.recv(LONGEST_ANSWER):
+                pass
+
+    def _answer(self) -> bytes:
         """Return the next answer that is owed."""
         while b"\n" not in self._read:
-            came = self._asking.recv(LONGEST)
-            if not came or len(self._read) > LONGEST:
+            came = self._asking.recv(LONGEST_ANSWER)
+            if not came or len(self._read) > LONGEST_ANSWER:
                 raise ConnectionError("it has hung up" if not came else "it never ends a line")
             self._read += came
         line, _, self._read = self._read.partition(b"\n")
         self._owed -= 1
         return line
 
-    def close(self) -> None:
-        """Close both connections; who waits for an answer on one is told that none comes."""
-        for each in (self._asking, self._stopping):
-            with suppress(OSError):  # it has ended by itself
-                each.shutdown(socket.SHUT_RDWR)
-            each.close()
+
+def order(folder: Path, command: Command, *, key: str = "") -> Status:
+    """Connect to the engine of the run in ``folder``, ask once and close.
+
+    Raises `HilcellError` where no engine lives, or where it refuses or does not answer.
+    """
+    try:
+        client = EngineClient.of_run(folder, ORDER_S)
+        if client is None:
+            raise HilcellError(f"run {folder.name}: {_missing(folder)}", code="HC-J08")
+        with closing(client):
+            return client.ask(command, key=key)
+    except EngineSilent as error:
+        engine = read_engine_file(folder)
+        process = "" if engine is None else f", process {engine.pid},"
+        raise HilcellError(
+            f"run {folder.name}: {command}: its engine{process} has not answered within "
+            f"{ORDER_S:.0f} s ({error.__cause__}): it stands still, or the machine has too much to "
+            "do; where anything moves use the E-stop",
+            code="HC-J08",
+        ) from error
+    except EngineLost as error:
+        raise HilcellError(
+            f"run {folder.name}: the engine has just ended; `hilcell show` tells", code="HC-J08"
+        ) from error
+    except OrderRefused as error:
+        raise HilcellError(f"run {folder.name}: {error}") from error
 
 
 def stop_engine(folder: Path) -> bool:
-    """Ask the engine of a run for a stop by a line of its own; return whether it was there."""
+    """Ask the engine of a run for a stop by a new connection; return whether it was there."""
     try:
-        link = Link.to(folder)
-    except LinkSilentError:
+        client = EngineClient.of_run(folder)
+    except EngineSilent:
         return False
-    if link is None:
+    if client is None:
         return False
-    sent = link.stop()
-    link.close()
-    return sent
+    with closing(client):
+        return client.stop()
 
 
-class LinkSilentError(HilcellError):
-    """The engine's process lives, and has not answered in time."""
-
-    code = "HC-J08"
-
-
-class LinkLostError(HilcellError):
-    """The engine has hung up, or answers nonsense; the link is closed."""
-
-    code = "HC-J08"
-
-
-def _connect(path: str) -> socket.socket:
-    link = socket.socket(socket.AF_UNIX)
-    link.settimeout(ANSWER_S)
+def _missing(folder: Path) -> str:
+    """Return why no engine was found."""
     try:
-        link.connect(path)
+        is_there(folder / ENGINE)
+    except OSError as error:
+        return f"whether its engine is running cannot be told: {error.strerror}"
+    return "no engine is running; `hilcell show` tells how it ended"
+
+
+def _line(request: Request) -> bytes:
+    return msgspec.json.encode(request) + b"\n"
+
+
+def _connect(path: str, patience_s: float) -> socket.socket:
+    connection = socket.socket(socket.AF_UNIX)
+    connection.settimeout(patience_s)
+    try:
+        connection.connect(path)
     except OSError:
-        link.close()
+        connection.close()
         raise
-    return link
+    return connection

@@ -1,7 +1,7 @@
-"""What each device last said, how long ago, and whether it moves now: for faces, never for motion.
+"""What each device last said, how long ago, and whether it moves: for display, never for motion.
 
-The ports of a run are wrapped here, so that nobody asks a device a second time for the sake of a
-lamp. The trap: a lamp is not an interlock. It may be old; motions take readings of their own.
+The ports of a run are wrapped here, so that no device is asked a second time for the display.
+The trap: a displayed reading is not an interlock. It may be old; motions take their own.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from hilcell.ports import (
     Tracker,
     TrackerReading,
 )
+from hilcell.run.protocol import DeviceStatus
 
 REFRESH_S = 0.5
 
 
-class Lamp:
-    """One device's lamp: written by the worker alone, read by any thread."""
+class DeviceMonitor:
+    """What is known of one device: written by the worker alone, read by any thread."""
 
     def __init__(self) -> None:
         self.moving = False
@@ -47,7 +48,7 @@ class Lamp:
 
     @contextmanager
     def watch(self, *, moving: bool = False) -> Iterator[None]:
-        """Watch one call of the device: it may move meanwhile, and its failure is the lamp's."""
+        """Watch one call of the device: it may move meanwhile, and it may fail."""
         self.moving = moving
         try:
             yield
@@ -59,22 +60,23 @@ class Lamp:
         finally:
             self.moving = False
 
-    def status(self, now_s: float) -> dict[str, object]:
-        """Return the lamp in words."""
+    def status(self, now_s: float) -> DeviceStatus:
+        """Return it in words."""
         state = "unknown" if self.taken_s is None else "fresh"
         if self.reason:
             state = "lost"
         elif self.moving:
             state = "moving"
         age_s = None if self.taken_s is None else round(max(0.0, now_s - self.taken_s), 2)
-        return {"state": state, "age_s": age_s, "text": self.text, "reason": self.reason}
+        return DeviceStatus(state, age_s, self.text, self.reason)
 
 
-class Lamps:
-    """The lamps of a cell, and its devices as the run uses them."""
+class CellMonitor:
+    """The monitors of a cell's devices, and the devices as the run uses them."""
 
     def __init__(self, devices: Devices) -> None:
-        self.rail, self.strip, self.robot, self.tracker = Lamp(), Lamp(), Lamp(), Lamp()
+        self.rail, self.strip = DeviceMonitor(), DeviceMonitor()
+        self.robot, self.tracker = DeviceMonitor(), DeviceMonitor()
         self.rail_reading: RailReading | None = None
         self.robot_reading: RobotReading | None = None
         self.devices = Devices(
@@ -97,7 +99,7 @@ class Lamps:
             try:
                 device.read()
             except DeviceError:
-                continue  # its lamp tells
+                continue  # its status says so
 
     def take_rail(self, reading: RailReading) -> RailReading:
         """Show a reading of the rail, which carries the strip's."""
@@ -124,27 +126,27 @@ class Lamps:
         )
         return reading
 
-    def status(self) -> dict[str, object]:
-        """Return all lamps by name."""
+    def status(self) -> dict[str, DeviceStatus]:
+        """Return the status of all devices by name."""
         now_s = time.monotonic()
-        lamps = {
+        monitors = {
             "rail": self.rail,
             "strip": self.strip,
             "robot": self.robot,
             "tracker": self.tracker,
         }
-        return {name: lamp.status(now_s) for name, lamp in lamps.items()}
+        return {name: monitor.status(now_s) for name, monitor in monitors.items()}
 
 
 class WatchedRail:
     """Satisfies `hilcell.ports.Rail`."""
 
-    def __init__(self, rail: Rail, lamps: Lamps) -> None:
-        self._rail, self._lamps = rail, lamps
+    def __init__(self, rail: Rail, monitor: CellMonitor) -> None:
+        self._rail, self._monitor = rail, monitor
 
     @contextmanager
     def _watch(self, *, moving: bool = False) -> Iterator[None]:
-        with self._lamps.rail.watch(moving=moving), self._lamps.strip.watch(moving=moving):
+        with self._monitor.rail.watch(moving=moving), self._monitor.strip.watch(moving=moving):
             yield
 
     def connect(self) -> list[Identity]:
@@ -165,12 +167,12 @@ class WatchedRail:
     def settle(self) -> RailReading:
         """Wait for rest."""
         with self._watch(moving=True):
-            return self._lamps.take_rail(self._rail.settle())
+            return self._monitor.take_rail(self._rail.settle())
 
     def read(self) -> RailReading:
         """Read."""
         with self._watch():
-            return self._lamps.take_rail(self._rail.read())
+            return self._monitor.take_rail(self._rail.read())
 
     def hold(self) -> None:
         """Hold."""
@@ -193,33 +195,33 @@ class WatchedRail:
 class WatchedRobot:
     """Satisfies `hilcell.ports.Robot`, and `hilcell.ports.Sweeps` where its robot does."""
 
-    def __init__(self, robot: Robot, lamps: Lamps) -> None:
-        self._robot, self._lamps = robot, lamps
+    def __init__(self, robot: Robot, monitor: CellMonitor) -> None:
+        self._robot, self._monitor = robot, monitor
 
     def connect(self) -> list[Identity]:
         """Connect."""
-        with self._lamps.robot.watch():
+        with self._monitor.robot.watch():
             return self._robot.connect()
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move the robot."""
-        with self._lamps.robot.watch(moving=True):
-            return self._lamps.take_robot(self._robot.move_to(joints_rad, speed_percent))
+        with self._monitor.robot.watch(moving=True):
+            return self._monitor.take_robot(self._robot.move_to(joints_rad, speed_percent))
 
     @contextmanager
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[Sweep]:
         """Sweep an axis; raises `DeviceRefused` where the robot does not."""
         sweeps = sweeps_of(self._robot)
         with (
-            self._lamps.robot.watch(moving=True),
+            self._monitor.robot.watch(moving=True),
             sweeps.sweep(axis, end_rad, speed_rad_s) as sweep,
         ):
             yield sweep
 
     def read(self) -> RobotReading:
         """Read."""
-        with self._lamps.robot.watch():
-            return self._lamps.take_robot(self._robot.read())
+        with self._monitor.robot.watch():
+            return self._monitor.take_robot(self._robot.read())
 
     def stop(self) -> None:
         """Stop."""
@@ -233,24 +235,24 @@ class WatchedRobot:
 class WatchedTracker:
     """Satisfies `hilcell.ports.Tracker`, and `hilcell.ports.Streams` where its tracker does."""
 
-    def __init__(self, tracker: Tracker, lamps: Lamps) -> None:
-        self._tracker, self._lamps = tracker, lamps
+    def __init__(self, tracker: Tracker, monitor: CellMonitor) -> None:
+        self._tracker, self._monitor = tracker, monitor
 
     def connect(self) -> list[Identity]:
         """Connect."""
-        with self._lamps.tracker.watch():
+        with self._monitor.tracker.watch():
             return self._tracker.connect()
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure; only the beam moves."""
-        with self._lamps.tracker.watch():
-            return self._lamps.take_tracker(self._tracker.measure(near_mm, reflector, samples))
+        with self._monitor.tracker.watch():
+            return self._monitor.take_tracker(self._tracker.measure(near_mm, reflector, samples))
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[Stream]:
         """Stream; raises `DeviceRefused` where the tracker does not."""
         streams = streams_of(self._tracker)
-        with self._lamps.tracker.watch(), streams.stream(near_mm, reflector, rate_hz) as stream:
+        with self._monitor.tracker.watch(), streams.stream(near_mm, reflector, rate_hz) as stream:
             yield stream
 
     def stop(self) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.ports import Array, DeviceError, RailReading, RobotReading
+from hilcell.run.protocol import Interlock
 
 SAFE_POSE_TOLERANCE_DEG = 0.1
 OVERVIEW_AGE_S = 5.0  # an older reading tells a face nothing; motions take their own
@@ -161,7 +162,7 @@ class Sight:
     now_s: float
 
 
-def overview(cell: Cell, sight: Sight) -> list[dict[str, str]]:
+def overview(cell: Cell, sight: Sight) -> list[Interlock]:
     """Return for each interlock its name and what blocks it, from last readings, for faces."""
 
     def held(operation: str) -> None:
@@ -183,9 +184,9 @@ def overview(cell: Cell, sight: Sight) -> list[dict[str, str]]:
             )
 
     return [
-        {"name": "rail move", "blocked": _reason(parked)},
-        {"name": "robot move", "blocked": _reason(lambda: held(ROBOT_BLOCKED))},
-        {"name": "measurement", "blocked": _reason(at_rest)},
+        Interlock("rail move", _reason(parked)),
+        Interlock("robot move", _reason(lambda: held(ROBOT_BLOCKED))),
+        Interlock("measurement", _reason(at_rest)),
     ]
 
 

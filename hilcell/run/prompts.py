@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import msgspec
 
 from hilcell.errors import DeviceError, NoReading
+from hilcell.run.protocol import PromptStatus
 
 LOOK_S = 0.5
 NOTHING_ASKED = "nothing is asked now"
@@ -54,7 +55,7 @@ class Asking:
     # -- any thread ---------------------------------------------------------------------------
 
     def answer(self) -> Future[str]:
-        """Say that it is done; the future tells why that is refused, or nothing."""
+        """Say that it is done; the future has why that is refused, or ""."""
         future: Future[str] = Future()
         with self._lock:
             if self._prompt is None:
@@ -64,7 +65,7 @@ class Asking:
                 self._asked.set()
         return future
 
-    def status(self) -> dict[str, object] | None:
+    def status(self) -> PromptStatus | None:
         """Return the prompt and what is seen of it, or None."""
         with self._lock:
             prompt, look = self._prompt, self._look
@@ -72,17 +73,16 @@ class Asking:
             return None
         age_s = None if look is None else round(max(0.0, time.monotonic() - look.taken_s), 2)
         seen_mm = None if look is None or look.seen_mm is None else round(look.seen_mm, 3)
-        return {
-            "title": prompt.title,
-            "text": prompt.text,
-            "place": prompt.place,
-            "expected_mm": prompt.expected_mm,
-            "limit_mm": prompt.limit_mm,
-            "seen_mm": seen_mm,
-            "age_s": age_s,
-            "ready": look is not None and passes(prompt, look),
-            "check": True,
-        }
+        return PromptStatus(
+            title=prompt.title,
+            text=prompt.text,
+            place=prompt.place,
+            expected_mm=prompt.expected_mm,
+            limit_mm=prompt.limit_mm,
+            seen_mm=seen_mm,
+            age_s=age_s,
+            ready=look is not None and passes(prompt, look),
+        )
 
     # -- the worker's thread ------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from hilcell.journal.log import Log
 from hilcell.ports import Clock, DeviceError, HilcellError, Identity, NoReading, Stopped
 from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
-from hilcell.run.device_status import Lamps
+from hilcell.run.device_status import CellMonitor
 from hilcell.run.exits import (
     EXIT_FAULT,
     EXIT_OK,
@@ -38,6 +38,7 @@ from hilcell.run.interlocks import Sight, overview
 from hilcell.run.pause_gate import REST_S, PauseGate
 from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
+from hilcell.run.protocol import Status
 from hilcell.run.retake import retake_refusal
 from hilcell.run.signals import signals_as_commands
 from hilcell.run.states import RUN, StateMachine
@@ -92,8 +93,8 @@ class Runner:
         self._journal, self._clock = journal, clock
         self._stop, self._unattended = stop, unattended
         self._safe_stop = SafeStop(devices)
-        self._lamps = Lamps(devices)
-        self._devices = self._lamps.devices
+        self._monitor = CellMonitor(devices)
+        self._devices = self._monitor.devices
         self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._gate = PauseGate(lambda: self._messages.put("rest"))
         self._why_paused = ""
@@ -173,22 +174,22 @@ class Runner:
             self.post("watched")
         return now
 
-    def status(self) -> dict[str, object]:
-        """Return the run's state for those who ask."""
-        return {
-            "run": self._journal.run,
-            "state": self._life.state,
-            "calibration": self.log.states["calibration"],
-            "points": len(self.log.points),
-            "unattended": self._unattended,
-            "screens": self._screens,
-            "pausing": self._pausing,
-            "devices": self._lamps.status(),
-            "link": self._link(),
-            "interlocks": overview(self._cell, self._sight()),
-            "prompt": self._asking.status(),
-            "retakes": list(self.log.retakes),
-        }
+    def status(self) -> Status:
+        """Return the run's state as every answer carries it."""
+        return Status(
+            run=self._journal.run,
+            state=self._life.state,
+            calibration=self.log.states["calibration"],
+            points=len(self.log.points),
+            unattended=self._unattended,
+            screens=self._screens,
+            pausing=self._pausing,
+            devices=self._monitor.status(),
+            link=self._link(),
+            interlocks=overview(self._cell, self._sight()),
+            prompt=self._asking.status(),
+            retakes=list(self.log.retakes),
+        )
 
     def _link(self) -> dict[str, int]:
         """Return what the rail's wire has carried."""
@@ -201,12 +202,12 @@ class Runner:
         return asked and self._life.state in ("checking", "running")
 
     def _sight(self) -> Sight:
-        lamps, bench = self._lamps, self._bench
+        monitor, bench = self._monitor, self._bench
         return Sight(
-            lamps.rail_reading,
-            lamps.robot_reading,
-            lamps.rail.moving,
-            lamps.robot.moving,
+            monitor.rail_reading,
+            monitor.robot_reading,
+            monitor.rail.moving,
+            monitor.robot.moving,
             None if bench is None else bench.held,
             time.monotonic(),
         )
@@ -264,9 +265,9 @@ class Runner:
         self._gate.passage(self._at_rest)
 
     def _at_rest(self) -> None:
-        """Keep the lamps fresh while the run waits."""
+        """Keep the devices' readings fresh while the run waits."""
         self._check_end()
-        self._lamps.refresh()
+        self._monitor.refresh()
 
     def _check_end(self) -> None:
         """Leave here when a stop or an abort was asked for."""

@@ -5,12 +5,12 @@ import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from hilcell.ports import HilcellError
-from hilcell.run.control import send_command
+from hilcell.run.client import order
+from hilcell.run.protocol import PromptStatus, Status
 from tests.whole.bench import (
     SMALL,
     Engine,
@@ -34,18 +34,18 @@ class Operator:
         self.folder, self.cell = folder, cell
         self.seats: list[str] = []
 
-    def status(self) -> dict[str, Any]:
-        return send_command(self.folder, "status")
+    def status(self) -> Status:
+        return order(self.folder, "status")
 
-    def prompt(self, place: str = "") -> dict[str, Any]:
+    def prompt(self, place: str = "") -> PromptStatus:
         """Wait until something is asked, and return it."""
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline:
             status = self.status()
-            prompt = status["prompt"]
-            if status["state"] == "suspended" and prompt is not None:
-                assert place in ("", prompt["place"]), prompt
-                return dict(prompt)
+            prompt = status.prompt
+            if status.state == "suspended" and prompt is not None:
+                assert place in ("", prompt.place), prompt
+                return prompt
             time.sleep(0.01)
         raise AssertionError("nothing was asked")
 
@@ -56,7 +56,7 @@ class Operator:
                 status = self.status()
             except HilcellError:
                 return False
-            if status["prompt"] is not None and status["state"] == "suspended":
+            if status.prompt is not None and status.state == "suspended":
                 return True
             time.sleep(0.01)
 
@@ -65,12 +65,15 @@ class Operator:
 
     def answer(self) -> str:
         """Return why the answer was refused."""
-        answer = send_command(self.folder, "answer")
-        return str(answer.get("error", ""))
+        try:
+            order(self.folder, "answer")
+        except HilcellError as error:
+            return str(error)
+        return ""
 
     def obey(self, place: str = "") -> str:
         """Do what is asked, say so, and return the place."""
-        asked = str(self.prompt(place)["place"])
+        asked = str(self.prompt(place).place)
         self.seat(asked)
         assert self.answer() == ""
         self.seats.append(asked)
@@ -101,17 +104,17 @@ def test_a_whole_calibration_with_one_reflector(tmp_path: Path, cell: Simulation
     operator = Operator(tmp_path / "hand", cell)
 
     first = operator.prompt("F1")
-    assert first["title"] == "Seat the reflector in F1"
-    assert "nest F1 on the floor, x 0, y 0, z 0 mm in {W}" in first["text"]
-    assert (first["seen_mm"], first["ready"], first["check"]) == (None, False, True)
+    assert first.title == "Seat the reflector in F1"
+    assert "nest F1 on the floor, x 0, y 0, z 0 mm in {W}" in first.text
+    assert (first.seen_mm, first.ready, first.check) == (None, False, True)
     assert "sees no reflector at F1" in operator.answer()  # said without doing it
-    assert operator.status()["state"] == "suspended"
+    assert operator.status().state == "suspended"
     operator.seat("F2")  # the wrong nest
     assert "sees no reflector at F1" in operator.answer()
     operator.seat("F1")
-    while not operator.prompt("F1")["ready"]:
+    while not operator.prompt("F1").ready:
         time.sleep(0.01)
-    assert operator.status()["state"] == "suspended"  # seen, but nobody has said so
+    assert operator.status().state == "suspended"  # seen, but nobody has said so
     assert operator.answer() == ""
     operator.seats.append("F1")
 
@@ -150,18 +153,18 @@ def test_kill_9_during_a_prompt_asks_again_only_for_what_is_missing(
 
     again = Engine("resume", "hand", "--runs", tmp_path)
     again.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-    assert operator.prompt("F2")["title"] == "Seat the reflector in F2"
-    assert "Take the reflector from nest F1" in operator.prompt("F2")["text"]
+    assert operator.prompt("F2").title == "Seat the reflector in F2"
+    assert "Take the reflector from nest F1" in operator.prompt("F2").text
     assert operator.answer() == ""  # it sits there already
     operator.prompt("F3")
     again.kill()
 
     last = Engine("resume", "hand", "--runs", tmp_path)
     last.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-    assert operator.prompt()["place"] == "F3"
+    assert operator.prompt().place == "F3"
     operator.obey("F3")
     operator.prompt("flange")
-    assert send_command(tmp_path / "hand", "abort")["ok"]
+    order(tmp_path / "hand", "abort")
     assert last.rest()[-1]["exit"] == 4
     journal = events(command("watch", "hand", "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []
@@ -180,10 +183,10 @@ def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
     engine.until(lambda event: event["kind"] == "point" and event["group"] == "base")
     operator.seat("")
     prompt = operator.prompt("flange")
-    assert prompt["title"] == "Clear the beam to flange"
+    assert prompt.title == "Clear the beam to flange"
     assert command("resume", "hand", "--runs", tmp_path).returncode == 0
     engine.until(lambda event: event.get("what") == "answer refused")
-    assert operator.status()["state"] == "suspended"
+    assert operator.status().state == "suspended"
     operator.seat("flange")
     assert command("resume", "hand", "--runs", tmp_path).returncode == 0
     assert engine.rest()[-1]["exit"] == 0, engine.errors
@@ -215,7 +218,7 @@ def test_a_campaign_needs_mounted_reflectors() -> None:
 def test_stop_from_a_prompt(tmp_path: Path, cell: Simulation) -> None:
     engine = Engine("run", *words(cell, tmp_path))
     engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-    assert send_command(tmp_path / "hand", "stop")["ok"]
+    order(tmp_path / "hand", "stop")
     printed = engine.rest()
     assert printed[-1]["exit"] == 4
     assert judge(printed) == []

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from hilcell.run.control import send_command
+from hilcell.ports import HilcellError
+from hilcell.run.client import order
 from tests.whole.bench import SMALL, Engine, command, end_of, events, hilcell, sets
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
@@ -69,10 +70,11 @@ def test_a_live_run_measures_a_vertex_anew(tmp_path: Path) -> None:
     engine = Engine("run", "--name", "live", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
     engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/2-0-0")
     folder = tmp_path / "live"
-    assert send_command(folder, "retake", key="grid/0-0-0")["ok"] is True
-    assert "waits already" in str(send_command(folder, "retake", key="grid/0-0-0")["error"])
+    order(folder, "retake", key="grid/0-0-0")
+    with pytest.raises(HilcellError, match="waits already"):
+        order(folder, "retake", key="grid/0-0-0")
     engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/0-0-0")
-    assert send_command(folder, "abort")["ok"] is True
+    order(folder, "abort")
     printed = engine.rest()
     assert printed[-1]["exit"] == 4
     assert printed[-1]["state"] == "aborted"

@@ -15,7 +15,7 @@ from hilcell.journal.engine_file import live_engine
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, read_log, run_folders
-from hilcell.run.control import send_command
+from hilcell.run.client import order
 from tests.whole.bench import LIMIT_S, SMALL, command, hilcell, sets, simulation, sweep, wait_gone
 from tests.whole.terminal import Terminal
 from tests.whole.trace import judge
@@ -274,7 +274,7 @@ def test_the_screen_that_started_a_run_is_left_at_once_and_the_run_goes_on(tmp_p
         assert terminal.ends(SOON_S) == 0
         folder = folder_of(tmp_path)
         assert live_engine(folder) is not None
-        assert send_command(folder, "status")["state"] == "running"
+        assert order(folder, "status").state == "running"
 
 
 def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from hilcell.tui.engine.background import aside
 from hilcell.tui.text.refusals import pause_command, unheard
 
 if TYPE_CHECKING:
+    from hilcell.run.protocol import Command
     from hilcell.tui.engine.session import Session
 
 
@@ -136,11 +137,11 @@ class Acts:
         await aside(session.ask, "answer")
         self._host.say("")
 
-    def _command(self, command: str, **facts: str) -> None:
+    def _command(self, command: Command, *, key: str = "") -> None:
         """Send a command to the engine, off the thread that takes keys."""
         session = self._host.session
         if session is not None:
-            self._host.background(aside(session.ask, command, **facts))
+            self._host.background(aside(session.ask, command, key=key))
 
 
 async def _watch(started: engine.Started) -> None:

@@ -12,13 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import msgspec
-
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import Record, StorageError, is_there, read_journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
-from hilcell.run.client import Link, LinkLostError, LinkSilentError
-from hilcell.tui.engine.scene import EngineState, Status
+from hilcell.run.client import EngineClient, EngineLost, EngineSilent
+from hilcell.run.protocol import Status
+from hilcell.tui.engine.scene import EngineState
 
 QUIET_S = 0.5  # where no engine is at work, little happens
 REOPEN_S = 10.0  # a line that was silent for so long is opened again
@@ -40,7 +39,7 @@ class Feed:
 
     def __init__(self, folder: Path, deliver: Callable[[Fresh], object], period_s: float) -> None:
         self.folder = folder
-        self.link: Link | None = None
+        self.client: EngineClient | None = None
         self._deliver, self._period_s = deliver, period_s
         self._seen = 0
         self._heard_s = 0.0
@@ -65,11 +64,11 @@ class Feed:
         self._let_go()
 
     def _let_go(self) -> None:
-        link, self.link = self.link, None
-        if link is not None:
+        client, self.client = self.client, None
+        if client is not None:
             if self._leave:
-                link.leave()
-            link.close()
+                client.leave()
+            client.close()
 
     def _follow(self) -> None:
         while not self._ended.is_set():
@@ -102,29 +101,29 @@ class Feed:
             return False
 
     def _hear(self) -> tuple[EngineState, Status | None]:
-        """Ask the engine how it is; what makes no sense leaves the lamps to grow stale."""
+        """Ask the engine how it is; an answer without sense leaves the readings to grow stale."""
         try:
-            link = self._line()
-            if link is None:
+            client = self._connected()
+            if client is None:
                 return EngineState.NONE, None
-            answer = link.ask("status")
-            self._heard_s = time.monotonic()
-            return EngineState.HEARD, msgspec.convert(answer, Status)
-        except LinkSilentError:
+            status = client.ask("status")
+        except EngineSilent:
             if time.monotonic() - self._heard_s > REOPEN_S:
                 self._let_go()
             return EngineState.SILENT, None
-        except LinkLostError:
-            self.link = None
+        except EngineLost:
+            self.client = None
             return EngineState.NONE, None
-        except (HilcellError, msgspec.ValidationError):
+        except HilcellError:
             return EngineState.HEARD, None
+        self._heard_s = time.monotonic()
+        return EngineState.HEARD, status
 
-    def _line(self) -> Link | None:
-        """Return the line to the engine, opened where it was not."""
-        if self.link is None:
-            self.link = Link.to(self.folder)
+    def _connected(self) -> EngineClient | None:
+        """Return the client of the engine, connected where it was not."""
+        if self.client is None:
+            self.client = EngineClient.of_run(self.folder)
             self._heard_s = time.monotonic()
-            if self.link is not None:
-                self.link.ask("attend")
-        return self.link
+            if self.client is not None:
+                self.client.ask("attend")
+        return self.client

@@ -11,9 +11,8 @@ from datetime import datetime
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-
 from hilcell.journal.log import Log, Point
+from hilcell.run.protocol import PromptStatus, Status
 from hilcell.run.states import RUN
 
 if TYPE_CHECKING:
@@ -23,49 +22,6 @@ if TYPE_CHECKING:
 STALE_S = 2.0
 MOST_NOTED = 2000
 OVER = ("finished", "aborted", "faulted")
-
-
-class DeviceStatus(msgspec.Struct, frozen=True):
-    """One lamp, as the engine states it."""
-
-    state: str = "unknown"
-    age_s: float | None = None
-    text: str = ""
-    reason: str = ""
-
-
-class Interlock(msgspec.Struct, frozen=True):
-    """One condition of motion; ``blocked`` says why it does not hold."""
-
-    name: str
-    blocked: str = ""
-
-
-class Prompt(msgspec.Struct, frozen=True):
-    """What the operator is asked to do, and what the tracker sees of it."""
-
-    title: str
-    text: str
-    place: str = ""
-    expected_mm: tuple[float, float, float] | None = None
-    limit_mm: float | None = None
-    seen_mm: float | None = None
-    age_s: float | None = None
-    ready: bool = False
-    check: bool = True
-
-
-class Status(msgspec.Struct, frozen=True):
-    """The engine's answer to ``status``."""
-
-    state: str
-    pausing: bool = False
-    unattended: bool = False
-    screens: int = 0
-    devices: dict[str, DeviceStatus] = {}
-    interlocks: list[Interlock] = []
-    prompt: Prompt | None = None
-    retakes: list[str] = []
 
 
 class EngineState(Enum):
@@ -174,7 +130,7 @@ class Scene:
         return self.status is None or not self.heard_s <= STALE_S
 
     @property
-    def prompt(self) -> Prompt | None:
+    def prompt(self) -> PromptStatus | None:
         """Return what the operator is asked, while he is asked and the cell is known."""
         if not self.live or self.status is None or self.log.plan is None:
             return None

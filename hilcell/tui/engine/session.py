@@ -13,15 +13,16 @@ import msgspec
 from hilcell.alarms import Latch, alarms_of
 from hilcell.alarms.alarm import GO_ON
 from hilcell.errors import HilcellError
-from hilcell.run.client import Link, stop_engine
+from hilcell.run.client import EngineClient, stop_engine
 from hilcell.run.forecast import Forecast
+from hilcell.run.protocol import Command
 from hilcell.tui.engine.feed import Feed, Fresh
 from hilcell.tui.engine.scene import EngineState, Scene
 
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
 
-PATIENCE_S = {"answer": 30.0}  # the tracker looks first
+PATIENCE_S: dict[Command, float] = {"answer": 30.0}  # the tracker looks first
 
 
 class Session:
@@ -104,29 +105,29 @@ class Session:
         started hears nobody yet: its process is told, which ends it before anything moves; never
         later, for an engine that has finished still writes its results.
         """
-        link = self.feed.link
-        if (link is not None and link.stop()) or stop_engine(self.folder):
+        client = self.feed.client
+        if (client is not None and client.stop()) or stop_engine(self.folder):
             return True
         if self.process is None or self.scene.engine is not EngineState.STARTING:
             return False
         self.process.terminate()  # does nothing where it has ended
         return True
 
-    def ask(self, command: str, **facts: str) -> None:
+    def ask(self, command: Command, *, key: str = "") -> None:
         """Send a command; raises `HilcellError` where it is refused or no engine lives."""
         patience_s = PATIENCE_S.get(command)
         apart = patience_s is not None  # so that the lamps do not wait for it
-        link = Link.to(self.folder, patience_s) if apart else self.feed.link
-        if link is None:
+        client = EngineClient.of_run(self.folder, patience_s) if apart else self.feed.client
+        if client is None:
             raise HilcellError(
                 f"{command}: no engine is running for {self.folder.name}",
                 code="HC-J08",
             )
         try:
-            link.ask(command, **facts)
+            client.ask(command, key=key)
         finally:
             if apart:
-                link.close()
+                client.close()
         self.feed.soon()
 
     def close(self, *, leave: bool) -> None:

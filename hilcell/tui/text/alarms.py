@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from textual.content import Content
 
 from hilcell.alarms import Alarm, Latch, Latched, Severity
-from hilcell.tui.engine.scene import DeviceStatus, Scene
+from hilcell.run.protocol import DeviceStatus
+from hilcell.tui.engine.scene import Scene
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import LAMPS, lamp

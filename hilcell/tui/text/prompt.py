@@ -5,7 +5,8 @@ from __future__ import annotations
 from textual.content import Content
 
 from hilcell.cell.file import Layout
-from hilcell.tui.engine.scene import Prompt, Scene
+from hilcell.run.protocol import PromptStatus
+from hilcell.tui.engine.scene import Scene
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import short_age
 
@@ -13,7 +14,7 @@ MAP_WIDTH, MAP_HEIGHT = 34, 5
 MOST_LINES = 3  # of a prompt's text
 
 
-def prompt_lines(prompt: Prompt, scene: Scene, glyphs: Glyphs, width: int) -> Content:
+def prompt_lines(prompt: PromptStatus, scene: Scene, glyphs: Glyphs, width: int) -> Content:
     """Return element 9: one prompt, with the nest drawn where there is one."""
     title = Content.styled(prompt.title, "bold $warn").truncate(width, ellipsis=True)
     text = Content(prompt.text.replace("\n", " ")).truncate(MOST_LINES * width, ellipsis=True)
@@ -28,7 +29,7 @@ def prompt_lines(prompt: Prompt, scene: Scene, glyphs: Glyphs, width: int) -> Co
     return Content("\n").join(parts + drawing)
 
 
-def sight(prompt: Prompt, scene: Scene) -> Content:
+def sight(prompt: PromptStatus, scene: Scene) -> Content:
     """Return what the tracker sees there, and whether Enter works."""
     if not prompt.check:
         return Content.styled("Enter when it is done", "bold $good")

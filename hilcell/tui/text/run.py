@@ -9,7 +9,8 @@ from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.alarms.catalogue import SEVERITIES
-from hilcell.tui.engine.scene import DeviceStatus, EngineState, Scene
+from hilcell.run.protocol import DeviceStatus
+from hilcell.tui.engine.scene import EngineState, Scene
 from hilcell.tui.terminal.capabilities import Glyphs
 
 STATES = {

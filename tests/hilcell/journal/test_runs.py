@@ -44,7 +44,7 @@ import json, os, sys
 from pathlib import Path
 from hilcell.journal.index import read_index
 from hilcell.journal import engine_file, log
-from hilcell.run import control  # nothing more can be loaded once rights are given away
+from hilcell.run import client  # nothing more can be loaded once rights are given away
 from hilcell.journal.runs import find_run, read_log
 from hilcell.tui.app.navigation import run_to_open
 run_to_open(Path("."), "")
@@ -58,7 +58,7 @@ except Exception as error:
     print(f"{type(error).__name__}: {error}")
 print(run_to_open(runs, ""))
 try:
-    control.send_command(runs / "2", "pause")
+    client.order(runs / "2", "pause")
 except Exception as error:
     print(f"{type(error).__name__}: {error}")
 """

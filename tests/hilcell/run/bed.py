@@ -126,7 +126,7 @@ class Live:
         assert not self._thread.is_alive()
 
     def status(self, key: str) -> Any:
-        return self.runner.status()[key]
+        return msgspec.to_builtins(self.runner.status())[key]
 
     def until(self, key: str, value: object) -> None:
         until(lambda: self.status(key) == value)

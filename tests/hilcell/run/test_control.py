@@ -16,13 +16,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import hilcell.run.control as control_module
+import hilcell.run.client as client_module
 from hilcell.journal.engine_file import EngineFile, live_engine
 from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import find_run, run_folders
 from hilcell.ports import HilcellError
 from hilcell.run.cell_lock import CellLocked, lock_of_device, lock_of_name, locked
-from hilcell.run.control import COMMANDS, TIMELESS, Control, in_time, order, send_command, too_late
+from hilcell.run.client import order
+from hilcell.run.control import Control
+from hilcell.run.protocol import COMMANDS, TIMELESS, Command, Request, Status
 from tests.hilcell.run.bed import Screen, until
 from tests.hilcell.run.rig import hang
 
@@ -53,9 +55,9 @@ class Recorder:
         self.screens += by
         return self.screens
 
-    def status(self) -> dict[str, object]:
+    def status(self) -> Status:
         self.answers()
-        return {"state": "running", "screens": self.screens}
+        return Status(state="running", screens=self.screens)
 
     def answers(self) -> None:
         """Take as long as a test wants."""
@@ -84,10 +86,9 @@ def test_commands_reach_the_engine_and_are_answered(
     tmp_path: Path, desk: Recorder, control: Control
 ) -> None:
     assert live_engine(tmp_path) is not None
-    answer = {"ok": True, "state": "running", "screens": 0}
-    assert send_command(tmp_path, "pause") == answer
-    assert send_command(tmp_path, "status") == answer
-    assert send_command(tmp_path, "stop")["ok"] is True
+    command: Command
+    for command in ("pause", "status", "stop"):
+        assert order(tmp_path, command) == Status(state="running")
     assert desk.told == ["pause", "stop"]
     control.close()
     assert live_engine(tmp_path) is None
@@ -125,7 +126,7 @@ def test_screens_are_counted(tmp_path: Path, desk: Recorder, screen: Screen) -> 
     assert desk.told == []  # one still watches
     assert screen.ask("leave")["screens"] == 0
     screen.close()
-    assert send_command(tmp_path, "status")["screens"] == 0
+    assert order(tmp_path, "status").screens == 0
     assert desk.told == []  # it left on purpose
 
 
@@ -138,7 +139,7 @@ def test_the_last_screen_that_is_lost_is_told(desk: Recorder, screen: Screen) ->
 def test_who_never_attended_is_not_missed(tmp_path: Path, desk: Recorder, screen: Screen) -> None:
     screen.ask("status")
     screen.close()
-    assert send_command(tmp_path, "status")["ok"] is True
+    order(tmp_path, "status")
     assert desk.told == []
 
 
@@ -184,23 +185,23 @@ def test_a_line_too_long_is_answered_and_ends_the_connection(
 def test_a_dead_engine_is_told(tmp_path: Path, control: Control) -> None:
     control.close()
     with pytest.raises(HilcellError, match="no engine is running; `hilcell show`"):
-        send_command(tmp_path, "pause")
+        order(tmp_path, "pause")
     (tmp_path / "engine.json").write_text('{"pid": 1, "socket": "/nowhere/control"}')
     assert live_engine(tmp_path) is None
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_only_orders_grow_old(command: str) -> None:
-    words = in_time(command, -1.0)
-    assert bool(words) is (command in {"pause", "proceed", "abort", "answer", "retake"})
-    assert bool(too_late(command, words)) is (command not in TIMELESS)
-    assert too_late(command, in_time(command, 60.0)) == ""
-    assert too_late(command, {}) == ""  # of a client that says no time
+def test_only_orders_grow_old(command: Command) -> None:
+    request = Request.within(-1.0, command)
+    assert bool(request.before) is (command in {"pause", "proceed", "abort", "answer", "retake"})
+    assert bool(request.too_late()) is (command not in TIMELESS)
+    assert Request.within(60.0, command).too_late() == ""
+    assert Request(command).too_late() == ""  # of a client that says no time
 
 
 @given(st.floats(-1e9, 1e9).filter(lambda ahead_s: abs(ahead_s) > 5.0))
 def test_an_order_is_taken_until_its_time(ahead_s: float) -> None:
-    refused = too_late("proceed", in_time("proceed", ahead_s))
+    refused = Request.within(ahead_s, "proceed").too_late()
     assert bool(refused) is (ahead_s < 0)
     if refused:
         assert refused.startswith("the order came ")
@@ -214,7 +215,7 @@ def test_a_time_that_is_none_is_refused(text: str) -> None:
         number = math.isfinite(float(text))
     except ValueError:
         number = False
-    refused = too_late("proceed", {"before": text})
+    refused = Request("proceed", before=text).too_late()
     assert ("a finite number of seconds is wanted" in refused) is not number
 
 
@@ -243,8 +244,8 @@ def test_an_order_that_waits_behind_a_slow_answer_grows_old(
     entered, release = threading.Event(), threading.Event()
     monkeypatch.setattr(desk, "answers", hang(entered, release))
     first, second = (
-        msgspec.json.encode({"command": command} | in_time(command, 0.0))
-        for command in ("status", "proceed")
+        msgspec.json.encode(request)
+        for request in (Request("status"), Request.within(0.0, "proceed"))
     )
     screen.link.sendall(first + b"\n" + second + b"\n")
     assert entered.wait(10)
@@ -260,8 +261,8 @@ def test_a_refused_order_is_told(
     desk.refusal = "nothing is asked now"
     with pytest.raises(HilcellError, match=f"^run {tmp_path.name}: nothing is asked now$"):
         order(tmp_path, "answer")
-    assert order(tmp_path, "pause")["state"] == "running"
-    monkeypatch.setattr(control_module, "in_time", lambda command, patience_s: {"before": "0.0"})
+    assert order(tmp_path, "pause").state == "running"
+    monkeypatch.setattr(Request, "within", lambda *rest: Request("proceed", before="0.0"))
     with pytest.raises(HilcellError, match="s too late; nothing was done"):
         order(tmp_path, "proceed")
     assert desk.told == ["answer", "pause"]
@@ -285,7 +286,7 @@ def test_what_was_told_as_failed_is_not_done_later(
     tmp_path: Path, control: Control, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     control.close()
-    monkeypatch.setattr(control_module, "ANSWER_S", 0.2)
+    monkeypatch.setattr(client_module, "ORDER_S", 0.2)
     engine = subprocess.Popen(
         [sys.executable, "-c", ENGINE, str(tmp_path)],
         stdin=subprocess.PIPE,
@@ -295,12 +296,13 @@ def test_what_was_told_as_failed_is_not_done_later(
     assert engine.stdout is not None
     assert engine.stdout.readline() == "listens\n"
     engine.send_signal(signal.SIGSTOP)
+    command: Command
     for command in ("proceed", "answer", "stop"):
         with pytest.raises(HilcellError, match="has not answered"):
-            send_command(tmp_path, command)
+            order(tmp_path, command)
     engine.send_signal(signal.SIGCONT)
-    monkeypatch.setattr(control_module, "ANSWER_S", 10.0)
-    assert send_command(tmp_path, "pause")["ok"] is True
+    monkeypatch.setattr(client_module, "ORDER_S", 10.0)
+    order(tmp_path, "pause")
     told, _ = engine.communicate(timeout=20)
     assert sorted(msgspec.json.decode(told.replace("'", '"'))) == ["pause", "stop"]
 

@@ -1,4 +1,4 @@
-"""Lamps: what a device last said, whether it moves now, and why it is lost."""
+"""What a device last said, whether it moves now, and why it is lost."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ import pytest
 
 from hilcell.cell.devices import Devices, streams_of, sweeps_of
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, RailReading
-from hilcell.run.device_status import Lamps
+from hilcell.run.device_status import CellMonitor
+from hilcell.run.protocol import DeviceStatus
 from tests.hilcell.run.bed import CELL, until
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk, hang
 
 
 class Board:
-    """Lamps over desk devices."""
+    """Monitored desk devices."""
 
     def __init__(self) -> None:
         bare = desk(CELL)
@@ -27,13 +28,16 @@ class Board:
         assert isinstance(bare.robot, DeskRobot)
         assert isinstance(bare.tracker, DeskTracker)
         self.rail, self.robot, self.tracker = bare.rail, bare.robot, bare.tracker
-        self.lamps = Lamps(bare)
-        self.devices = self.lamps.devices
+        self.monitor = CellMonitor(bare)
+        self.devices = self.monitor.devices
 
-    def lamp(self, name: str) -> dict[str, Any]:
-        lamp = self.lamps.status()[name]
-        assert isinstance(lamp, dict)
-        return lamp
+    def of(self, name: str) -> DeviceStatus:
+        return self.monitor.status()[name]
+
+    def age_s(self, name: str) -> float:
+        age_s = self.of(name).age_s
+        assert age_s is not None
+        return age_s
 
 
 @pytest.fixture
@@ -44,17 +48,17 @@ def board() -> Board:
 def test_a_reading_of_the_rail_lights_rail_and_strip(board: Board) -> None:
     board.devices.rail.read()
     for name, text in (("rail", "1100.00 mm, held"), ("strip", "1100.00 mm")):
-        lamp = board.lamp(name)
-        assert (lamp["state"], lamp["text"], lamp["reason"]) == ("fresh", text, "")
-        assert 0.0 <= lamp["age_s"] < 1.0
-    assert board.lamp("robot")["state"] == "unknown"
+        device = board.of(name)
+        assert (device.state, device.text, device.reason) == ("fresh", text, "")
+        assert 0.0 <= board.age_s(name) < 1.0
+    assert board.of("robot").state == "unknown"
 
 
 def test_robot_and_tracker_tell_what_they_read(board: Board) -> None:
     board.devices.robot.read()
     board.devices.tracker.measure(np.array([1.0, 2.0, 3.0]), "SMR", 1)
-    assert board.lamp("robot")["text"] == "at rest at 0.0 -100.0 110.0 0.0 -30.0 0.0 deg"
-    assert board.lamp("tracker")["text"] == "1.00 2.00 3.00 mm, 22.0 C"
+    assert board.of("robot").text == "at rest at 0.0 -100.0 110.0 0.0 -30.0 0.0 deg"
+    assert board.of("tracker").text == "1.00 2.00 3.00 mm, 22.0 C"
 
 
 def test_devices_that_cannot_fly_are_refused_by_name(board: Board) -> None:
@@ -65,23 +69,23 @@ def test_devices_that_cannot_fly_are_refused_by_name(board: Board) -> None:
         robot.sweep(0, 1.0, 0.1).__enter__()
 
 
-def test_a_sweep_lights_the_robot_s_lamp(board: Board) -> None:
+def test_a_robot_that_sweeps_moves(board: Board) -> None:
     class Sweeping(DeskRobot):
         @contextmanager
         def sweep(self, *order: float) -> Iterator[Any]:
             yield order
 
-    lamps = Lamps(Devices(board.rail, Sweeping(CELL), board.tracker))
+    monitor = CellMonitor(Devices(board.rail, Sweeping(CELL), board.tracker))
     moving = []
-    with sweeps_of(lamps.devices.robot).sweep(0, 1.0, 0.1):
-        moving.append(lamps.robot.moving)
-    assert [*moving, lamps.robot.moving] == [True, False]
+    with sweeps_of(monitor.devices.robot).sweep(0, 1.0, 0.1):
+        moving.append(monitor.robot.moving)
+    assert [*moving, monitor.robot.moving] == [True, False]
 
 
 def test_ages_grow(board: Board) -> None:
     board.devices.rail.read()
-    first = board.lamp("rail")["age_s"]
-    until(lambda: board.lamp("rail")["age_s"] >= first + 0.05)
+    first_s = board.age_s("rail")
+    until(lambda: board.age_s("rail") >= first_s + 0.05)
 
 
 @pytest.mark.parametrize(
@@ -106,11 +110,11 @@ def test_a_device_under_way_moves(
     thread = threading.Thread(target=move, args=(board.devices,))
     thread.start()
     assert entered.wait(10)
-    states = {name: board.lamp(name)["state"] for name in ("rail", "strip", "robot", "tracker")}
+    states = {name: board.of(name).state for name in ("rail", "strip", "robot", "tracker")}
     release.set()
     thread.join(10)
     assert {name for name, state in states.items() if state == "moving"} == set(names)
-    assert all(board.lamp(name)["state"] != "moving" for name in names)
+    assert all(board.of(name).state != "moving" for name in names)
 
 
 def test_a_device_that_fails_is_lost_until_it_answers(
@@ -124,11 +128,11 @@ def test_a_device_that_fails_is_lost_until_it_answers(
         patched.setattr(board.robot, "read", gone)
         with pytest.raises(DeviceError, match="no answer"):
             board.devices.robot.read()
-        lamp = board.lamp("robot")
-        assert (lamp["state"], lamp["reason"]) == ("lost", "Robot: read: no answer")
-        assert lamp["age_s"] is not None  # the last good reading's
+        device = board.of("robot")
+        assert (device.state, device.reason) == ("lost", "Robot: read: no answer")
+        assert device.age_s is not None  # the last good reading's
     board.devices.robot.read()
-    assert board.lamp("robot")["state"] == "fresh"
+    assert board.of("robot").state == "fresh"
 
 
 def test_a_measurement_that_fails_leaves_the_tracker_well(board: Board) -> None:
@@ -138,8 +142,8 @@ def test_a_measurement_that_fails_leaves_the_tracker_well(board: Board) -> None:
     board.tracker.answer = broken
     with pytest.raises(NoReading):
         board.devices.tracker.measure(np.zeros(3), "SMR", 1)
-    assert board.lamp("tracker")["state"] == "unknown"
-    assert board.lamp("tracker")["reason"] == ""
+    assert board.of("tracker").state == "unknown"
+    assert board.of("tracker").reason == ""
 
 
 def test_refresh_reads_what_grows_old_and_no_oftener(
@@ -153,7 +157,7 @@ def test_refresh_reads_what_grows_old_and_no_oftener(
         return real()
 
     def refreshed() -> bool:
-        board.lamps.refresh()
+        board.monitor.refresh()
         return len(reads) >= 3
 
     monkeypatch.setattr(board.rail, "read", read)

@@ -121,7 +121,7 @@ def sight(**changes: object) -> Sight:
 
 
 def blocked(**changes: object) -> dict[str, str]:
-    return {each["name"]: each["blocked"] for each in overview(CELL, sight(**changes))}
+    return {each.name: each.blocked for each in overview(CELL, sight(**changes))}
 
 
 def test_the_overview_opens_on_good_readings() -> None:

@@ -11,6 +11,7 @@ import hilcell.run.runner as runner_module
 from hilcell.journal.journal import read_journal
 from hilcell.ports import DeviceError
 from hilcell.run.cell_session import CellSession
+from hilcell.run.protocol import DeviceStatus
 from hilcell.run.states import RUN
 from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import Points, hang, procedure
@@ -259,16 +260,17 @@ STATUS = {
 
 def test_the_status_is_whole_from_the_first_moment(bed: Bed) -> None:
     runner = bed.runner(procedure(Points(1)))
-    status = runner.status()
+    status = runner.status().answer()
     bed.journal.close()
+    assert status.pop("ok") is True
     assert set(status) == STATUS
     assert status["state"] in RUN.states
-    unknown = {"state": "unknown", "age_s": None, "text": "", "reason": ""}
-    assert status["devices"] == dict.fromkeys(("rail", "strip", "robot", "tracker"), unknown)
+    unknown = dict.fromkeys(("rail", "strip", "robot", "tracker"), DeviceStatus())
+    assert status["devices"] == unknown
     assert status["prompt"] is None
 
 
-def test_a_paused_run_keeps_its_lamps_fresh(bed: Bed) -> None:
+def test_a_paused_run_keeps_its_readings_fresh(bed: Bed) -> None:
     with Live(bed, procedure(Points(MANY))) as live:
         live.runner.post("pause")
         live.until("state", "paused")
@@ -279,7 +281,7 @@ def test_a_paused_run_keeps_its_lamps_fresh(bed: Bed) -> None:
         live.runner.post("stop")
 
 
-def test_a_device_lost_while_paused_is_a_dark_lamp_and_no_fault(
+def test_a_device_lost_while_paused_is_shown_and_no_fault(
     bed: Bed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def gone() -> None:

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 import hilcell.run.runner as runner_module
-from hilcell.run.control import Control, send_command
+from hilcell.run.client import order
+from hilcell.run.control import Control
+from hilcell.run.protocol import Command
 from tests.hilcell.run.bed import Bed, Live, Screen, until
 from tests.hilcell.run.rig import Points, procedure
 
@@ -109,9 +111,9 @@ def test_a_screen_that_has_left_is_not_waited_for(
 
 
 @pytest.mark.parametrize("command", ["stop", "abort"])
-def test_stop_and_abort_wait_for_no_screen(bed: Bed, command: str) -> None:
+def test_stop_and_abort_wait_for_no_screen(bed: Bed, command: Command) -> None:
     with waiting(bed) as live:
-        assert send_command(bed.path.parent, command)["ok"] is True
+        order(bed.path.parent, command)
     assert live.code == 4
     assert bed.states() == ["checking", "stopping", "aborted"]
     assert (bed.robot.stopped == 1) is (command == "stop")
@@ -120,7 +122,7 @@ def test_stop_and_abort_wait_for_no_screen(bed: Bed, command: str) -> None:
 @pytest.mark.usefixtures("impatient")
 def test_a_pause_while_it_waits_holds(bed: Bed) -> None:
     with waiting(bed) as live:
-        send_command(bed.path.parent, "pause")
+        order(bed.path.parent, "pause")
         live.until("state", "paused")
         live.runner.stop()
     assert bed.log().points == {}

@@ -130,7 +130,7 @@ def test_a_live_run_measures_it_at_its_next_flange_point(bed: Bed) -> None:
     def act(session: CellSession, number: int) -> None:
         if number == 3 and not session.log.points["f/1"].retaken:
             assert runner[0].retake("f/1") == ""
-            assert runner[0].status()["retakes"] == ["f/1"]
+            assert runner[0].status().retakes == ["f/1"]
 
     runner.append(bed.runner(procedure(Flange(4, "validate_before", act))))
     assert runner[0].run() == 0

@@ -21,7 +21,7 @@ bed = Bed(Path(sys.argv[1]))
 runner = bed.runner(procedure(Points(10**6)))
 
 def deliver():
-    until(lambda: runner.status()["points"] > 5)
+    until(lambda: runner.status().points > 5)
     signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
 
 threading.Thread(target=deliver).start()

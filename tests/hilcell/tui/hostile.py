@@ -8,8 +8,8 @@ import msgspec
 
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
+from hilcell.run.protocol import Status
 from hilcell.tui.engine.feed import Fresh
-from hilcell.tui.engine.scene import Status
 from tests.hilcell.tui.scenes import PROMPT, fresh
 
 MARK = "PWNED"  # in every payload, to be searched for behind what must not be before it

@@ -9,17 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.run import client as links
+from hilcell.run import client
 from hilcell.tui.engine import feed as feeds
 
 PERIOD_S = 0.02
+ANSWER_S = 0.2  # instead of the seconds that an operator has
 LIMIT_S = 10.0
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for silent engines as long as a test may."""
-    monkeypatch.setattr(links, "ANSWER_S", 0.2)
+    monkeypatch.setattr(client, "ANSWER_S", ANSWER_S)
     monkeypatch.setattr(feeds, "REOPEN_S", 0.5)
 
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Kind, Record
+from hilcell.run.protocol import DeviceStatus, Interlock, PromptStatus, Status
 from hilcell.run.reflector_prompts import seat_prompt
 from hilcell.tui.engine.feed import Fresh
-from hilcell.tui.engine.scene import DeviceStatus, EngineState, Interlock, Prompt, Status
+from hilcell.tui.engine.scene import EngineState
 
 BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
 RUN = "20260304-080000-calibrate-ab12"
@@ -170,7 +171,7 @@ def stories() -> dict[str, Story]:
 
 HEARD = ("checking", "running", "pausing", "paused", "suspended", "stopping")
 LIVE = (*HEARD, "silent", "looking")
-PROMPT = Prompt(
+PROMPT = PromptStatus(
     title="Seat the reflector in P1",
     text=seat_prompt(load_cell("paper"), "P1", "F1", np.array([4007.5, -238.7, -480.3]), 5.0).text,
     place="P1",

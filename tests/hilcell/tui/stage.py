@@ -45,9 +45,9 @@ class Listener(Session):
         self.stops = 0
         self.closed: list[bool] = []  # whether it was left on purpose
 
-    def ask(self, command: str, **facts: str) -> None:
+    def ask(self, command: str, *, key: str = "") -> None:
         """Write a command down."""
-        self.asked.append((command, facts))
+        self.asked.append((command, {"key": key} if key else {}))
 
     def stop(self) -> bool:
         """Count a stop, where an engine would hear it."""

@@ -13,12 +13,11 @@ from pathlib import Path
 import pytest
 
 from hilcell.errors import HilcellError
-from hilcell.run import client as links
 from hilcell.tui.engine.feed import Fresh
 from hilcell.tui.engine.scene import EngineState
 from hilcell.tui.engine.session import Session, utc_now
 from tests.hilcell.tui.engine_peer import Peer, usual
-from tests.hilcell.tui.lines import LIMIT_S, PERIOD_S, nothing_left_open, short
+from tests.hilcell.tui.lines import ANSWER_S, LIMIT_S, PERIOD_S, nothing_left_open, short
 
 __all__ = ["nothing_left_open", "short"]
 
@@ -49,7 +48,7 @@ def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(tmp_path: Path) -> 
 
     with Peer(tmp_path, slow):
         session = Session(tmp_path, lambda _: None, PERIOD_S)
-        later = threading.Timer(3 * links.ANSWER_S, looked.set)
+        later = threading.Timer(3 * ANSWER_S, looked.set)
         later.start()
         session.ask("answer")  # raises where it gives up
         later.join()

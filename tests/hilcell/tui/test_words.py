@@ -16,7 +16,8 @@ from textual.content import Content
 from hilcell.alarms import Latch
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
-from hilcell.tui.engine.scene import DeviceStatus, Scene
+from hilcell.run.protocol import DeviceStatus
+from hilcell.tui.engine.scene import Scene
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
 from hilcell.tui.text import run as words
 from hilcell.tui.text.alarms import alarm_lines, alarm_page

@@ -1,4 +1,4 @@
-"""The line to an engine: answers, refusals, silence, garbage, ends; and nothing is leaked."""
+"""A client of an engine: answers, refusals, silence, garbage, ends; and nothing is leaked."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ import pytest
 
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import EngineFile, live_engine
-from hilcell.run import client as links
-from hilcell.run.client import Link, LinkLostError, LinkSilentError
-from hilcell.run.control import send_command
+from hilcell.run.client import EngineClient, EngineLost, EngineSilent, order, stop_engine
+from hilcell.run.protocol import Status
 from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
 from tests.hilcell.tui.lines import LIMIT_S, nothing_left_open, short
 
@@ -23,29 +22,29 @@ __all__ = ["nothing_left_open", "short"]
 MANY_STOPS = 2000  # their answers fill any buffer
 
 
-def linked(folder: Path) -> Link:
-    link = Link.to(folder)
-    assert link is not None
-    return link
+def connected(folder: Path) -> EngineClient:
+    client = EngineClient.of_run(folder)
+    assert client is not None
+    return client
 
 
 def test_esc_held_down_is_heard_to_the_end(tmp_path: Path) -> None:
     with Peer(tmp_path) as peer:
-        link = linked(tmp_path)
+        client = connected(tmp_path)
         for heard in range(10, MANY_STOPS + 1, 10):
-            assert all(link.stop() for _ in range(10))
+            assert all(client.stop() for _ in range(10))
             peer.until_stops(heard)
-        link.close()
+        client.close()
 
 
 def test_it_asks_and_is_answered(tmp_path: Path) -> None:
     with Peer(tmp_path) as peer:
-        link = linked(tmp_path)
-        assert link.ask("status") == STATUS
-        link.ask("retake", key="grid/0-0-0")
-        assert link.stop()
+        client = connected(tmp_path)
+        assert client.ask("status") == msgspec.convert(STATUS, Status)
+        client.ask("retake", key="grid/0-0-0")
+        assert client.stop()
         peer.until(lambda: "stop" in peer.commands)
-        link.close()
+        client.close()
         peer.until(lambda: peer.open == 0)
         numbers = {command: number for number, command in peer.heard}
     assert numbers["status"] == numbers["retake"] != numbers["stop"]
@@ -57,20 +56,20 @@ def test_a_refusal_keeps_its_reason_and_the_line(tmp_path: Path) -> None:
         return says({"ok": False, "error": "not seen"}) if refused else usual(words)
 
     with Peer(tmp_path, refuse):
-        link = linked(tmp_path)
+        client = connected(tmp_path)
         with pytest.raises(HilcellError, match="not seen") as caught:
-            link.ask("answer")
-        assert not isinstance(caught.value, LinkLostError)
-        assert link.ask("status") == STATUS
-        link.close()
+            client.ask("answer")
+        assert not isinstance(caught.value, EngineLost)
+        assert client.ask("status") == msgspec.convert(STATUS, Status)
+        client.close()
 
 
 def test_a_refusal_without_a_reason_is_still_one(tmp_path: Path) -> None:
     with Peer(tmp_path, lambda _: says({})):
-        link = linked(tmp_path)
+        client = connected(tmp_path)
         with pytest.raises(HilcellError, match="refused without a reason"):
-            link.ask("pause")
-        link.close()
+            client.ask("pause")
+        client.close()
 
 
 @pytest.mark.parametrize(
@@ -80,20 +79,20 @@ def test_a_refusal_without_a_reason_is_still_one(tmp_path: Path) -> None:
 )
 def test_what_is_no_answer_loses_the_line(tmp_path: Path, answer: bytes | None) -> None:
     with Peer(tmp_path, lambda _: answer) as peer:
-        link = linked(tmp_path)
-        with pytest.raises(LinkLostError, match="engine: status: no answer"):
-            link.ask("status")
-        with pytest.raises(LinkLostError):
-            link.ask("status")
-        assert not link.stop()
+        client = connected(tmp_path)
+        with pytest.raises(EngineLost, match="engine: status: no answer"):
+            client.ask("status")
+        with pytest.raises(EngineLost):
+            client.ask("status")
+        assert not client.stop()
         peer.until(lambda: peer.open == 0)
 
 
 @pytest.mark.parametrize("beginning", [SILENCE, b'{"ok": tr'], ids=["silence", "torn"])
 def test_a_late_answer_is_never_taken_for_the_next_one_s(tmp_path: Path, beginning: bytes) -> None:
     waits = threading.Event()
-    answers = iter([beginning, says({"ok": True, "number": 2})])
-    rest = says({"ok": True, "number": 1}).removeprefix(beginning)
+    answers = iter([beginning, says(STATUS | {"points": 2})])
+    rest = says(STATUS | {"points": 1}).removeprefix(beginning)
 
     def slowly(words: dict[str, str]) -> bytes:
         if words["command"] == "late":
@@ -102,18 +101,18 @@ def test_a_late_answer_is_never_taken_for_the_next_one_s(tmp_path: Path, beginni
         return usual(words) if words["command"] == "stop" else next(answers)
 
     with Peer(tmp_path, slowly) as peer:
-        link = linked(tmp_path)
-        with pytest.raises(LinkSilentError, match="status: the engine does not answer"):
-            link.ask("status")
-        with pytest.raises(LinkSilentError):  # nothing else is asked while one is owed
-            link.ask("pause")
-        link._asking.sendall(b'{"command": "late"}\n')  # stands for the engine's own time
-        assert link.stop()
+        client = connected(tmp_path)
+        with pytest.raises(EngineSilent, match="status: the engine does not answer"):
+            client.ask("status")
+        with pytest.raises(EngineSilent):  # nothing else is asked while one is owed
+            client.ask("pause")
+        client._asking.sendall(b'{"command": "late"}\n')  # stands for the engine's own time
+        assert client.stop()
         peer.until_stops(1)
         waits.set()
-        assert link.ask("answer")["number"] == 2
+        assert client.ask("answer").points == 2
         assert "pause" not in peer.commands
-        link.close()
+        client.close()
 
 
 def test_a_stop_waits_for_no_answer(tmp_path: Path) -> None:
@@ -124,21 +123,21 @@ def test_a_stop_waits_for_no_answer(tmp_path: Path) -> None:
         return SILENCE
 
     with Peer(tmp_path, hang) as peer:
-        link = linked(tmp_path)
+        client = connected(tmp_path)
 
         def ask() -> None:
-            with pytest.raises(LinkSilentError):
-                link.ask("status")
+            with pytest.raises(EngineSilent):
+                client.ask("status")
             lost.set()
 
         asking = threading.Thread(target=ask)
         asking.start()
         assert asked.wait(LIMIT_S)
-        assert link.stop()
+        assert client.stop()
         peer.until(lambda: "stop" in peer.commands)
         asking.join()
         assert lost.is_set()
-        link.close()
+        client.close()
 
 
 @pytest.mark.parametrize(
@@ -156,7 +155,7 @@ def test_a_stop_waits_for_no_answer(tmp_path: Path) -> None:
 def test_no_engine_no_link(tmp_path: Path, text: bytes | None) -> None:
     if text is not None:
         (tmp_path / "engine.json").write_bytes(text)
-    assert Link.to(tmp_path) is None
+    assert EngineClient.of_run(tmp_path) is None
 
 
 def test_an_engine_whose_queue_is_full_lives_and_is_silent(tmp_path: Path) -> None:
@@ -171,8 +170,8 @@ def test_an_engine_whose_queue_is_full_lives_and_is_silent(tmp_path: Path) -> No
                 client.setblocking(False)
                 client.connect(str(path))
         assert live_engine(tmp_path) is not None
-        with pytest.raises(LinkSilentError, match="connect: no answer"):
-            Link.to(tmp_path)
-        assert not links.stop_engine(tmp_path)
+        with pytest.raises(EngineSilent, match="connect: no answer"):
+            EngineClient.of_run(tmp_path)
+        assert not stop_engine(tmp_path)
         with pytest.raises(HilcellError, match="process 1, has not answered"):
-            send_command(tmp_path, "stop")
+            order(tmp_path, "stop")
