@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 NEIGHBOURS = ("drivers", "procedures", "fakes")
-PAGES = ("docs/architecture.md",)
+PAGES = ("docs/architecture.md", "docs/glossary.md")
 PICTURE = (ROOT / "docs/architecture.md").read_text("utf-8")
 CODE = re.compile(rf"`((?:hilcell|{'|'.join(NEIGHBOURS)})(?:\.\w+)+)`")
 FILE = re.compile(rf"`((?:hilcell|{'|'.join(NEIGHBOURS)}|tests|docs)/[\w./-]+)`")
@@ -100,6 +100,14 @@ def test_the_table_has_every_room() -> None:
     rooms = {f"hilcell/{path.parent.name}" for path in (ROOT / "hilcell").glob("*/__init__.py")}
     named = set(re.findall(r"^\| `([\w/]+)` \|", PICTURE, re.MULTILINE))
     assert sorted(named ^ (rooms | set(NEIGHBOURS))) == []
+
+
+def test_the_glossary_is_in_order_and_every_term_has_its_module() -> None:
+    lines = (ROOT / "docs/glossary.md").read_text("utf-8").splitlines()
+    rows = [line.strip("|").split("|") for line in lines if line.startswith("| ")][1:]
+    terms = [re.sub(r"[{}]", "", row[0]).strip().casefold() for row in rows]
+    assert terms == sorted(terms)
+    assert [row[0] for row in rows if not CODE.fullmatch(row[-1].strip())] == []
 
 
 @pytest.mark.parametrize("page", PAGES)
