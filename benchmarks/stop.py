@@ -33,6 +33,7 @@ from hilcell.cell.file import Cell, Nest, load_cell
 from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.journal import Journal
 from hilcell.journal.log import Log, PlanRecord
+from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import JOURNAL
 from hilcell.ports import SimulatedCell
 from hilcell.run.cell_session import CellSession
@@ -87,11 +88,11 @@ class Phase:
         bench.robot_to(joints, "away")
 
     def tracker(self, bench: CellSession, number: int) -> None:
-        bench.floor_point(f"p/{number}", "p", bench.cell.layout.floor[0])
+        bench.floor_point(PointId("p", number=number), bench.cell.layout.floor[0])
 
     def prompt(self, bench: CellSession, number: int) -> None:
         nowhere = Nest(name="nowhere", x_mm=700.0, y_mm=700.0, z_mm=700.0)
-        bench.floor_point(f"q/{number}", "q", nowhere)
+        bench.floor_point(PointId("q", number=number), nowhere)
 
 
 class Place(msgspec.Struct):

@@ -12,6 +12,7 @@ from hilcell.geometry.circles import Circle, base_frame, base_frame_covariance, 
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
@@ -48,7 +49,7 @@ class BaseFrame:
         station = session.cell.station_named(session.cell.grid.station)
         swept = [
             [
-                session.flange_point(f"base/axis{axis}/{n:03d}", "base", station, joints)
+                session.flange_point(PointId("base", axis=axis, number=n), station, joints)
                 for n, joints in enumerate(sweep(session.cell, axis))
             ]
             for axis in (1, 6)
@@ -98,7 +99,7 @@ def circle_of(cell: Cell, log: Log, axis: int, points: list[Point]) -> Circle:
 def shorter_arcs(log: Log, axis: int) -> list[dict[str, float]]:
     """Return the circle's uncertainties (k = 1) from the middle of the sweep and wider."""
     cell = log.cell
-    points = [p for p in log.group("base") if p.key.startswith(f"base/axis{axis}/")]
+    points = log.select("base", axis=axis)
     begin_deg, end_deg = sweep_of(cell, axis)[1]
     found = []
     for arc in arcs(len(points)):

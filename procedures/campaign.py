@@ -16,6 +16,7 @@ from hilcell.calibration.fit import fit
 from hilcell.calibration.robot_file import Measurements, RobotModel, Row, read_measurements
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
@@ -52,8 +53,9 @@ class Campaign:
         session.reach("connect")
         rows = poses_of(session.cell)
         for pose, at in visits_of(rows):
-            targets = [(f"campaign/{pose}/{rows.target[n]}", rows.xyz_mm[n]) for n in at]
-            session.pose_points("campaign", rows.joints_rad[at[0]], targets)
+            ids = [PointId("campaign", pose=pose, target=rows.target[n]) for n in at]
+            targets = list(zip(ids, rows.xyz_mm[at], strict=True))
+            session.pose_points(rows.joints_rad[at[0]], targets)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the cross-validated fit of what was measured."""
@@ -93,12 +95,11 @@ def robot_of(cell: Cell) -> RobotModel:
 
 def measured(log: Log) -> Measurements:
     """Return the campaign's points as measured targets, with the joints as commanded."""
-    points = [point for point in log.points.values() if point.group == "campaign"]
-    names = [point.key.split("/")[1:] for point in points]
+    points = [point for point in log.points.values() if point.id.kind == "campaign"]
     joints_deg = np.array([point.commanded_deg for point in points])
     return Measurements(
-        [pose for pose, _ in names],
-        [target for _, target in names],
+        [point.id.pose for point in points],
+        [point.id.target for point in points],
         np.radians(joints_deg),
         positions_mm(points),
     )

@@ -15,6 +15,7 @@ from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import lengths_mm, rms
 from hilcell.journal.log import Log, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
@@ -60,13 +61,13 @@ class FrameRepeatability:
     def _frame(self, session: CellSession, station: Station) -> None:
         samples = MORE_READINGS * session.cell.layout.nest_samples
         for nest in session.cell.layout.slide[-SIX:]:
-            key = f"six/{station.name}/{nest.name}"
-            session.slide_point(key, "six", station, nest, samples=samples)
+            id = PointId("six", station=station.name, nest=nest.name)
+            session.slide_point(id, station, nest, samples=samples)
         for axis in (1, 6):
             for number, joints in enumerate(sweep(session.cell, axis)):
-                key = f"frames/{station.name}/axis{axis}/{number:03d}"
-                session.flange_point(key, f"frames_axis{axis}", station, joints)
-        circles = (session.log.group(f"frames_axis{axis}", station.name) for axis in (1, 6))
+                id = PointId("frames", station=station.name, axis=axis, number=number)
+                session.flange_point(id, station, joints)
+        circles = (session.log.select("frames", station.name, axis=axis) for axis in (1, 6))
         session.frame(
             f"base.{station.name}", frame_of_sweeps(session.cell, session.log, *circles)[0]
         )
@@ -106,7 +107,7 @@ def repeatability_figures(log: Log) -> dict[str, Any]:
 
 def seen_from(log: Log, kind: str, station: Station) -> Array:
     """Return the six points (6, 3) in the base or station frame of ``station``."""
-    world_mm = apply(log.matrix("world"), positions_mm(log.group("six", station.name)))
+    world_mm = apply(log.matrix("world"), positions_mm(log.select("six", station.name)))
     return apply(inverse(log.matrix(f"{kind}.{station.name}")), world_mm)
 
 

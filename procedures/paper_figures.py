@@ -16,6 +16,7 @@ from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import lengths_mm, rms
 from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from procedures.base_frame import axis_6_height_mm, circle_of
 from procedures.plan import other_stations
@@ -70,7 +71,7 @@ def highest_temperature(log: Log, result: Result) -> float:
 def jacobian_error(log: Log, result: Result) -> float:
     """Return how far eqs 1-7 are from central differences at the grid's vertices, relative."""
     arm = log.cell.robot.arm()
-    joints_rad = commanded_rad(log.group("grid"))
+    joints_rad = commanded_rad(log.select("grid"))
     analytic = parameter_jacobian(arm, joints_rad)[:, :3, :]
     worst = 0.0
     for column, parameter in enumerate(PARAMETERS):
@@ -105,7 +106,7 @@ def interpolation_off_mm(log: Log, result: Result) -> float:
     pitch. Two steps, not the limit: at a face between cells e jumps (0.1 mm is common), so that a
     target near a face may have no P_cmd of which the equation is exactly true.
     """
-    points = log.group("validate_idw", log.cell.grid.station)
+    points = log.select("validate", log.cell.grid.station, how="idw")
     nominal_mm = np.array([point.nominal_mm for point in points])
     wanted_mm = apply(inverse(log.matrix("base")), nominal_mm)
     sent_mm = forward(log.cell.robot.arm(), commanded_rad(points))[:, :3, 3]
@@ -140,7 +141,7 @@ def transfer(log: Log, result: Result) -> tuple[float, float]:
         by_bases, by_slide = log.matrix(f"base.{station.name}"), frames.base_in_world(station)
         off_mm = apply(by_bases, centre_mm[None]) - apply(by_slide, centre_mm[None])
         axis_1, axis_6 = (
-            circle_of(log.cell, log, axis, log.group(f"frames_axis{axis}", station.name))
+            circle_of(log.cell, log, axis, log.select("frames", station.name, axis=axis))
             for axis in (1, 6)
         )
         covariance = base_frame_covariance(axis_1, axis_6, axis_6_height_mm(log.cell))
@@ -161,6 +162,6 @@ def _point_variance_mm2(T: Array, covariance: Array, point_mm: Array) -> float:
 
 def nests_moved_mm(log: Log, result: Result) -> float:
     """Return how far fixed floor nests were found from their first places: 3-D, rms."""
-    again = log.group("control")
-    first = [log.points[f"world/{point.key.split('/')[-1]}"] for point in again]
+    again = log.select("control")
+    first = [log.point(PointId("world", nest=point.id.nest)) for point in again]
     return rms(lengths_mm(positions_mm(again) - positions_mm(first)))

@@ -151,7 +151,7 @@ def as_cross_validated(log: Log, result: Result) -> Limits:
 
     It is taken at twice the pitch, so the grid itself leaves less.
     """
-    points = log.group("validate_idw", log.cell.grid.station)
+    points = log.select("validate", log.cell.grid.station, how="idw")
     norms_mm = errors_of(log, points).norms_mm
     share = 3 * np.sqrt(2 * variance_of_mean(norms_mm)) / norms_mm.mean()
     return -INFINITE, (1 + share) * result["fit"]["loocv"]["idw"]["mean"]
@@ -173,7 +173,7 @@ def same_robot(log: Log, result: Result) -> Limits:
     tools_mm = [result["stations"][name]["tool_uncertainty_mm"] for name in others]
     variance_mm2 = max(tools_mm) ** 2
     for names in ([reference], others):
-        points = [p for name in names for p in log.group("validate_before", name)]
+        points = [p for name in names for p in log.select("validate", name, how="before")]
         variance_mm2 += variance_of_mean(errors_of(log, points).norms_mm)
     mean_mm = validation("reference", "before", "mean")(log, result)
     return mean_mm - 3 * np.sqrt(variance_mm2), mean_mm + 3 * np.sqrt(variance_mm2)

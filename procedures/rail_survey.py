@@ -11,6 +11,7 @@ from hilcell.geometry.frames import apply, rigid_fit, unit
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import variance_of_mean
 from hilcell.journal.log import Log, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import FLANGE, CellSession
 from hilcell.run.procedure import Span, Step, Table
@@ -46,12 +47,12 @@ class RailSurvey:
 
     def _stop(self, session: CellSession, way: str, number: int, position_mm: float) -> None:
         names = (FLANGE, *(nest.name for nest in session.cell.layout.slide))
-        keys = {name: f"survey/{way}/{number:03d}/{name}" for name in names}
-        if all(key in session.log.points for key in keys.values()):
+        ids = [PointId("survey", way=way, number=number, nest=name) for name in names]
+        if all(session.log.find(id) for id in ids):
             return
         session.rail_to(position_mm)
-        for name, key in keys.items():
-            session.slide_now(key, f"survey_{way}", name)
+        for id in ids:
+            session.slide_now(id, id.nest)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the survey's figures."""
@@ -97,7 +98,7 @@ def survey_figures(log: Log) -> dict[str, Any]:
 
 def path_mm(log: Log, way: str, name: str) -> Array:
     """Return one reflector's positions (N, 3) in {W} in the order of the stops."""
-    points = [p for p in log.group(f"survey_{way}") if p.key.endswith(f"/{name}")]
+    points = [point for point in log.select("survey", way=way) if point.id.nest == name]
     return apply(log.matrix("world"), positions_mm(points))
 
 

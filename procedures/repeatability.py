@@ -16,6 +16,7 @@ from hilcell.geometry.statistics import (
     rms,
 )
 from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -46,8 +47,8 @@ class Repeatability:
         joints = check_reach(session.cell, places_mm(session.cell), "repeatability place")
         for visit in range(VISITS):
             for place, target in enumerate(joints):
-                key = f"repeatability/{place}/{visit:03d}"
-                session.flange_point(key, f"repeatability_{place}", station, target)
+                id = PointId("repeatability", place=place, number=visit)
+                session.flange_point(id, station, target)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return RP of ISO 9283 as measured and of the robot alone, and the floor."""
@@ -69,7 +70,7 @@ def places_mm(cell: Cell) -> Array:
 
 def visits(log: Log) -> list[list[Point]]:
     """Return the points of each place."""
-    return [log.group(f"repeatability_{n}") for n in range(len(places_mm(log.cell)))]
+    return [log.select("repeatability", place=n) for n in range(len(places_mm(log.cell)))]
 
 
 def distances_mm(log: Log) -> Array:
@@ -77,10 +78,7 @@ def distances_mm(log: Log) -> Array:
 
     The mean of n visits scatters too, so distances are grown by sqrt(n / (n - 1)).
     """
-    clouds = [
-        positions_mm(log.group(f"repeatability_{n}")) for n in range(len(places_mm(log.cell)))
-    ]
-    distances = np.concatenate([from_mean_mm(cloud) for cloud in clouds])
+    distances = np.concatenate([from_mean_mm(positions_mm(place)) for place in visits(log)])
     grown: Array = distances * np.sqrt(VISITS / (VISITS - 1))
     return grown
 

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from hilcell.calibration.frames import grid_of, outlying_vertices
+from hilcell.calibration.frames import grid_of, outlying_vertices, vertex_ids
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import flange_points, step
 from procedures.plan import check_range, check_reach, joints_for
 
-Vertex = tuple[str, Array, Array]  # key, joints (6,) in rad, nominal position (3,) in {W}
+Vertex = tuple[PointId, Array, Array]  # identity, joints (6,) in rad, nominal position (3,) in {W}
 
 
 class RobotGrid:
@@ -45,20 +46,20 @@ class RobotGrid:
         grid = grid_of(cell)
         vertices_mm = grid.serpentine_mm()
         world_mm = apply(session.frames.base_in_world(station), vertices_mm)
-        keys = [f"grid/{i}-{j}-{k}" for i, j, k in grid.serpentine()]
-        vertices = list(zip(keys, joints_for(cell, vertices_mm), world_mm, strict=True))
-        for key, joints, nominal_mm in vertices:
-            session.flange_point(key, "grid", station, joints, nominal_mm=nominal_mm)
-        for key, joints, nominal_mm in self._doubtful(session, vertices):
-            session.flange_point(key, "grid", station, joints, nominal_mm=nominal_mm, retake=True)
+        joints_rad = joints_for(cell, vertices_mm)
+        vertices = list(zip(vertex_ids(grid), joints_rad, world_mm, strict=True))
+        for id, joints, nominal_mm in vertices:
+            session.flange_point(id, station, joints, nominal_mm=nominal_mm)
+        for id, joints, nominal_mm in self._doubtful(session, vertices):
+            session.flange_point(id, station, joints, nominal_mm=nominal_mm, retake=True)
         session.reach("measure_grid")
 
     def _doubtful(self, session: CellSession, vertices: list[Vertex]) -> list[Vertex]:
         """Return the vertices that stand out and were not measured a second time yet."""
-        keys = set(outlying_vertices(session.log))
-        doubtful = [v for v in vertices if v[0] in keys and not session.log.points[v[0]].retaken]
-        for key, _, _ in doubtful:
-            session.event("outlier measured again", key=key)
+        ids = set(outlying_vertices(session.log))
+        doubtful = [v for v in vertices if v[0] in ids and not session.log.point(v[0]).retaken]
+        for id, _, _ in doubtful:
+            session.event("outlier measured again", key=id.key)
         return doubtful
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
@@ -26,7 +27,7 @@ from procedures.plan import check_reach, joints_for, other_stations
 from procedures.world_frame import check_control_points
 
 CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
-KEYS = {"before": "sign/before", "corrected": "sign/corrected"}
+IDS = {how: PointId("sign", how=how) for how in ("before", "corrected")}
 
 
 class SignCheck:
@@ -45,8 +46,8 @@ class SignCheck:
         joints_rad = check_reach(cell, middle_mm(grid, np.array(cells)), "middle of a grid cell")
         there = cell.station_named(cell.grid.station)
         back = leg(cell, [there, *other_stations(cell)][-1], there)
-        both = flange_points(cell, joints_rad[[0] * len(KEYS)])
-        return step(self.name, len(KEYS), [back, floor_points(cell), both])
+        both = flange_points(cell, joints_rad[[0] * len(IDS)])
+        return step(self.name, len(IDS), [back, floor_points(cell), both])
 
     def perform(self, session: CellSession) -> None:
         """Send both, measure, and journal the verdict."""
@@ -56,11 +57,11 @@ class SignCheck:
         target_mm = worst_mm(session.log)
         commands = {"before": target_mm, "corrected": self.command(session.log, target_mm)}
         nominal_mm = apply(session.frames.base_in_world(station), target_mm)[0]
-        if not all(key in session.log.points for key in KEYS.values()):
+        if not all(session.log.find(id) for id in IDS.values()):
             check_control_points(session)
         for how, command in commands.items():
             joints = joints_for(session.cell, command)[0]
-            session.flange_point(KEYS[how], f"sign_{how}", station, joints, nominal_mm=nominal_mm)
+            session.flange_point(IDS[how], station, joints, nominal_mm=nominal_mm)
         figures = self.result(session.log)["sign"]
         holds = figures["corrected_mm"] < CLEARLY * figures["before_mm"]
         session.verdict("sign", holds=holds, limit=CLEARLY, **figures)
@@ -72,7 +73,7 @@ class SignCheck:
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors of the target before and corrected, and their ratio."""
-        points = [log.points[key] for key in KEYS.values()]
+        points = [log.point(id) for id in IDS.values()]
         before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
         ratio = corrected_mm / before_mm
         return {"sign": {"before_mm": before_mm, "corrected_mm": corrected_mm, "ratio": ratio}}

@@ -9,6 +9,7 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step, Table
@@ -84,8 +85,8 @@ class StationRepeatability:
         )
 
     def _visit(self, session: CellSession, how: str, way: str, number: int, side: int) -> None:
-        key = f"repeat/{how}/{way}/{number:03d}{'+' if side > 0 else '-'}"
-        if key in session.log.points:
+        id = PointId("repeat", how=how, way=way, number=number, side=side)
+        if session.log.find(id):
             return
         station = session.cell.station_named(session.cell.grid.station)
         session.rail_to(station.rail_mm + side * APPROACH_MM)
@@ -93,7 +94,7 @@ class StationRepeatability:
             session.hold_station(station, again=True)
         else:
             session.rail_to(station.rail_mm)
-        session.slide_now(key, f"repeat_{how}_{way}", session.cell.layout.slide[0].name)
+        session.slide_now(id, session.cell.layout.slide[0].name)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return range, ISO 9283 RP and the effect of the side, along the rail."""
@@ -114,14 +115,14 @@ def random_sides(seed: int, repeats: int) -> list[int]:
 
 def approach_figures(log: Log, how: str, way: str) -> dict[str, float]:
     """Return range along the rail, RP of ISO 9283, and the mean from above less that from below."""
-    points = log.group(f"repeat_{how}_{way}")
+    points = log.select("repeat", how=how, way=way)
     points_mm = positions_mm(points)
     along_mm = along_rail(log, points_mm)
     figures = {
         "range_mm": float(np.ptp(along_mm)),
         "rp_mm": repeatability_mm(from_mean_mm(points_mm)),
     }
-    above = np.array([point.key.endswith("+") for point in points])
+    above = np.array([point.id.side > 0 for point in points])
     if above.any():
         figures["backlash_mm"] = float(along_mm[above].mean() - along_mm[~above].mean())
     return figures

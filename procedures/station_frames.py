@@ -21,6 +21,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
@@ -73,8 +74,7 @@ class StationFrames:
         check_control_points(session)
         nests, samples = session.cell.layout.slide, session.cell.layout.nest_samples
         for number, nest in enumerate(nests):
-            key = f"slide/{station.name}/{nest.name}"
-            session.slide_point(key, "frames", station, nest, samples=samples)
+            session.slide_point(slide_id(station, nest), station, nest, samples=samples)
             if session.cell.layout.by_hand and number < FEW:
                 three_point(session, station, nest)  # while the reflector is there
         few = [three_point(session, station, nest) for nest in nests[:FEW]]
@@ -86,7 +86,7 @@ class StationFrames:
             fit.T,
             covariance=fit.covariance,
             rms_mm=fit.rms_mm,
-            strip_mm=session.log.group("frames", station.name)[-1].strip_mm,
+            strip_mm=session.log.select("slide", station.name)[-1].strip_mm,
             tool_uncertainty_mm=tool_uncertainty_mm(session.cell, fit),
         )
 
@@ -109,14 +109,23 @@ class StationFrames:
 
 def three_point(session: CellSession, station: Station, nest: Nest) -> Point:
     """Return a slide nest's point for the paper's own frame, measured once."""
-    key = f"three/{station.name}/{nest.name}"
-    return session.slide_point(key, THREE, station, nest, samples=THREE_SAMPLES)
+    id = PointId("three", station=station.name, nest=nest.name)
+    return session.slide_point(id, station, nest, samples=THREE_SAMPLES)
+
+
+def slide_id(station: Station, nest: Nest) -> PointId:
+    """Return the identity of a slide nest's point at a station."""
+    return PointId("slide", station=station.name, nest=nest.name)
+
+
+def slide_points(log: Log, station: Station) -> list[Point]:
+    """Return the points of the slide nests at a station, in the order of the nests."""
+    return [log.point(slide_id(station, nest)) for nest in log.cell.layout.slide]
 
 
 def slide_in_world_mm(log: Log, station: Station) -> Array:
     """Return the slide nests (N, 3) in {W} as measured at ``station``."""
-    by_name = [f"slide/{station.name}/{nest.name}" for nest in log.cell.layout.slide]
-    return apply(log.matrix("world"), positions_mm([log.points[key] for key in by_name]))
+    return apply(log.matrix("world"), positions_mm(slide_points(log, station)))
 
 
 def station_fit(log: Log, station: Station, reference: Station) -> RigidFit:
@@ -136,7 +145,7 @@ def station_fit(log: Log, station: Station, reference: Station) -> RigidFit:
 def slide_noise_mm2(log: Log, station: Station) -> Array:
     """Return the covariances (N, 3, 3) in {W} of the averaged slide points, from their scatter."""
     R = log.matrix("world")[:3, :3]
-    points = [log.points[f"slide/{station.name}/{nest.name}"] for nest in log.cell.layout.slide]
+    points = slide_points(log, station)
     variance_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
     covariances: Array = np.einsum("ij,nj,kj->nik", R, variance_mm2, R)
     return covariances

@@ -12,6 +12,7 @@ from hilcell.calibration.frames import command_mm, grid_errors_mm, grid_of
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -64,18 +65,19 @@ class Validate:
     def _send(
         self, session: CellSession, station: Station, how: str, targets_mm: Array, command: Array
     ) -> None:
-        keys = [f"validate/{station.name}/{how}/{n:03d}" for n in range(len(targets_mm))]
-        if all(key in session.log.points for key in keys):
+        ids = [
+            PointId("validate", station=station.name, how=how, number=n)
+            for n in range(len(targets_mm))
+        ]
+        if all(session.log.find(id) for id in ids):
             return
         # Where the reflector is carried by hand, the tracker is proven once a station.
-        if keys[0] not in session.log.points and (
-            how == "before" or not session.cell.layout.by_hand
-        ):
+        if not session.log.find(ids[0]) and (how == "before" or not session.cell.layout.by_hand):
             check_control_points(session)
         nominal_mm = apply(session.frames.base_in_world(station), targets_mm)
         joints = joints_for(session.cell, command)
-        for key, joint, nominal in zip(keys, joints, nominal_mm, strict=True):
-            session.flange_point(key, f"validate_{how}", station, joint, nominal_mm=nominal)
+        for id, joint, nominal in zip(ids, joints, nominal_mm, strict=True):
+            session.flange_point(id, station, joint, nominal_mm=nominal)
 
     def _judge(self, session: CellSession) -> None:
         limits = session.cell.validation
@@ -117,7 +119,7 @@ def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
     """Return mean, p95 and max of |e| before, by the paper's method and by the chosen one."""
     figures: dict[str, Any] = {}
     for how in ("before", "idw", "chosen"):
-        points = [p for name in stations for p in log.group(f"validate_{how}", name)]
+        points = [p for name in stations for p in log.select("validate", name, how=how)]
         figures["points"] = len(points)
         figures[how] = errors_of(log, points).figures._asdict()
     return figures

@@ -10,6 +10,7 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse, three_point_frame
 from hilcell.journal.log import Log, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -43,7 +44,7 @@ class WorldFrame:
 
     def _construct(self, session: CellSession) -> None:
         nests = session.cell.layout.floor
-        points = [session.floor_point(f"world/{nest.name}", "world", nest) for nest in nests]
+        points = [session.floor_point(PointId("world", nest=nest.name), nest) for nest in nests]
         measured_mm = positions_mm(points)
         check_distances(session.cell, measured_mm)
         session.frame("world", world_from_tracker(session.cell, measured_mm))
@@ -86,11 +87,11 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
 def check_control_points(session: CellSession) -> None:
     """Measure the floor nests again and refuse to go on when the tracker has moved."""
     T_W_L = session.log.matrix("world")
-    number = session.log.session
     for nest in session.cell.layout.floor:
-        before = session.log.points[f"world/{nest.name}"]
-        turn = sum(key.endswith(f"/{nest.name}") for key in session.log.points)
-        now = session.floor_point(f"control/{number}-{turn}/{nest.name}", "control", nest)
+        before = session.log.point(PointId("world", nest=nest.name))
+        turn = sum(point.id.nest == nest.name for point in session.log.points.values())
+        id = PointId("control", session=session.log.session, turn=turn, nest=nest.name)
+        now = session.floor_point(id, nest)
         moved_mm = np.diff(apply(T_W_L, positions_mm([before, now])), axis=0)[0]
         off_mm = float(np.linalg.norm(moved_mm))
         if not off_mm <= CONTROL_LIMIT_MM:

@@ -52,7 +52,7 @@ def validation(log: Log, stations: list[str]) -> dict[str, Errors]:
     """Return the errors before and after at ``stations``, as far as they were measured."""
     series: dict[str, Errors] = {}
     for how in HOWS if "world" in log.frames else ():
-        points = [p for name in stations for p in log.group(f"validate_{how}", name)]
+        points = [p for name in stations for p in log.select("validate", name, how=how)]
         errors = errors_of(log, points)
         if len(errors):
             series[how] = errors
@@ -71,8 +71,16 @@ def places(cell: Cell) -> dict[str, list[str]]:
 
 def grid_errors(log: Log) -> Errors | None:
     """Return the errors at the grid's vertices, or nothing where none was measured."""
-    points = log.group("grid")
+    points = log.select("grid")
     return errors_of(log, points) if points and "world" in log.frames else None
+
+
+def visits_mm(log: Log) -> list[Array]:
+    """Return the clouds (N, 3), tracker's frame, of places that the robot visited repeatedly."""
+    places: dict[int | None, list[Point]] = {}
+    for point in log.select("repeatability"):
+        places.setdefault(point.id.place, []).append(point)
+    return [positions_mm(points) for points in places.values() if len(points) > 1]
 
 
 def reduction(before_mm: float, after_mm: float) -> float:

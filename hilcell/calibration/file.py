@@ -33,7 +33,7 @@ ORIENTATION_TOLERANCE_DEG = 2.0
 def calibration_of(log: Log, run: str) -> Calibration:
     """Compute the calibration from the log of a run that reached the fit."""
     cell, frames, grid = log.cell, Frames(log.cell, log), grid_of(log.cell)
-    temperatures = [point.temperature_c for point in log.group("grid")]
+    temperatures = [point.temperature_c for point in log.select("grid")]
     high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
     values = {
         "schema": SCHEMA,

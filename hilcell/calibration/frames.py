@@ -20,6 +20,7 @@ from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.compensation.transfer import base_at
 from hilcell.geometry.frames import apply, inverse
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 
 if TYPE_CHECKING:
@@ -91,8 +92,8 @@ def grid_errors_mm(log: Log) -> Array:
     cell = log.cell
     T_B_W = inverse(log.matrix("base"))
     errors_mm: Array = np.full((*grid_of(cell).shape, 3), np.nan)
-    for point in log.group("grid"):
-        i, j, k = (int(part) for part in point.key.split("/")[1].split("-"))
+    for point in log.select("grid"):
+        i, j, k = point.id.vertex
         both_mm = apply(T_B_W @ log.matrix("world"), np.array([point.xyz_mm]))
         errors_mm[i, j, k] = both_mm[0] - apply(T_B_W, np.array([point.nominal_mm]))[0]
     return errors_mm
@@ -115,20 +116,25 @@ def command_mm(
     )
 
 
-def outlying_vertices(log: Log) -> list[str]:
-    """Return the keys of vertices whose error stands out from their neighbours'.
+def vertex_ids(grid: Grid) -> list[PointId]:
+    """Return the identities of the vertices' points in the order of visit."""
+    return [PointId("grid", vertex=(int(i), int(j), int(k))) for i, j, k in grid.serpentine()]
+
+
+def outlying_vertices(log: Log) -> list[PointId]:
+    """Return the vertices whose error stands out from their neighbours'.
 
     By less than the standard deviation that a reading may have none does.
     """
     cell = log.cell
     found = outlying(grid_errors_mm(log), least_mm=cell.tracker.max_std_mm)
-    return [f"grid/{i}-{j}-{k}" for i, j, k in grid_of(cell).serpentine() if found[i, j, k]]
+    return [id for id in vertex_ids(grid_of(cell)) if found[id.vertex]]
 
 
 def grid_pairs(log: Log) -> Pairs:
     """Return all pairs of measured vertices: joint and Cartesian distance, error difference."""
-    points = log.group("grid")
-    i, j, k = np.array([point.key.split("/")[1].split("-") for point in points], dtype=int).T
+    points = log.select("grid")
+    i, j, k = np.array([point.id.vertex for point in points]).T
     joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
     nominal_mm: Array = np.array([point.nominal_mm for point in points], dtype=float)
     return similarity_pairs(np.radians(joints_deg), nominal_mm, grid_errors_mm(log)[i, j, k])

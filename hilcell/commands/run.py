@@ -122,7 +122,7 @@ def resume(args: argparse.Namespace) -> int:
         output = _output(args.json, journal.run, inputs.points, journal)
         for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
-        output.skip_measured(sum(point.group != "control" for point in log.points.values()))
+        output.skip_measured(sum(point.id.kind != "control" for point in log.points.values()))
         return _perform(cell, procedure, journal, log, output, folder, args)
 
 

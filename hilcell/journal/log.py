@@ -15,6 +15,8 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.old_keys import id_of_key
+from hilcell.journal.point_id import PointId
 from hilcell.journal.stream_file import StreamRecord
 from hilcell.ports import Array
 
@@ -26,6 +28,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     in {W}; joints in deg, ``pose`` is what the controller said, row by row.
     """
 
+    id: PointId
     key: str
     group: str
     station: str
@@ -160,7 +163,7 @@ class Log:
             case "state":
                 self._take_state(record)
             case "point":
-                self.points[record.key] = msgspec.convert(body | {"key": record.key}, Point)
+                self.points[record.key] = _point(record)
                 self.retakes.pop(record.key, None)
             case "frame":
                 self.frames[record.key] = body
@@ -226,17 +229,48 @@ class Log:
             )
         return self.plan
 
-    def group(self, name: str, station: str = "") -> list[Point]:
-        """Return the points of a group (and station) in the order of their keys."""
-        return [
-            self.points[key]
-            for key in sorted(self.points)
-            if self.points[key].group == name and station in ("", self.points[key].station)
-        ]
+    def find(self, id: PointId) -> Point | None:
+        """Return a point, or None where it was not measured yet."""
+        return self.points.get(id.key)
+
+    def point(self, id: PointId) -> Point:
+        """Return a point that was measured."""
+        return self.points[id.key]
+
+    def select(
+        self,
+        kind: str,
+        station: str = "",
+        *,
+        how: str = "",
+        way: str = "",
+        axis: int | None = None,
+        place: int | None = None,
+    ) -> list[Point]:
+        """Return the points of a kind in the order of their keys; what is given must agree."""
+
+        def agrees(point: Point) -> bool:
+            return (
+                point.id.kind == kind
+                and station in ("", point.station)
+                and how in ("", point.id.how)
+                and way in ("", point.id.way)
+                and axis in (None, point.id.axis)
+                and place in (None, point.id.place)
+            )
+
+        return [self.points[key] for key in sorted(self.points) if agrees(self.points[key])]
 
     def matrix(self, frame: str) -> Array:
         """Return a frame's homogeneous matrix (4, 4)."""
         return np.array(self.frames[frame]["matrix"], dtype=float)
+
+
+def _point(record: Record) -> Point:
+    body = record.body | {"key": record.key}
+    if "id" not in body:
+        body["id"] = msgspec.to_builtins(id_of_key(record.key))
+    return msgspec.convert(body, Point)
 
 
 def positions_mm(points: Iterable[Point]) -> Array:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.errors import validation
+from hilcell.calibration.errors import validation, visits_mm
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import pooled_std_mm, reading_variances_mm2, rms
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
 from hilcell.report.uncertainty import (
     ASSUMED,
@@ -109,14 +109,10 @@ def _drift(log: Log) -> Contribution:
 
 def _moves_mm(log: Log) -> Array:
     """Return how far each control point (N, 3) was from the first measurement of its nest."""
-    firsts = {key.split("/")[-1]: point for key, point in log.points.items() if key[:6] == "world/"}
-    again = [(key.split("/")[-1], point) for key, point in log.points.items() if _control(point)]
-    pairs = [(point, firsts[nest]) for nest, point in again if nest in firsts]
+    firsts = {point.id.nest: point for point in log.select("world")}
+    again = [point for point in log.points.values() if point.id.kind == "control"]
+    pairs = [(point, firsts[point.id.nest]) for point in again if point.id.nest in firsts]
     return positions_mm(now for now, _ in pairs) - positions_mm(first for _, first in pairs)
-
-
-def _control(point: Point) -> bool:
-    return point.group == "control"
 
 
 def _thermal(log: Log) -> Contribution:
@@ -135,7 +131,7 @@ def _thermal(log: Log) -> Contribution:
 
 def _target(log: Log, noise_mm: float) -> list[Contribution]:
     """Return what a corrected target has besides; nothing where robot and model are not known."""
-    clouds_mm = _visits_mm(log)
+    clouds_mm = visits_mm(log)
     reference = validation(log, [log.cell.grid.station]).get("chosen")
     if not clouds_mm or reference is None:
         return []
@@ -152,15 +148,8 @@ def _target(log: Log, noise_mm: float) -> list[Contribution]:
     ]  # fmt: skip
 
 
-def _visits_mm(log: Log) -> list[Array]:
-    """Return the clouds of places that were visited again and again (groups repeatability_N)."""
-    names = sorted({p.group for p in log.points.values() if p.group.startswith("repeatability_")})
-    clouds_mm = [positions_mm(log.group(name)) for name in names]
-    return [cloud for cloud in clouds_mm if len(cloud) > 1]
-
-
 def _strip(log: Log) -> Contribution:
-    again = log.group("repeat_strip_random")
+    again = log.select("repeat", how="strip", way="random")
     if len(again) > 1:
         along_mm = apply(log.matrix("world"), positions_mm(again)) @ log.cell.layout.rail_direction
         how = f"{len(again)} approaches of a station by the strip, along the rail"

@@ -14,7 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from hilcell.calibration.frames import grid_errors_mm, grid_of
+from hilcell.calibration.errors import visits_mm
+from hilcell.calibration.frames import grid_errors_mm, grid_of, vertex_ids
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import (
     RigidFit,
@@ -27,6 +28,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.statistics import lengths_mm, pooled_std_mm, reading_variances_mm2
 from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.report.budget import budget_of
 
@@ -122,7 +124,7 @@ def _frame_limits(first: Side, second: Side, key: str) -> tuple[float | None, fl
 def _frame_covariance(side: Side, key: str) -> Array | None:
     """Return the covariance (6, 6) of a frame in {W}: its own, {W}'s, the budget's, the strip's."""
     log, u_mm = side.log, side.u_mm
-    nests = [log.points.get(f"world/{nest.name}") for nest in log.cell.layout.floor[:3]]
+    nests = [log.find(PointId("world", nest=nest.name)) for nest in log.cell.layout.floor[:3]]
     floor = [nest for nest in nests if nest is not None]
     if u_mm is None or len(floor) < len(nests):
         return None
@@ -186,7 +188,7 @@ def grid_drift(first: Side, second: Side) -> GridDrift | None:
     moved_mm = lengths_mm(after_mm - before_mm)
     own_mm = lengths_mm(_less_rigid(places_mm, after_mm - before_mm))
     one_mm, other_mm = (float(lengths_mm(each).mean()) for each in (before_mm, after_mm))
-    keys = [f"grid/{i}-{j}-{k}" for i, j, k in grid.serpentine()[both]]
+    keys = [id.key for id, known in zip(vertex_ids(grid), both, strict=True) if known]
     worst = int(np.argmax(moved_mm))
     whole, own = _vertex_u_mm(first, second, based=True), _vertex_u_mm(first, second, based=False)
     where = f"{len(keys)} vertices"
@@ -237,9 +239,7 @@ def _vertex_u_mm(first: Side, second: Side, *, based: bool) -> float | None:
 def _vertex_variance_mm2(side: Side) -> float | None:
     """Return the measurement's and the robot's share, where places were visited again."""
     log = side.log
-    groups = {p.group for p in log.points.values() if p.group.startswith("repeatability_")}
-    clouds_mm = [positions_mm(log.group(name)) for name in sorted(groups)]
-    visited_mm = [cloud for cloud in clouds_mm if len(cloud) > 1]
+    visited_mm = visits_mm(log)
     if side.u_mm is None or not visited_mm:
         return None
     return side.u_mm**2 + pooled_std_mm(visited_mm) ** 2

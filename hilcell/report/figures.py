@@ -420,6 +420,6 @@ def fig_10(facts: Facts) -> Drawn | None:
 
 def along_rail_mm(log: Log, how: str, way: str) -> Array:
     """Return positions (N,) along the rail's nominal direction of repeated approaches."""
-    raw_mm = positions_mm(log.group(f"repeat_{how}_{way}"))
+    raw_mm = positions_mm(log.select("repeat", how=how, way=way))
     along: Array = raw_mm @ log.matrix("world")[:3, :3].T @ np.array(log.cell.layout.rail_direction)
     return along

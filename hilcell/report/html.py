@@ -44,7 +44,7 @@ def report_html(facts: Facts) -> str:
             measured=measured(facts),
             kind=kind,
             standing=words,
-            controls=len(facts.log.group("control")),
+            controls=len(facts.log.select("control")),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             headlines=headlines(facts),
             certificate=certificate(facts, budget),

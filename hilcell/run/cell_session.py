@@ -21,6 +21,7 @@ from hilcell.geometry.frames import inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import Journal
 from hilcell.journal.log import Log, Point
+from hilcell.journal.point_id import PointId
 from hilcell.ports import (
     Array,
     Clock,
@@ -223,8 +224,7 @@ class CellSession:
 
     def flange_point(
         self,
-        key: str,
-        group: str,
+        id: PointId,
         station: Station,
         joints_rad: Array,
         *,
@@ -237,9 +237,10 @@ class CellSession:
         Points that wait to be re-measured come first.
         """
         self.retake_waiting()
-        if key in self.log.points and not retake:
-            return self.log.points[key]
-        return self._flange_point(key, group, station, joints_rad, nominal_mm, retake=retake)
+        known = self.log.find(id)
+        if known is not None and not retake:
+            return known
+        return self._flange_point(id, station, joints_rad, nominal_mm, retake=retake)
 
     def retake_waiting(self) -> bool:
         """Re-measure the points that wait for it; return whether there were any.
@@ -252,8 +253,7 @@ class CellSession:
                 self.event("retake refused", key=point.key, reason=refused)
                 continue
             self._flange_point(
-                point.key,
-                point.group,
+                point.id,
                 self.cell.station_named(point.station),
                 np.radians(point.commanded_deg or ()),
                 point.nominal_mm,
@@ -263,8 +263,7 @@ class CellSession:
 
     def _flange_point(
         self,
-        key: str,
-        group: str,
+        id: PointId,
         station: Station,
         joints_rad: Array,
         nominal_mm: Array | tuple[float, ...] | None,
@@ -274,14 +273,13 @@ class CellSession:
         self.checkpoint()
         self.hold_station(station)
         self._seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
-        robot = self.robot_to(joints_rad, key)
+        robot = self.robot_to(joints_rad, id.key)
         expected = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
-        reading = self._measure_in_world(key, FLANGE, expected[:3, 3], self.cell.tracker.samples)
+        reading = self._measure_in_world(id.key, FLANGE, expected[:3, 3], self.cell.tracker.samples)
         if self.frames.based():
-            self._check_expected(key, reading, expected[:3, 3], STRAY_MM)
+            self._check_expected(id.key, reading, expected[:3, 3], STRAY_MM)
         return self._keep(
-            key,
-            group,
+            id,
             station.name,
             reading,
             nominal_mm=nominal_mm,
@@ -292,24 +290,20 @@ class CellSession:
             retaken=retake,
         )
 
-    def pose_points(
-        self, group: str, joints_rad: Array, targets: Sequence[tuple[str, Array]]
-    ) -> None:
+    def pose_points(self, joints_rad: Array, targets: Sequence[tuple[PointId, Array]]) -> None:
         """Go to joints (6,) where the slide stands and measure several reflectors there.
 
-        ``targets`` gives each one's key and its expected position (3,) in the tracker's frame.
+        ``targets`` gives each one's identity and its expected position (3,), tracker's frame.
         """
-        missing = [target for target in targets if target[0] not in self.log.points]
+        missing = [target for target in targets if not self.log.find(target[0])]
         if not missing:
             return
         self.checkpoint()
-        robot = self.robot_to(joints_rad, missing[0][0])
-        for key, near_mm in missing:
-            place = key.rsplit("/", 1)[-1]
-            reading = self._measure(key, place, near_mm, self.cell.tracker.samples)
+        robot = self.robot_to(joints_rad, missing[0][0].key)
+        for id, near_mm in missing:
+            reading = self._measure(id.key, id.target, near_mm, self.cell.tracker.samples)
             self._keep(
-                key,
-                group,
+                id,
                 "",
                 reading,
                 commanded_deg=np.degrees(joints_rad),
@@ -317,35 +311,33 @@ class CellSession:
                 pose=robot.pose,
             )
 
-    def floor_point(self, key: str, group: str, nest: Nest) -> Point:
+    def floor_point(self, id: PointId, nest: Nest) -> Point:
         """Measure a nest on the floor."""
-        if key in self.log.points:
-            return self.log.points[key]
+        if known := self.log.find(id):
+            return known
         self.checkpoint()
         self._seat(nest.name, nest.xyz_mm)
         samples = self.cell.layout.nest_samples
-        reading = self._measure_in_world(key, nest.name, nest.xyz_mm, samples)
-        return self._keep(key, group, "", reading)
+        reading = self._measure_in_world(id.key, nest.name, nest.xyz_mm, samples)
+        return self._keep(id, "", reading)
 
-    def slide_point(
-        self, key: str, group: str, station: Station, nest: Nest, *, samples: int
-    ) -> Point:
+    def slide_point(self, id: PointId, station: Station, nest: Nest, *, samples: int) -> Point:
         """Measure a nest on the slide while ``station`` is held."""
-        if key in self.log.points:
-            return self.log.points[key]
+        if known := self.log.find(id):
+            return known
         self.checkpoint()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
         self._seat(nest.name, expected)
-        reading = self._measure_in_world(key, nest.name, expected, samples)
+        reading = self._measure_in_world(id.key, nest.name, expected, samples)
         if self.frames.based():
-            self._check_expected(key, reading, expected, 2 * self.cell.layout.nest_tolerance_mm)
-        return self._keep(key, group, station.name, reading)
+            self._check_expected(id.key, reading, expected, 2 * self.cell.layout.nest_tolerance_mm)
+        return self._keep(id, station.name, reading)
 
-    def slide_now(self, key: str, group: str, name: str) -> Point:
+    def slide_now(self, id: PointId, name: str) -> Point:
         """Measure a nest on the slide, or ``flange``, wherever the slide stands, robot parked."""
-        if key in self.log.points:
-            return self.log.points[key]
+        if known := self.log.find(id):
+            return known
         self.checkpoint()
         rail = self.devices.rail.read()
         T_W_B = self.cell.layout.nominal_base(rail.strip_mm)
@@ -355,8 +347,8 @@ class CellSession:
             nests = {nest.name: nest.xyz_mm for nest in self.cell.layout.slide}
             expected = (T_W_B @ np.append(nests[name], 1.0))[:3]
         self._seat(name, expected)
-        reading = self._measure_in_world(key, name, expected, self.cell.layout.nest_samples)
-        return self._keep(key, group, "", reading)
+        reading = self._measure_in_world(id.key, name, expected, self.cell.layout.nest_samples)
+        return self._keep(id, "", reading)
 
     def _parked_flange_mm(self, T_W_B: Array) -> Array:
         """Return where the flange's reflector (3,) is in {W} with the robot at its safe pose."""
@@ -454,14 +446,13 @@ class CellSession:
                 fields={"point": key, "off_mm": off_mm, "limit_mm": limit_mm},
             )
 
-    def _keep(
-        self, key: str, group: str, station: str, reading: TrackerReading, **facts: Any
-    ) -> Point:
+    def _keep(self, id: PointId, station: str, reading: TrackerReading, **facts: Any) -> Point:
         rail = self.devices.rail.read()
         if self._held is not None:
-            check_strip(self.cell, rail, self._held, f"after measuring {key}")
+            check_strip(self.cell, rail, self._held, f"after measuring {id.key}")
         body = {
-            "group": group,
+            "id": id,
+            "group": id.group,
             "station": station,
             "frame": "tracker",
             "reflector": reading.reflector,
@@ -475,8 +466,8 @@ class CellSession:
             "rail_mm": rail.position_mm,
             "strip_mm": rail.strip_mm,
         }
-        self._journal.append("point", key, body | facts)
-        return self.log.points[key]
+        self._journal.append("point", id.key, body | facts)
+        return self.log.point(id)
 
 
 def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:

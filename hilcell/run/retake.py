@@ -9,8 +9,8 @@ from __future__ import annotations
 from hilcell.journal.log import Log, Point
 from hilcell.run.states import CALIBRATION
 
-UNTIL_FITTED = ("grid", "repeatability_")
-ALWAYS = ("validate_",)
+UNTIL_FITTED = ("grid", "repeatability")
+ALWAYS = ("validate",)
 
 
 def retake_refusal(log: Log, key: str) -> str:
@@ -29,9 +29,9 @@ def still_refused(log: Log, key: str) -> str:
 
 
 def _bound(log: Log, point: Point) -> str:
-    if point.group.startswith(ALWAYS) and _repeatable(point):
+    if point.id.kind in ALWAYS and _repeatable(point):
         return ""
-    if not (point.group.startswith(UNTIL_FITTED) and _repeatable(point)):
+    if not (point.id.kind in UNTIL_FITTED and _repeatable(point)):
         return f"{point.key}: only grid, repeatability, validation are retaken; start a new run"
     if log.states["calibration"] in CALIBRATION.states[CALIBRATION.states.index("fitted") :]:
         return f"{point.key}: the correction was built with it; start a new run"

@@ -5,6 +5,7 @@ import pytest
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.journal.log import Log, Point
+from hilcell.journal.point_id import PointId
 from procedures.repeatability import VISITS, floor, rp_mm, rp_robot_mm
 
 PLACES = 3
@@ -22,8 +23,8 @@ class Visits(Log):
             for visit in range(VISITS):
                 noise_mm = rng.standard_normal(3) * robot_mm
                 noise_mm += rng.standard_normal(3) * np.array(TRACKER_MM)
-                point = _point(f"repeatability_{place}", 1000.0 * place + noise_mm)
-                self.points[f"repeatability/{place}/{visit}"] = point
+                id = PointId("repeatability", place=place, number=visit)
+                self.points[id.key] = _point(id, 1000.0 * place + noise_mm)
 
     @property
     def cell(self) -> Cell:
@@ -31,12 +32,12 @@ class Visits(Log):
         return self._cell
 
 
-def _point(group: str, xyz_mm: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Point:
+def _point(id: PointId, xyz_mm: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Point:
     x, y, z = xyz_mm.tolist()
     return Point(
-        key="", group=group, station="S1100", reflector="", xyz_mm=(x, y, z), std_mm=TRACKER_MM,
-        samples=1, temperature_c=23.0, pressure_mbar=1009.0, humidity_percent=45.0, session=1,
-        frame="tracker",
+        id=id, key=id.key, group=id.group, station="S1100", reflector="",
+        xyz_mm=(x, y, z), std_mm=TRACKER_MM, samples=1, temperature_c=23.0,
+        pressure_mbar=1009.0, humidity_percent=45.0, session=1, frame="tracker",
     )  # fmt: skip
 
 

@@ -6,14 +6,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.frames import Frames, grid_of
+from hilcell.calibration.frames import Frames, grid_of, vertex_ids
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log, Point
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
-from procedures.sign_check import KEYS, SignCheck, worst_mm
+from procedures.sign_check import IDS, SignCheck, worst_mm
 
 CELL = load_cell("paper", {"grid.pitch_mm": "450.0"})
 BASE = CELL.layout.nominal_base(CELL.station_named(CELL.grid.station).rail_mm)
@@ -44,38 +45,39 @@ class FakeBench:
             "settings": {}, "steps": [], "points": 0, "duration_s": 0.0,
         })  # fmt: skip
         grid = grid_of(CELL)
-        for (i, j, k), at_mm in zip(grid.serpentine(), grid.serpentine_mm(), strict=True):
-            self.measured(f"grid/{i}-{j}-{k}", "grid", at_mm, apply(BASE, at_mm[None])[0])
+        for id, at_mm in zip(vertex_ids(grid), grid.serpentine_mm(), strict=True):
+            self.measured(id, at_mm, apply(BASE, at_mm[None])[0])
         self.keep("verdict", "fit", {"holds": True, "method": "trilinear"})
         for nest in CELL.layout.floor:
-            self._point(f"world/{nest.name}", "world", nest.xyz_mm, None)
+            self._point(PointId("world", nest=nest.name), nest.xyz_mm, None)
 
     def keep(self, kind: Any, key: str, body: dict[str, Any]) -> None:
         self._count += 1
         self.log.take(Record(self._count, "", kind, key, body))
 
-    def measured(self, key: str, group: str, at_mm: Array, nominal_mm: Array) -> None:
+    def measured(self, id: PointId, at_mm: Array, nominal_mm: Array) -> None:
         reached_mm = at_mm + error_mm(at_mm[None])[0]
-        self._point(key, group, apply(BASE, reached_mm[None])[0], nominal_mm)
+        self._point(id, apply(BASE, reached_mm[None])[0], nominal_mm)
 
-    def _point(self, key: str, group: str, xyz_mm: Array, nominal_mm: Array | None) -> None:
-        self.keep("point", key, {
-            "group": group, "station": CELL.grid.station, "reflector": "", "samples": 1,
+    def _point(self, id: PointId, xyz_mm: Array, nominal_mm: Array | None) -> None:
+        self.keep("point", id.key, {
+            "id": msgspec.to_builtins(id), "group": id.group, "reflector": "",
+            "station": CELL.grid.station, "samples": 1,
             "xyz_mm": xyz_mm.tolist(), "std_mm": [0.0] * 3, "temperature_c": 20.0,
             "pressure_mbar": 1000.0, "humidity_percent": 50.0, "session": 1, "frame": "tracker",
             "nominal_mm": None if nominal_mm is None else nominal_mm.tolist(),
         })  # fmt: skip
 
     def flange_point(
-        self, key: str, group: str, station: Any, joints_rad: Array, *, nominal_mm: Array
+        self, id: PointId, station: Any, joints_rad: Array, *, nominal_mm: Array
     ) -> Point:
         assert station.name == CELL.grid.station
-        self.measured(key, group, forward(CELL.robot.arm(), joints_rad)[:3, 3], nominal_mm)
-        return self.log.points[key]
+        self.measured(id, forward(CELL.robot.arm(), joints_rad)[:3, 3], nominal_mm)
+        return self.log.point(id)
 
-    def floor_point(self, key: str, group: str, nest: Any) -> Point:
-        self._point(key, group, nest.xyz_mm, None)
-        return self.log.points[key]
+    def floor_point(self, id: PointId, nest: Any) -> Point:
+        self._point(id, nest.xyz_mm, None)
+        return self.log.point(id)
 
     def verdict(self, key: str, *, holds: bool, **facts: object) -> None:
         self.keep("verdict", key, {"holds": holds} | facts)
@@ -105,7 +107,7 @@ def test_the_right_sign_holds(bench: Any) -> None:
         float(np.linalg.norm(error_mm(worst_mm(bench.log)))), abs=1e-6
     )
     assert verdict["corrected_mm"] < 0.01
-    assert [bench.log.points[key].group for key in KEYS.values()] == [
+    assert [bench.log.point(id).group for id in IDS.values()] == [
         "sign_before",
         "sign_corrected",
     ]

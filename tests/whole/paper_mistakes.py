@@ -61,15 +61,13 @@ def as_if_sent(log: Log, correct: Callable[[Array], Array], stations: Iterable[s
     points = []
     T_L_W, T_B_W = inverse(log.matrix("world")), inverse(log.matrix("base"))
     for station in stations:
-        nominal_mm = np.array([p.nominal_mm for p in log.group("validate_idw", station)])
+        targets = log.select("validate", station, how="idw")
+        nominal_mm = np.array([point.nominal_mm for point in targets])
         in_base_mm = apply(T_B_W @ moved_to_reference(log, station), nominal_mm)
         off_mm = correct(in_base_mm) @ inverse(T_B_W)[:3, :3].T
-        before_mm = errors_of(log, log.group("validate_before", station)).error_mm
+        before_mm = errors_of(log, log.select("validate", station, how="before")).error_mm
         reached_mm = apply(T_L_W, nominal_mm + before_mm - off_mm)
-        points += [
-            placed(point, at_mm)
-            for point, at_mm in zip(log.group("validate_idw", station), reached_mm, strict=True)
-        ]
+        points += [placed(point, at_mm) for point, at_mm in zip(targets, reached_mm, strict=True)]
     return changed(log, points)
 
 

@@ -121,13 +121,12 @@ def test_a_way_back_in_the_order_of_the_way_there(
 
 def test_a_way_back_from_the_same_side_shows_no_backlash(paper: PaperRun) -> None:
     log = paper.log
-    forth = {point.key: point for point in log.group("survey_forth")}
-    last = max(int(key.split("/")[2]) for key in forth)
+    last = max(point.id.number or 0 for point in log.select("survey", way="forth"))
     same = []
-    for point in log.group("survey_back"):
-        _, _, number, name = point.key.split("/")
-        there = forth[f"survey/forth/{last - int(number):03d}/{name}"]
-        same.append(msgspec.structs.replace(point, xyz_mm=there.xyz_mm))
+    for point in log.select("survey", way="back"):
+        assert point.id.number is not None
+        forth = msgspec.structs.replace(point.id, way="forth", number=last - point.id.number)
+        same.append(msgspec.structs.replace(point, xyz_mm=log.point(forth).xyz_mm))
     assert "fig1.backlash" in failing(changed(log, same))
 
 
@@ -174,7 +173,7 @@ def test_a_links_error_left_in_the_tools_frame(
 
 def test_errors_of_other_vertices_are_not_similar(paper: PaperRun) -> None:
     log = paper.log
-    vertices = log.group("grid")
+    vertices = log.select("grid")
     errors = errors_of(log, vertices).error_mm[np.random.default_rng(1).permutation(len(vertices))]
     nominal_mm = np.array([point.nominal_mm for point in vertices])
     dealt_mm = apply(inverse(log.matrix("world")), nominal_mm + errors)
@@ -228,7 +227,7 @@ def test_commands_by_another_equation(
     paper: PaperRun, wrong: Callable[[Log, Array], Array]
 ) -> None:
     log = paper.log
-    points = log.group("validate_idw", REFERENCE)[::5]
+    points = log.select("validate", REFERENCE, how="idw")[::5]
     nominal_mm = np.array([point.nominal_mm for point in points])
     wanted_mm = apply(inverse(log.matrix("base")), nominal_mm)
     commands_deg = np.degrees(joints_for(log.cell, wanted_mm - wrong(log, wanted_mm)))
@@ -290,8 +289,7 @@ def test_a_point_of_a_sweep_measured_while_axis_2_moves(paper: PaperRun) -> None
     turn = (inverse(log.matrix("world")) @ log.matrix("base"))[:3, :3]
     at_mm = positions_mm([early]) + step_mm @ turn.T
     other = changed(log, [placed(early, at_mm[0])])
-    swept = [p for p in other.group("base") if p.key.startswith("base/axis1/")]
-    rms_mm = circle_of(log.cell, other, 1, swept).rms_mm
+    rms_mm = circle_of(log.cell, other, 1, other.select("base", axis=1)).rms_mm
     frames = {"base": {"circle_rms_mm": [rms_mm, log.frames["base"]["circle_rms_mm"][1]]}}
     assert "fig6.circle.rms" in failing(framed(other, frames))
 
@@ -315,21 +313,22 @@ def test_a_station_frame_that_is_built_from_circles(paper: PaperRun) -> None:
     assert "fig8.ratio" in failing(framed(log, frames))
 
 
-def group_as(log: Log, group: str, other: str) -> Log:
-    """Return the log with the points of one group measured as those of another."""
-    pairs = zip(log.group(group), log.group(other), strict=True)
+def approaches_as(log: Log, one: tuple[str, str], other: tuple[str, str]) -> Log:
+    """Return the log with approaches (how, way) measured as others."""
+    first, second = (log.select("repeat", how=how, way=way) for how, way in (one, other))
+    pairs = zip(first, second, strict=True)
     return changed(log, [placed(one, np.array(two.xyz_mm)) for one, two in pairs])
 
 
 def test_without_the_loop_of_the_strip(paper: PaperRun) -> None:
-    assert "fig10.strip.range" in failing(
-        group_as(paper.log, "repeat_strip_random", "repeat_plain_random")
-    )
+    other = approaches_as(paper.log, ("strip", "random"), ("plain", "random"))
+    assert "fig10.strip.range" in failing(other)
 
 
-@pytest.mark.parametrize("other", ["repeat_plain_one_side", "repeat_strip_random"])
-def test_approaches_that_do_not_see_the_backlash(paper: PaperRun, other: str) -> None:
-    assert "fig10.plain.range" in failing(group_as(paper.log, "repeat_plain_random", other))
+@pytest.mark.parametrize("other", [("plain", "one_side"), ("strip", "random")])
+def test_approaches_that_do_not_see_the_backlash(paper: PaperRun, other: tuple[str, str]) -> None:
+    found = approaches_as(paper.log, ("plain", "random"), other)
+    assert "fig10.plain.range" in failing(found)
 
 
 # -- section 5 ----------------------------------------------------------------------------------
@@ -337,7 +336,7 @@ def test_approaches_that_do_not_see_the_backlash(paper: PaperRun, other: str) ->
 
 def test_single_readings_of_the_tracker(paper: PaperRun) -> None:
     log, rng = paper.log, np.random.default_rng(3)
-    nests = [*log.group("control"), *log.group("world")]
+    nests = [*log.select("control"), *log.select("world")]
     single = [
         placed(p, positions_mm([p])[0] + np.sqrt(1 - 1 / p.samples) * rng.normal(0.0, p.std_mm))
         for p in nests
@@ -347,7 +346,7 @@ def test_single_readings_of_the_tracker(paper: PaperRun) -> None:
 
 def test_a_tracker_that_is_moved_by_20_um_once_the_world_is_framed(paper: PaperRun) -> None:
     log = paper.log
-    late = [placed(p, positions_mm([p])[0] + [0.02, 0.0, 0.0]) for p in log.group("control")]
+    late = [placed(p, positions_mm([p])[0] + [0.02, 0.0, 0.0]) for p in log.select("control")]
     assert "sec5.1.tracker" in failing(changed(log, late))
 
 
@@ -409,7 +408,7 @@ def test_targets_placed_by_another_base(
     for name in OTHERS:
         T = wrong(log, name) @ inverse(frames.base_in_world(log.cell.station_named(name)))
         for how in ("before", "idw", "chosen"):
-            for point in log.group(f"validate_{how}", name):
+            for point in log.select("validate", name, how=how):
                 (wrong_mm,) = apply(T, np.array([point.nominal_mm]))
                 points.append(msgspec.structs.replace(point, nominal_mm=tuple(wrong_mm.tolist())))
     assert failing(changed(log, points)) >= fails

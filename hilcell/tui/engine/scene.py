@@ -62,7 +62,7 @@ class Scene:
             del self.records[:-MOST_NOTED]
         if record.kind == "point":
             self.last = self.log.points[record.key]
-            if self.step and self.last.group != "control":
+            if self.step and self.last.id.kind != "control":
                 self.measured.setdefault(int(self.step["number"]), set()).add(record.key)
         elif record.kind == "event" and record.body.get("what") == "step":
             self.step = record.body

@@ -15,7 +15,7 @@ from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
 from hilcell.tui.terminal.capabilities import Glyphs
 
-JUDGED = "validate_chosen"  # the paper's method is measured beside it, to be compared
+JUDGED = "chosen"  # the paper's method is measured beside it, to be compared
 BAD_STATES = ("out", "noisy")
 
 
@@ -45,7 +45,8 @@ def deviation_of(log: Log, point: Point) -> Deviation | None:
         return None
     found = errors_of(log, [point])
     error, actual = found.error_mm[0], found.nominal_mm[0] + found.error_mm[0]
-    limit = log.cell.validation.max_tolerance_mm if point.group == JUDGED else None
+    judged = point.id.kind == "validate" and point.id.how == JUDGED
+    limit = log.cell.validation.max_tolerance_mm if judged else None
     return Deviation(point.key, _xyz(error), _xyz(actual), limit)
 
 

@@ -15,10 +15,11 @@ from textual.content import Content
 from hilcell.calibration.errors import errors_of
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.tui.engine.scene import Scene
 from hilcell.tui.text.tables import record_words
 
-HOWS = (("validate_before", "before"), ("validate_idw", "idw"), ("validate_chosen", "chosen"))
+HOWS = ("before", "idw", "chosen")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +49,14 @@ class Plot:
         return low * 1.08, high * 1.08
 
 
-def _norms(log: Log, group: str) -> list[float]:
-    return errors_of(log, log.group(group)).norms_mm.tolist() if "world" in log.frames else []
+def _norms(log: Log, kind: str, how: str = "") -> list[float]:
+    points = log.select(kind, how=how)
+    return errors_of(log, points).norms_mm.tolist() if "world" in log.frames else []
 
 
 def errors_plot(log: Log) -> Plot:
     """Return |e| at the targets before and after correction, in their order."""
-    lines = [Line(name, _norms(log, group)) for group, name in HOWS]
+    lines = [Line(how, _norms(log, "validate", how)) for how in HOWS]
     lines = [line for line in lines if line.values]
     if not lines:
         lines = [Line("grid", _norms(log, "grid"))]
@@ -72,17 +74,19 @@ def repeat_plot(log: Log) -> Plot:
     """Return how far repeated readings of a place lie from their mean."""
     groups: dict[str, list[Point]] = {}
     for point in log.points.values():
-        if point.group.startswith("repeat"):
-            place = point.key.rsplit("/", 1)[0]
-            groups.setdefault(place, []).append(point)
+        if point.id.kind in ("repeat", "repeatability"):
+            groups.setdefault(_place(point.id), []).append(point)
     lines = [
-        Line(name.removeprefix("repeat/"), from_mean_mm(positions_mm(points)).tolist())
-        for name, points in groups.items()
+        Line(name, from_mean_mm(positions_mm(points)).tolist()) for name, points in groups.items()
     ]
     merged = [value for line in lines for value in line.values]
     if len(lines) > 3:
         lines = [Line("repeat visits", merged)]
     return Plot("repeatability: distance from the mean", "visit", "mm", lines)
+
+
+def _place(id: PointId) -> str:
+    return f"{id.how}/{id.way}" if id.kind == "repeat" else f"repeatability/{id.place}"
 
 
 def strip_plot(log: Log) -> Plot:

@@ -11,6 +11,7 @@ import numpy as np
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Journal
+from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import JOURNAL
 from hilcell.ports import Array
 from hilcell.report.facts import Facts, read_facts
@@ -45,20 +46,20 @@ class Writer:
     def frame(self, key: str, **more: Any) -> None:
         self.journal.append("frame", key, {"matrix": np.eye(4)} | more)
 
-    def point(self, key: str, group: str, xyz_mm: Any, station: str = "", **more: Any) -> None:
+    def point(self, id: PointId, xyz_mm: Any, station: str = "", **more: Any) -> None:
         body = {
-            "group": group, "station": station, "frame": "tracker", "reflector": "SMR 1.5in",
+            "id": id, "group": id.group, "station": station, "frame": "tracker",
+            "reflector": "SMR 1.5in",
             "xyz_mm": tuple(map(float, xyz_mm)), "std_mm": (0.01, 0.01, 0.01), "samples": 1,
             "temperature_c": 22.0, "pressure_mbar": 1013.0, "humidity_percent": 45.0, "session": 1,
         }  # fmt: skip
-        self.journal.append("point", key, body | more)
+        self.journal.append("point", id.key, body | more)
 
     def validated(self, station: str, how: str, errors_mm: Sequence[tuple[float, ...]]) -> Writer:
         for number, error_mm in enumerate(errors_mm):
             nominal_mm = np.array([100.0 * number, 50.0 * number, 900.0 + 70.0 * number])
             self.point(
-                f"validate/{station}/{how}/{number:03d}",
-                f"validate_{how}",
+                PointId("validate", station=station, how=how, number=number),
                 nominal_mm + error_mm,
                 station,
                 nominal_mm=tuple(nominal_mm),
@@ -70,8 +71,8 @@ class Writer:
     def visited(self, clouds_mm: list[Array]) -> Writer:
         for place, cloud in enumerate(clouds_mm):
             for visit, xyz_mm in enumerate(cloud):
-                key = f"repeatability/{place}/{visit:03d}"
-                self.point(key, f"repeatability_{place}", xyz_mm, "S1100", smr_mm=(0.0, 0.0, 0.0))
+                id = PointId("repeatability", place=place, number=visit)
+                self.point(id, xyz_mm, "S1100", smr_mm=(0.0, 0.0, 0.0))
         return self
 
     def ended(self, state: str = "finished", code: int = 0, reason: str = "") -> Path:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilcell.journal.point_id import PointId
 from hilcell.report.budget import Budget, budget_of
 from hilcell.report.uncertainty import ASSUMED, MEASURED, Contribution
 from tests.hilcell.report.journals import Writer, validated_run
@@ -24,7 +25,7 @@ def test_nothing_measured_gives_no_budget(tmp_path: Path) -> None:
 
 def test_what_is_not_measured_is_a_stated_assumption(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "few").began()
-    writer.point("world/F1", "world", (0, 0, 0))
+    writer.point(PointId("world", nest="F1"), (0, 0, 0))
     lines = by_name(budget_of(writer.facts().log))
     assert set(lines) == {
         "Tracker, reading noise",
@@ -41,9 +42,9 @@ def test_what_is_not_measured_is_a_stated_assumption(tmp_path: Path) -> None:
 
 def test_drift_is_what_the_floor_nests_moved(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "drift").began()
-    writer.point("world/F1", "world", (1000, 0, 0))
-    writer.point("control/1-1/F1", "control", (1000.03, 0, 0))
-    writer.point("control/1-2/F1", "control", (1000, 0.03, 0))
+    writer.point(PointId("world", nest="F1"), (1000, 0, 0))
+    for turn, at_mm in enumerate(((1000.03, 0, 0), (1000, 0.03, 0)), start=1):
+        writer.point(PointId("control", session=1, turn=turn, nest="F1"), at_mm)
     drift = by_name(budget_of(writer.facts().log))["Drift"]
     assert drift.source == MEASURED
     assert drift.u_mm == pytest.approx(0.03 / math.sqrt(3))
@@ -51,8 +52,8 @@ def test_drift_is_what_the_floor_nests_moved(tmp_path: Path) -> None:
 
 def test_thermal_from_the_range_of_temperatures(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "warm").began()
-    writer.point("world/F1", "world", (0, 0, 0), temperature_c=21.0)
-    writer.point("world/F2", "world", (2000, 0, 0), temperature_c=23.0)
+    writer.point(PointId("world", nest="F1"), (0, 0, 0), temperature_c=21.0)
+    writer.point(PointId("world", nest="F2"), (2000, 0, 0), temperature_c=23.0)
     thermal = by_name(budget_of(writer.facts().log))["Thermal expansion"]
     assert thermal.estimate_mm == pytest.approx(0.023)
     assert thermal.u_mm == pytest.approx(0.023 / math.sqrt(3))
@@ -82,7 +83,8 @@ def test_a_corrected_target(tmp_path: Path) -> None:
 def test_the_strip_by_its_repeats(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "strip").visited([CLOUD_MM])
     for number, along_mm in enumerate((0.0, 0.02, 0.04)):  # std 0.02 along y, the rail
-        writer.point(f"repeat/strip/random/{number}", "repeat_strip_random", (0, along_mm, 0))
+        id = PointId("repeat", how="strip", way="random", number=number)
+        writer.point(id, (0, along_mm, 0))
     strip = by_name(budget_of(writer.facts().log))["Strip"]
     assert strip.estimate_mm == pytest.approx(0.02)
     assert strip.u_mm == pytest.approx(0.02 / math.sqrt(3))

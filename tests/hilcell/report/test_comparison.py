@@ -182,7 +182,7 @@ def test_what_moves_all_vertices_is_not_the_arms(first: Log, records: list[Recor
     def shift(record: Record) -> Record:
         if record.kind == "frame" and record.key == "base":
             return body_with(record, matrix=other_base)
-        if record.kind == "point" and record.key.startswith("grid/"):
+        if record.kind == "point" and record.body["id"]["kind"] == "grid":
             nominal_mm = apply(in_world, [record.body["nominal_mm"]])[0]
             return body_with(record, nominal_mm=nominal_mm)
         return record

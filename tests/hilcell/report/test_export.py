@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.journal.point_id import PointId
 from hilcell.report.export import (
     POINT_HEADERS,
     csv_bytes,
@@ -42,7 +43,7 @@ def test_points_as_csv(tmp_path: Path) -> None:
 
 def test_a_formula_stays_text(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r").began()
-    writer.point("=1+1", "world", (-1, 0, 0), reflector="@x\u202e")
+    writer.point(PointId("=1+1"), (-1, 0, 0), reflector="@x\u202e")
     facts = writer.facts()
     row = next(csv.DictReader(io.StringIO(csv_bytes(facts).decode())))
     assert row["key"] == "'=1+1"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hilcell.journal.point_id import PointId
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import report_html
 from hilcell.report.svg import compact
@@ -197,7 +198,7 @@ def test_approaches_of_a_station(tmp_path: Path) -> None:
     for number in range(4):
         for how, off_mm in (("plain", 0.2), ("strip", 0.01)):
             at_mm = (0.0, off_mm * (number % 2), 0.0)
-            writer.point(f"repeat/{how}/random/{number}", f"repeat_{how}_random", at_mm)
+            writer.point(PointId("repeat", how=how, way="random", number=number), at_mm)
     page = page_of(writer.facts())
     assert page.of("h1") == ["Measurement report"]
     assert figures_of(page) == {"strip"}
@@ -208,7 +209,8 @@ def test_approaches_of_a_station(tmp_path: Path) -> None:
 def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1").began()
     for number, at_mm in enumerate(np.eye(3) * 900):
-        writer.point(f"grid/0-0-{number}", "grid", at_mm + 1.0, nominal_mm=tuple(at_mm))
+        vertex = PointId("grid", vertex=(0, 0, number))
+        writer.point(vertex, at_mm + 1.0, nominal_mm=tuple(at_mm))
     assert figures_of(page_of(writer.facts())) == {"volume"}
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, Identity, LinkStatistics, RailReading, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step
@@ -130,7 +131,7 @@ class Points:
         for number in range(self.count):
             if self.act is not None:
                 self.act(session, number)
-            session.floor_point(f"p/{number}", "p", session.cell.layout.floor[0])
+            session.floor_point(PointId("p", target=str(number)), session.cell.layout.floor[0])
 
     def result(self, log: Log) -> dict[str, Any]:
         return {"measured": len(log.points)}

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import CELL, Bed
@@ -23,7 +24,7 @@ def bed(tmp_path: Path) -> Bed:
 
 def flange(session: CellSession, number: int) -> None:
     session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
-    session.flange_point(f"flange/{number}", "grid", S1100, HOME_RAD)
+    session.flange_point(PointId("flange", target=str(number)), S1100, HOME_RAD)
 
 
 def nothing(session: CellSession, number: int) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import load_cell
+from hilcell.journal.point_id import PointId
 from hilcell.run.cell_session import FLANGE, CellSession
 from hilcell.run.reflector_prompts import seat_prompt, where
 from tests.hilcell.run.bed import Bed, Live, until
@@ -25,7 +26,8 @@ def bed(tmp_path: Path) -> Bed:
 def slide(session: CellSession, number: int) -> None:
     """Measure P1 at two stations in turn, before the floor's first nest."""
     station = (S1100, S1900)[number % 2]
-    session.slide_point(f"s/{number}", "s", station, BY_HAND.layout.slide[0], samples=1)
+    id = PointId("s", number=number)
+    session.slide_point(id, station, BY_HAND.layout.slide[0], samples=1)
 
 
 def test_where_a_nest_is_in_words() -> None:

@@ -9,6 +9,7 @@ import pytest
 from hilcell.cell.file import Cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from hilcell.run.retake import retake_refusal, still_refused
@@ -26,12 +27,13 @@ POINT = {
     "humidity_percent": 50.0,
     "session": 1,
     "frame": "tracker",
+    "group": "",
 }
 SIX = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
 
 
-def log_with(group: str, calibration: str, **facts: object) -> Log:
-    point = POINT | {"group": group, "station": "S1100", "commanded_deg": SIX} | facts
+def log_with(kind: str, calibration: str, **facts: object) -> Log:
+    point = POINT | {"id": {"kind": kind}, "station": "S1100", "commanded_deg": SIX} | facts
     state = {"machine": "calibration", "from": "unknown", "to": calibration}
     return Log(
         [
@@ -47,20 +49,19 @@ BEFORE = CALIBRATION.states[: CALIBRATION.states.index("fitted")]
 
 @pytest.mark.parametrize("state", CALIBRATION.states)
 @pytest.mark.parametrize(
-    ("group", "allowed_in"),
+    ("kind", "allowed_in"),
     [
         ("grid", BEFORE),
-        ("repeatability_2", BEFORE),
-        ("validate_before", CALIBRATION.states),
-        ("validate_chosen", CALIBRATION.states),
+        ("repeatability", BEFORE),
+        ("validate", CALIBRATION.states),
         ("base", ()),
-        ("sign_before", ()),
-        ("frames_axis1", ()),
+        ("sign", ()),
+        ("frames", ()),
         ("campaign", ()),
     ],
 )
-def test_what_may_be_retaken_when(group: str, state: str, allowed_in: tuple[str, ...]) -> None:
-    refused = retake_refusal(log_with(group, state), "key")
+def test_what_may_be_retaken_when(kind: str, state: str, allowed_in: tuple[str, ...]) -> None:
+    refused = retake_refusal(log_with(kind, state), "key")
     assert (refused == "") == (state in allowed_in), refused
     if refused:
         assert refused.startswith("key: ")
@@ -79,7 +80,7 @@ def test_a_point_never_measured_is_refused_and_one_that_waits() -> None:
     assert list(log.retakes) == ["key"]
     assert "waits already" in retake_refusal(log, "key")
     assert still_refused(log, "key") == ""
-    log.take(Record(4, "", "point", "key", POINT | {"group": "grid", "station": "S1100"}))
+    log.take(Record(4, "", "point", "key", POINT | {"station": "S1100"}))
     assert list(log.retakes) == []
 
 
@@ -89,8 +90,8 @@ class Flange:
     name = "flange"
     needs = moves = measures = yields = ""
 
-    def __init__(self, count: int, group: str, act: Any = None) -> None:
-        self.count, self.group, self.act = count, group, act
+    def __init__(self, count: int, kind: str, act: Any = None) -> None:
+        self.count, self.kind, self.act = count, kind, act
 
     def plan(self, cell: Cell, seed: int) -> Step:
         return Step(self.name, self.count, 1.0)
@@ -103,8 +104,7 @@ class Flange:
                 self.act(session, number)
             station = session.cell.station[number % len(session.cell.station)]
             session.flange_point(
-                f"f/{number}",
-                self.group,
+                PointId(self.kind, number=number),
                 station,
                 home + 0.001 * number,
                 nominal_mm=np.array([1.0, 2.0, number]),
@@ -128,18 +128,18 @@ def test_a_live_run_measures_it_at_its_next_flange_point(bed: Bed) -> None:
     runner: list[Any] = []
 
     def act(session: CellSession, number: int) -> None:
-        if number == 3 and not session.log.points["f/1"].retaken:
-            assert runner[0].retake("f/1") == ""
-            assert runner[0].status().retakes == ["f/1"]
+        if number == 3 and not session.log.points["validate/001"].retaken:
+            assert runner[0].retake("validate/001") == ""
+            assert runner[0].status().retakes == ["validate/001"]
 
-    runner.append(bed.runner(procedure(Flange(4, "validate_before", act))))
+    runner.append(bed.runner(procedure(Flange(4, "validate", act))))
     assert runner[0].run() == 0
     bed.journal.close()
-    assert keys(bed) == ["f/0", "f/1", "f/2", "f/1", "f/3"]
+    assert keys(bed) == [f"validate/00{number}" for number in (0, 1, 2, 1, 3)]
     log = bed.log()
-    first, again = (r.body for r in bed.records("point") if r.key == "f/1")
+    first, again = (r.body for r in bed.records("point") if r.key == "validate/001")
     assert (first["retaken"], again["retaken"]) == (False, True)
-    assert log.points["f/1"].retaken
+    assert log.points["validate/001"].retaken
     for fact in ("group", "station", "nominal_mm", "commanded_deg", "joints_deg"):
         assert again[fact] == pytest.approx(first[fact]) if fact != "group" else first[fact]
     assert log.retakes == {}
@@ -152,25 +152,25 @@ def test_one_asked_for_behind_the_last_point_is_judged_too(bed: Bed) -> None:
         def perform(self, session: CellSession) -> None:
             super().perform(session)
             if not asked:
-                asked.append(runner.retake("f/0"))
+                asked.append(runner.retake("validate/000"))
 
-    runner = bed.runner(procedure(Late(2, "validate_before")))
+    runner = bed.runner(procedure(Late(2, "validate")))
     assert runner.run() == 0
     bed.journal.close()
     assert asked == [""]
-    assert keys(bed) == ["f/0", "f/1", "f/0"]
+    assert keys(bed) == ["validate/000", "validate/001", "validate/000"]
     assert [r.kind for r in bed.records("verdict")] == ["verdict"] * 2
 
 
 def test_a_finished_run_is_opened_again(bed: Bed) -> None:
-    what = procedure(Flange(2, "validate_before"))
+    what = procedure(Flange(2, "validate"))
     assert bed.run(what) == 0
     runner = bed.runner(what)
-    assert runner.retake("f/1") == ""
+    assert runner.retake("validate/001") == ""
     assert runner.run() == 0
     bed.journal.close()
     assert bed.states() == ["checking", "running", "finished"] * 2
-    assert keys(bed) == ["f/0", "f/1", "f/1"]
+    assert keys(bed) == ["validate/000", "validate/001", "validate/001"]
     assert len(bed.records("end")) == 2
     assert bed.log().session == 2
 
@@ -180,27 +180,27 @@ def test_what_waits_survives_the_engine(bed: Bed) -> None:
         if number == 1:
             raise RuntimeError("power cut")
 
-    first = bed.runner(procedure(Flange(2, "validate_before", die)))
+    first = bed.runner(procedure(Flange(2, "validate", die)))
     assert first.run() == 5
-    assert first.retake("f/0") == ""
+    assert first.retake("validate/000") == ""
     bed.journal.close()
-    assert bed.run(procedure(Flange(2, "validate_before"))) == 0
-    assert keys(bed) == ["f/0", "f/0", "f/1"]
+    assert bed.run(procedure(Flange(2, "validate"))) == 0
+    assert keys(bed) == ["validate/000", "validate/000", "validate/001"]
 
 
 def test_one_that_came_too_late_is_refused_and_told(bed: Bed) -> None:
     def act(session: CellSession, number: int) -> None:
         if number == 1:
-            assert runner.retake("f/0") == ""
+            assert runner.retake("grid/000") == ""
             for record in [row[0] for row in CALIBRATION.rows]:
                 session.reach(record)
 
     runner = bed.runner(procedure(Flange(2, "grid", act)))
     assert runner.run() == 0
     bed.journal.close()
-    assert keys(bed) == ["f/0", "f/1"]
+    assert keys(bed) == ["grid/000", "grid/001"]
     (refused,) = bed.events("retake refused")
-    assert refused["key"] == "f/0"
+    assert refused["key"] == "grid/000"
     assert "the correction was built with it" in refused["reason"]
 
 
@@ -208,6 +208,6 @@ def test_a_refusal_reaches_who_asked(bed: Bed) -> None:
     with Live(bed, procedure(Flange(10**6, "base"))) as live:
         until(lambda: live.status("points") > 0)
         assert "no such point" in live.runner.retake("x" * 5000)
-        assert "start a new run" in live.runner.retake("f/0")
+        assert "start a new run" in live.runner.retake("base/000")
         live.runner.stop()
     assert bed.events("retake asked") == []

@@ -11,6 +11,7 @@ import numpy as np
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Kind, Record
+from hilcell.journal.point_id import PointId
 from hilcell.run.protocol import DeviceStatus, Interlock, PromptStatus, Status
 from hilcell.run.reflector_prompts import seat_prompt
 from hilcell.tui.engine.feed import Fresh
@@ -66,20 +67,19 @@ class Story:
             "event", what="step", name=STEPS[number - 1][0], number=number, of=len(STEPS)
         )
 
-    def point(
-        self, key: str, group: str, nominal: Any = None, off: Any = (0, 0, 0), **more: Any
-    ) -> Story:
+    def point(self, id: PointId, nominal: Any = None, off: Any = (0, 0, 0), **more: Any) -> Story:
         """Measure a point ``off`` its nominal."""
         at = nominal or (1000.0, 200.0, 300.0)
         body = {
-            "group": group, "station": more.pop("station", "S1100"), "reflector": "SMR 1.5in",
+            "id": msgspec.to_builtins(id), "group": id.group,
+            "station": more.pop("station", "S1100"), "reflector": "SMR 1.5in",
             "xyz_mm": [a + b for a, b in zip(at, off, strict=True)],
             "std_mm": [0.01, 0.01, 0.01], "samples": 1, "temperature_c": 22.5,
             "pressure_mbar": 1010.0, "humidity_percent": 45.0, "session": 1, "frame": "tracker",
             "nominal_mm": nominal, "rail_mm": 1100.2, "strip_mm": 1100.0,
             "commanded_deg": [0.0, -90.0, 90.0, 0.0, -30.0, 0.0], "joints_deg": [0.0] * 6,
         } | more  # fmt: skip
-        return self.add("point", key, **body)
+        return self.add("point", id.key, **body)
 
 
 @cache
@@ -104,7 +104,7 @@ def measuring(points: int = 5) -> Story:
     story = begun().add("event", what="connected", devices=[]).state("running")
     story.step(1).step(2)
     for name in ("F1", "F2", "F3"):
-        story.point(f"world/{name}", "world", station="", commanded_deg=None)
+        story.point(PointId("world", nest=name), station="", commanded_deg=None)
     story.add("frame", "world", matrix=UNIT)
     story.step(3).add(
         "event", what="station held", station="S1100", tries=2, strip_mm=1100.0, rail_mm=1100.2
@@ -112,8 +112,9 @@ def measuring(points: int = 5) -> Story:
     story.step(5)
     for number in range(points):
         off = (0.4 + 0.1 * number, -0.3, 0.2 * number)
-        story.add("intent", f"grid/0-0-{number}", action="robot.move")
-        story.point(f"grid/0-0-{number}", "grid", (1000.0, 200.0 + number, 300.0), off)
+        vertex = PointId("grid", vertex=(0, 0, number))
+        story.add("intent", vertex.key, action="robot.move")
+        story.point(vertex, (1000.0, 200.0 + number, 300.0), off)
     return story
 
 
@@ -125,7 +126,8 @@ def validated(*, worst_mm: float = 0.1) -> Story:
             off = (size + number, 0.0, 0.0) if how == "idw" else (0.0, size, 0.01 * number)
             off = (0.0, worst_mm, 0.01) if (how, number) == ("chosen", 1) else off
             nominal = (1100.0, 300.0 + number, 400.0)
-            story.point(f"validate/S1100/{how}/{number:03d}", f"validate_{how}", nominal, off)
+            id = PointId("validate", station="S1100", how=how, number=number)
+            story.point(id, nominal, off)
     return story
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import CALIBRATION
 from hilcell.tui.engine.feed import Feed, Fresh
 from hilcell.tui.engine.scene import EngineState
@@ -66,7 +67,7 @@ def test_it_brings_the_journal_and_then_what_is_new(tmp_path: Path) -> None:
     first = screen.until(lambda fresh: bool(fresh.records))
     assert [record.kind for record in first.records][:2] == ["plan", "state"]
     assert (first.engine, first.status) == (EngineState.NONE, None)
-    writer.point("grid/0", "grid", (1.0, 2.0, 3.0))
+    writer.point(PointId("grid", target="0"), (1.0, 2.0, 3.0))
     second = screen.until(lambda fresh: bool(fresh.records))
     assert [record.key for record in second.records] == ["grid/0"]
     screen.close()

@@ -13,6 +13,7 @@ import pytest
 from hilcell.calibration.errors import errors_of
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import read_log
 from hilcell.tui.engine.scene import Scene
 from hilcell.tui.text.deviation import deviation_of, row_of, state_of
@@ -54,20 +55,21 @@ def journal(tmp_path: Path) -> Log:
         nominal_mm = chance.uniform(-2000.0, 2000.0, 3)
         actual_mm = nominal_mm + chance.normal(0.0, 0.8, 3)
         xyz_mm = apply(to_tracker, actual_mm.reshape(1, 3))[0]
-        for group in ("grid", "validate_chosen"):
-            writer.point(
-                f"{group}/{number:03d}", group, xyz_mm, "S1100", nominal_mm=tuple(nominal_mm)
-            )
-    writer.point("world/F1", "world", (1.0, 2.0, 3.0))
+        for id in (
+            PointId("grid", number=number),
+            PointId("validate", how="chosen", number=number),
+        ):
+            writer.point(id, xyz_mm, "S1100", nominal_mm=tuple(nominal_mm))
+    writer.point(PointId("world", nest="F1"), (1.0, 2.0, 3.0))
     return read_log(writer.ended())
 
 
 # -- deviations ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("group", ["grid", "validate_chosen"])
-def test_deviations_are_the_reports(journal: Log, group: str) -> None:
-    points = journal.group(group)
+@pytest.mark.parametrize("kind", ["grid", "validate"])
+def test_deviations_are_the_reports(journal: Log, kind: str) -> None:
+    points = journal.select(kind)
     wanted = errors_of(journal, points)
     assert len(wanted) == 25
     for point, error_mm, norm_mm in zip(points, wanted.error_mm, wanted.norms_mm, strict=True):
@@ -80,7 +82,7 @@ def test_deviations_are_the_reports(journal: Log, group: str) -> None:
 
 
 def test_plots_show_the_reports_errors(journal: Log) -> None:
-    wanted = errors_of(journal, journal.group("validate_chosen")).norms_mm
+    wanted = errors_of(journal, journal.select("validate")).norms_mm
     (line,) = errors_plot(journal).lines
     np.testing.assert_allclose(line.values, wanted, atol=1e-9)
     (line,) = sorted_plot(journal).lines
@@ -234,11 +236,8 @@ def test_repeated_visits_scatter_about_their_mean() -> None:
     story = measuring(0)
     for place in range(2):
         for visit, x in enumerate((0.0, 0.3)):
-            story.point(
-                f"repeatability/{place}/{visit:03d}",
-                f"repeatability_{place}",
-                off=(x + place, 0.0, 0.0),
-            )
+            id = PointId("repeatability", place=place, number=visit)
+            story.point(id, off=(x + place, 0.0, 0.0))
     lines = repeat_plot(log_of(story)).lines
     assert len(lines) == 2
     for line in lines:
@@ -249,7 +248,7 @@ def test_many_places_become_one_line() -> None:
     story = measuring(0)
     for place in range(5):
         for visit in range(2):
-            story.point(f"repeatability/{place}/{visit:03d}", f"repeatability_{place}")
+            story.point(PointId("repeatability", place=place, number=visit))
     (line,) = repeat_plot(log_of(story)).lines
     assert len(line.values) == 10
 

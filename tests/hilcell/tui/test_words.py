@@ -16,6 +16,7 @@ from textual.content import Content
 from hilcell.alarms import Latch
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
+from hilcell.journal.point_id import PointId
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.scene import Scene
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
@@ -182,7 +183,7 @@ def test_a_journal_that_cannot_be_read_says_why() -> None:
 
 def test_the_newest_deviation_stays_while_points_without_one_are_measured() -> None:
     scene = scene_of("running")
-    story = measuring().point("control/F1", "control", commanded_deg=None)
+    story = measuring().point(PointId("control", nest="F1"), commanded_deg=None)
     scene.take(story.records[-1])
     assert scene.last is not None
     assert scene.last.key == "control/F1"

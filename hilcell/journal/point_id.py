@@ -1,0 +1,61 @@
+"""Which measurement a point is, as data; its key is formatted here and nowhere else."""
+
+from __future__ import annotations
+
+import msgspec
+
+_GROUPS = {"slide": "frames", "three": "three_points", "base": "base"}  # not named by their fields
+
+
+class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The identity of a point. A field that does not identify it stays empty.
+
+    ``station`` is set where the same thing is measured at several stations; ``side`` is +1 for an
+    approach from above, -1 from below; ``target`` is a reflector that the cell file does not know.
+    """
+
+    kind: str
+    station: str = ""
+    session: int | None = None
+    turn: int | None = None  # how often the nest had been measured before, in the whole run
+    vertex: tuple[int, ...] = ()
+    pose: str = ""
+    place: int | None = None
+    how: str = ""
+    way: str = ""
+    axis: int | None = None
+    number: int | None = None
+    side: int = 0
+    nest: str = ""
+    target: str = ""
+
+    @property
+    def key(self) -> str:
+        """Return the point's name for people, files and commands: ``validate/S300/idw/012``."""
+        side = {1: "+", -1: "-"}.get(self.side, "")
+        parts = (
+            self.station,
+            "" if self.turn is None else f"{self.session}-{self.turn}",
+            "-".join(map(str, self.vertex)),
+            self.pose,
+            "" if self.place is None else str(self.place),
+            self.how,
+            self.way,
+            self._axis,
+            "" if self.number is None else f"{self.number:03d}{side}",
+            self.nest,
+            self.target,
+        )
+        return "/".join((self.kind, *filter(None, parts)))
+
+    @property
+    def group(self) -> str:
+        """Return the name under which points are counted: ``validate_idw``."""
+        if self.kind in _GROUPS:
+            return _GROUPS[self.kind]
+        place = "" if self.place is None else str(self.place)
+        return "_".join((self.kind, *filter(None, (place, self.how, self.way, self._axis))))
+
+    @property
+    def _axis(self) -> str:
+        return "" if self.axis is None else f"axis{self.axis}"

@@ -1,0 +1,98 @@
+"""A point's identity gives its key; old journals have the key alone."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from hilcell.journal.journal import Record
+from hilcell.journal.log import Log
+from hilcell.journal.old_keys import id_of_key
+from hilcell.journal.point_id import PointId
+
+# Key and group of one point of every kind, as journals without identities hold them.
+OLD = [
+    ("world/F1", "world", PointId("world", nest="F1")),
+    ("control/1-13/F3", "control", PointId("control", session=1, turn=13, nest="F3")),
+    ("base/axis6/023", "base", PointId("base", axis=6, number=23)),
+    ("grid/0-3-2", "grid", PointId("grid", vertex=(0, 3, 2))),
+    ("repeatability/2/009", "repeatability_2", PointId("repeatability", place=2, number=9)),
+    ("slide/S1100/P1", "frames", PointId("slide", station="S1100", nest="P1")),
+    ("three/S1900/P3", "three_points", PointId("three", station="S1900", nest="P3")),
+    ("six/S300/P8", "six", PointId("six", station="S300", nest="P8")),
+    ("frames/S300/axis1/000", "frames_axis1", PointId("frames", "S300", axis=1, number=0)),
+    ("sign/before", "sign_before", PointId("sign", how="before")),
+    ("validate/S1900/idw/074", "validate_idw", PointId("validate", "S1900", how="idw", number=74)),
+    ("survey/back/020/flange", "survey_back",
+     PointId("survey", way="back", number=20, nest="flange")),
+    ("repeat/strip/one_side/014-", "repeat_strip_one_side",
+     PointId("repeat", how="strip", way="one_side", number=14, side=-1)),
+    ("repeat/plain/random/000+", "repeat_plain_random",
+     PointId("repeat", how="plain", way="random", number=0, side=1)),
+    ("campaign/17/SMR2", "campaign", PointId("campaign", pose="17", target="SMR2")),
+]  # fmt: skip
+# A record of an old journal, as it is.
+BODY = {
+    "group": "control", "station": "", "frame": "tracker", "reflector": "SMR 1.5in",
+    "xyz_mm": [4394.250549462381, 245.22254947698647, -1507.8305077985306],
+    "std_mm": [0.0065458541443585904, 0.008963935717166678, 0.011161274845507118], "samples": 10,
+    "temperature_c": 22.432180366276558, "pressure_mbar": 1007.0664730713155,
+    "humidity_percent": 42.5377110609435, "session": 1, "rail_mm": 1099.96, "strip_mm": 1100.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("key", "group", "id"), OLD)
+def test_keys_and_groups_are_what_they_were(key: str, group: str, id: PointId) -> None:
+    assert (id.key, id.group) == (key, group)
+
+
+@pytest.mark.parametrize(("key", "group", "id"), OLD)
+def test_an_old_journals_keys_are_read(key: str, group: str, id: PointId) -> None:
+    assert id_of_key(key) == id
+
+
+@pytest.mark.parametrize(("key", "group", "id"), OLD)
+def test_identities_survive_a_journal(key: str, group: str, id: PointId) -> None:
+    assert msgspec.json.decode(msgspec.json.encode(id), type=PointId) == id
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "grid",
+        "grid/0-0",
+        "grid/00-0-0",
+        "repeatability/0/1",
+        "mine/a/b",
+        "validate/S1/idw/x",
+        "=1+1",
+    ],
+)
+def test_a_key_of_another_form_is_kept_whole(key: str) -> None:
+    found = id_of_key(key)
+    assert found.key == key
+    assert (found.vertex, found.place, found.number) == ((), None, None)
+
+
+def test_a_record_of_an_old_journal_is_a_point() -> None:
+    log = Log([Record(1, "", "point", "control/1-1/F1", BODY)])
+    (point,) = log.select("control")
+    assert point.id == PointId("control", session=1, turn=1, nest="F1")
+    assert log.find(point.id) is point
+    assert log.find(PointId("world", nest="F1")) is None
+
+
+def test_points_are_selected_by_fields() -> None:
+    log = Log(
+        Record(seq, "", "point", id.key, BODY | {"group": group, "station": id.station})
+        for seq, (_, group, id) in enumerate(OLD, start=1)
+    )
+    for found, wanted in (
+        (log.select("frames", "S300", axis=1), ["frames/S300/axis1/000"]),
+        (log.select("frames", axis=6), []),
+        (log.select("repeatability", place=2), ["repeatability/2/009"]),
+        (log.select("repeat"), ["repeat/plain/random/000+", "repeat/strip/one_side/014-"]),
+        (log.select("repeat", way="random"), ["repeat/plain/random/000+"]),
+        (log.select("validate", "S300", how="idw"), []),
+    ):
+        assert [point.key for point in found] == wanted
