@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test nightly lint bench lock clean
+.PHONY: run test nightly mutants lint bench lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
@@ -13,6 +13,9 @@ test: lint  ## lint, then every test, in random order on all cores
 
 nightly: lint  ## every test and every long sweep, property tests with fresh seeds
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "" --timeout 1200 --hypothesis-profile nightly
+
+mutants: $(VENV)/ready  ## deliberate breaks, each of which a test must notice; ONLY=name for one
+	$(BIN)/python -m tests.mutants $(ONLY)
 
 lint: $(VENV)/ready  ## style, types and the import contract
 	$(BIN)/ruff check .

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
 from tests.hilcell.report.browser import NAMES, found
 from tests.whole.golden import GoldenRuns
@@ -23,6 +23,9 @@ settings.register_profile(
 )
 settings.register_profile(
     "nightly", settings.get_profile("suite"), derandomize=False, max_examples=1000
+)
+settings.register_profile(  # of a break: whether an example fails, not which is the least
+    "mutants", settings.get_profile("suite"), phases=(Phase.explicit, Phase.generate)
 )
 settings.load_profile("suite")
 

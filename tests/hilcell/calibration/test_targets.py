@@ -1,0 +1,49 @@
+"""Which targets a calibration corrects, and which it refuses by name."""
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.file import compensate_targets
+from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
+from hilcell.ports import Array, HilcellError
+from tests.hilcell.calibration.calibrations import LOW_MM, PITCH_MM, T_W_B, calibration, field_mm
+
+VERTEX_MM = LOW_MM + PITCH_MM
+
+
+def target(turn_deg: float = 0.0, at_mm: Array = VERTEX_MM) -> Array:
+    """Return a target (1, 6) in {W}, turned away from the calibrated orientation about x."""
+    x, y, z = (float(value) for value in at_mm)
+    T_B_T = pose_from_zyx(x, y, z, 0, 75, 0) @ pose_from_zyx(0, 0, 0, 0, 0, turn_deg)
+    return zyx_from_pose(T_W_B @ T_B_T)[None]
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 1.9, -1.9])
+def test_a_target_is_commanded_by_its_error_beside_itself(turn_deg: float) -> None:
+    nominal = target(turn_deg)
+    command = compensate_targets(calibration(), "S1100", nominal, ["hole"])
+    error_mm = T_W_B[:3, :3] @ field_mm(1.2)[1, 1, 1]
+    np.testing.assert_allclose(command[0, :3] + error_mm, nominal[0, :3], atol=2e-3)
+    np.testing.assert_allclose(command[0, 3:], nominal[0, 3:], atol=1e-9)
+
+
+@pytest.mark.parametrize("turn_deg", [2.1, -2.1, 90.0, 180.0])
+def test_a_target_that_is_turned_away_is_refused(turn_deg: float) -> None:
+    with pytest.raises(
+        HilcellError, match=rf"1 targets are turned away .* hole by {abs(turn_deg)}"
+    ):
+        compensate_targets(calibration(), "S1100", target(turn_deg), ["hole"])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e9])
+def test_a_target_that_is_nowhere_is_refused(value: float) -> None:
+    for number in range(6):
+        bad = target()
+        bad[0, number] = value
+        with pytest.raises(HilcellError, match=r"1 targets are not in the cell.*: hole"):
+            compensate_targets(calibration(), "S1100", bad, ["hole"])
+
+
+def test_a_target_outside_the_grid_is_refused() -> None:
+    with pytest.raises(HilcellError, match="hole"):
+        compensate_targets(calibration(), "S1100", target(at_mm=LOW_MM - 1.0), ["hole"])
