@@ -1,0 +1,87 @@
+"""The examples of CONTRIBUTING.md work as they stand there."""
+
+import re
+import socket
+import threading
+import tomllib
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.alarms.catalogue import Entry
+from hilcell.cell.file import load_cell
+from hilcell.clock import WallClock
+from hilcell.ports import NoReading, Tracker
+from tests.hilcell.run.bed import Bed
+
+TEXT = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text("utf-8")
+BLOCKS = dict(re.findall(r"```\w+\n# (.+)\n((?s:.*?))```", TEXT))
+
+
+def module(source: str) -> Any:
+    made = ModuleType("example")
+    exec(compile(source, "CONTRIBUTING.md", "exec"), made.__dict__)
+    return made
+
+
+class Peer:
+    """Speaks the example's protocol on loopback; ``answers`` are given one a request."""
+
+    def __init__(self, *answers: str) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = self._server.getsockname()[1]
+        self.requests: list[str] = []
+        self._thread = threading.Thread(target=self._serve, args=(answers,))
+        self._thread.start()
+
+    def _serve(self, answers: tuple[str, ...]) -> None:
+        with self._server, self._server.accept()[0] as link, link.makefile("rw") as lines:
+            for answer in (*answers, ""):
+                self.requests.append(lines.readline().strip())
+                lines.write(f"{answer}\n")
+                lines.flush()
+
+    def end(self) -> list[str]:
+        self._thread.join(10.0)
+        return self.requests
+
+
+def test_the_driver_measures_stops_and_refuses_another_reflector() -> None:
+    driver = module(BLOCKS["drivers/tracker_lines.py"]).LineTracker
+    peer = Peer("LINES 17", "1 2 3 .01 .01 .02 22 1013 45", "9 2 3 .01 .01 .02 22 1013 45")
+    options = driver.Options(host="127.0.0.1", port=peer.port, find_radius_mm=5.0)
+    tracker: Tracker = driver(options, WallClock(threading.Event()))
+    assert tracker.connect()[0].serial == "17"
+    reading = tracker.measure(np.array([1.0, 2.0, 3.5]), "SMR", 3)
+    assert reading.xyz_mm.tolist() == [1.0, 2.0, 3.0]
+    assert (reading.temperature_c, reading.samples) == (22.0, 3)
+    with pytest.raises(NoReading, match=r"reflector 8\.00 mm from its expected place"):
+        tracker.measure(np.array([1.0, 2.0, 3.0]), "SMR", 1)
+    tracker.stop()
+    assert peer.end() == ["ID", "MEASURE 1.0 2.0 3.5 3", "MEASURE 1.0 2.0 3.0 1", "STOP"]
+    tracker.close()
+
+
+def test_the_procedure_plans_measures_and_states_its_result(tmp_path: Path) -> None:
+    procedure = module(BLOCKS["procedures/floor_noise.py"]).FLOOR_NOISE
+    nests = len(load_cell("paper").layout.floor)
+    assert procedure.plan(load_cell("paper"), 1).points == 2 * nests
+    bed = Bed(tmp_path)
+    assert bed.run(procedure) == 0
+    result = procedure.result(bed.log())
+    assert result["floor_noise_mm"] == pytest.approx(0.01)
+    assert procedure.table(result) == (["floor noise mm"], [["0.0100"]])
+
+
+def test_the_alarm_is_listed_and_raised() -> None:
+    rows = tomllib.loads(BLOCKS["drivers/alarms/tracker_lines.toml"])["alarm"]
+    (entry,) = (msgspec.convert(row, Entry) for row in rows)
+    with pytest.raises(NoReading, match="battery 7 %, wanted >= 10 %; connect") as raised:
+        exec(
+            BLOCKS["drivers/tracker_lines.py, in measure"], {"NoReading": NoReading, "percent": 7.0}
+        )
+    assert raised.value.code == entry.code
