@@ -1,19 +1,28 @@
-"""The tables of a report: words and rounded figures, every column with its unit."""
+"""The tables of a report: each column is defined once, and its unit stands in its header."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
 
 from hilcell.calibration.errors import OTHERS, Errors, places, reduction, validation
+from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
+from hilcell.geometry.statistics import Figures
+from hilcell.journal.journal import Record
+from hilcell.ports import Array
 from hilcell.report.budget import Budget
+from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.figures import series_name
 from hilcell.report.uncertainty import Contribution
+
+Pair = tuple[str, str]
 
 CONDITIONS = (
     ("air temperature", "temperature_c", "°C", 2),
@@ -23,29 +32,41 @@ CONDITIONS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
-    """One table: the first ``words`` columns are text, the others figures."""
+class Validated:
+    """Targets of one place sent in one way; ``before`` are the same without a correction."""
 
-    title: str
-    headers: list[str]
-    rows: list[list[str]]
-    words: int = 1
-    note: str = ""
+    place: str
+    how: str
+    errors: Errors
+    before: Errors | None
+
+    def removed_percent(self, figure: str) -> float | None:
+        """Return which share of a figure of the errors before was removed."""
+        if self.before is None or self.before is self.errors:
+            return None
+        before, after = (getattr(each.figures, figure) for each in (self.before, self.errors))
+        return 100 * reduction(before, after)
+
+
+ACCURACY: tuple[Column[Validated], ...] = (
+    Column("station", attrgetter("place")),
+    Column("error", attrgetter("how")),
+    Column("targets", lambda row: len(row.errors), form="d"),
+    *(Column(name, attrgetter(f"errors.figures.{name}"), "mm", ".4f") for name in Figures._fields),
+    Column("removed by means", lambda row: row.removed_percent("mean"), "%", ".1f"),
+    Column("removed by maxima", lambda row: row.removed_percent("max"), "%", ".1f"),
+)
 
 
 def accuracy(facts: Facts) -> Sheet | None:
     """Return the errors before and after per place, and both ratios of the paper's abstract."""
-    rows: list[list[str]] = []
+    rows = []
     for place, stations in places(facts.cell).items():
         series = validation(facts.log, stations)
-        rows += [
-            _accuracy_row(facts, place if number == 0 else "", series, how)
-            for number, how in enumerate(series)
-        ]
-    if not rows:
-        return None
-    headers = ["station", "error", "targets", "mean mm", "p95 mm", "max mm",
-               "removed by means %", "removed by maxima %"]  # fmt: skip
+        name = "others together" if place == OTHERS else place
+        for number, (how, errors) in enumerate(series.items()):
+            first = "" if number else name
+            rows.append(Validated(first, series_name(how, facts), errors, series.get("before")))
     floor = facts.result.get("repeatability", {}).get("floor_mm")
     rp_robot = facts.result.get("repeatability", {}).get("rp_robot_mm")
     note = "Removed: 1 − after / before. Every figure is of targets really sent and measured."
@@ -53,56 +74,75 @@ def accuracy(facts: Facts) -> Sheet | None:
         note += f" Repeatability and tracker noise alone would leave {floor:.4f} mm (mean)."
     if rp_robot is not None:
         note += f" RP of the robot (ISO 9283), tracker noise taken off: {rp_robot:.3f} mm."
-    return Sheet("Before and after", headers, rows, 2, note)
+    return sheet("Before and after", ACCURACY, rows, note)
 
 
-def _accuracy_row(facts: Facts, place: str, series: Mapping[str, Errors], how: str) -> list[str]:
-    errors, before = series[how], series.get("before")
-    removed = ["", ""]
-    if before is not None and how != "before":
-        removed = [
-            f"{100 * reduction(before.figures.mean, errors.figures.mean):.1f}",
-            f"{100 * reduction(before.figures.max, errors.figures.max):.1f}",
-        ]
-    name = "others together" if place == OTHERS else place
-    return [name, series_name(how, facts), str(len(errors)), *_mm(*errors.figures), *removed]
+@dataclass(frozen=True, slots=True)
+class Framed:
+    """A station and its measured frame, as the journal holds it."""
+
+    station: Station
+    frame: Mapping[str, Any]
+
+
+STATIONS: tuple[Column[Framed], ...] = (
+    Column("station", attrgetter("station.name")),
+    Column("rail", attrgetter("station.rail_mm"), "mm", ".2f"),
+    Column("strip, wanted", attrgetter("station.strip_mm"), "mm", ".2f"),
+    Column("strip, found", lambda row: row.frame["strip_mm"], "mm", ".2f"),
+    Column("fit rms", lambda row: row.frame["rms_mm"], "mm", ".4f"),
+    Column("tool point u", lambda row: row.frame["tool_uncertainty_mm"], "mm", ".4f"),
+)
 
 
 def stations(facts: Facts) -> Sheet | None:
     """Return what each station's frame is good for."""
+    frames, note = facts.log.frames, "Tool point: the grid's centre as the station frame carries it"
     rows = [
-        [
-            station.name,
-            f"{station.rail_mm:.2f}",
-            f"{station.strip_mm:.2f}",
-            f"{frame['strip_mm']:.2f}",
-            *_mm(frame["rms_mm"], frame["tool_uncertainty_mm"]),
-        ]
+        Framed(station, frames[f"station.{station.name}"])
         for station in facts.cell.station
-        for frame in (facts.log.frames.get(f"station.{station.name}"),)
-        if frame is not None
+        if f"station.{station.name}" in frames
     ]
-    headers = [
-        "station",
-        "rail mm",
-        "strip, wanted mm",
-        "strip, found mm",
-        "fit rms mm",
-        "tool point u mm",
-    ]
-    note = "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ."
-    return Sheet("Stations", headers, rows, 1, note) if rows else None
+    return sheet("Stations", STATIONS, rows, f"{note}, 3D, 1 σ.")
+
+
+@dataclass(frozen=True, slots=True)
+class Posed:
+    """A measured frame: its name, its matrix (4, 4) in {W}, its x, y, z, A, B, C (6,)."""
+
+    name: str
+    matrix: Array
+    zyx: Array
+
+
+def _element(n: int) -> Callable[[Posed], Value]:
+    return lambda row: float(row.zyx[n])
+
+
+FRAMES: tuple[Column[Posed], ...] = (
+    Column("frame", attrgetter("name")),
+    *(Column(name, _element(n), "mm", ".4f") for n, name in enumerate("xyz")),
+    *(Column(name, _element(n), "°", ".5f") for n, name in enumerate("ABC", start=3)),
+)
+
+
+def posed(facts: Facts) -> list[Posed]:
+    """Return every measured frame."""
+    matrices = {name: facts.log.matrix(name) for name in facts.log.frames}
+    return [Posed(name, matrix, zyx_from_pose(matrix)) for name, matrix in matrices.items()]
 
 
 def frames(facts: Facts) -> Sheet | None:
     """Return every measured frame as position and Z-Y-X angles in {W}."""
-    rows = []
-    for name, frame in facts.log.frames.items():
-        x, y, z, a, b, c = zyx_from_pose(np.array(frame["matrix"], dtype=float))
-        rows.append([name, f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{a:.5f}", f"{b:.5f}", f"{c:.5f}"])
-    headers = ["frame", "x mm", "y mm", "z mm", "A °", "B °", "C °"]
     note = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X."
-    return Sheet("Frames", headers, rows, 1, note) if rows else None
+    return sheet("Frames", FRAMES, posed(facts), note)
+
+
+CIRCLES: tuple[Column[tuple[str, float, float]], ...] = (
+    Column("circle", itemgetter(0)),
+    Column("radius", itemgetter(1), "mm", ".4f"),
+    Column("residual rms", itemgetter(2), "mm", ".4f"),
+)
 
 
 def circles(facts: Facts) -> Sheet | None:
@@ -110,94 +150,131 @@ def circles(facts: Facts) -> Sheet | None:
     base = facts.log.frames.get("base", {})
     if "circle_rms_mm" not in base:
         return None
-    pairs = zip(base["radius_mm"], base["circle_rms_mm"], strict=True)
-    rows = [[f"axis {axis}", *_mm(*pair)] for axis, pair in zip((1, 6), pairs, strict=True)]
-    return Sheet("Base frame: circles", ["circle", "radius mm", "residual rms mm"], rows)
+    rows = zip(("axis 1", "axis 6"), base["radius_mm"], base["circle_rms_mm"], strict=True)
+    return sheet("Base frame: circles", CIRCLES, rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One quantity of the air over all points (N,), shown with ``digits`` decimals."""
+
+    name: str
+    values: Array
+    digits: int
+
+    def shown(self, value: float) -> str:
+        """Return a value of this quantity as text."""
+        return f"{value:.{self.digits}f}"
+
+
+AIR: tuple[Column[Condition], ...] = (
+    Column("quantity", attrgetter("name")),
+    Column("least", lambda row: row.shown(row.values.min()), form="s"),
+    Column("most", lambda row: row.shown(row.values.max()), form="s"),
+    Column("mean", lambda row: row.shown(row.values.mean()), form="s"),
+)
 
 
 def conditions(facts: Facts) -> Sheet | None:
     """Return the air at the tracker, smallest, largest and mean over all points."""
     points = list(facts.log.points.values())
-    if not points:
-        return None
-    rows = []
-    for name, field, unit, digits in CONDITIONS:
-        values = np.array([getattr(point, field) for point in points])
-        figures = (values.min(), values.max(), values.mean())
-        rows.append([f"{name} {unit}", *(f"{each:.{digits}f}" for each in figures)])
-    return Sheet("Air at the tracker", ["quantity", "least", "most", "mean"], rows)
+    rows = [
+        Condition(f"{name} {unit}", np.array([getattr(point, field) for point in points]), digits)
+        for name, field, unit, digits in CONDITIONS
+        if points
+    ]
+    return sheet("Air at the tracker", AIR, rows)
+
+
+DEVICES: tuple[Column[Mapping[str, str]], ...] = tuple(
+    Column(name, itemgetter(name)) for name in ("device", "model", "serial", "address")
+)
 
 
 def devices(facts: Facts) -> Sheet | None:
     """Return who answered."""
-    rows = [
-        [each["device"], each["model"], each["serial"], each["address"]] for each in facts.devices
-    ]
-    headers = ["device", "model", "serial", "address"]
     link = facts.log.link
     note = f"CAN link in the last session: {link.text}." if link is not None else ""
     if link is not None and link.warning:
         note += f" Warning: {link.warning}."
-    return Sheet("Devices", headers, rows, 4, note) if rows else None
+    return sheet("Devices", DEVICES, facts.devices, note)
 
 
-def software(facts: Facts) -> Sheet:
+SOFTWARE = (Column[Pair]("package", itemgetter(0)), Column[Pair]("version", itemgetter(1)))
+GROUPS = (
+    Column[tuple[str, int]]("group", lambda row: row[0].replace("_", " ")),
+    Column[tuple[str, int]]("points", itemgetter(1), form="d"),
+)
+
+
+def software(facts: Facts) -> Sheet | None:
     """Return the versions that measured."""
-    rows = [[name, version] for name, version in facts.inputs.versions.items()]
-    return Sheet("Software that measured", ["package", "version"], rows, 2)
+    return sheet("Software that measured", SOFTWARE, facts.inputs.versions.items())
 
 
 def groups(facts: Facts) -> Sheet | None:
     """Return how many points of each group were measured."""
-    counts: dict[str, int] = {}
-    for point in facts.log.points.values():
-        counts[point.group] = counts.get(point.group, 0) + 1
-    rows = [[name.replace("_", " "), str(count)] for name, count in sorted(counts.items())]
-    return Sheet("Points", ["group", "points"], rows) if rows else None
+    counts = Counter(point.group for point in facts.log.points.values())
+    return sheet("Points", GROUPS, sorted(counts.items()))
+
+
+VERDICTS: tuple[Column[tuple[str, Mapping[str, Any]]], ...] = (
+    Column("judged", itemgetter(0)),
+    Column("verdict", lambda row: "holds" if row[1]["holds"] else "does not hold"),
+    Column("by", lambda row: _facts_of(row[1])),
+)
 
 
 def verdicts(facts: Facts) -> Sheet | None:
     """Return what was judged, with the figures it was judged by."""
+    return sheet("Verdicts", VERDICTS, facts.log.verdicts.items())
+
+
+COURSE: tuple[Column[Record], ...] = (
+    Column("UTC", lambda record: record.t[:19].replace("T", " ")),
+    Column("what", lambda record: _happened(record)[0]),
+    Column("why, how", lambda record: _happened(record)[1]),
+)
+
+
+def course(facts: Facts) -> Sheet | None:
+    """Return how the run went: its states, and what happened on the way."""
     rows = [
-        [name, "holds" if body["holds"] else "does not hold", _facts_of(body)]
-        for name, body in facts.log.verdicts.items()
+        record
+        for record in facts.records
+        if record.kind == "state"
+        or (record.kind == "event" and record.body["what"] not in ("connected", "closed"))
     ]
-    return Sheet("Verdicts", ["judged", "verdict", "by"], rows, 3) if rows else None
+    return sheet("Course of the run", COURSE, rows)
 
 
-def course(facts: Facts) -> Sheet:
-    """Return how the run went: its states, and events on the way."""
-    rows = []
-    for record in facts.records:
-        when, body = record.t[:19].replace("T", " "), record.body
-        if record.kind == "state":
-            what = f"{body['machine']}: {body['to'].replace('_', ' ')}"
-            rows.append([when, what, str(body.get("reason", ""))])
-        elif record.kind == "event" and body["what"] not in ("connected", "closed"):
-            rows.append([when, body["what"], _facts_of(body)])
-    return Sheet("Course of the run", ["UTC", "what", "why, how"], rows, 3)
+def _happened(record: Record) -> Pair:
+    """Return a record of a state or an event in words: what, and why or how."""
+    body = record.body
+    if record.kind == "state":
+        return f"{body['machine']}: {body['to'].replace('_', ' ')}", str(body.get("reason", ""))
+    return body["what"], _facts_of(body)
+
+
+PAPER: tuple[Column[Mapping[str, Any]], ...] = (
+    Column("figure of the paper", itemgetter("row")),
+    Column("fails when", itemgetter("fails")),
+    Column("paper", itemgetter("paper"), form=".4g"),
+    Column("here", itemgetter("here"), form=".4g"),
+    Column("unit", itemgetter("unit")),
+    Column("holds if", itemgetter("criterion")),
+    Column(
+        "verdict",
+        lambda row: "set" if row["set"] else "holds" if row["holds"] else "does not hold",
+    ),
+)
 
 
 def paper_rows(facts: Facts) -> Sheet | None:
     """Return the paper's figures beside this run's, where the procedure compares them."""
     found = facts.result.get("rows")
-    if not isinstance(found, list):
-        return None
-    rows = [
-        [
-            row["row"],
-            row["fails"],
-            _figure(row["paper"]),
-            _figure(row["here"]),
-            row["unit"],
-            row["criterion"],
-            "set" if row["set"] else "holds" if row["holds"] else "does not hold",
-        ]
-        for row in found
-    ]
-    headers = ["figure of the paper", "fails when", "paper", "here", "unit", "holds if", "verdict"]
     note = "Set: brought about by the cell file or the simulated machine, so that it cannot fail."
-    return Sheet("The paper, row by row", headers, rows, 2, note)
+    return sheet("The paper, row by row", PAPER, found if isinstance(found, list) else [], note)
 
 
 def own_table(facts: Facts) -> Sheet | None:
@@ -208,49 +285,51 @@ def own_table(facts: Facts) -> Sheet | None:
     return Sheet(facts.procedure.summary.capitalize(), headers, rows)
 
 
-def contributions(title: str, lines: Iterable[Contribution]) -> Sheet:
-    """Return budget lines: estimate, distribution, standard uncertainty, source."""
-    rows = [
-        [
-            line.name,
-            f"{line.how}; {line.source}",
-            line.distribution,
-            line.clause,
-            *_mm(line.estimate_mm, line.u_mm),
-        ]
-        for line in lines
-    ]
-    headers = ["contribution", "source", "distribution", "GUM", "estimate mm", "u mm"]
-    return Sheet(title, headers, rows, 4)
+@dataclass(frozen=True, slots=True)
+class Sum:
+    """A sum of contributions, a line of the table that they stand in."""
+
+    name: str
+    source: str
+    distribution: str
+    clause: str
+    u_mm: float
+    estimate_mm: None = None
+
+
+CONTRIBUTIONS: tuple[Column[Contribution | Sum], ...] = (
+    Column("contribution", attrgetter("name")),
+    Column(
+        "source",
+        lambda row: row.source if isinstance(row, Sum) else f"{row.how}; {row.source}",
+    ),
+    Column("distribution", attrgetter("distribution")),
+    Column("GUM", attrgetter("clause")),
+    Column("estimate", attrgetter("estimate_mm"), "mm", ".4f"),
+    Column("u", attrgetter("u_mm"), "mm", ".4f"),
+)
 
 
 def budget_sheets(budget: Budget) -> list[Sheet]:
-    """Return the budget's tables, each with its sum."""
-    sheets = [
-        _summed(
-            contributions("A measured position", budget.measurement),
-            budget.measurement_u_mm,
-            budget.measurement_U_mm,
-        )
+    """Return the budget's tables: estimate, distribution, standard uncertainty, and the sums."""
+    parts = (
+        ("A measured position", budget.measurement, budget.measurement_u_mm,
+         budget.measurement_U_mm),
+        ("A corrected target, besides", budget.target, budget.target_u_mm, budget.target_U_mm),
+    )  # fmt: skip
+    found = [
+        sheet(title, CONTRIBUTIONS, [*lines, *_sums(u_mm, expanded_mm)])
+        for title, lines, u_mm, expanded_mm in parts
+        if lines
     ]
-    if budget.target:
-        sheet = contributions("A corrected target, besides", budget.target)
-        sheets.append(_summed(sheet, budget.target_u_mm, budget.target_U_mm))
-    return sheets
+    return [each for each in found if each is not None]
 
 
-def _summed(sheet: Sheet, u_mm: float, expanded_mm: float) -> Sheet:
-    sheet.rows.append(
-        ["combined u", "root of the sum of all squares so far", "", "5.1.2", "", f"{u_mm:.4f}"]
+def _sums(u_mm: float, expanded_mm: float) -> tuple[Sum, Sum]:
+    return (
+        Sum("combined u", "root of the sum of all squares so far", "", "5.1.2", u_mm),
+        Sum("expanded U", "U = k u, k = 2, about 95 %", "normal", "6.2.1", expanded_mm),
     )
-    sheet.rows.append(
-        ["expanded U", "U = k u, k = 2, about 95 %", "normal", "6.2.1", "", f"{expanded_mm:.4f}"]
-    )
-    return sheet
-
-
-def _mm(*values_mm: float) -> list[str]:
-    return [f"{value:.4f}" for value in values_mm]
 
 
 def _facts_of(body: Mapping[str, Any]) -> str:
@@ -265,10 +344,6 @@ def _facts_of(body: Mapping[str, Any]) -> str:
 def _with_unit(name: str, value: object) -> str:
     words = name.removesuffix("_mm").replace("_", " ")
     return f"{words} {_text(value)}{' mm' if name.endswith('_mm') else ''}"
-
-
-def _figure(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}"
 
 
 def _text(value: object) -> str:
