@@ -63,3 +63,8 @@ def sheet(
     texts = [[column.text(row) for column in columns] for row in rows]
     words = sum(1 for _ in takewhile(lambda column: not column.form, columns))
     return Sheet(title, [each.header for each in columns], texts, words, note) if texts else None
+
+
+def present(*sheets: Sheet | None) -> list[Sheet]:
+    """Return those tables that there are."""
+    return [each for each in sheets if each is not None]

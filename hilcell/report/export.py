@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime
+from operator import attrgetter
 from typing import Any
 
 import msgspec
@@ -16,74 +18,107 @@ import numpy as np
 
 from hilcell.clean import harmless
 from hilcell.geometry.frames import apply, zyx_from_pose
+from hilcell.journal.journal import Record
 from hilcell.journal.log import Point
+from hilcell.ports import Array
+from hilcell.report import tables
+from hilcell.report.columns import Column, T, Value
 from hilcell.report.facts import Facts
+from hilcell.report.tables import Posed
 
-Value = str | int | float | None
 Row = list[Value]
 
-_XYZ = ("x_mm", "y_mm", "z_mm")
-_JOINTS = [f"a{axis}_deg" for axis in range(1, 7)]
-POINT_HEADERS = [
-    "seq", "t_utc", "key", "group", "station", "session", "reflector", "frame",
-    *_XYZ, *(f"std_{axis}" for axis in _XYZ), "samples",
-    "temperature_c", "pressure_mbar", "humidity_percent", "rail_mm", "strip_mm",
-    *(f"world_{axis}" for axis in _XYZ), *(f"nominal_{axis}" for axis in _XYZ),
-    *(f"error_{axis}" for axis in _XYZ), "error_mm", *(f"smr_{axis}" for axis in _XYZ),
-    *(f"commanded_{joint}" for joint in _JOINTS), *(f"read_{joint}" for joint in _JOINTS),
-    *(f"pose_{axis}" for axis in _XYZ), "pose_a_deg", "pose_b_deg", "pose_c_deg",
-]  # fmt: skip
-FRAME_HEADERS = [
-    "frame",
-    *_XYZ,
-    "a_deg",
-    "b_deg",
-    "c_deg",
-    *(f"m{row}{column}" for row in range(4) for column in range(4)),
-]
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A point and the record that wrote it, and as far as they are known: its place and its error
+    e = actual - nominal (3,) in {W}, the robot's pose as x, y, z, A, B, C (6,) in {B}.
+    """
+
+    record: Record
+    point: Point
+    world_mm: Array | None
+    error_mm: Array | None
+    zyx: Array | None
+
+    @property
+    def norm_mm(self) -> float | None:
+        """Return the length of the error."""
+        return None if self.error_mm is None else float(np.linalg.norm(self.error_mm))
 
 
-def points_table(facts: Facts) -> list[Row]:
-    """Return every point, first measured first; ``world_*`` and ``error_*`` are in {W}."""
+def _plain(*names: str, unit: str = "") -> Iterator[Column[Measured]]:
+    """Yield a column for each attribute of the point; its name ends in the unit, if it has one."""
+    for name in names:
+        yield Column(name, attrgetter(f"point.{name}_{unit}".rstrip("_")), unit)
+
+
+def _vector(
+    prefix: str, names: Iterable[str], unit: str, attribute: str, first: int = 0
+) -> Iterator[Column[Measured]]:
+    """Yield a column for each element, from ``first``, of an attribute, which may be absent."""
+    for n, name in enumerate(names, first):
+        yield Column(prefix + name, _element(attrgetter(attribute), n), unit)
+
+
+def _entry(row: int, column: int) -> Callable[[Posed], Value]:
+    return lambda posed: float(posed.matrix[row, column])
+
+
+def _element(of: Callable[[Measured], Any], n: int) -> Callable[[Measured], Value]:
+    def value(row: Measured) -> Value:
+        values = of(row)
+        return None if values is None else float(values[n])
+
+    return value
+
+
+_AXES = [f"a{axis}" for axis in range(1, 7)]
+POINTS: tuple[Column[Measured], ...] = (
+    Column("seq", attrgetter("record.seq")),
+    Column("t", attrgetter("record.t"), "utc"),
+    *_plain("key", "group", "station", "session", "reflector", "frame"),
+    *_vector("", "xyz", "mm", "point.xyz_mm"),
+    *_vector("std_", "xyz", "mm", "point.std_mm"),
+    *_plain("samples", "temperature_c", "pressure_mbar", "humidity_percent"),
+    *_plain("rail", "strip", unit="mm"),
+    *_vector("world_", "xyz", "mm", "world_mm"),
+    *_vector("nominal_", "xyz", "mm", "point.nominal_mm"),
+    *_vector("error_", "xyz", "mm", "error_mm"),
+    Column("error", attrgetter("norm_mm"), "mm"),
+    *_vector("smr_", "xyz", "mm", "point.smr_mm"),
+    *_vector("commanded_", _AXES, "°", "point.commanded_deg"),
+    *_vector("read_", _AXES, "°", "point.joints_deg"),
+    *_vector("pose_", "xyz", "mm", "zyx"),
+    *_vector("pose_", "abc", "°", "zyx", first=3),
+)
+FRAMES: tuple[Column[Posed], ...] = (
+    *tables.FRAMES,
+    *(Column(f"m{row}{column}", _entry(row, column)) for row in range(4) for column in range(4)),
+)
+
+
+def points(facts: Facts) -> list[Measured]:
+    """Return every point, first measured first."""
     wrote = {record.key: record for record in facts.records if record.kind == "point"}
-    return [
-        [wrote[key].seq, wrote[key].t, *_point_row(facts, point)]
-        for key, point in facts.log.points.items()
-    ]
+    world = facts.log.matrix("world") if "world" in facts.log.frames else None
+    return [_measured(wrote[key], point, world) for key, point in facts.log.points.items()]
 
 
-def _point_row(facts: Facts, point: Point) -> Row:
-    world_mm: Sequence[float] | None = None
-    error_mm: Sequence[float] | None = None
-    if "world" in facts.log.frames:
-        world = apply(facts.log.matrix("world"), np.array([point.xyz_mm]))[0]
-        world_mm = world.tolist()
-        if point.nominal_mm is not None:
-            error_mm = (world - np.array(point.nominal_mm)).tolist()
-    pose = None if point.pose is None else zyx_from_pose(np.array(point.pose)).tolist()
-    return [
-        point.key, point.group, point.station, point.session, point.reflector, point.frame,
-        *point.xyz_mm, *point.std_mm, point.samples,
-        point.temperature_c, point.pressure_mbar, point.humidity_percent,
-        point.rail_mm, point.strip_mm,
-        *_or_blank(world_mm, 3), *_or_blank(point.nominal_mm, 3), *_or_blank(error_mm, 3),
-        None if error_mm is None else float(np.linalg.norm(error_mm)),
-        *_or_blank(point.smr_mm, 3), *_or_blank(point.commanded_deg, 6),
-        *_or_blank(point.joints_deg, 6), *_or_blank(pose, 6),
-    ]  # fmt: skip
+def _measured(record: Record, point: Point, world: Array | None) -> Measured:
+    world_mm = None if world is None else apply(world, np.array([point.xyz_mm]))[0]
+    known = world_mm is not None and point.nominal_mm is not None
+    error_mm = world_mm - np.array(point.nominal_mm) if known else None
+    pose = None if point.pose is None else zyx_from_pose(np.array(point.pose))
+    return Measured(record, point, world_mm, error_mm, pose)
 
 
-def _or_blank(values: Sequence[float] | None, count: int) -> Sequence[float | None]:
-    return [None] * count if values is None else values
+def _keys(columns: Sequence[Column[Any]]) -> list[str]:
+    return [column.key for column in columns]
 
 
-def frames_table(facts: Facts) -> list[Row]:
-    """Return every frame in {W}: position, Z-Y-X angles, and its matrix row by row."""
-    rows: list[Row] = []
-    for name, frame in facts.log.frames.items():
-        matrix = np.array(frame["matrix"], dtype=float)
-        rows.append([name, *zyx_from_pose(matrix).tolist(), *matrix.ravel().tolist()])
-    return rows
+def _values(columns: Sequence[Column[T]], rows: Iterable[T]) -> list[Row]:
+    return [[column.of(row) for column in columns] for row in rows]
 
 
 def results_table(facts: Facts) -> list[Row]:
@@ -136,8 +171,9 @@ def csv_bytes(facts: Facts) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     simulated = _yes(facts.inputs.simulated)
-    writer.writerow([*POINT_HEADERS, "simulated"])
-    writer.writerows([*map(_quoted, row), simulated] for row in points_table(facts))
+    writer.writerow([*_keys(POINTS), "simulated"])
+    rows = _values(POINTS, points(facts))
+    writer.writerows([*map(_quoted, row), simulated] for row in rows)
     return text.getvalue().encode()
 
 
@@ -162,8 +198,8 @@ def xlsx_bytes(facts: Facts) -> bytes:
         bold = book.add_format({"bold": True})
         for name, headers, rows in (
             ("run", ["name", "value"], run_table(facts)),
-            ("points", POINT_HEADERS, points_table(facts)),
-            ("frames", FRAME_HEADERS, frames_table(facts)),
+            ("points", _keys(POINTS), _values(POINTS, points(facts))),
+            ("frames", _keys(FRAMES), _values(FRAMES, tables.posed(facts))),
             ("results", ["figure", "value"], results_table(facts)),
         ):
             sheet = book.add_worksheet(name)
@@ -195,7 +231,7 @@ def json_bytes(facts: Facts) -> bytes:
         "states": log.states,
         "sessions": log.session,
         "fault": log.fault,
-        "points": [dict(zip(POINT_HEADERS, row, strict=True)) for row in points_table(facts)],
+        "points": [{column.key: column.of(row) for column in POINTS} for row in points(facts)],
         "frames": log.frames,
         "verdicts": log.verdicts,
         "events": [record.event(facts.run) for record in log.events],

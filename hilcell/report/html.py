@@ -12,6 +12,7 @@ from hilcell.clean import harmless
 from hilcell.report import tables
 from hilcell.report.budget import budget_of
 from hilcell.report.certificate import certificate, title
+from hilcell.report.columns import present
 from hilcell.report.facts import Facts
 from hilcell.report.figures import drawings
 
@@ -48,17 +49,17 @@ def report_html(facts: Facts) -> str:
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             headlines=headlines(facts),
             certificate=certificate(facts, budget),
-            result_sheets=_present(
+            result_sheets=present(
                 tables.accuracy(facts), tables.paper_rows(facts), tables.verdicts(facts)
             ),
             own_sheet=None if validation_of(facts) else tables.own_table(facts),
             drawings=drawings(facts),
-            frame_sheets=_present(
+            frame_sheets=present(
                 tables.stations(facts), tables.circles(facts), tables.frames(facts)
             ),
             budget=budget,
             budget_sheets=tables.budget_sheets(budget) if budget else [],
-            record_sheets=_present(
+            record_sheets=present(
                 tables.devices(facts),
                 tables.conditions(facts),
                 tables.groups(facts),
@@ -104,10 +105,6 @@ def headlines(facts: Facts) -> list[Headline]:
             removed = reduction(before.mean, after.mean)
             found.append(Headline(name, before.mean, after.mean, after.max, removed))
     return found
-
-
-def _present(*sheets: tables.Sheet | None) -> list[tables.Sheet]:
-    return [sheet for sheet in sheets if sheet is not None]
 
 
 def _environment() -> Environment:

@@ -17,7 +17,7 @@ from hilcell.geometry.statistics import Figures
 from hilcell.journal.journal import Record
 from hilcell.ports import Array
 from hilcell.report.budget import Budget
-from hilcell.report.columns import Column, Sheet, Value, sheet
+from hilcell.report.columns import Column, Sheet, Value, present, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.figures import series_name
 from hilcell.report.uncertainty import Contribution
@@ -77,33 +77,23 @@ def accuracy(facts: Facts) -> Sheet | None:
     return sheet("Before and after", ACCURACY, rows, note)
 
 
-@dataclass(frozen=True, slots=True)
-class Framed:
-    """A station and its measured frame, as the journal holds it."""
-
-    station: Station
-    frame: Mapping[str, Any]
-
-
-STATIONS: tuple[Column[Framed], ...] = (
-    Column("station", attrgetter("station.name")),
-    Column("rail", attrgetter("station.rail_mm"), "mm", ".2f"),
-    Column("strip, wanted", attrgetter("station.strip_mm"), "mm", ".2f"),
-    Column("strip, found", lambda row: row.frame["strip_mm"], "mm", ".2f"),
-    Column("fit rms", lambda row: row.frame["rms_mm"], "mm", ".4f"),
-    Column("tool point u", lambda row: row.frame["tool_uncertainty_mm"], "mm", ".4f"),
+# A station, and its frame's record.
+STATIONS: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
+    Column("station", lambda row: row[0].name),
+    Column("rail", lambda row: row[0].rail_mm, "mm", ".2f"),
+    Column("strip, wanted", lambda row: row[0].strip_mm, "mm", ".2f"),
+    Column("strip, found", lambda row: row[1]["strip_mm"], "mm", ".2f"),
+    Column("fit rms", lambda row: row[1]["rms_mm"], "mm", ".4f"),
+    Column("tool point u", lambda row: row[1]["tool_uncertainty_mm"], "mm", ".4f"),
 )
 
 
 def stations(facts: Facts) -> Sheet | None:
     """Return what each station's frame is good for."""
-    frames, note = facts.log.frames, "Tool point: the grid's centre as the station frame carries it"
-    rows = [
-        Framed(station, frames[f"station.{station.name}"])
-        for station in facts.cell.station
-        if f"station.{station.name}" in frames
-    ]
-    return sheet("Stations", STATIONS, rows, f"{note}, 3D, 1 σ.")
+    found = ((each, facts.log.frames.get(f"station.{each.name}")) for each in facts.cell.station)
+    rows = ((station, frame) for station, frame in found if frame is not None)
+    note = "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ."
+    return sheet("Stations", STATIONS, rows, note)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,10 +190,13 @@ def devices(facts: Facts) -> Sheet | None:
     return sheet("Devices", DEVICES, facts.devices, note)
 
 
-SOFTWARE = (Column[Pair]("package", itemgetter(0)), Column[Pair]("version", itemgetter(1)))
-GROUPS = (
-    Column[tuple[str, int]]("group", lambda row: row[0].replace("_", " ")),
-    Column[tuple[str, int]]("points", itemgetter(1), form="d"),
+SOFTWARE: tuple[Column[Pair], ...] = (
+    Column("package", itemgetter(0)),
+    Column("version", itemgetter(1)),
+)
+GROUPS: tuple[Column[tuple[str, int]], ...] = (
+    Column("group", lambda row: row[0].replace("_", " ")),
+    Column("points", itemgetter(1), form="d"),
 )
 
 
@@ -238,7 +231,7 @@ COURSE: tuple[Column[Record], ...] = (
 
 
 def course(facts: Facts) -> Sheet | None:
-    """Return how the run went: its states, and what happened on the way."""
+    """Return how the run went: its states, and events on the way."""
     rows = [
         record
         for record in facts.records
@@ -317,12 +310,11 @@ def budget_sheets(budget: Budget) -> list[Sheet]:
          budget.measurement_U_mm),
         ("A corrected target, besides", budget.target, budget.target_u_mm, budget.target_U_mm),
     )  # fmt: skip
-    found = [
-        sheet(title, CONTRIBUTIONS, [*lines, *_sums(u_mm, expanded_mm)])
-        for title, lines, u_mm, expanded_mm in parts
-        if lines
-    ]
-    return [each for each in found if each is not None]
+    found = []
+    for title, lines, u_mm, expanded_mm in parts:
+        rows: list[Contribution | Sum] = [*lines, *_sums(u_mm, expanded_mm)]
+        found += [sheet(title, CONTRIBUTIONS, rows)] if lines else []
+    return present(*found)
 
 
 def _sums(u_mm: float, expanded_mm: float) -> tuple[Sum, Sum]:
