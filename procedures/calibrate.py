@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from hilcell.geometry.statistics import Figures
 from hilcell.run.procedure import Procedure, Table
 from procedures.base_frame import BaseFrame
 from procedures.fit import Fit
@@ -21,7 +22,7 @@ from procedures.world_frame import WorldFrame
 
 def validation_table(result: dict[str, Any]) -> Table:
     """Return the errors before and after, station by station, as the paper states them."""
-    headers = ["station", "points", "error of", "mean mm", "p95 mm", "max mm"]
+    names = Figures._fields
     rows = []
     for where, figures in result["validation"].items():
         for label in ("before", "idw", "chosen", "floor"):
@@ -29,10 +30,10 @@ def validation_table(result: dict[str, Any]) -> Table:
                 continue
             each = figures[label]
             name = f"chosen: {result['method']}" if label == "chosen" else label
-            most = f"{each['max']:.4f}" if "max" in each else ""
             first = [where, str(figures["points"])] if label == "before" else ["", ""]
-            rows.append([*first, name, f"{each['mean']:.4f}", f"{each['p95']:.4f}", most])
-    return headers, rows
+            texts = [f"{each[figure]:.4f}" if figure in each else "" for figure in names]
+            rows.append([*first, name, *texts])
+    return ["station", "points", "error of", *(f"{figure} mm" for figure in names)], rows
 
 
 def station_table(result: dict[str, Any]) -> Table:

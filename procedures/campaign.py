@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.fit import fit
+from hilcell.calibration.fit import fit, methods_table
 from hilcell.calibration.robot_file import Measurements, RobotModel, Row, read_measurements
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log, positions_mm
@@ -107,12 +107,7 @@ def measured(log: Log) -> Measurements:
 
 def campaign_table(result: dict[str, Any]) -> Table:
     """Return what each method leaves of the measured targets, cross-validated."""
-    keys = ("mean_mm", "p95_mm", "max_mm")
-    rows = [
-        [name, *(f"{figures[key]:.4f}" for key in keys)]
-        for name, figures in result["campaign"]["methods"].items()
-    ]
-    return ["method", "mean mm", "p95 mm", "max mm"], rows
+    return methods_table(result["campaign"]["methods"])
 
 
 CAMPAIGN = Procedure(

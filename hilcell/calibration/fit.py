@@ -37,18 +37,13 @@ class FitError(HilcellError):
     code = "HC-C22"
 
 
-class Figures(TypedDict):
-    """Distances between predicted and measured positions."""
-
-    mean_mm: float
-    p95_mm: float
-    max_mm: float
-
-
 class FitResult(TypedDict):
-    """What ``fit --json`` prints; ``train`` and ``test`` count rows."""
+    """What ``fit --json`` prints; ``train`` and ``test`` count rows.
 
-    methods: dict[str, Figures]
+    ``methods`` has the figures of what each leaves, distances of predicted from measured positions.
+    """
+
+    methods: dict[str, dict[str, float]]
     chosen: str
     train: int
     test: int
@@ -218,10 +213,17 @@ def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
     return miss_mm
 
 
-def figures_of(miss_mm: Array) -> Figures:
+def figures_of(miss_mm: Array) -> dict[str, float]:
     """Return the figures of misses (N, 3)."""
-    mean_mm, p95_mm, max_mm = statistics.figures_of(statistics.lengths_mm(miss_mm))
-    return {"mean_mm": mean_mm, "p95_mm": p95_mm, "max_mm": max_mm}
+    figures = statistics.figures_of(statistics.lengths_mm(miss_mm))._asdict()
+    return {f"{name}_mm": value for name, value in figures.items()}
+
+
+def methods_table(methods: Mapping[str, Mapping[str, float]]) -> tuple[list[str], list[list[str]]]:
+    """Return headers and rows of the figures of each method."""
+    names = statistics.Figures._fields
+    rows = [[name, *(f"{each[f'{n}_mm']:.4f}" for n in names)] for name, each in methods.items()]
+    return ["method", *(f"{name} mm" for name in names)], rows
 
 
 def _improved(

@@ -22,6 +22,7 @@ from hilcell.journal.runs import CALIBRATION, find_run
 def fit(args: argparse.Namespace) -> int:
     """Fit measured data and print how far each method's predictions are off."""
     from hilcell.calibration.fit import fit as fit_rows
+    from hilcell.calibration.fit import methods_table
     from hilcell.calibration.robot_file import read_measurements, read_robot
 
     test = read_measurements(Path(args.test)) if args.test else None
@@ -29,11 +30,7 @@ def fit(args: argparse.Namespace) -> int:
     if args.json:
         print_json(result)
         return 0
-    rows = [
-        [name, *(f"{figures[key]:.4f}" for key in ("mean_mm", "p95_mm", "max_mm"))]
-        for name, figures in result["methods"].items()
-    ]
-    print_table((["method", "mean mm", "p95 mm", "max mm"], rows))
+    print_table(methods_table(result["methods"]))
     print(
         f"chosen: {result['chosen']}; {result['train']} rows learnt from, {result['test']} judged"
     )

@@ -16,7 +16,7 @@ Value = str | int | float | None
 _UNITS_IN_KEYS = {"°": "deg", "°C": "c", "%": "percent"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # with slots, `Column[T](...)` fails in Python 3.11
 class Column(Generic[T]):
     """``of`` gives the value of a row, None where it has none.
 

@@ -105,7 +105,7 @@ def _has(log: Log) -> str:
 
 
 def _validation(first: Side, second: Side) -> Iterator[Change]:
-    """Yield mean, p95 and maximum of |e| per place, before and after."""
+    """Yield the figures of |e| per place, before and after."""
     there = places(second.log.cell)
     for place, stations in places(first.log.cell).items():
         if there.get(place) == stations:
@@ -118,9 +118,9 @@ def _validated(
     place: str, how: str, first: tuple[Side, Errors], second: tuple[Side, Errors]
 ) -> Iterator[Change]:
     """Yield the change of each figure; the mean alone has a limit."""
-    limits_mm = (_mean_limit_mm(how, first, second), None, None)
-    pairs = zip(Figures._fields, first[1].figures, second[1].figures, limits_mm, strict=True)
-    for what, one_mm, two_mm, limit_mm in pairs:
+    figures = zip(Figures._fields, first[1].figures, second[1].figures, strict=True)
+    for what, one_mm, two_mm in figures:
+        limit_mm = _mean_limit_mm(how, first, second) if what == "mean" else None
         change_mm, figure = two_mm - one_mm, f"{how} {what}"
         yield Change("validation", place, figure, "mm", one_mm, two_mm, change_mm, limit_mm)
 

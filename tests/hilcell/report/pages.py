@@ -20,6 +20,7 @@ class Page(HTMLParser):
         self.attributes: list[tuple[str, str]] = []
         self.texts: list[tuple[str, str]] = []
         self._open: list[str] = []
+        self._tables: dict[str, list[list[str]]] = {}
         self.feed(html)
         self.close()
         assert self._open == []
@@ -34,6 +35,10 @@ class Page(HTMLParser):
                 self.links.append(value or "")
         if tag not in VOID:
             self._open.append(tag)
+        if tag == "tr" and self._tables:
+            self._rows().append([])
+        if tag in ("td", "th") and self._tables:
+            self._rows()[-1].append("")
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.handle_starttag(tag, attrs)
@@ -45,8 +50,22 @@ class Page(HTMLParser):
         assert self._open.pop() == tag
 
     def handle_data(self, data: str) -> None:
+        inside = self._open[-1:]
+        if inside == ["h3"]:
+            self._tables[data] = []
+        if inside in (["td"], ["th"]) and self._tables:
+            self._rows()[-1][-1] += data
         if data.strip():
             self.texts.append((self._open[-1] if self._open else "", data.strip()))
+
+    def _rows(self) -> list[list[str]]:
+        """The rows of the table whose title came last."""
+        return self._tables[next(reversed(self._tables))]
+
+    def table(self, title: str) -> list[dict[str, str]]:
+        """The rows of the table with this title, each cell by its column's header."""
+        headers, *rows = self._tables[title]
+        return [dict(zip(headers, row, strict=False)) for row in rows]
 
     @property
     def text(self) -> str:

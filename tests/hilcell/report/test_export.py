@@ -10,16 +10,10 @@ from pathlib import Path
 import pytest
 
 from hilcell.journal.point_id import PointId
-from hilcell.report.export import (
-    POINT_HEADERS,
-    csv_bytes,
-    frames_table,
-    json_bytes,
-    results_table,
-    xlsx_bytes,
-)
+from hilcell.report.export import POINTS, csv_bytes, json_bytes, results_table, xlsx_bytes
 from tests.hilcell.report.journals import Writer, validated_run
 
+POINT_KEYS = [column.key for column in POINTS]
 SHEET = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
 
 
@@ -27,7 +21,7 @@ def test_points_as_csv(tmp_path: Path) -> None:
     rows = list(
         csv.DictReader(io.StringIO(csv_bytes(validated_run(tmp_path / "r").facts()).decode()))
     )
-    assert list(rows[0]) == [*POINT_HEADERS, "simulated"]
+    assert list(rows[0]) == [*POINT_KEYS, "simulated"]
     assert {row["simulated"] for row in rows} <= {"yes", "no"}
     assert len(rows) == 16
     second = rows[1]
@@ -62,13 +56,13 @@ def test_workbook(tmp_path: Path) -> None:
         words = ["".join(each.itertext()) for each in _tree(book, "sharedStrings.xml")]
         cells = list(_tree(book, "worksheets/sheet2.xml").iter(f"{SHEET}row"))
     assert names == ["run", "points", "frames", "results"]
-    assert set(POINT_HEADERS) <= set(words)
+    assert set(POINT_KEYS) <= set(words)
     assert len(cells) == 1 + 16
-    first = {cell.get("r"): cell for cell in cells[1]}
-    value = first["I2"].find(f"{SHEET}v")
-    assert POINT_HEADERS[8] == "x_mm"
-    assert value is not None
-    assert float(value.text or "nan") == 1.0
+    keys = [words[int(cell.findtext(f"{SHEET}v", ""))] for cell in cells[0]]
+    assert keys == POINT_KEYS
+    first = {(cell.get("r") or "").rstrip("2"): cell for cell in cells[1]}
+    column = (cells[0][keys.index("x_mm")].get("r") or "").rstrip("1")
+    assert float(first[column].findtext(f"{SHEET}v", "nan")) == 1.0
 
 
 def _tree(book: zipfile.ZipFile, name: str) -> ET.Element:
@@ -88,5 +82,7 @@ def test_everything_as_json(tmp_path: Path) -> None:
 
 def test_frames_and_results_are_flat(tmp_path: Path) -> None:
     facts = validated_run(tmp_path / "r").facts()
-    assert frames_table(facts)[0][:7] == ["world", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    with zipfile.ZipFile(io.BytesIO(xlsx_bytes(facts))) as book:
+        cells = list(_tree(book, "worksheets/sheet3.xml").iter(f"{SHEET}row"))
+    assert [float(cell.findtext(f"{SHEET}v", "nan")) for cell in cells[1]][1:7] == [0.0] * 6
     assert ["points.validate_before", 8] in results_table(facts)

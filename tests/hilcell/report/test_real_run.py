@@ -43,16 +43,15 @@ def page(calibrated: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempP
 def test_figures_are_those_of_the_result(
     page: Path, calibrated: tuple[Path, dict[str, Any]]
 ) -> None:
-    cells = Page(page.read_text("utf-8")).of("td")
+    rows = Page(page.read_text("utf-8")).table("Before and after")
     for place, name in (("S1100", "S1100"), ("others", "others together"), ("S300", "S300")):
         figures = calibrated[1]["validation"][place]
-        at = cells.index(name)
-        wanted = [f"{figures['before'][key]:.4f}" for key in ("mean", "p95", "max")]
-        assert cells[at + 3 : at + 6] == wanted
-        after = cells[at + 6 : at + 13]
-        assert after[2:5] == [f"{figures['idw'][key]:.4f}" for key in ("mean", "p95", "max")]
+        at = next(number for number, row in enumerate(rows) if row["station"] == name)
+        for row, how in zip(rows[at:], ("before", "idw"), strict=False):
+            for key, value in figures[how].items():
+                assert row[f"{key} mm"] == f"{value:.4f}"
         ratio = 100 * (1 - figures["idw"]["mean"] / figures["before"]["mean"])
-        assert after[5] == f"{ratio:.1f}"
+        assert rows[at + 1]["removed by means %"] == f"{ratio:.1f}"
 
 
 def test_it_holds_every_figure_of_a_calibration_and_is_small(page: Path) -> None:
