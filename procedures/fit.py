@@ -1,12 +1,12 @@
-"""The grid's data become a correction; cross-validation chooses the interpolation."""
+"""The grid's data become a correction; cross-validation chooses the model."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from hilcell.calibration.frames import grid_errors_mm, grid_of, outlying_vertices
+from hilcell.calibration.frames import grid_of, measured_grid, outlying_vertices
 from hilcell.cell.file import Cell
-from hilcell.compensation.interpolation import choose, cross_validate
+from hilcell.compensation.choice import choose, cross_validate
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
@@ -14,7 +14,7 @@ from hilcell.run.procedure import Step
 
 
 class Fit:
-    """Compares the interpolations by leaving each vertex out, and chooses."""
+    """Compares the models by leaving each vertex out, and chooses."""
 
     name = "fit"
     needs = "the grid measured, the stations framed"
@@ -43,7 +43,7 @@ class Fit:
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the method and its cross-validation."""
-        loocv = cross_validate(grid_of(log.cell), grid_errors_mm(log))
+        loocv = cross_validate(measured_grid(log))
         return {
             "method": choose(loocv),
             "fit": {"loocv": loocv, "outliers": outlying_vertices(log)},

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import command_mm, grid_errors_mm, grid_of
+from hilcell.calibration.frames import grid_errors_mm, grid_of, measured_grid
 from hilcell.cell.file import Cell
+from hilcell.compensation.choice import MODELS
+from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
@@ -68,8 +70,9 @@ class SignCheck:
 
     def command(self, log: Log, target_mm: Array) -> Array:
         """Return what to command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
-        method = str(log.verdicts["fit"]["method"])
-        return command_mm(grid_of(log.cell), grid_errors_mm(log), method, target_mm)
+        measured = measured_grid(log)
+        model = MODELS[str(log.verdicts["fit"]["method"])].learn(measured)
+        return corrected(measured.grid, target_mm, model)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors of the target before and corrected, and their ratio."""

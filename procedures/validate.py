@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import command_mm, grid_errors_mm, grid_of
+from hilcell.calibration.frames import grid_of, measured_grid
 from hilcell.cell.file import Cell, Station
+from hilcell.compensation.choice import MODELS
+from hilcell.compensation.correction import corrected
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
@@ -48,14 +50,15 @@ class Validate:
 
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
-        grid, errors_mm = grid_of(session.cell), grid_errors_mm(session.log)
+        measured = measured_grid(session.log)
+        paper = MODELS["idw"].learn(measured)
+        chosen = MODELS[str(session.log.verdicts["fit"]["method"])].learn(measured)
         for name, targets_mm in targets(session.cell, session.seed).items():
             station = session.cell.station_named(name)
-            chosen = str(session.log.verdicts["fit"]["method"])
             commands = {
                 "before": targets_mm,
-                "idw": command_mm(grid, errors_mm, "idw", by_paper(session, station, targets_mm)),
-                "chosen": command_mm(grid, errors_mm, chosen, targets_mm),
+                "idw": corrected(measured.grid, by_paper(session, station, targets_mm), paper),
+                "chosen": corrected(measured.grid, targets_mm, chosen),
             }
             for how, command in commands.items():
                 self._send(session, station, how, targets_mm, command)

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilcell.calibration.form import Calibration, StationEntry, Validity
-from hilcell.compensation.interpolation import METHODS
-from hilcell.ports import Array
+from hilcell.compensation.choice import MODELS
+from hilcell.ports import Array, HilcellError
 
 MOST_ERROR_MM = 100.0  # beyond is no robot's error
 MOST_MM = 1e6
@@ -25,17 +25,29 @@ RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number 
 
 def problems_of(calibration: Calibration) -> list[str]:
     """Return in words everything that is wrong, each with the name of its field."""
-    return [
-        *_method(calibration.method),
+    found = [
+        *_method(calibration),
         *_validity(calibration.validity),
         *_grid(calibration),
         *_stations(calibration.stations),
     ]
+    return found or list(_model(calibration))
 
 
-def _method(method: str) -> Iterator[str]:
-    if method not in METHODS:
-        yield f"method: {method[:40]!r} is unknown; known here: {', '.join(METHODS)}"
+def _method(calibration: Calibration) -> Iterator[str]:
+    method, model = calibration.method, calibration.model
+    if method not in MODELS:
+        yield f"method: {method[:40]!r} is unknown; known here: {', '.join(MODELS)}"
+    elif model is not None and model.name != method:
+        yield f"model.name: {model.name[:40]!r}, wanted the method's {method!r}"
+
+
+def _model(calibration: Calibration) -> Iterator[str]:
+    """Yield why no model can be made of a file that is sound otherwise."""
+    try:
+        calibration.error_model()
+    except HilcellError as error:
+        yield f"model.parameters: {error}"
 
 
 def _validity(validity: Validity) -> Iterator[str]:

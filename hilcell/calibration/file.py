@@ -17,23 +17,36 @@ import numpy as np
 
 from hilcell import __version__
 from hilcell.calibration.checks import MOST_MM, problems_of
-from hilcell.calibration.form import Calibration, Provenance, StationEntry, Validity
-from hilcell.calibration.frames import Frames, command_mm, grid_errors_mm, grid_of
+from hilcell.calibration.form import (
+    Calibration,
+    Device,
+    ModelEntry,
+    Provenance,
+    StationEntry,
+    Validity,
+)
+from hilcell.calibration.frames import Frames, measured_grid
 from hilcell.cell.settings import SettingsError, unreadable
+from hilcell.compensation.choice import MODELS
+from hilcell.compensation.correction import corrected
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, zyx_from_pose
 from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
 from hilcell.writing import write_whole
 
-SCHEMA = 2  # 2: sealed
+SCHEMA = 2  # 2: sealed, and since then with the model's own table; 1: neither
+UNSEALED = 1
 SEAL = "seal"
 ORIENTATION_TOLERANCE_DEG = 2.0
 
 
 def calibration_of(log: Log, run: str) -> Calibration:
     """Compute the calibration from the log of a run that reached the fit."""
-    cell, frames, grid = log.cell, Frames(log.cell, log), grid_of(log.cell)
-    temperatures = [point.temperature_c for point in log.select("grid")]
+    cell, frames, measured = log.cell, Frames(log.cell, log), measured_grid(log)
+    grid, fit = measured.grid, log.verdicts["fit"]
+    method = str(fit["method"])
+    points = log.select("grid")
+    temperatures = [point.temperature_c for point in points]
     high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
     values = {
         "schema": SCHEMA,
@@ -41,6 +54,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
             run, cell.name, log.inputs.digest, log.inputs.simulated, log.inputs.operator,
             log.inputs.job, f"hilcell {__version__}", f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
             bool(log.verdicts.get("sign", {}).get("holds", False)),
+            log.inputs.versions, devices_of(log), [point.key for point in points], fit["loocv"],
         ),
         "validity": Validity(
             tuple(grid.origin_mm.tolist()), tuple(high_mm.tolist()),
@@ -51,11 +65,18 @@ def calibration_of(log: Log, run: str) -> Calibration:
             station.name: _entry(log, frames.base_in_world(station), station.name)
             for station in cell.station
         },
-        "method": str(log.verdicts["fit"]["method"]),
+        "method": method,
         "pitch_mm": grid.pitch_mm,
-        "grid_errors_mm": grid_errors_mm(log).tolist(),
+        "grid_errors_mm": measured.errors_mm.tolist(),
+        "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
     }  # fmt: skip
     return msgspec.convert(msgspec.to_builtins(values), Calibration)
+
+
+def devices_of(log: Log) -> list[Device]:
+    """Return the devices that answered when they were last connected."""
+    connected = [event.body for event in log.events if event.body["what"] == "connected"]
+    return msgspec.convert(connected[-1]["devices"], list[Device]) if connected else []
 
 
 def _entry(log: Log, base: Array, station: str) -> StationEntry:
@@ -81,8 +102,9 @@ def read_calibration(path: Path) -> Calibration:
     try:
         data = path.read_bytes()
         schema = msgspec.json.decode(data, type=_Head).schema
-        if schema != SCHEMA:
-            raise SettingsError(str(path), [f"schema {schema:.6g}, this hilcell reads {SCHEMA}"])
+        if schema not in (SCHEMA, UNSEALED):
+            known = f"{SCHEMA} and {UNSEALED}"
+            raise SettingsError(str(path), [f"schema {schema:.6g}, this hilcell reads {known}"])
         content = msgspec.json.decode(data)
         problems = _seal_problems(content)
         calibration = msgspec.convert(content, Calibration)
@@ -106,7 +128,8 @@ def _seal(content: dict[str, Any]) -> str:
 
 
 def _seal_problems(content: dict[str, Any]) -> list[str]:
-    if content.get(SEAL) == _seal(content):
+    wanted = None if content["schema"] == UNSEALED else _seal(content)
+    if content.get(SEAL) == wanted:
         return []
     return ["was changed after it was written: its seal does not hold; take the run's own file"]
 
@@ -135,8 +158,8 @@ def compensate_targets(
     poses = np.array([pose_from_zyx(*target) for target in targets])
     in_base = inverse(T_W_B) @ poses
     _refuse_turned(calibration, in_base, names)
-    grid, errors_mm = calibration.grid(), np.array(calibration.grid_errors_mm)
-    command = command_mm(grid, errors_mm, calibration.method, in_base[:, :3, 3], names)
+    model = calibration.error_model()
+    command = corrected(calibration.grid(), in_base[:, :3, 3], model, names=names)
     poses[:, :3, 3] = apply(T_W_B, command)
     return np.array([zyx_from_pose(pose) for pose in poses])
 

@@ -15,15 +15,14 @@ from typing import TypedDict
 import numpy as np
 
 from hilcell.calibration.robot_file import Measurements, RobotModel
-from hilcell.compensation.interpolation import inverse_distance_weights
+from hilcell.compensation.model import ErrorModel
+from hilcell.compensation.scattered import FOLDS, NEIGHBOURS, NearestPoses, Nominal
 from hilcell.geometry import statistics
 from hilcell.geometry.frames import apply, cross_matrix, matrix, rigid_fit
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import HilcellError
 
-NEIGHBOURS = 8  # training poses that one prediction is interpolated from
-FOLDS = 5
 BAD_ROW_MM = 1.0  # rows that miss by more count less (soft L1), so one bad row moves nothing
 ABSURD_MM = 20.0  # a miss beyond this is no robot's error
 NAMED = 5  # rows that one message names
@@ -131,20 +130,23 @@ def _miss_mm(placement: Placement, rows: Measurements) -> Array:
     return statistics.lengths_mm(rows.xyz_mm - placement.predicted_mm(rows))
 
 
-def nominal(placement: Placement, train: Measurements, test: Measurements) -> Array:
-    """Predict test rows (N, 3) by nominal kinematics alone."""
-    return placement.predicted_mm(test)
+METHODS: Mapping[str, Callable[[Array, Array], ErrorModel]] = {
+    "nominal": Nominal.learn,
+    "idw": NearestPoses.learn,
+}
 
 
-def idw(placement: Placement, train: Measurements, test: Measurements) -> Array:
-    """Predict test rows (N, 3) by nominal kinematics and eqs 9-10 over the nearest poses.
+def predicted_mm(
+    method: str, placement: Placement, train: Measurements, test: Measurements
+) -> Array:
+    """Predict test rows (N, 3) in the tracker's frame: nominal position and the model's error.
 
-    Nearest are the `NEIGHBOURS` training rows of the same target, by the distance of nominal
-    positions. Raises `FitError` where a target has fewer.
+    Each target has a model of its own, learnt from its own rows at their nominal positions in
+    {B}. Raises `FitError` where a target has too few to interpolate from.
     """
     error_mm = train.xyz_mm - placement.predicted_mm(train)
     there_mm, here_mm = placement.in_base_mm(train), placement.in_base_mm(test)
-    predicted = placement.predicted_mm(test)
+    found_mm = placement.predicted_mm(test)
     train_target, test_target = np.array(train.target), np.array(test.target)
     for target in placement.smr_mm:
         known, asked = train_target == target, test_target == target
@@ -153,17 +155,9 @@ def idw(placement: Placement, train: Measurements, test: Measurements) -> Array:
                 f"target {target}: {np.count_nonzero(known)} training rows, "
                 f"wanted at least {NEIGHBOURS} to interpolate from"
             )
-        distance = np.linalg.norm(here_mm[asked, None] - there_mm[known], axis=-1)
-        nearest = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS]
-        weights = inverse_distance_weights(np.take_along_axis(distance, nearest, axis=1))
-        predicted[asked] += np.einsum("nk,nkx->nx", weights, error_mm[known][nearest])
-    return predicted
-
-
-METHODS: Mapping[str, Callable[[Placement, Measurements, Measurements], Array]] = {
-    "nominal": nominal,
-    "idw": idw,
-}
+        model = METHODS[method](there_mm[known], error_mm[known])
+        found_mm[asked] += model.predict(here_mm[asked]).error_mm
+    return found_mm
 
 
 def fit(robot: RobotModel, train: Measurements, test: Measurements | None = None) -> FitResult:
@@ -182,8 +176,8 @@ def fit(robot: RobotModel, train: Measurements, test: Measurements | None = None
     methods = validated
     if test is not None:
         methods = {
-            name: figures_of(test.xyz_mm - predict(placement, train, test))
-            for name, predict in METHODS.items()
+            name: figures_of(test.xyz_mm - predicted_mm(name, placement, train, test))
+            for name in METHODS
         }
     return {
         "methods": methods,
@@ -208,8 +202,8 @@ def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
         known = rows.at(np.flatnonzero(fold != left_out))
         asked = rows.at(np.flatnonzero(fold == left_out))
         placement = place(arm, known)
-        for name, predict in METHODS.items():
-            miss_mm[name][fold == left_out] = asked.xyz_mm - predict(placement, known, asked)
+        for name, miss in miss_mm.items():
+            miss[fold == left_out] = asked.xyz_mm - predicted_mm(name, placement, known, asked)
     return miss_mm
 
 

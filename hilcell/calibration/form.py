@@ -5,10 +5,14 @@ All lengths mm, frames as homogeneous matrices; the errors of the grid stand in 
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 import numpy as np
 
-from hilcell.compensation.grid import Grid
+from hilcell.compensation.choice import MODELS
+from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.model import ErrorModel
 
 
 class StationEntry(msgspec.Struct, frozen=True):
@@ -31,8 +35,21 @@ class Validity(msgspec.Struct, frozen=True):
     temperature_c: tuple[float, float]
 
 
+class Device(msgspec.Struct, frozen=True):
+    """A device that measured."""
+
+    device: str
+    model: str
+    serial: str
+
+
 class Provenance(msgspec.Struct, frozen=True):
-    """Where the calibration comes from, and whether its sign was proven on the cell."""
+    """Where the calibration comes from, and whether its sign was proven on the cell.
+
+    ``points`` are the journal's keys of the grid, ``scores`` mean, p95 and max (mm) by which each
+    candidate's cross-validation was judged. The fields from ``versions`` on are empty in files
+    without a ``model``.
+    """
 
     run: str
     cell: str
@@ -43,10 +60,21 @@ class Provenance(msgspec.Struct, frozen=True):
     software: str
     written: str
     sign_checked: bool = False
+    versions: dict[str, str] = {}
+    devices: list[Device] = []
+    points: list[str] = []
+    scores: dict[str, dict[str, float]] = {}
+
+
+class ModelEntry(msgspec.Struct, frozen=True):
+    """The model by its name, with its own parameters: typed by `LearntModel.restore`."""
+
+    name: str
+    parameters: dict[str, Any]
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """The file."""
+    """The file. ``method`` is the model's name, for readers that know no ``model``."""
 
     schema: int
     provenance: Provenance
@@ -55,9 +83,21 @@ class Calibration(msgspec.Struct, frozen=True):
     method: str
     pitch_mm: float
     grid_errors_mm: list[list[list[tuple[float, float, float]]]]
+    model: ModelEntry | None = None
 
     def grid(self) -> Grid:
         """Return the grid in {B}."""
         errors = np.array(self.grid_errors_mm)
         shape = (errors.shape[0], errors.shape[1], errors.shape[2])
         return Grid(np.array(self.validity.low_mm), self.pitch_mm, shape)
+
+    def error_model(self) -> ErrorModel:
+        """Return the model; a file without its parameters states no covariance, so it is NaN.
+
+        Raises `HilcellError` where the parameters are no model's.
+        """
+        grid, errors_mm = self.grid(), np.array(self.grid_errors_mm)
+        if self.model is not None:
+            return MODELS[self.model.name].restore(grid, errors_mm, self.model.parameters)
+        unknown = np.full((*grid.shape, 3, 3), np.nan)
+        return MODELS[self.method].learn(MeasuredGrid(grid, errors_mm, unknown))

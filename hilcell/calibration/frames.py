@@ -7,19 +7,17 @@ The robot stands rigidly on the slide, so eq 17 gives every station's base frame
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
-from hilcell.compensation.correction import corrected
-from hilcell.compensation.grid import Grid
-from hilcell.compensation.interpolation import METHODS
+from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.compensation.transfer import base_at
 from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 
@@ -99,21 +97,15 @@ def grid_errors_mm(log: Log) -> Array:
     return errors_mm
 
 
-def command_mm(
-    grid: Grid,
-    errors_mm: Array,
-    method: str,
-    targets_mm: Array,
-    names: Sequence[str] | None = None,
-) -> Array:
-    """Return what to command, (N, 3) in {B}, so that the robot arrives at ``targets_mm``.
-
-    Raises `OutsideGrid` naming the targets outside the measured volume.
-    """
-    interpolate = METHODS[method]
-    return corrected(
-        grid, targets_mm, lambda at_mm: interpolate(grid, errors_mm, at_mm), names=names
-    )
+def measured_grid(log: Log) -> MeasuredGrid:
+    """Return the grid's errors in {B} with the covariance of each vertex's averaged reading."""
+    points, grid = log.select("grid"), grid_of(log.cell)
+    R = (inverse(log.matrix("base")) @ log.matrix("world"))[:3, :3]
+    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
+    i, j, k = np.array([point.id.vertex for point in points]).T
+    covariance_mm2: Array = np.full((*grid.shape, 3, 3), np.nan)
+    covariance_mm2[i, j, k] = np.einsum("ij,nj,kj->nik", R, variances_mm2, R)
+    return MeasuredGrid(grid, grid_errors_mm(log), covariance_mm2)
 
 
 def vertex_ids(grid: Grid) -> list[PointId]:

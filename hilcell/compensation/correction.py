@@ -7,12 +7,13 @@ P: so P_cmd = P - e(P_cmd), by fixed-point steps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hilcell.compensation.grid import Grid
+from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.kinematics import Array
 from hilcell.ports import HilcellError
 
@@ -29,16 +30,15 @@ class CorrectionError(HilcellError):
 def corrected(
     grid: Grid,
     targets_mm: ArrayLike,
-    error_at: Callable[[Array], Array],
+    model: ErrorModel,
     steps: int = 2,
     names: Sequence[str] | None = None,
 ) -> Array:
     """Return commands (N, 3) for targets (N, 3), in the grid's frame.
 
-    ``error_at`` gives e = actual - nominal (N, 3) at points (N, 3) inside the grid. Every target
-    must be inside; its command may leave the grid by the error itself, and there e is taken at
-    the nearest point of the grid's face. Raises `OutsideGrid`, and `CorrectionError` where the
-    steps do not shrink.
+    Every target must be inside. Its command may leave the grid by the error itself; there the
+    model is asked at the nearest point of the grid's face. Raises `OutsideGrid`, and
+    `CorrectionError` where the steps do not shrink.
 
     Steps are compared with the first and not with the one before: inverse distances have a kink
     at every vertex and jump at every face between cells, by up to a third of what the outer
@@ -51,7 +51,7 @@ def corrected(
     grid.check_inside(targets, names)
     command, first_mm = targets, np.full(len(targets), np.inf)
     for step in range(steps):
-        further = targets - error_at(grid.clamped(command))
+        further = targets - model.predict(grid.clamped(command)).error_mm
         moved_mm = np.linalg.norm(further - command, axis=1)
         first_mm = moved_mm if step == 0 else first_mm
         _check_contraction(moved_mm, first_mm, step, names)

@@ -109,5 +109,26 @@ class Grid:
             )
 
 
+@dataclass(frozen=True, eq=False)
+class MeasuredGrid:
+    """Errors e = actual - nominal at a grid's vertices, in the grid's frame.
+
+    ``errors_mm`` (nx, ny, nz, 3) is NaN where no vertex was measured; ``covariance_mm2``
+    (nx, ny, nz, 3, 3) is that of each averaged reading, NaN where it is unknown.
+    """
+
+    grid: Grid
+    errors_mm: Array
+    covariance_mm2: Array
+
+    def __post_init__(self) -> None:
+        for name, values, shape in (
+            ("errors", self.errors_mm, (*self.grid.shape, 3)),
+            ("covariances", self.covariance_mm2, (*self.grid.shape, 3, 3)),
+        ):
+            if np.shape(values) != shape:
+                raise GridError(f"{name}: shape {np.shape(values)}, wanted {shape}")
+
+
 def _text(point: Array) -> str:
     return "(" + ", ".join(f"{value:.1f}" for value in point) + ")"

@@ -1,45 +1,145 @@
 """Interpolation of position errors within a cell of the grid, from its eight vertices.
 
-``idw`` is the paper's (eqs 9-10), on distances from nominal to nominal position. Its trap: it
-does not reproduce even a linear field (slope g on pitch h leaves 0.154 g h mean, 0.365 g h max);
-``trilinear`` on the same vertices does.
+`Idw` is the paper's (eqs 9-10), on distances from nominal to nominal position. It does not
+reproduce even a linear field (slope g on pitch h leaves 0.154 g h mean, 0.365 g h max);
+`Trilinear` on the same vertices does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import product
+from typing import Any, Self
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hilcell.compensation.grid import Grid, GridError, Ints
+from hilcell.compensation.grid import Grid, GridError, Ints, MeasuredGrid
+from hilcell.compensation.model import ModelError, Prediction
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.statistics import figures_of, lengths_mm
 
-CORNERS = np.array(list(product((0, 1), repeat=3)))  # (8, 3) steps from a cell's lowest vertex
+CORNERS: Ints = np.array(
+    list(product((0, 1), repeat=3))
+)  # (8, 3) steps from a cell's lowest vertex
+SYMMETRIC = 1e-9  # of a covariance, relative to its largest element
 
 
-def idw(grid: Grid, errors_mm: ArrayLike, targets_mm: ArrayLike) -> Array:
-    """Return errors (N, 3) at targets (N, 3) by inverse distances, eqs 9-10.
+class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The covariances (nx, ny, nz, 3, 3) of the errors at the vertices, and of the residual."""
 
-    ``errors_mm`` (nx, ny, nz, 3) at the vertices. Raises `OutsideGrid`, and `GridError` where a
-    vertex of a target's cell was not measured.
+    vertex_covariance_mm2: list[list[list[list[list[float]]]]]
+    residual_covariance_mm2: list[list[float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Interpolation(ABC):
+    """An error blended from the eight vertices of the target's cell, with weights w that sum to 1.
+
+    The covariance is ``sum w_i^2 V_i + (1 - sum w_i^2) R``. The first term carries the covariance
+    V of each vertex's averaged readings through the weights (GUM 5.1.2; readings at different
+    vertices are independent). R is what the lattice does not resolve, with the repeatability of
+    single visits in it. It is found from vertices left out, less their readings' own share, and
+    assumed the same everywhere and at twice the pitch: misses are few and not independent, so it
+    is good to about 30 %. Not covered: the tracker's systematic error, temperature, the
+    repeatability of the visit to the target, the frames {W} and {S}. The error of {B} is not
+    left out but cancels: the grid and the targets are carried by the same {B}.
     """
-    return _blended(grid, errors_mm, targets_mm, idw_weights)
+
+    measured: MeasuredGrid
+    residual_mm2: Array
+
+    @staticmethod
+    @abstractmethod
+    def weights(place: Array, pitch_mm: float | Array) -> Array:
+        """Return the weights (N, 8) of `CORNERS` at places (N, 3), 0..1 in a cell."""
+
+    @classmethod
+    def learn(cls, measured: MeasuredGrid) -> Self:
+        """Return the model with R estimated, NaN where the vertices' covariances are unknown."""
+        return cls(measured, _residual_mm2(cls, measured))
+
+    @classmethod
+    def left_out_mm(cls, measured: MeasuredGrid) -> Array:
+        """Return predicted minus measured errors (M, 3) of vertices left out.
+
+        A vertex is predicted from every cell two pitches wide that has it on an edge, a face or
+        in its middle, but not as a corner; an axis with two vertices only is not widened. The
+        grid's own corners are never predicted. So the figures rank the models; at twice the
+        pitch they are worse than at the pitch itself. Raises `GridError` where the grid is one
+        cell or has gaps.
+        """
+        lows, inner, weights = _wide_cells(cls, measured)
+        errors = measured.errors_mm
+        corners = _at(errors, _wide_corners(measured.grid, lows))
+        predicted = np.einsum("mc,bcx->bmx", weights, corners)
+        left: Array = predicted - _at(errors, lows[:, None, :] + inner)
+        return left.reshape(-1, 3)
+
+    @classmethod
+    def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
+        """Return the model as `parameters` keeps it."""
+        try:
+            found = msgspec.convert(parameters, Parameters)
+            vertices = np.array(found.vertex_covariance_mm2, dtype=float)
+            residual = np.array(found.residual_covariance_mm2, dtype=float)
+        except (msgspec.ValidationError, ValueError) as error:
+            raise ModelError(f"no covariances of a lattice: {error}") from error
+        for name, covariance, shape in (
+            ("vertex_covariance_mm2", vertices, (*grid.shape, 3, 3)),
+            ("residual_covariance_mm2", residual, (3, 3)),
+        ):
+            _check_covariance(name, covariance, shape)
+        return cls(MeasuredGrid(grid, errors_mm, vertices), residual)
+
+    def parameters(self) -> dict[str, Any]:
+        """Return both covariances."""
+        return {
+            "vertex_covariance_mm2": self.measured.covariance_mm2.tolist(),
+            "residual_covariance_mm2": self.residual_mm2.tolist(),
+        }
+
+    def predict(self, targets_mm: ArrayLike) -> Prediction:
+        """Return the errors at targets (N, 3) in the grid's frame.
+
+        Raises `OutsideGrid`, and `GridError` where a vertex of a target's cell was not measured.
+        """
+        grid, errors = self.measured.grid, self.measured.errors_mm
+        cells, place = grid.cells(targets_mm)
+        vertices = cells[:, None, :] + CORNERS
+        corners = _at(errors, vertices)
+        if not np.isfinite(corners).all():
+            raise GridError(f"interpolation: {_missing(errors)}; measure them, or move the targets")
+        weights = self.weights(place, grid.pitch_mm)
+        own = _at(self.measured.covariance_mm2, vertices)
+        return Prediction(
+            np.einsum("nc,ncx->nx", weights, corners),
+            np.einsum("nc,ncxy->nxy", weights**2, own)
+            + _unshared(weights)[:, None, None] * self.residual_mm2,
+        )
 
 
-def trilinear(grid: Grid, errors_mm: ArrayLike, targets_mm: ArrayLike) -> Array:
-    """Return errors (N, 3) at targets (N, 3), linear along each axis; else as `idw`."""
-    return _blended(grid, errors_mm, targets_mm, trilinear_weights)
+class Idw(Interpolation):
+    """Inverse distances, eqs 9-10."""
+
+    @staticmethod
+    def weights(place: Array, pitch_mm: float | Array) -> Array:
+        """Return eq 9's weights (N, 8) at places (N, 3); on a vertex its own is exactly 1."""
+        steps_mm = (place[:, None, :] - CORNERS) * pitch_mm
+        return inverse_distance_weights(np.linalg.norm(steps_mm, axis=-1))
 
 
-def idw_weights(place: Array, pitch: ArrayLike) -> Array:
-    """Return eq 9's weights (N, 8) at places (N, 3), 0..1 in a cell with this pitch.
+class Trilinear(Interpolation):
+    """Linear along each axis."""
 
-    On a vertex its own weight is exactly 1.
-    """
-    return inverse_distance_weights(np.linalg.norm((place[:, None, :] - CORNERS) * pitch, axis=-1))
+    @staticmethod
+    def weights(place: Array, pitch_mm: float | Array) -> Array:
+        """Return the trilinear weights (N, 8) at places (N, 3)."""
+        share = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
+        weight: Array = share.prod(axis=-1)
+        return weight
 
 
 def inverse_distance_weights(distance: Array) -> Array:
@@ -51,85 +151,71 @@ def inverse_distance_weights(distance: Array) -> Array:
     return normal
 
 
-def trilinear_weights(place: Array, pitch: ArrayLike) -> Array:
-    """Return the trilinear weights (N, 8) at places (N, 3), 0..1 in a cell."""
-    share = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
-    weight: Array = share.prod(axis=-1)
-    return weight
+def _unshared(weights: Array) -> Array:
+    """Return 1 - sum w^2 (N,) of weights (N, K): 0 on a vertex, most in the middle."""
+    unshared: Array = np.maximum(1.0 - np.sum(weights**2, axis=1), 0.0)
+    return unshared
 
 
-METHODS: Mapping[str, Callable[[Grid, ArrayLike, ArrayLike], Array]] = {
-    "idw": idw,
-    "trilinear": trilinear,
-}
-WEIGHTS: Mapping[str, Callable[[Array, ArrayLike], Array]] = {
-    "idw": idw_weights,
-    "trilinear": trilinear_weights,
-}
+def _span(grid: Grid) -> Ints:
+    """Return over how many pitches (3,) a cell reaches whose vertices predict those left out."""
+    span: Ints = np.minimum(np.array(grid.shape) - 1, 2)
+    return span
 
 
-def loocv(grid: Grid, errors_mm: ArrayLike, method: str) -> Array:
-    """Return predicted minus measured errors (M, 3) of vertices left out.
+def _wide_corners(grid: Grid, lows: Ints) -> Ints:
+    """Return the corners (B, 8, 3) of the wide cells with these lowest vertices (B, 3)."""
+    corners: Ints = lows[:, None, :] + CORNERS * _span(grid)
+    return corners
 
-    A vertex is predicted from every cell two pitches wide that has it on an edge, a face or in
-    its middle, but not as a corner; an axis with two vertices only is not widened. The grid's own
-    corners are never predicted. So the figures rank the methods; at twice the pitch they are
-    worse than at the pitch itself. Raises `GridError` where the grid is one cell or has gaps.
+
+def _wide_cells(model: type[Interpolation], measured: MeasuredGrid) -> tuple[Ints, Ints, Array]:
+    """Return the wide cells' lowest vertices (B, 3), the steps (M, 3) from them to the vertices
+    left out, and the weights (M, 8) of their corners.
     """
-    errors = _checked(grid, errors_mm)
-    if not np.isfinite(errors).all():
-        raise GridError(f"cross-validation: {_missing(errors)}; measure the whole grid")
-    span = np.minimum(np.array(grid.shape) - 1, 2)
+    grid = measured.grid
+    if not np.isfinite(measured.errors_mm).all():
+        raise GridError(f"cross-validation: {_missing(measured.errors_mm)}; measure the whole grid")
+    span = _span(grid)
     if span.max() < 2:
         raise GridError("cross-validation: the grid is one cell; measure three vertices an axis")
     steps = np.array(list(product(*(range(s + 1) for s in span))))
     inner = steps[(steps % span != 0).any(axis=1)]
-    weights = WEIGHTS[method](inner / span, span * grid.pitch_mm)
     lows = np.array(list(product(*(range(n - s) for n, s in zip(grid.shape, span, strict=True)))))
-    corners = _at(errors, lows[:, None, :] + CORNERS * span)
-    predicted = np.einsum("mc,bcx->bmx", weights, corners)
-    left: Array = predicted - _at(errors, lows[:, None, :] + inner)
-    return left.reshape(-1, 3)
+    pitches_mm = np.array(span * grid.pitch_mm, dtype=float)
+    return lows, inner, model.weights(inner / span, pitches_mm)
 
 
-def cross_validate(grid: Grid, errors_mm: ArrayLike) -> dict[str, dict[str, float]]:
-    """Return mean, p95 and max (mm) of `loocv` by method."""
-    figures = {}
-    for method in METHODS:
-        figures[method] = figures_of(lengths_mm(loocv(grid, errors_mm, method)))._asdict()
-    return figures
+def _residual_mm2(model: type[Interpolation], measured: MeasuredGrid) -> Array:
+    """Return the covariance R (3, 3): what the vertices left out miss beyond their readings."""
+    own = measured.covariance_mm2
+    if not np.isfinite(own).all():
+        return np.full((3, 3), np.nan)
+    lows, inner, weights = _wide_cells(model, measured)
+    missed = model.left_out_mm(measured)
+    corners = _at(own, _wide_corners(measured.grid, lows))
+    readings = np.einsum("mc,bcxy->xy", weights**2, corners)
+    readings += _at(own, lows[:, None, :] + inner).sum(axis=(0, 1))
+    values, axes = np.linalg.eigh(missed.T @ missed - readings)
+    share: float = len(lows) * float(_unshared(weights).sum())
+    residual: Array = (axes * np.maximum(values, 0.0)) @ axes.T / share
+    return residual
 
 
-def choose(figures: Mapping[str, Mapping[str, float]]) -> str:
-    """Return the method with the least mean of `cross_validate`."""
-    return min(figures, key=lambda method: figures[method]["mean"])
+def _check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
+    if found.shape != shape or not np.isfinite(found).all():
+        counts = " x ".join(map(str, shape))
+        raise ModelError(f"{name}: wanted {counts} finite numbers")
+    slack = SYMMETRIC * max(float(np.abs(found).max()), np.finfo(float).tiny)
+    if not np.abs(found - found.swapaxes(-1, -2)).max() <= slack:
+        raise ModelError(f"{name}: not symmetric")
+    if not np.linalg.eigvalsh(found).min() >= -slack:
+        raise ModelError(f"{name}: a variance below zero")
 
 
-def _blended(
-    grid: Grid,
-    errors_mm: ArrayLike,
-    targets_mm: ArrayLike,
-    weights_of: Callable[[Array, ArrayLike], Array],
-) -> Array:
-    errors = _checked(grid, errors_mm)
-    cells, place = grid.cells(targets_mm)
-    corners = _at(errors, cells[:, None, :] + CORNERS)
-    if not np.isfinite(corners).all():
-        raise GridError(f"interpolation: {_missing(errors)}; measure them, or move the targets")
-    blended: Array = np.einsum("nc,ncx->nx", weights_of(place, grid.pitch_mm), corners)
-    return blended
-
-
-def _at(errors: Array, indices: Ints) -> Array:
-    picked: Array = errors[indices[..., 0], indices[..., 1], indices[..., 2]]
+def _at(values: Array, indices: Ints) -> Array:
+    picked: Array = values[indices[..., 0], indices[..., 1], indices[..., 2]]
     return picked
-
-
-def _checked(grid: Grid, errors_mm: ArrayLike) -> Array:
-    errors = np.asarray(errors_mm, dtype=float)
-    if errors.shape != (*grid.shape, 3):
-        raise GridError(f"errors: shape {errors.shape}, wanted {(*grid.shape, 3)}")
-    return errors
 
 
 def _missing(errors: Array) -> str:

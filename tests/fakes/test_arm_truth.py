@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from functools import partial
-
 import msgspec
 import numpy as np
 import pytest
@@ -14,13 +12,14 @@ from fakes.repeatability import unit_rp_mm
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import Cell, load_cell
 from hilcell.compensation.correction import corrected
-from hilcell.compensation.interpolation import METHODS
+from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.geometry.circles import base_frame, fit_circle
 from hilcell.geometry.frames import apply, inverse, rigid_fit
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.ports import HilcellError
 from procedures.base_frame import axis_6_height_mm, sweep
 from procedures.plan import joints_for
+from tests.hilcell.compensation.models import exact
 
 SEEDS = range(10)
 UP = np.ones(6)
@@ -94,11 +93,11 @@ def test_paper_methods_leave_what_the_study_says(cell: Cell, seed: int) -> None:
     size_mm = np.array(cell.grid.size_mm)
     targets_mm = grid.origin_mm + rng.uniform(0.01, 0.99, (400, 3)) * size_mm
     left = {}
-    for name in ("idw", "trilinear"):
-        commands = corrected(grid, targets_mm, partial(METHODS[name], grid, errors_mm))
-        left[name] = float(np.linalg.norm(measured_mm(targets_mm, commands), axis=1).mean())
-    assert 0.09 < left["idw"] < 0.18
-    assert 0.08 < left["trilinear"] < 0.14
+    for model in (Idw, Trilinear):
+        commands = corrected(grid, targets_mm, exact(model, grid, errors_mm))
+        left[model] = float(np.linalg.norm(measured_mm(targets_mm, commands), axis=1).mean())
+    assert 0.09 < left[Idw] < 0.18
+    assert 0.08 < left[Trilinear] < 0.14
 
 
 def test_same_seed_same_arm(cell: Cell) -> None:

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import grid_errors_mm, grid_of
-from hilcell.compensation.interpolation import idw
+from hilcell.calibration.frames import measured_grid
+from hilcell.compensation.interpolation import Idw
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
@@ -79,7 +79,8 @@ def moved_to_reference(log: Log, station: str) -> Array:
 
 
 def by_idw(log: Log) -> Callable[[Array], Array]:
-    return lambda at_mm: idw(grid_of(log.cell), grid_errors_mm(log), at_mm)
+    model = Idw.learn(measured_grid(log))
+    return lambda at_mm: model.predict(at_mm).error_mm
 
 
 def judged(name: str, paper: PaperRun) -> dict[str, Any]:

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from hilcell.calibration import frames as calibration
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import Frames, command_mm, grid_errors_mm, grid_of, grid_pairs
+from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, grid_pairs, measured_grid
 from hilcell.cell.file import Cell
-from hilcell.compensation.interpolation import idw
+from hilcell.compensation.correction import corrected
+from hilcell.compensation.interpolation import Idw
 from hilcell.compensation.similarity import Pairs
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
@@ -34,6 +35,7 @@ from procedures.paper import paper_table
 from procedures.paper_rows import ROWS, Row
 from procedures.plan import joints_for
 from procedures.station_frames import station_fit, tool_uncertainty_mm
+from tests.hilcell.compensation.models import predicted_mm
 from tests.whole.conftest import PaperRun
 from tests.whole.paper_mistakes import (
     BY_NAME,
@@ -219,7 +221,9 @@ def weighted(
         nearest_of_the_grid,
         squared_distances,
         lambda log, at_mm: -by_idw(log)(at_mm),
-        lambda log, at_mm: idw(grid_of(log.cell), grid_errors_mm(log).transpose(2, 1, 0, 3), at_mm),
+        lambda log, at_mm: predicted_mm(
+            Idw, grid_of(log.cell), grid_errors_mm(log).transpose(2, 1, 0, 3), at_mm
+        ),
     ],
     ids=["nearest of the grid", "squared distances", "sign", "axes of the grid exchanged"],
 )
@@ -237,9 +241,8 @@ def test_commands_by_another_equation(
     ]
     row = BY_NAME["eq9.weights"].judged(changed(log, sent), paper.result)
     assert row["holds"] is False
-    right_deg = np.degrees(
-        joints_for(log.cell, command_mm(grid_of(log.cell), grid_errors_mm(log), "idw", wanted_mm))
-    )
+    right_mm = corrected(grid_of(log.cell), wanted_mm, Idw.learn(measured_grid(log)))
+    right_deg = np.degrees(joints_for(log.cell, right_mm))
     sent_deg = np.degrees(paper_figures.commanded_rad(points))
     np.testing.assert_allclose(right_deg, sent_deg, atol=1e-6)
 
@@ -437,7 +440,7 @@ def test_one_wrong_vertex(paper: PaperRun) -> None:
     errors = grid_errors_mm(log).copy()
     errors[1, 2, 1] += [0.0, 0.0, 2.0]
     grid = grid_of(log.cell)
-    other = as_if_sent(log, lambda at_mm: idw(grid, errors, at_mm), [REFERENCE])
+    other = as_if_sent(log, lambda at_mm: predicted_mm(Idw, grid, errors, at_mm), [REFERENCE])
     assert "abstract.after.max" in failing(other)
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from drivers.program_krl.files import load_program
 from hilcell.cell.file import load_cell
-from hilcell.compensation.interpolation import trilinear
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.geometry.frames import apply, inverse
 from tests.drivers.program_krl.samples import DAT, SRC
@@ -39,9 +38,8 @@ def test_a_corrected_program_arrives(desk: Workplace, capsys: pytest.CaptureFixt
     """Command + error at the command = target, to the rounding of three decimals."""
     assert desk.compensate() == 0
     nominal, command = load_program(desk.source), load_program(desk.out)
-    made = calibration()
     in_base = apply(inverse(T_W_B), command.values()[:, :3])
-    arrived = in_base + trilinear(made.grid(), np.array(made.grid_errors_mm), in_base)
+    arrived = in_base + calibration().error_model().predict(in_base).error_mm
     wanted = apply(inverse(T_W_B), nominal.values()[:, :3])
     assert np.abs(command.values()[:, :3] - nominal.values()[:, :3]).max() > 0.3
     np.testing.assert_allclose(arrived, wanted, atol=2e-3)

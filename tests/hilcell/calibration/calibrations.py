@@ -9,7 +9,16 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.file import SCHEMA
-from hilcell.calibration.form import Calibration, Provenance, StationEntry, Validity
+from hilcell.calibration.form import (
+    Calibration,
+    Device,
+    ModelEntry,
+    Provenance,
+    StationEntry,
+    Validity,
+)
+from hilcell.compensation.choice import MODELS
+from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.geometry.frames import pose_from_zyx
 
 LOW_MM = np.array([1400.0, -450.0, 500.0])
@@ -25,7 +34,18 @@ def field_mm(size_mm: float) -> Any:
     return size_mm * np.stack([0.5 + 0.2 * y, -0.4 + 0.1 * z, 0.6 - 0.2 * x], axis=-1)
 
 
-def calibration(size_mm: float = 1.2, **provenance: Any) -> Calibration:
+READINGS_MM2 = 0.005**2 * np.eye(3)
+
+
+def measured(size_mm: float = 1.2) -> MeasuredGrid:
+    """Return that field on its grid, as read with 5 um of noise."""
+    covariances = np.broadcast_to(READINGS_MM2, (*SHAPE, 3, 3))
+    return MeasuredGrid(Grid(LOW_MM, PITCH_MM, SHAPE), field_mm(size_mm), covariances)
+
+
+def calibration(
+    size_mm: float = 1.2, *, method: str = "trilinear", **provenance: Any
+) -> Calibration:
     """Return a calibration written now, its sign checked, of a real cell."""
     made = Provenance(
         "20261101-120000-calibrate-abcd",
@@ -37,6 +57,10 @@ def calibration(size_mm: float = 1.2, **provenance: Any) -> Calibration:
         "hilcell 0",
         f"{datetime.now(UTC):{STAMP}}",
         True,
+        {"hilcell": "0"},
+        [Device("tracker", "a tracker", "T-1")],
+        ["grid/0-0-0"],
+        {"idw": {"mean": 0.2, "p95": 0.4, "max": 0.5}},
     )
     high_mm = LOW_MM + PITCH_MM * (np.array(SHAPE) - 1)
     entry = StationEntry(T_W_B.tolist(), np.eye(4).tolist(), np.eye(6).tolist(), 0.01, 1100.0)
@@ -51,8 +75,9 @@ def calibration(size_mm: float = 1.2, **provenance: Any) -> Calibration:
             (22.0, 23.0),
         ),
         "stations": {"S1100": entry},
-        "method": "trilinear",
+        "method": method,
         "pitch_mm": PITCH_MM,
         "grid_errors_mm": field_mm(size_mm).tolist(),
+        "model": ModelEntry(method, MODELS[method].learn(measured(size_mm)).parameters()),
     }
     return msgspec.convert(msgspec.to_builtins(values), Calibration)

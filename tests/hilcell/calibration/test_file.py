@@ -6,12 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
-from hilcell.calibration.file import SCHEMA, read_calibration, write_calibration
+from hilcell.calibration.file import (
+    SCHEMA,
+    compensate_targets,
+    read_calibration,
+    write_calibration,
+)
 from hilcell.calibration.form import Calibration
 from hilcell.cell.settings import SettingsError
-from tests.hilcell.calibration.calibrations import calibration
+from hilcell.compensation.interpolation import Trilinear
+from hilcell.compensation.targets import write_targets
+from tests.hilcell.calibration.calibrations import READINGS_MM2, calibration, measured
 
 
 @pytest.fixture
@@ -79,6 +87,14 @@ def put(path: str, value: Any) -> Callable[[Any], None]:
     ("path", "value", "says"),
     [
         ("method", "magic", "method: 'magic' is unknown; known here: idw, trilinear"),
+        ("model.name", "idw", "model.name: 'idw', wanted the method's 'trilinear'"),
+        ("model.parameters", {}, "model.parameters: no covariances of a lattice"),
+        ("model.parameters.vertex_covariance_mm2", [], "wanted 3 x 3 x 3 x 3 x 3 finite numbers"),
+        (
+            "model.parameters.residual_covariance_mm2.1.1",
+            -0.01,
+            "model.parameters: residual_covariance_mm2: a variance below zero",
+        ),
         ("grid_errors_mm", [], "grid_errors_mm: ragged"),
         ("grid_errors_mm", [[]], "grid_errors_mm: ragged"),
         ("grid_errors_mm.1", [[(0.0, 0.0, 0.0)]], "grid_errors_mm: ragged"),
@@ -130,7 +146,8 @@ def test_all_problems_come_at_once(file: Path) -> None:
         ("[]", "not a calibration file"),
         ("{}", "missing required field `schema`"),
         ('{"schema": true}', "not a calibration file"),
-        ('{"schema": 1}', f"schema 1, this hilcell reads {SCHEMA}"),
+        ('{"schema": 1}', "missing required field"),
+        ('{"schema": 0}', f"schema 0, this hilcell reads {SCHEMA} and 1"),
         ('{"schema": 99}', f"schema 99, this hilcell reads {SCHEMA}"),
         (f'{{"schema": {SCHEMA}}}', "missing required field"),
         (f'{{"schema": {SCHEMA}, "a": {"[" * 9999}', "not a calibration file"),
@@ -145,3 +162,61 @@ def test_what_is_no_calibration(tmp_path: Path, text: str, says: str) -> None:
     said = refused(path)
     assert says in said
     assert len(said) < 500
+
+
+# -- files written before the model had a table of its own -----------------------------------------
+
+GOLDEN = Path(__file__).parent / "golden"  # written, and used, by the version before
+
+
+def old(method: str, *, sealed: bool) -> Any:
+    values = json.loads((GOLDEN / f"{method}.json").read_text())
+    if not sealed:  # schema 1
+        del values["seal"]
+        values["schema"] = 1
+    return values
+
+
+@pytest.mark.parametrize("sealed", [True, False])
+@pytest.mark.parametrize("method", ["idw", "trilinear"])
+def test_old_files_give_the_same_commands(tmp_path: Path, method: str, sealed: bool) -> None:
+    file = tmp_path / "calibration.json"
+    file.write_text(json.dumps(old(method, sealed=sealed)))
+    known = json.loads((GOLDEN / "commands.json").read_text())
+    for station, targets in known["targets"].items():
+        names, wanted = [f"T{n}" for n in range(len(targets))], known["commands"][method][station]
+        found = compensate_targets(read_calibration(file), station, np.array(targets), names)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
+        for path, values in ((tmp_path / "found.csv", found), (tmp_path / "wanted.csv", wanted)):
+            write_targets(path, names, np.array(values))
+        assert (tmp_path / "found.csv").read_text() == (tmp_path / "wanted.csv").read_text()
+
+
+def test_an_old_file_states_no_covariance(tmp_path: Path) -> None:
+    made = read_calibration(GOLDEN / "idw.json")
+    found = made.error_model().predict(made.grid().far_mm[None])
+    assert np.isfinite(found.error_mm).all()
+    assert np.isnan(found.covariance_mm2).all()
+
+
+def test_a_new_file_has_every_key_of_an_old_one(file: Path) -> None:
+    new, known = json.loads(file.read_text()), old("idw", sealed=True)
+    assert known.keys() < new.keys()
+    for part in ("provenance", "validity"):
+        assert known[part].keys() <= new[part].keys()
+    assert known["stations"]["S1100"].keys() == new["stations"]["S1100"].keys()
+    assert new["schema"] == known["schema"] == SCHEMA
+
+
+def test_an_unsealed_file_with_a_seal_is_no_old_one(file: Path) -> None:
+    file.write_text(file.read_text().replace(f'"schema": {SCHEMA}', '"schema": 1'))
+    assert "was changed after it was written" in refused(file)
+
+
+def test_the_model_comes_back_with_its_covariance(file: Path) -> None:
+    at_mm = np.array([[1500.0, 0.0, 700.0], [1400.0, -450.0, 500.0]])
+    found = read_calibration(file).error_model().predict(at_mm)
+    wanted = Trilinear.learn(measured()).predict(at_mm)
+    assert (found.error_mm == wanted.error_mm).all()
+    assert (found.covariance_mm2 == wanted.covariance_mm2).all()
+    np.testing.assert_array_equal(found.covariance_mm2[1], READINGS_MM2)

@@ -15,7 +15,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from hilcell.calibration.fit import FitError, cross_validate, fit, idw, place
+from hilcell.calibration.fit import FitError, cross_validate, fit, place, predicted_mm
 from hilcell.calibration.robot_file import (
     HEADER,
     Measurements,
@@ -199,7 +199,9 @@ def test_a_reflector_learns_from_its_own_rows_only() -> None:
     placement = place(IRB120.arm(), rows)
     of_smr2 = np.array(rows.target) == "SMR2"
     spoilt = replace(rows, xyz_mm=rows.xyz_mm + 5.0 * of_smr2[:, None])
-    change = idw(placement, spoilt, test) - idw(placement, rows, test)
+    change = predicted_mm("idw", placement, spoilt, test) - predicted_mm(
+        "idw", placement, rows, test
+    )
     wanted = 5.0 * (np.array(test.target) == "SMR2")
     np.testing.assert_allclose(change, np.tile(wanted[:, None], 3), atol=1e-9)
 

@@ -7,7 +7,6 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
-from hilcell.compensation.interpolation import trilinear
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.geometry.frames import apply, inverse
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
@@ -24,9 +23,8 @@ def desk(tmp_path: Path) -> Workplace:
 
 def arrived_mm(command: np.ndarray) -> np.ndarray:
     """Return where commands (N, 3) end, in {W}: each plus the error at the command."""
-    made = calibration()
     in_base = apply(inverse(T_W_B), command)
-    return apply(T_W_B, in_base + trilinear(made.grid(), np.array(made.grid_errors_mm), in_base))
+    return apply(T_W_B, in_base + calibration().error_model().predict(in_base).error_mm)
 
 
 def test_a_corrected_list_arrives(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,8 @@
 """IDW and trilinear: exactness, weights, the linear field of slip 6, gaps, cross-validation."""
 
+import json
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,25 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from hilcell.compensation.grid import Grid, GridError, OutsideGrid
-from hilcell.compensation.interpolation import (
-    METHODS,
-    choose,
-    cross_validate,
-    idw,
-    idw_weights,
-    loocv,
-    trilinear,
-    trilinear_weights,
-)
+from hilcell.compensation.choice import choose, cross_validate
+from hilcell.compensation.grid import Grid, GridError, MeasuredGrid, OutsideGrid
+from hilcell.compensation.interpolation import Idw, Trilinear
+from hilcell.compensation.model import ModelError
 from hilcell.geometry.kinematics import Array
+from tests.hilcell.compensation.models import Kind, exact, measured, predicted_mm
 
-Method = Callable[[Grid, ArrayLike, ArrayLike], Array]
 Weights = Callable[[Array, ArrayLike], Array]
 GRID = Grid(np.array([1400.0, -450.0, 500.0]), 300.0, (4, 4, 4))
 seeds = st.integers(0, 2**32 - 1)
 places = st.lists(st.lists(st.floats(0, 1), min_size=3, max_size=3), min_size=1, max_size=5)
-methods = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS.keys())
+models = pytest.mark.parametrize("model", [Idw, Trilinear])
 
 
 def random_errors(seed: int, grid: Grid = GRID) -> np.ndarray:
@@ -38,7 +33,7 @@ def targets_of(seed: int, count: int = 50) -> np.ndarray:
 
 
 @given(places, st.floats(1, 1000))
-@pytest.mark.parametrize("weights_of", [idw_weights, trilinear_weights])
+@pytest.mark.parametrize("weights_of", [Idw.weights, Trilinear.weights])
 def test_weights_are_shares(weights_of: Weights, place: list[list[float]], pitch: float) -> None:
     weights = weights_of(np.array(place), pitch)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
@@ -46,36 +41,38 @@ def test_weights_are_shares(weights_of: Weights, place: list[list[float]], pitch
 
 
 @given(seeds)
-@methods
-def test_vertices_are_exact(method: Method, seed: int) -> None:
+@models
+def test_vertices_are_exact(model: Kind, seed: int) -> None:
     errors = random_errors(seed)
-    found = method(GRID, errors, GRID.vertices_mm().reshape(-1, 3))
+    found = predicted_mm(model, GRID, errors, GRID.vertices_mm().reshape(-1, 3))
     np.testing.assert_allclose(found, errors.reshape(-1, 3), rtol=0, atol=1e-12)
 
 
 def test_idw_is_exact_at_distance_zero_and_continuous_beside_it() -> None:
     errors = random_errors(7)
     vertex = GRID.vertices_mm()[1, 2, 1]
-    assert (idw(GRID, errors, [vertex])[0] == errors[1, 2, 1]).all()
-    np.testing.assert_allclose(idw(GRID, errors, [vertex + 1e-7])[0], errors[1, 2, 1], atol=1e-7)
+    assert (predicted_mm(Idw, GRID, errors, [vertex])[0] == errors[1, 2, 1]).all()
+    np.testing.assert_allclose(
+        predicted_mm(Idw, GRID, errors, [vertex + 1e-7])[0], errors[1, 2, 1], atol=1e-7
+    )
 
 
 @given(seeds)
-@methods
-def test_the_middle_of_a_cell_is_the_mean_of_its_vertices(method: Method, seed: int) -> None:
+@models
+def test_the_middle_of_a_cell_is_the_mean_of_its_vertices(model: Kind, seed: int) -> None:
     errors = random_errors(seed)
     middle = GRID.origin_mm + 300 * np.array([2.5, 0.5, 1.5])
     mean = errors[2:4, 0:2, 1:3].mean(axis=(0, 1, 2))
-    np.testing.assert_allclose(method(GRID, errors, [middle])[0], mean, atol=1e-12)
+    np.testing.assert_allclose(predicted_mm(model, GRID, errors, [middle])[0], mean, atol=1e-12)
 
 
 @given(seeds)
-@methods
-def test_result_lies_between_the_cell_s_vertices_only(method: Method, seed: int) -> None:
+@models
+def test_result_lies_between_the_cell_s_vertices_only(model: Kind, seed: int) -> None:
     errors = np.full((*GRID.shape, 3), np.nan)
     errors[1:3, 1:3, 1:3] = np.random.default_rng(seed).uniform(-1, 1, (2, 2, 2, 3))
     inside = GRID.origin_mm + 300 * (1 + np.random.default_rng(seed).uniform(0, 0.999, (20, 3)))
-    found = method(GRID, errors, inside)
+    found = predicted_mm(model, GRID, errors, inside)
     corners = errors[1:3, 1:3, 1:3].reshape(-1, 3)
     assert (found >= corners.min(axis=0) - 1e-12).all()
     assert (found <= corners.max(axis=0) + 1e-12).all()
@@ -90,20 +87,24 @@ def test_idw_is_equations_9_and_10_written_out(seed: int) -> None:
         index = tuple(low + corner)
         distance = float(np.linalg.norm(target - GRID.vertices_mm()[index]))
         total, norm = total + errors[index] / distance, norm + 1 / distance
-    np.testing.assert_allclose(idw(GRID, errors, [target])[0], total / norm, atol=1e-9)
+    np.testing.assert_allclose(
+        predicted_mm(Idw, GRID, errors, [target])[0], total / norm, atol=1e-9
+    )
 
 
 @given(seeds)
-@methods
-def test_a_constant_error_and_a_turned_grid_stay_what_they_are(method: Method, seed: int) -> None:
+@models
+def test_a_constant_error_and_a_turned_grid_stay_what_they_are(model: Kind, seed: int) -> None:
     targets, shift = targets_of(seed), np.array([0.3, -0.2, 1.1])
     constant = np.broadcast_to(shift, (*GRID.shape, 3))
-    np.testing.assert_allclose(method(GRID, constant, targets), np.tile(shift, (50, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        predicted_mm(model, GRID, constant, targets), np.tile(shift, (50, 1)), atol=1e-12
+    )
     errors = random_errors(seed)
     turned = Grid(GRID.origin_mm[[1, 2, 0]], 300.0, GRID.shape)
     np.testing.assert_allclose(
-        method(turned, np.moveaxis(errors, 0, 2), targets[:, [1, 2, 0]]),
-        method(GRID, errors, targets),
+        predicted_mm(model, turned, np.moveaxis(errors, 0, 2), targets[:, [1, 2, 0]]),
+        predicted_mm(model, GRID, errors, targets),
         atol=1e-12,
     )
 
@@ -114,39 +115,39 @@ def test_trilinear_has_a_linear_field_and_idw_has_not() -> None:
     errors = GRID.vertices_mm() @ slope
     targets = targets_of(1, 100_000)
     exact = targets @ slope
-    np.testing.assert_allclose(trilinear(GRID, errors, targets), exact, atol=1e-9)
-    left = np.abs(idw(GRID, errors, targets) - exact)[:, 0] / (0.002 * 300)
+    np.testing.assert_allclose(predicted_mm(Trilinear, GRID, errors, targets), exact, atol=1e-9)
+    left = np.abs(predicted_mm(Idw, GRID, errors, targets) - exact)[:, 0] / (0.002 * 300)
     assert left.mean() == pytest.approx(0.154, abs=0.002)
     assert left.max() == pytest.approx(0.365, abs=0.003)
 
 
-@methods
-def test_outside_is_refused(method: Method) -> None:
+@models
+def test_outside_is_refused(model: Kind) -> None:
     with pytest.raises(OutsideGrid, match=r"target 1 by 1\.000 mm"):
-        method(GRID, random_errors(0), GRID.far_mm + np.array([[1, 0, 0]]))
+        predicted_mm(model, GRID, random_errors(0), GRID.far_mm + np.array([[1, 0, 0]]))
 
 
-@methods
-def test_a_gap_is_refused_where_it_counts(method: Method) -> None:
+@models
+def test_a_gap_is_refused_where_it_counts(model: Kind) -> None:
     errors = random_errors(0)
     errors[3, 3, 3, 1] = np.nan
-    assert np.isfinite(method(GRID, errors, [GRID.origin_mm + 1])).all()
+    assert np.isfinite(predicted_mm(model, GRID, errors, [GRID.origin_mm + 1])).all()
     with pytest.raises(GridError, match=r"1 vertices have no error: 3-3-3"):
-        method(GRID, errors, [GRID.far_mm - 1])
+        predicted_mm(model, GRID, errors, [GRID.far_mm - 1])
     with pytest.raises(GridError, match="3-3-3"):
-        loocv(GRID, errors, "idw")
+        Idw.left_out_mm(measured(GRID, errors))
 
 
 def test_errors_of_another_shape_are_refused() -> None:
     with pytest.raises(GridError, match="wanted"):
-        idw(GRID, np.zeros((4, 4, 3, 3)), [GRID.origin_mm])
+        predicted_mm(Idw, GRID, np.zeros((4, 4, 3, 3)), [GRID.origin_mm])
 
 
-@given(seeds, st.sampled_from(sorted(METHODS)))
-def test_cross_validation_predicts_each_vertex_without_itself(seed: int, method: str) -> None:
+@given(seeds, st.sampled_from([Idw, Trilinear]))
+def test_cross_validation_predicts_each_vertex_without_itself(seed: int, model: Kind) -> None:
     """Against the public interpolation on every cell two pitches wide."""
     errors = random_errors(seed)
-    found = loocv(GRID, errors, method)
+    found = model.left_out_mm(measured(GRID, errors))
     assert len(found) == 8 * 19
     left = []
     for low in np.ndindex(2, 2, 2):
@@ -154,7 +155,9 @@ def test_cross_validation_predicts_each_vertex_without_itself(seed: int, method:
         wide = Grid(np.zeros(3), 600.0, (2, 2, 2))
         for index in np.ndindex(3, 3, 3):
             if any(n == 1 for n in index):
-                predicted = METHODS[method](wide, block[::2, ::2, ::2], [300.0 * np.array(index)])
+                predicted = predicted_mm(
+                    model, wide, block[::2, ::2, ::2], [300.0 * np.array(index)]
+                )
                 left.append(predicted[0] - block[index])
     np.testing.assert_allclose(found, left, atol=1e-9)
 
@@ -162,18 +165,143 @@ def test_cross_validation_predicts_each_vertex_without_itself(seed: int, method:
 def test_cross_validation_of_a_flat_grid() -> None:
     flat = Grid(np.zeros(3), 100.0, (3, 2, 2))
     errors = flat.vertices_mm() * 0.01
-    np.testing.assert_allclose(loocv(flat, errors, "trilinear"), 0, atol=1e-12)
-    assert len(loocv(flat, errors, "idw")) == 4
+    np.testing.assert_allclose(Trilinear.left_out_mm(measured(flat, errors)), 0, atol=1e-12)
+    assert len(Idw.left_out_mm(measured(flat, errors))) == 4
 
 
 def test_cross_validation_of_one_cell_is_refused() -> None:
     cell = Grid(np.zeros(3), 100.0, (2, 2, 2))
     with pytest.raises(GridError, match="one cell"):
-        loocv(cell, np.zeros((2, 2, 2, 3)), "idw")
+        Idw.left_out_mm(measured(cell, np.zeros((2, 2, 2, 3))))
 
 
 def test_the_better_method_is_chosen() -> None:
-    figures = cross_validate(GRID, GRID.vertices_mm() * 0.001)
+    figures = cross_validate(measured(GRID, GRID.vertices_mm() * 0.001))
     assert figures["trilinear"]["max"] < 1e-9 < figures["idw"]["mean"] <= figures["idw"]["p95"]
     assert choose(figures) == "trilinear"
     assert choose({"idw": {"mean": 0.1}, "trilinear": {"mean": 0.2}}) == "idw"
+
+
+# -- covariance ------------------------------------------------------------------------------------
+
+
+def random_covariances(seed: int, grid: Grid = GRID) -> Array:
+    """Return positive definite covariances (nx, ny, nz, 3, 3), about (10 um)^2."""
+    A = np.random.default_rng(seed).normal(0, 0.01, (*grid.shape, 3, 3))
+    return np.asarray(A @ A.swapaxes(-1, -2))
+
+
+@given(seeds)
+@models
+def test_at_a_vertex_the_covariance_is_the_vertex_s_own(model: Kind, seed: int) -> None:
+    covariances = random_covariances(seed)
+    learnt = model.learn(measured(GRID, random_errors(seed), covariances))
+    found = learnt.predict(GRID.vertices_mm().reshape(-1, 3))
+    assert (found.error_mm == random_errors(seed).reshape(-1, 3)).all()
+    assert (found.covariance_mm2 == covariances.reshape(-1, 3, 3)).all()
+
+
+@given(seeds)
+@models
+def test_covariances_are_symmetric_and_no_variance_is_below_zero(model: Kind, seed: int) -> None:
+    learnt = model.learn(measured(GRID, random_errors(seed), random_covariances(seed)))
+    found = learnt.predict(targets_of(seed)).covariance_mm2
+    np.testing.assert_allclose(found, found.swapaxes(1, 2), rtol=1e-12)
+    assert np.linalg.eigvalsh(found).min() > 0
+
+
+@given(seeds, st.floats(0.01, 100))
+@models
+def test_the_vertices_covariance_scales_the_propagated_part(
+    model: Kind, seed: int, scale: float
+) -> None:
+    errors, covariances = random_errors(seed), random_covariances(seed)
+    one, other, none = (
+        model(measured(GRID, errors, factor * covariances), np.eye(3))
+        .predict(targets_of(seed))
+        .covariance_mm2
+        for factor in (1.0, scale, 0.0)
+    )
+    np.testing.assert_allclose(other - none, scale * (one - none), rtol=1e-9, atol=1e-12)
+
+
+@models
+def test_noise_of_the_vertices_scatters_predictions_as_propagated(model: Kind) -> None:
+    grid, rng = Grid(np.zeros(3), 300.0, (2, 2, 2)), np.random.default_rng(3)
+    covariances, targets = random_covariances(3, grid), rng.uniform(0, 300, (4, 3))
+    roots = np.linalg.cholesky(covariances)
+    drawn = [
+        predicted_mm(model, grid, np.einsum("...ij,...j", roots, noise), targets)
+        for noise in rng.standard_normal((4000, *grid.shape, 3))
+    ]
+    known = measured(grid, np.zeros((*grid.shape, 3)), covariances)
+    wanted = model(known, np.zeros((3, 3))).predict(targets).covariance_mm2
+    for target in range(len(targets)):
+        found = np.cov(np.array(drawn)[:, target], rowvar=False)
+        size = float(np.trace(wanted[target]))
+        np.testing.assert_allclose(found, wanted[target], atol=0.08 * size)
+
+
+@models
+def test_the_residual_is_what_vertices_left_out_miss_beyond_their_readings(model: Kind) -> None:
+    """Of errors that are independent from vertex to vertex, not of their readings' noise."""
+    grid, rng = Grid(np.zeros(3), 100.0, (8, 8, 8)), np.random.default_rng(4)
+    unresolved = rng.normal(0, [0.03, 0.05, 0.02], (*grid.shape, 3))
+    noise = rng.normal(0, 0.04, (*grid.shape, 3))
+    readings = 0.04**2 * np.eye(3)
+    both = model.learn(measured(grid, unresolved + noise, readings)).residual_mm2
+    alone = model.learn(measured(grid, unresolved)).residual_mm2
+    nothing = model.learn(measured(grid, noise, readings)).residual_mm2
+    np.testing.assert_allclose(np.diag(both), np.diag(alone), rtol=0.3, atol=2e-4)
+    assert np.trace(nothing) < 0.15 * np.trace(alone)
+
+
+def test_a_linear_field_leaves_no_residual_with_trilinear_only() -> None:
+    linear = measured(GRID, GRID.vertices_mm() * 0.001)
+    assert np.abs(Trilinear.learn(linear).residual_mm2).max() < 1e-20
+    assert np.diag(Idw.learn(linear).residual_mm2).min() > 1e-3
+
+
+@models
+def test_an_unknown_covariance_stays_unknown(model: Kind) -> None:
+    """Of a file that states none, and of a grid of one cell too."""
+    for grid in (GRID, Grid(GRID.origin_mm, 900.0, (2, 2, 2))):
+        unknown = measured(grid, np.zeros((*grid.shape, 3)), np.nan)
+        found = model.learn(unknown).predict(targets_of(1))
+        assert np.isfinite(found.error_mm).all()
+        assert np.isnan(found.covariance_mm2).all()
+
+
+@given(seeds)
+@models
+def test_a_model_comes_back_from_its_parameters(model: Kind, seed: int) -> None:
+    learnt = model.learn(measured(GRID, random_errors(seed), random_covariances(seed)))
+    kept = json.loads(json.dumps(learnt.parameters()))
+    back = model.restore(GRID, random_errors(seed), kept)
+    one, other = (each.predict(targets_of(seed)) for each in (learnt, back))
+    assert (one.error_mm == other.error_mm).all()
+    assert (one.covariance_mm2 == other.covariance_mm2).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"residual_covariance_mm2": [[1.0]]}, "residual_covariance_mm2: wanted 3 x 3 finite"),
+        ({"residual_covariance_mm2": [[1.0], [1.0, 2.0]]}, "no covariances of a lattice"),
+        ({"residual_covariance_mm2": (-np.eye(3)).tolist()}, "a variance below zero"),
+        ({"residual_covariance_mm2": np.triu(np.ones((3, 3))).tolist()}, "not symmetric"),
+        ({"vertex_covariance_mm2": []}, "vertex_covariance_mm2: wanted 4 x 4 x 4 x 3 x 3"),
+        ({"vertex_covariance_mm2": "much"}, "no covariances of a lattice"),
+        ({"more": 1.0}, "no covariances of a lattice: Object contains unknown field `more`"),
+    ],
+)
+def test_bad_parameters_are_refused(change: dict[str, Any], says: str) -> None:
+    errors = random_errors(0)
+    kept = exact(Idw, GRID, errors).parameters()
+    with pytest.raises(ModelError, match=says):
+        Idw.restore(GRID, errors, kept | change)
+
+
+def test_a_measured_grid_of_other_shapes_is_refused() -> None:
+    with pytest.raises(GridError, match=r"covariances: shape \(3, 3\), wanted \(4, 4, 4, 3, 3\)"):
+        MeasuredGrid(GRID, random_errors(0), np.eye(3))

@@ -1,0 +1,62 @@
+"""What a model of position errors is: targets in, predicted errors and their covariance out.
+
+A model is one module with one class, registered under its name in `hilcell.compensation.choice`;
+nothing else in the core names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.geometry.kinematics import Array
+from hilcell.ports import HilcellError
+
+
+class ModelError(HilcellError):
+    """Parameters of which no model can be made."""
+
+    code = "HC-C21"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Prediction:
+    """Errors e = actual - nominal (N, 3) at N targets, and their covariances (N, 3, 3), NaN where
+    a calibration states none.
+
+    Frame and coverage are the model's.
+    """
+
+    error_mm: Array
+    covariance_mm2: Array
+
+
+class ErrorModel(Protocol):
+    """Predicts the robot's position error."""
+
+    def predict(self, targets_mm: Array) -> Prediction:
+        """Return the errors at nominal targets (N, 3) in {B}; raises `HilcellError` outside."""
+
+
+class LearntModel(ErrorModel, Protocol):
+    """A model that a calibration learns from its grid, judges and keeps in its file."""
+
+    @classmethod
+    def learn(cls, measured: MeasuredGrid) -> Self:
+        """Return the model of a measured grid; raises `HilcellError` where it is not enough."""
+
+    @classmethod
+    def left_out_mm(cls, measured: MeasuredGrid) -> Array:
+        """Return predicted less measured errors (M, 3) of vertices that were not learnt from."""
+
+    @classmethod
+    def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
+        """Return the model of a calibration file; raises `ModelError` for bad parameters.
+
+        The file has the grid's errors (nx, ny, nz, 3) beside the model's own parameters.
+        """
+
+    def parameters(self) -> dict[str, Any]:
+        """Return what `restore` needs besides the grid's errors, as plain JSON values."""

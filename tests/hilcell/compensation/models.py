@@ -1,0 +1,26 @@
+"""Interpolations of errors on a grid whose readings scatter by nothing, or by as much as said."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.interpolation import Interpolation
+from hilcell.geometry.kinematics import Array
+
+Kind = type[Interpolation]
+
+
+def measured(grid: Grid, errors_mm: ArrayLike, covariance_mm2: ArrayLike = 0.0) -> MeasuredGrid:
+    """Return a measured grid; the covariance is that of all vertices, or one for each."""
+    covariances = np.broadcast_to(np.asarray(covariance_mm2, dtype=float), (*grid.shape, 3, 3))
+    return MeasuredGrid(grid, np.asarray(errors_mm, dtype=float), covariances)
+
+
+def exact(model: Kind, grid: Grid, errors_mm: ArrayLike) -> Interpolation:
+    """Return the interpolation of errors, without any residual."""
+    return model(measured(grid, errors_mm), np.zeros((3, 3)))
+
+
+def predicted_mm(model: Kind, grid: Grid, errors_mm: ArrayLike, targets_mm: ArrayLike) -> Array:
+    """Return the errors (N, 3) that a model of a grid predicts at targets (N, 3)."""
+    return exact(model, grid, errors_mm).predict(targets_mm).error_mm

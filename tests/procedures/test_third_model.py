@@ -1,0 +1,96 @@
+"""A third model needs its own module and one registration, and no other line of the core."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.file import compensate_targets, read_calibration, write_calibration
+from hilcell.cell.settings import SettingsError
+from hilcell.compensation.choice import MODELS
+from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.model import ModelError, Prediction
+from hilcell.ports import Array
+from procedures.fit import Fit
+from procedures.sign_check import SignCheck
+from tests.hilcell.calibration.calibrations import calibration
+from tests.procedures.test_sign_check import FakeBench
+
+
+class Plane:
+    """An error that is linear in the place."""
+
+    def __init__(self, terms: Array) -> None:
+        self.terms = terms  # (4, 3)
+
+    @classmethod
+    def learn(cls, measured: MeasuredGrid) -> Self:
+        at_mm = _with_one(measured.grid.vertices_mm().reshape(-1, 3))
+        terms = np.linalg.lstsq(at_mm, measured.errors_mm.reshape(-1, 3), rcond=None)[0]
+        return cls(np.array(terms, dtype=float))
+
+    @classmethod
+    def left_out_mm(cls, measured: MeasuredGrid) -> Array:
+        at_mm = measured.grid.vertices_mm().reshape(-1, 3)
+        return cls.learn(measured).predict(at_mm).error_mm - measured.errors_mm.reshape(-1, 3)
+
+    @classmethod
+    def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
+        if "terms" not in parameters:
+            raise ModelError("there are no terms")
+        return cls(np.array(parameters["terms"]))
+
+    def parameters(self) -> dict[str, Any]:
+        return {"terms": self.terms.tolist()}
+
+    def predict(self, targets_mm: Array) -> Prediction:
+        error_mm = _with_one(targets_mm) @ self.terms
+        return Prediction(error_mm, np.tile(1e-4 * np.eye(3), (len(error_mm), 1, 1)))
+
+
+def _with_one(points_mm: Array) -> Array:
+    return np.column_stack([np.ones(len(points_mm)), points_mm])
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(MODELS, "plane", Plane)
+
+
+def test_it_is_judged_chosen_and_applied_on_the_cell() -> None:
+    bench: Any = FakeBench()
+    found = Fit().result(bench.log)
+    assert set(found["fit"]["loocv"]) == {"idw", "trilinear", "plane"}
+    assert found["method"] in ("plane", "trilinear")  # the error is linear, up to rounding
+    bench.keep("verdict", "fit", {"holds": True, "method": "plane"})
+    SignCheck().perform(bench)
+    assert bench.log.verdicts["sign"]["corrected_mm"] < 0.01
+
+
+def test_it_is_kept_in_the_file_and_corrects_targets(tmp_path: Path) -> None:
+    path, target = tmp_path / "calibration.json", np.array([[0.0, 0, 1200, 0, 75, 0]])
+    by_plane, by_trilinear = (
+        compensate_targets(_kept(method, path), "S1100", target, ["H1"])
+        for method in ("plane", "trilinear")
+    )
+    assert np.abs(by_plane - target).max() > 0.3
+    np.testing.assert_allclose(by_plane, by_trilinear, atol=1e-6)  # of a linear field
+
+
+def _kept(method: str, path: Path) -> Any:
+    write_calibration(calibration(method=method), path)
+    return read_calibration(path)
+
+
+def test_its_bad_parameters_are_told_by_field(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    made = calibration(method="plane")
+    assert made.model is not None
+    made.model.parameters.clear()
+    write_calibration(made, path)
+    with pytest.raises(SettingsError, match=r"model\.parameters: there are no terms"):
+        read_calibration(path)
