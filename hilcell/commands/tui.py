@@ -10,7 +10,7 @@ from pathlib import Path
 from hilcell.commands.output import print_message
 from hilcell.errors import HilcellError
 from hilcell.tui.keys import load_keys
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE, has_colours, has_shapes, is_coerced
+from hilcell.tui.terminal.capabilities import ASCII, UNICODE, has_colours, has_unicode, is_coerced
 
 COLOURS = {"16": "standard", "none": "truecolor"}  # Textual's names, where they are others
 SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one that draws
@@ -23,7 +23,7 @@ def tui(args: argparse.Namespace) -> int:
             "tui: stdin and stdout must be a terminal; `hilcell watch` follows a run in a pipe"
         )
     keymap = load_keys(Path(args.keys) if args.keys else None)
-    glyphs = ASCII if args.ascii or not _has_shapes() else UNICODE
+    glyphs = ASCII if args.ascii or not _has_unicode() else UNICODE
     _say_to_textual(args.colors)
     from hilcell.tui.app.app import HilcellApp
     from hilcell.tui.screens.base import Options
@@ -69,6 +69,6 @@ def _say_to_textual(colours: str) -> None:
         os.environ["NO_COLOR"] = "1"
 
 
-def _has_shapes() -> bool:
+def _has_unicode() -> bool:
     writes = (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
-    return writes and has_shapes(os.environ, coerced=is_coerced())
+    return writes and has_unicode(os.environ, coerced=is_coerced())

@@ -10,7 +10,8 @@ multiplexers and keyboard layouts eat keys: no action depends on a function key 
 stops whatever a file says.
 
 Keys may come in bursts, from a scanner or over a slow connection. Widgets and screens pass keys on
-as messages, so `settled` and `built` wait until one key has taken effect before the next is read.
+as messages: `wait_until_processed` and `wait_until_built` let one key take effect before the next
+is read.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ ESCAPE = "escape"
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """One thing that a key does; ``asks`` says whether it asks before it acts."""
+    """One thing that a key does."""
 
     name: str
     keys: tuple[str, ...]
@@ -89,7 +90,7 @@ Keymap = dict[str, tuple[str, ...]]
 
 
 def default_file() -> Path:
-    """Return where the file of keys is looked for."""
+    """Return the default path of the file of keys."""
     base = os.environ.get("XDG_CONFIG_HOME", "")
     return (Path(base) if base else Path.home() / ".config") / "hilcell" / "keys.toml"
 
@@ -165,7 +166,7 @@ def named(key: str) -> str:
 
 
 def conflicts(keymap: Keymap) -> list[str]:
-    """Return the keys that mean two things, in words."""
+    """Return a message for each key with two actions, or with a fixed meaning."""
     users: dict[str, list[str]] = {}
     for name, keys in keymap.items():
         for key in dict.fromkeys(keys):
@@ -187,21 +188,21 @@ def shown(key: str) -> str:
     return _SHOWN.get(key, key.replace("ctrl+", "^"))
 
 
-LONGEST_S = 0.2  # a widget that is being removed may take nothing any more
-BUILT_S = 2.0  # a screen that is left before it was built never is
+LONGEST_S = 0.2  # a widget that is being removed may process nothing
+BUILT_S = 2.0  # a screen that is left too early is never built
 
 
-async def settled(nodes: Iterable[MessagePump]) -> None:
-    """Wait until each in turn has taken what it was sent; never for long."""
+async def wait_until_processed(nodes: Iterable[MessagePump]) -> None:
+    """Wait until each in turn has processed its messages, at most `LONGEST_S` each."""
     for node in nodes:
         taken = asyncio.Event()
         if node.call_later(taken.set):
             await _soon(taken, LONGEST_S)
 
 
-async def built(stands: asyncio.Event) -> None:
-    """Wait until a screen stands; never for long, or no key would be taken any more."""
-    await _soon(stands, BUILT_S)
+async def wait_until_built(built: asyncio.Event) -> None:
+    """Wait until a screen is built, at most `BUILT_S`, so that keys are always taken again."""
+    await _soon(built, BUILT_S)
 
 
 async def _soon(event: asyncio.Event, limit_s: float) -> None:

@@ -1,6 +1,6 @@
 """The widgets that the screens are built of.
 
-Every text of the screen passes a `Panel` or `Rows`. Both replace control and direction characters,
+Every text passes a `TextPanel` or a `Table`. Both replace control and direction characters,
 so that text from a device or an operator cannot reach the terminal as a command.
 """
 
@@ -27,13 +27,13 @@ from hilcell.clean import UNSAFE, clean
 from hilcell.tui.terminal.capabilities import Glyphs, to_ascii
 
 
-class Drawn(Protocol):
-    """The application: which shapes its terminal can show."""
+class HasGlyphs(Protocol):
+    """The application, as far as widgets use it."""
 
     glyphs: Glyphs
 
 
-def harmless(content: Content, *, plain: bool) -> Content:
+def safe_content(content: Content, *, plain: bool) -> Content:
     """Return content of the same length whose characters are all safe to print."""
     text = "\n".join(UNSAFE.sub("?", line) for line in content.plain.split("\n"))
     return Content(to_ascii_lines(text) if plain else text, spans=list(content.spans))
@@ -44,7 +44,7 @@ def to_ascii_lines(text: str) -> str:
     return "\n".join(to_ascii(line) for line in text.split("\n"))
 
 
-class Panel(Static):
+class TextPanel(Static):
     """Shows content; never reads markup."""
 
     def __init__(self, id: str | None = None, *, classes: str | None = None) -> None:
@@ -54,25 +54,25 @@ class Panel(Static):
     def show(self, content: Content | str) -> None:
         """Show content, where it differs from what is shown."""
         wanted = Content(content) if isinstance(content, str) else content
-        safe = harmless(wanted, plain=cast("Drawn", self.app).glyphs.plain)
-        if self.content_shown is None or not same(safe, self.content_shown):
+        safe = safe_content(wanted, plain=cast("HasGlyphs", self.app).glyphs.plain)
+        if self.content_shown is None or not same_content(safe, self.content_shown):
             self.content_shown = safe
             self.update(safe)
 
 
-def same(one: Content, other: Content) -> bool:
+def same_content(one: Content, other: Content) -> bool:
     """Whether two contents look the same."""
     return one.plain == other.plain and one.spans == other.spans
 
 
-class WholeBar(ScrollBarRender):
+class CellScrollBar(ScrollBarRender):
     """Draws the bar as reversed spaces, so that it is seen without colours, too."""
 
     VERTICAL_BARS: ClassVar[list[str]] = [" "]
     HORIZONTAL_BARS: ClassVar[list[str]] = [" "]
 
 
-class Choice(Panel, can_focus=True):
+class Choice(TextPanel, can_focus=True):
     """Shows the chosen word between arrows."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -105,7 +105,7 @@ class Choice(Panel, can_focus=True):
 _KEYS = BindingsMap(Input.BINDINGS).key_to_bindings
 
 
-class Field(Input):
+class TextField(Input):
     """An input that acts on its own keys at once."""
 
     async def on_key(self, event: Key) -> None:
@@ -134,10 +134,13 @@ class Row:
     tone: str = ""
 
 
-class Rows(ScrollView, can_focus=True):
-    """Rows under a header, with a cursor. Posts `Chosen` on Enter, `Moved` on a new cursor."""
+class Table(ScrollView, can_focus=True):
+    """A header, rows and a cursor. Only the rows in sight are drawn, so 10 000 cost what 20 cost.
 
-    COMPONENT_CLASSES: ClassVar[set[str]] = {"rows--head", "rows--cursor"}
+    Posts `RowSelected` on Enter and `RowHighlighted` when the cursor moves.
+    """
+
+    COMPONENT_CLASSES: ClassVar[set[str]] = {"table--head", "table--cursor"}
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(key, action, show=False, priority=True)  # in the order typed
         for key, action in (
@@ -151,14 +154,14 @@ class Rows(ScrollView, can_focus=True):
         )
     ]
 
-    class Chosen(Message):
+    class RowSelected(Message):
         """A row was chosen with Enter."""
 
         def __init__(self, key: str) -> None:
             super().__init__()
             self.key = key
 
-    class Moved(Message):
+    class RowHighlighted(Message):
         """The cursor stands on another row."""
 
         def __init__(self, key: str) -> None:
@@ -180,7 +183,7 @@ class Rows(ScrollView, can_focus=True):
         """Return the key of the row under the cursor, or nothing."""
         return self.rows[self.cursor].key if self.rows else ""
 
-    def put(self, rows: Sequence[Row], columns: Sequence[Column] | None = None) -> None:
+    def show_rows(self, rows: Sequence[Row], columns: Sequence[Column] | None = None) -> None:
         """Show these rows; the cursor stays on its row where that is still there."""
         if columns is not None:
             self.columns = tuple(columns)
@@ -221,7 +224,7 @@ class Rows(ScrollView, can_focus=True):
 
     def action_choose(self) -> None:
         """Say that this row was chosen; the key is empty where there are no rows."""
-        self.post_message(self.Chosen(self.key))
+        self.post_message(self.RowSelected(self.key))
 
     def _move(self, to: int) -> None:
         if not self.rows:
@@ -229,7 +232,7 @@ class Rows(ScrollView, can_focus=True):
         self.cursor = min(max(to, 0), len(self.rows) - 1)
         self._show_cursor()
         self.refresh()
-        self.post_message(self.Moved(self.key))
+        self.post_message(self.RowHighlighted(self.key))
 
     def _show_cursor(self) -> None:
         height = max(self.size.height - 1, 1)
@@ -243,7 +246,7 @@ class Rows(ScrollView, can_focus=True):
         """Draw one line: the header stays, the rows scroll under it."""
         width = self.size.width
         if y == 0:
-            style = self.get_component_rich_style("rows--head")
+            style = self.get_component_rich_style("table--head")
             titles = [column.title for column in self.columns]
             return self._strip(self._line(titles), style, width)
         index = int(self.scroll_offset.y) + y - 1
@@ -255,7 +258,7 @@ class Rows(ScrollView, can_focus=True):
         row = self.rows[index]
         style = base + Style(color=self._colour(row.tone)) if row.tone else base
         if index == self.cursor:
-            style = self.get_component_rich_style("rows--cursor")
+            style = self.get_component_rich_style("table--cursor")
         return self._strip(self._line(row.cells, cursor=index == self.cursor), style, width)
 
     def _colour(self, tone: str) -> str:

@@ -18,7 +18,7 @@ from typing import Self
 
 import pyte
 
-from hilcell.tui.app.app import HURRY_S
+from hilcell.tui.app.app import BURST_S
 
 READ = 1 << 16
 LIMIT_S = 100.0  # a busy machine may take long, and is not at fault
@@ -77,7 +77,7 @@ class Terminal:
 
     def answer(self, keys: str) -> None:
         """Type like a person who has read a question: in one burst it would be no answer."""
-        self.pump_for(1.5 * HURRY_S)
+        self.pump_for(1.5 * BURST_S)
         self.press(keys)
 
     def pump(self, wait_s: float) -> bool:

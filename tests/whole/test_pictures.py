@@ -73,7 +73,7 @@ async def screen(runs: Path, run: str, size: tuple[int, int]) -> AsyncIterator[P
     app = HilcellApp(Options(runs=runs, keymap=load_keys(None), glyphs=UNICODE, run=run))
     async with app.run_test(size=size) as pilot:
         yield pilot
-        app.attached.leave()
+        app.open_runs.leave()
 
 
 def app_of(pilot: Pilot[int]) -> HilcellApp:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from hilcell.errors import HilcellError
-from hilcell.tui.engine import process as engine
-from hilcell.tui.engine.background import aside
-from hilcell.tui.text.refusals import pause_command, unheard
+from hilcell.tui.engine import process
+from hilcell.tui.engine.background import run_in_thread
+from hilcell.tui.text.refusals import no_answer_reason, pause_command
 
 if TYPE_CHECKING:
     from hilcell.run.protocol import Command
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class Host(Protocol):
     """The application as its acts see it."""
 
-    unhurried: bool  # whether the key under way came by itself, not in a burst
+    key_is_deliberate: bool  # whether the key under way came by itself, not in a burst
 
     @property
     def session(self) -> Session | None:
@@ -28,17 +28,17 @@ class Host(Protocol):
     def ask(self, title: str, text: str, yes: str, act: Any) -> None:
         """Ask before an act; only a yes does it."""
 
-    def say(self, text: str, *, for_now: bool = False) -> None:
+    def show_notice(self, text: str, *, for_now: bool = False) -> None:
         """Say something on the line above the keys."""
 
-    def background(self, work: Coroutine[Any, Any, None]) -> None:
+    def start_task(self, work: Coroutine[Any, Any, None]) -> None:
         """Do something that may take a while; what goes wrong is said."""
 
     def attach(self, folder: Path, process: Any = None) -> None:
         """Show a run in place of the one shown."""
 
 
-class Acts:
+class RunActions:
     """Turns what is pressed into commands to the engine, or into an engine's start."""
 
     def __init__(self, host: Host) -> None:
@@ -49,15 +49,15 @@ class Acts:
         session = self._host.session
         if session is None:
             return
-        command = pause_command(session.scene)
-        if session.scene.prompt is not None:
+        command = pause_command(session.view)
+        if session.view.prompt is not None:
             self.answer()
         elif command == "pause":
             self._command("pause")
         elif command == "resume":
-            from hilcell.tui.text.run import prospect
+            from hilcell.tui.text.run import resume_text
 
-            self._host.ask("Resume this run?", prospect(session.scene), "resume", self.resume)
+            self._host.ask("Resume this run?", resume_text(session.view), "resume", self.resume)
         else:
             self._host.ask(
                 "Go on?",
@@ -78,18 +78,20 @@ class Acts:
     def answer(self) -> None:
         """Answer the prompt, where the engine hears it and the tracker sees the reflector."""
         session = self._host.session
-        if session is None or session.scene.prompt is None:
+        if session is None or session.view.prompt is None:
             return
-        if refused := unheard(session.scene):
-            self._host.say(refused)
-        elif session.scene.prompt.check and not session.scene.prompt.ready:
-            self._host.say(
+        if refused := no_answer_reason(session.view):
+            self._host.show_notice(refused)
+        elif session.view.prompt.check and not session.view.prompt.ready:
+            self._host.show_notice(
                 "Enter works when the tracker sees the reflector in its place", for_now=True
             )
-        elif not self._host.unhurried:
-            self._host.say("Enter in one burst with other keys is no answer: press it by itself")
+        elif not self._host.key_is_deliberate:
+            self._host.show_notice(
+                "Enter in one burst with other keys is no answer: press it by itself"
+            )
         else:
-            self._host.background(self._look_once_more(session))
+            self._host.start_task(self._look_once_more(session))
 
     def retake(self, key: str) -> None:
         """Re-measure a point: in the live run, or by opening a finished one again."""
@@ -98,10 +100,10 @@ class Acts:
         session = self._host.session
         if session is None:
             return
-        refused = retake_refusal(session.scene.log, key) if key else "no point is chosen"
+        refused = retake_refusal(session.view.log, key) if key else "no point is chosen"
         if refused:
-            self._host.say(refused)
-        elif session.scene.live:
+            self._host.show_notice(refused)
+        elif session.view.live:
             self._host.ask(
                 "Re-measure this point?",
                 f"{key}: before the robot's next point; it moves there.",
@@ -122,28 +124,28 @@ class Acts:
         if session is None:
             return
         folder = session.folder
-        attended = [] if not session.scene.log.inputs.unattended else ["--unattended"]
+        attended = [] if not session.view.log.inputs.unattended else ["--unattended"]
         order = ["resume", folder.name, "--runs", str(folder.parent), *attended, *words]
         self.start(folder, order)
 
     def start(self, folder: Path, words: list[str]) -> None:
         """Start an engine and show its run; what it says where no journal tells is said here."""
-        started = engine.start(folder.parent, folder.name, words)
+        started = process.start_engine(folder.parent, folder.name, words)
         self._host.attach(folder, started.process)
-        self._host.background(_watch(started))
+        self._host.start_task(_watch(started))
 
     async def _look_once_more(self, session: Session) -> None:
-        self._host.say("the tracker looks once more ...")
-        await aside(session.ask, "answer")
-        self._host.say("")
+        self._host.show_notice("the tracker looks once more ...")
+        await run_in_thread(session.ask, "answer")
+        self._host.show_notice("")
 
     def _command(self, command: Command, *, key: str = "") -> None:
         """Send a command to the engine, off the thread that takes keys."""
         session = self._host.session
         if session is not None:
-            self._host.background(aside(session.ask, command, key=key))
+            self._host.start_task(run_in_thread(session.ask, command, key=key))
 
 
-async def _watch(started: engine.Started) -> None:
-    if told := await aside(started.end):
+async def _watch(started: process.StartedEngine) -> None:
+    if told := await run_in_thread(started.wait_for_end):
         raise HilcellError(told)

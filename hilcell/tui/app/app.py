@@ -24,43 +24,43 @@ from textual.widgets import Input
 
 from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
-from hilcell.tui.app.actions import Acts
-from hilcell.tui.app.navigation import PAGES, Actions, Opening, Palette, page_of
-from hilcell.tui.engine.background import Collector, aside
+from hilcell.tui.app.actions import RunActions
+from hilcell.tui.app.navigation import PAGES, ActionProvider, OpeningScreen, Palette, page_of
+from hilcell.tui.engine.background import GarbageCollector, run_in_thread
 from hilcell.tui.engine.open_runs import OpenRuns
-from hilcell.tui.keys import ACTIONS, BY_NAME, built, settled, shown
-from hilcell.tui.screens.base import Confirm, Options, SceneScreen
+from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
+from hilcell.tui.screens.base import BaseScreen, Confirm, Options
 from hilcell.tui.terminal.driver import StopDriver
 from hilcell.tui.terminal.themes import NAMES, PALETTES
 from hilcell.tui.text.refusals import ELSEWHERE, refusal
-from hilcell.tui.widgets import Choice, WholeBar
+from hilcell.tui.widgets import CellScrollBar, Choice
 
 if TYPE_CHECKING:
     from hilcell.alarms import Latch
-    from hilcell.tui.engine.feed import Fresh
-    from hilcell.tui.engine.scene import Scene
+    from hilcell.tui.engine.feed import RunUpdate
+    from hilcell.tui.engine.run_view import RunView
     from hilcell.tui.engine.session import Session
 
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
 TICK_S = 1.0
-HURRY_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers slower
-ScrollBar.renderer = WholeBar  # Textual's way to choose: a class, for all of its bars
+BURST_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers slower
+ScrollBar.renderer = CellScrollBar  # Textual's way to choose: a class, for all of its bars
 
 
-class Delivered(Message):
+class RunUpdated(Message):
     """What the feed has read."""
 
-    def __init__(self, session: Session, fresh: Fresh) -> None:
+    def __init__(self, session: Session, fresh: RunUpdate) -> None:
         super().__init__()
         self.session, self.fresh = session, fresh
 
 
 class HilcellApp(App[int]):
-    """Shows one run at a time; `attached` holds it, and live ones behind it."""
+    """Shows one run at a time; `open_runs` holds it, and a live one in the background."""
 
     TITLE = "hilcell"
     CSS_PATH = Path(__file__).with_name("style.tcss")
-    COMMANDS: ClassVar = {Actions}
+    COMMANDS: ClassVar = {ActionProvider}
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - as Textual has it
     BINDINGS: ClassVar[list[BindingType]] = [  # all act before widgets see them, in their order
         Binding("tab", "focus_next", show=False, priority=True),
@@ -73,15 +73,15 @@ class HilcellApp(App[int]):
     ]  # fmt: skip
 
     def __init__(self, options: Options) -> None:
-        self.attached = OpenRuns()  # first: the terminal's driver wants its stop
+        self.open_runs = OpenRuns()  # first: the terminal's driver wants its stop
         super().__init__()
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
         self.detached: list[str] = []  # the runs that go on without this screen
         self.refused: HilcellError | None = None  # why nothing could be opened
-        self.acts = Acts(self)
-        self.unhurried = True
+        self.actions = RunActions(self)
+        self.key_is_deliberate = True
         self._typed_s = -math.inf  # when the last key came
-        self._collector: Collector | None = None
+        self._collector: GarbageCollector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
         for palette in PALETTES:
             self.register_theme(palette.theme())
@@ -91,27 +91,27 @@ class HilcellApp(App[int]):
     @property
     def session(self) -> Session | None:
         """Return the attachment to the run that is shown."""
-        return self.attached.shown
+        return self.open_runs.shown
 
     @property
-    def scene(self) -> Scene | None:
-        """Return what is known of the attached run."""
-        return self.session.scene if self.session is not None else None
+    def view(self) -> RunView | None:
+        """Return what is known of the run that is shown."""
+        return self.session.view if self.session is not None else None
 
     @property
     def page(self) -> Screen[Any]:
         """Return the screen under an open question or the palette."""
-        pages = (each for each in reversed(self.screen_stack) if isinstance(each, SceneScreen))
+        pages = (each for each in reversed(self.screen_stack) if isinstance(each, BaseScreen))
         return next(pages, self.screen)
 
     @property
     def live(self) -> bool:
-        """Whether the attached run has an engine at work."""
-        return self.scene is not None and self.scene.live
+        """Whether the run that is shown has an engine at work."""
+        return self.view is not None and self.view.live
 
     @property
     def latch(self) -> Latch:
-        """Return the alarms of the attached run."""
+        """Return the alarms of the run that is shown."""
         if self.session is None:
             raise HilcellError("no run is shown")
         return self.session.latch
@@ -120,7 +120,7 @@ class HilcellApp(App[int]):
 
     def get_driver_class(self) -> type[Driver]:
         """Give the terminal's driver the one call that must not wait."""
-        return type("Stopping", (StopDriver,), {"on_escape": staticmethod(self.attached.stop)})
+        return type("Stopping", (StopDriver,), {"on_escape": staticmethod(self.open_runs.stop)})
 
     async def on_event(self, event: Event) -> None:
         """Take what is typed in its order; everything else as Textual does."""
@@ -134,64 +134,65 @@ class HilcellApp(App[int]):
         if isinstance(event, Paste):
             event.text = UNSAFE.sub("", event.text.partition("\n")[0])
         told = (self.focused or self.screen).ancestors_with_self
-        self.unhurried, self._typed_s = event.time - self._typed_s >= HURRY_S, event.time
-        self.say("")  # what was said has been read
+        self.key_is_deliberate, self._typed_s = event.time - self._typed_s >= BURST_S, event.time
+        self.show_notice("")  # what was said has been read
         await super().on_event(event)
-        await settled(node for node in told if node is not self)
+        await wait_until_processed(node for node in told if node is not self)
         if isinstance(self.screen, Palette):  # its parts tell one another
-            await settled([*self.screen.query("*"), self.screen])
-        if isinstance(self.screen, SceneScreen):
-            await built(self.screen.stands)
+            await wait_until_processed([*self.screen.query("*"), self.screen])
+        if isinstance(self.screen, BaseScreen):
+            await wait_until_built(self.screen.built)
 
     def on_mount(self) -> None:
         """Paint first, then import what reads journals."""
         if self.glyphs.plain:
             self.add_class("plain")
-        self.push_screen(Opening(self.options.run))
+        self.push_screen(OpeningScreen(self.options.run))
         self.set_interval(TICK_S, self._tick)  # the feed ticks, too: this is for a silent engine
-        self.call_after_refresh(lambda: self.background(self._open()))
+        self.call_after_refresh(lambda: self.start_task(self._open()))
 
     async def _open(self) -> None:
         """Open the run asked for, or the one that is live, or the form for a new one."""
         from hilcell.tui.app.navigation import run_to_open
 
         try:
-            found = await aside(run_to_open, self.options.runs, self.options.run)
+            found = await run_in_thread(run_to_open, self.options.runs, self.options.run)
         except HilcellError as error:
             self.refused = error
             self.exit()
             return
-        self._collector = Collector(time.monotonic())
+        self._collector = GarbageCollector(time.monotonic())
         if found is not None:
             self.attach(found)
         else:
             self.do_new()
 
     def attach(self, folder: Path, process: Any = None) -> None:
-        """Show a run, live or past, in place of the one shown; a live one goes on behind it."""
-        from hilcell.tui.screens.run import RunScreen, View
+        """Show a run in place of the one shown; a live one goes on in background."""
+        from hilcell.tui.screens.run import PointFilter, RunScreen
 
         before = self.session if self.session and self.session.folder == folder else None
-        view = next(
-            (each.view for each in self.screen_stack if isinstance(each, RunScreen)), View()
+        point_filter = next(
+            (each.point_filter for each in self.screen_stack if isinstance(each, RunScreen)),
+            PointFilter(),
         )
-        session = self.attached.behind
+        session = self.open_runs.background
         if session is None or session.folder != folder:
             session = self._session(folder, process)
             if before is not None:  # what nobody has acknowledged still stands
                 session.latch = before.latch
             session.feed.start()
-        self.attached.show(session)
+        self.open_runs.show(session)
         while len(self.screen_stack) > 1:
             self.pop_screen()
-        self.push_screen(RunScreen(view if before is not None else View()))
+        self.push_screen(RunScreen(point_filter if before is not None else PointFilter()))
 
     def _session(self, folder: Path, process: Any) -> Session:
         from hilcell.tui.engine.session import Session
 
         session: Session = Session(
             folder,
-            lambda fresh: self.post_message(Delivered(session, fresh)),
+            lambda fresh: self.post_message(RunUpdated(session, fresh)),
             SLOW_PERIOD_S if self.options.slow else PERIOD_S,
             process,
             shown(self.keymap["pause"][0]),
@@ -202,7 +203,7 @@ class HilcellApp(App[int]):
         """Show another run; leaving a live one asks."""
         if self.session is not None and self.session.folder == folder:
             self.screen.dismiss()
-        elif self.live and self.attached.behind is None:
+        elif self.live and self.open_runs.background is None:
             self.ask(
                 "A run is live.",
                 "It goes on while you look at another one; Esc still stops it, q goes back to it.",
@@ -212,51 +213,51 @@ class HilcellApp(App[int]):
         else:
             self.attach(folder)
 
-    def go_back(self) -> None:
-        """Show the live run again that goes on behind this one."""
-        if self.attached.behind is not None:
-            self.attach(self.attached.behind.folder)
+    def show_background_run(self) -> None:
+        """Show the background run again."""
+        if self.open_runs.background is not None:
+            self.attach(self.open_runs.background.folder)
 
     # -- what comes in ------------------------------------------------------------------------
 
-    def on_delivered(self, message: Delivered) -> None:
+    def on_run_updated(self, message: RunUpdated) -> None:
         """Take what the feed has read, and show it."""
         from hilcell.tui.engine.session import utc_now
 
         session = message.session
-        if session not in self.attached.all:
+        if session not in self.open_runs.all:
             return
-        scene = session.scene
-        was_live, was_lost, trouble = scene.live, scene.lost, scene.trouble
+        view = session.view
+        was_live, was_lost, trouble = view.live, view.calibration_lost, view.trouble
         session.take(message.fresh, utc_now())
         if session is self.session and was_live and not self.live:
             self._close_questions()  # they were about a run that goes on
         self._show()
-        if (ended := self.attached.drop_ended()) is not None:
-            from hilcell.tui.text.run import end_of
+        if (ended := self.open_runs.close_ended()) is not None:
+            from hilcell.tui.text.run import end_text
 
-            self.say(end_of(ended.scene))
+            self.show_notice(end_text(ended.view))
         if session is self.session:
-            self._tell(session.scene, was_lost=was_lost, trouble=trouble)
+            self._tell(session.view, was_lost=was_lost, trouble=trouble)
 
-    def _tell(self, scene: Scene, *, was_lost: bool, trouble: str) -> None:
+    def _tell(self, view: RunView, *, was_lost: bool, trouble: str) -> None:
         """Say why the journal cannot be read, as long as it cannot, and what has come right."""
-        if scene.trouble:
-            self.say(scene.trouble, over=False)
-        elif trouble and isinstance(self.page, SceneScreen):
-            self.page.take_back(trouble)
-        if was_lost and not scene.lost:
-            self.say("the calibration has its file, calibration.json")
+        if view.trouble:
+            self.show_notice(view.trouble, over=False)
+        elif trouble and isinstance(self.page, BaseScreen):
+            self.page.clear_notice(trouble)
+        if was_lost and not view.calibration_lost:
+            self.show_notice("the calibration has its file, calibration.json")
 
     def _tick(self) -> None:
         from hilcell.tui.engine.session import utc_now
 
-        for session in self.attached.live:
+        for session in self.open_runs.live:
             session.tick(utc_now())
-        if self.attached.live:
+        if self.open_runs.live:
             self._show()
         if self._collector is not None:
-            at_rest = all(session.scene.at_rest for session in self.attached.live)
+            at_rest = all(session.view.at_rest for session in self.open_runs.live)
             self._collector.tick(at_rest=at_rest, now_s=time.monotonic())
 
     def on_unmount(self) -> None:
@@ -265,22 +266,22 @@ class HilcellApp(App[int]):
             self._collector.end()
 
     def _show(self) -> None:
-        if isinstance(self.page, SceneScreen):  # also under a question: nothing may seem fresh
+        if isinstance(self.page, BaseScreen):  # also under a question: nothing may seem fresh
             self.page.show_again()
 
-    def say(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
-        """Say something on the line above the keys, as `SceneScreen.notice` does."""
-        if isinstance(self.page, SceneScreen):
-            self.page.notice(text, for_now=for_now, over=over)
+    def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
+        """Say something on the line above the keys, as `BaseScreen.notice` does."""
+        if isinstance(self.page, BaseScreen):
+            self.page.show_notice(text, for_now=for_now, over=over)
 
-    def background(self, work: Coroutine[Any, Any, None]) -> None:
+    def start_task(self, work: Coroutine[Any, Any, None]) -> None:
         """Do something that may take a while; what goes wrong is said."""
 
         async def guarded() -> None:
             try:
                 await work
             except HilcellError as error:
-                self.say(str(error))
+                self.show_notice(str(error))
 
         self.run_worker(guarded(), exit_on_error=True)
 
@@ -294,12 +295,17 @@ class HilcellApp(App[int]):
         """Return why an action does nothing now, on the screen that is on top."""
         if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
             return ELSEWHERE[name]
-        standing = self.session is not None and bool(self.latch.standing())
-        return refusal(name, self.scene, behind=self.attached.behind is not None, standing=standing)
+        unacknowledged = self.session is not None and bool(self.latch.standing())
+        return refusal(
+            name,
+            self.view,
+            background=self.open_runs.background is not None,
+            unacknowledged=unacknowledged,
+        )
 
     def label(self, name: str) -> str:
         """Return what an action is called now, on the page that is shown."""
-        return self.page.label(name) if isinstance(self.page, SceneScreen) else BY_NAME[name].label
+        return self.page.label(name) if isinstance(self.page, BaseScreen) else BY_NAME[name].label
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Leave letters to a text box or a question, and the space bar to a choice."""
@@ -308,7 +314,7 @@ class HilcellApp(App[int]):
         name = str(parameters[0])
         if isinstance(self.focused, Choice):
             return name != "pause"
-        typing = isinstance(self.focused, Input) or not isinstance(self.screen, SceneScreen)
+        typing = isinstance(self.focused, Input) or not isinstance(self.screen, BaseScreen)
         return BY_NAME[name].everywhere or not typing
 
     def action_do(self, name: str) -> None:
@@ -319,37 +325,37 @@ class HilcellApp(App[int]):
         """Do an action, where it is allowed; the screen on top may have its own way."""
         if name == "stop":
             self.do_stop()
-        elif isinstance(self.screen, SceneScreen) or name == "quit":
+        elif isinstance(self.screen, BaseScreen) or name == "quit":
             if refused := self.refusal(name):
-                self.say(f"{BY_NAME[name].label}: {refused}")
+                self.show_notice(f"{BY_NAME[name].label}: {refused}")
                 return
-            if name == "detach" and not self.unhurried:
+            if name == "detach" and not self.key_is_deliberate:
                 name = "quit"  # which asks: no scanned code leaves an attended run alone
             if name in PAGES:
                 self._turn_to(page_of(name, self.session))
             else:
-                makers = (self.screen, self.acts, self)
+                makers = (self.screen, self.actions, self)
                 next(filter(None, (getattr(each, f"do_{name}", None) for each in makers)))()
 
     def do_stop(self) -> None:
         """Stop everything; where nothing runs, go back."""
-        live = self.attached.live
-        over = self.scene is not None and self.scene.over
-        sent = self.attached.stop()
+        live = self.open_runs.live
+        over = self.view is not None and self.view.ended
+        sent = self.open_runs.stop()
         if live or (sent and not over):
             self._close_questions()
             said = "STOP sent" if sent else "STOP: no engine is there to hear it"
-            if any(session.scene.key == "silent" for session in live):
+            if any(session.view.state == "silent" for session in live):
                 said += ", but it does not answer: use the E-stop"
-            self.say(said, for_now=sent)
+            self.show_notice(said, for_now=sent)
         elif len(self.screen_stack) > 2:
             self.pop_screen()
         elif self.session is not None:
-            self.say("STOP: nothing runs here; if anything moves, use the E-stop")
+            self.show_notice("STOP: nothing runs here; if anything moves, use the E-stop")
 
     def _close_questions(self) -> None:
         """Go back to the screen under an open question or the palette."""
-        while not isinstance(self.screen, SceneScreen):
+        while not isinstance(self.screen, BaseScreen):
             self.pop_screen()
 
     def ask(self, title: str, text: str, yes: str, act: Any) -> None:
@@ -360,11 +366,11 @@ class HilcellApp(App[int]):
                 if reply == "yes":
                     act()
             except HilcellError as error:
-                self.say(str(error))
+                self.show_notice(str(error))
 
         self.push_screen(Confirm(title, text, yes), replied)
 
-    def _turn_to(self, page: SceneScreen) -> None:
+    def _turn_to(self, page: BaseScreen) -> None:
         """Show a page; one of its kind that is open is gone back to: keys may be held down."""
         if any(type(each) is type(page) for each in self.screen_stack):
             while type(self.screen) is not type(page):
@@ -390,14 +396,14 @@ class HilcellApp(App[int]):
 
     def do_detach(self) -> None:
         """Leave the screen; live runs go on."""
-        self.detached = [session.folder.name for session in self.attached.live]
-        self.attached.leave()
+        self.detached = [session.folder.name for session in self.open_runs.live]
+        self.open_runs.leave()
         self.exit(0)
 
     def do_quit(self) -> None:
         """Leave; over a live run offer to detach."""
-        if not self.attached.live:
-            self.attached.leave()
+        if not self.open_runs.live:
+            self.open_runs.leave()
             self.exit(0)
         else:
             self._close_questions()
@@ -412,7 +418,7 @@ class HilcellApp(App[int]):
         """Open the form for a new run."""
         from hilcell.tui.screens.start import StartScreen
 
-        self.attached.show(None)
+        self.open_runs.show(None)
         while len(self.screen_stack) > 1:
             self.pop_screen()
         self.push_screen(StartScreen())

@@ -14,8 +14,8 @@ from textual.widgets import Input
 
 from hilcell import __version__
 from hilcell.tui.keys import ACTIONS, Action
-from hilcell.tui.screens.base import Application, SceneScreen
-from hilcell.tui.widgets import Panel
+from hilcell.tui.screens.base import Application, BaseScreen
+from hilcell.tui.widgets import TextPanel
 
 if TYPE_CHECKING:
     from hilcell.tui.engine.session import Session
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 NOT_A_SAFETY_FUNCTION = "hilcell is not a safety function: keep the E-stop in reach."
 
 
-class Opening(SceneScreen):
+class OpeningScreen(BaseScreen):
     """Says what is being opened."""
 
     footer = ("quit",)
@@ -35,10 +35,10 @@ class Opening(SceneScreen):
 
     def compose(self) -> ComposeResult:
         """Build the lines."""
-        yield Panel("title")
-        yield Panel("what")
-        yield Panel("notice")
-        yield Panel("keys")
+        yield TextPanel("title")
+        yield TextPanel("what")
+        yield TextPanel("notice")
+        yield TextPanel("keys")
 
     def on_mount(self) -> None:
         """Show them."""
@@ -75,13 +75,13 @@ def run_to_open(runs: Path, name: str) -> Path | None:
 PAGES = ("alarms", "interlocks", "help", "log", "plots", "report", "history")
 
 
-def page_of(name: str, session: Session | None) -> SceneScreen:
+def page_of(name: str, session: Session | None) -> BaseScreen:
     """Return the page of an action of `PAGES`; only help and history need no run."""
     from hilcell.tui.screens import history, pages
 
     if name == "report" and session is not None:
         return pages.ReportPage(session.folder)
-    found: dict[str, type[SceneScreen]] = {
+    found: dict[str, type[BaseScreen]] = {
         "alarms": pages.AlarmPage,
         "interlocks": pages.InterlockPage,
         "log": pages.LogPage,
@@ -118,13 +118,15 @@ class Palette(CommandPalette):
             self.dismiss()
 
 
-class Actions(Provider):
+class ActionProvider(Provider):
     """What can be done now."""
 
     async def discover(self) -> Hits:
         """Yield every allowed action; the stop last, for it has a key that needs no palette."""
         for action in sorted(self._allowed(), key=lambda action: action.name == "stop"):
-            yield DiscoveryHit(self._words(action), lambda name=action.name: self._desk.do(name))
+            yield DiscoveryHit(
+                self._words(action), lambda name=action.name: self._application.do(name)
+            )
 
     async def search(self, query: str) -> Hits:
         """Yield the allowed actions that match."""
@@ -132,14 +134,16 @@ class Actions(Provider):
         for action in self._allowed():
             score = matcher.match(self._words(action))
             if score > 0:
-                yield Hit(score, self._words(action), lambda name=action.name: self._desk.do(name))
+                yield Hit(
+                    score, self._words(action), lambda name=action.name: self._application.do(name)
+                )
 
     def _allowed(self) -> list[Action]:
-        return [action for action in ACTIONS if self._desk.allowed(action.name)]
+        return [action for action in ACTIONS if self._application.allowed(action.name)]
 
     @property
-    def _desk(self) -> Application:
+    def _application(self) -> Application:
         return cast("Application", self.app)
 
     def _words(self, action: Action) -> str:
-        return f"{self._desk.label(action.name)}: {action.help}"
+        return f"{self._application.label(action.name)}: {action.help}"

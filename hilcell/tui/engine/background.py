@@ -19,7 +19,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-async def aside(work: Callable[P, T], *args: P.args, **facts: P.kwargs) -> T:
+async def run_in_thread(work: Callable[P, T], *args: P.args, **facts: P.kwargs) -> T:
     """Return what a function returns, or raise what it raises."""
     future: Future[T] = Future()
 
@@ -30,15 +30,15 @@ async def aside(work: Callable[P, T], *args: P.args, **facts: P.kwargs) -> T:
         except Exception as error:  # noqa: BLE001 - raised where it is awaited
             future.set_exception(error)
 
-    threading.Thread(target=run, name="aside", daemon=True).start()
+    threading.Thread(target=run, name="run_in_thread", daemon=True).start()
     return await asyncio.wrap_future(future)
 
 
-WHOLE_S = 30.0
+FULL_COLLECTION_S = 30.0
 NEVER = 1_000_000_000
 
 
-class Collector:
+class GarbageCollector:
     """Takes whole collections over from the interpreter until `end`."""
 
     def __init__(self, now_s: float) -> None:
@@ -49,7 +49,7 @@ class Collector:
 
     def tick(self, *, at_rest: bool, now_s: float) -> None:
         """Collect everything, where that may be done now and was not done lately."""
-        if at_rest and now_s - self._whole_s >= WHOLE_S:
+        if at_rest and now_s - self._whole_s >= FULL_COLLECTION_S:
             self._whole_s = now_s
             gc.collect()
 

@@ -1,7 +1,7 @@
 """Follows one run from a thread of its own: the journal as it grows, the engine as it answers.
 
 Reading may block, so it never happens where keys are taken. What was read is handed over as one
-`Fresh`; the screen alone keeps state.
+`RunUpdate`; the screen alone keeps state.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from hilcell.journal.journal import Record, StorageError, is_there, read_journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.run.client import EngineClient, EngineLost, EngineSilent
 from hilcell.run.protocol import Status
-from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.engine.run_view import EngineState
 
 QUIET_S = 0.5  # where no engine is at work, little happens
 REOPEN_S = 10.0  # a line that was silent for so long is opened again
 
 
 @dataclass(frozen=True, slots=True)
-class Fresh:
+class RunUpdate:
     """What one look has brought."""
 
     records: list[Record] = field(default_factory=list)
@@ -37,7 +37,9 @@ class Fresh:
 class Feed:
     """Looks at a run every ``period_s`` and hands over what is new."""
 
-    def __init__(self, folder: Path, deliver: Callable[[Fresh], object], period_s: float) -> None:
+    def __init__(
+        self, folder: Path, deliver: Callable[[RunUpdate], object], period_s: float
+    ) -> None:
         self.folder = folder
         self.client: EngineClient | None = None
         self._deliver, self._period_s = deliver, period_s
@@ -82,16 +84,16 @@ class Feed:
                 self._soon.clear()
         self._let_go()  # a line that was being opened when the end came
 
-    def _look(self) -> Fresh:
+    def _look(self) -> RunUpdate:
         engine, status = self._hear()
         try:
             records = read_journal(self.folder / JOURNAL, after=self._seen)
         except StorageError as error:
             waits = engine is not EngineState.NONE or self._lacks(JOURNAL)
-            return Fresh([], engine, status, "" if waits and not self._seen else str(error))
+            return RunUpdate([], engine, status, "" if waits and not self._seen else str(error))
         self._seen += len(records)
         calibrated = engine is not EngineState.NONE or not self._lacks(CALIBRATION)
-        return Fresh(records, engine, status, calibrated=calibrated)
+        return RunUpdate(records, engine, status, calibrated=calibrated)
 
     def _lacks(self, name: str) -> bool:
         """Whether a file is not there, as far as that can be told."""
@@ -115,9 +117,9 @@ class Feed:
             self.client = None
             return EngineState.NONE, None
         except HilcellError:
-            return EngineState.HEARD, None
+            return EngineState.ANSWERING, None
         self._heard_s = time.monotonic()
-        return EngineState.HEARD, status
+        return EngineState.ANSWERING, status
 
     def _connected(self) -> EngineClient | None:
         """Return the client of the engine, connected where it was not."""

@@ -1,4 +1,4 @@
-"""The runs that this screen is attached to: the one that is shown, and its own live one behind it.
+"""The runs that this screen is attached to: the one shown, and a live one in the background.
 
 The live run that is left to look at others keeps its line: a stop reaches it as before, and its
 engine still learns when this screen is lost. Other live runs are visited only: a screen that
@@ -14,52 +14,52 @@ if TYPE_CHECKING:
 
 
 class OpenRuns:
-    """Holds the sessions; each is closed once it is neither shown nor the live one behind."""
+    """Holds the sessions; each is closed once it is neither shown nor in the background."""
 
     def __init__(self) -> None:
         self.shown: Session | None = None
-        self.behind: Session | None = None
+        self.background: Session | None = None
 
     @property
     def all(self) -> list[Session]:
         """Return both; the live one first, for a past run may lie on a disk that answers late."""
-        return [each for each in (self.behind, self.shown) if each is not None]
+        return [each for each in (self.background, self.shown) if each is not None]
 
     @property
     def live(self) -> list[Session]:
         """Return the sessions whose runs have an engine at work."""
-        return [each for each in self.all if each.scene.live]
+        return [each for each in self.all if each.view.live]
 
     def show(self, session: Session | None) -> None:
-        """Show a run, or none; this screen's own live one goes on behind it."""
-        left, visiting = self.shown, self.behind is not None
+        """Show a run, or none; a live one goes on in the background."""
+        left, visiting = self.shown, self.background is not None
         self.shown = session
-        if session is self.behind:
-            self.behind = None
+        if session is self.background:
+            self.background = None
         if left is None:
             return
         again = session is not None and session.folder == left.folder
-        if left.scene.live and not visiting and not again:
-            self.behind = left
+        if left.view.live and not visiting and not again:
+            self.background = left
         else:
             left.close(leave=True)
 
-    def drop_ended(self) -> Session | None:
-        """Let go of the run behind, if it has ended; return it then."""
-        ended = self.behind
-        if ended is None or ended.scene.live:
+    def close_ended(self) -> Session | None:
+        """Close the background run if it has ended; return it then."""
+        ended = self.background
+        if ended is None or ended.view.live:
             return None
-        self.behind = None
+        self.background = None
         ended.close(leave=True)
         return ended
 
     def stop(self) -> bool:
-        """Stop everything, from whatever thread; return whether an engine was there to hear."""
+        """Stop everything, from any thread; return whether an engine received it."""
         sent = [each.stop() for each in self.all]  # each of them, not the first alone
         return any(sent)
 
     def leave(self) -> None:
-        """Let go of every run; live ones go on."""
+        """Detach from every run; live ones go on."""
         for each in self.all:
             each.close(leave=True)
-        self.shown = self.behind = None
+        self.shown = self.background = None

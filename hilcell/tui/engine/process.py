@@ -19,7 +19,7 @@ from hilcell.errors import HilcellError
 
 REASON = "hilcell: "
 MOST_LINES = 7  # of an engine's last words are shown
-UNTOLD = {  # exits that the journal may not tell of
+EXIT_REASONS = {  # exits that the journal may not tell of
     -SIGTERM: "stopped before anything moved",
     2: "refused",
     5: "a defect of hilcell; please report it",
@@ -30,7 +30,7 @@ HILCELL = (sys.executable, "-m", "hilcell")
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class RunRequest:
     """What is asked for in the form."""
 
     cell: str
@@ -42,7 +42,7 @@ class Order:
     attended: bool = True
     settings: tuple[str, ...] = ()
 
-    def words(self) -> list[str]:
+    def arguments(self) -> list[str]:
         """Return the command line of `hilcell run`."""
         words = ["run", self.procedure, "--cell", self.cell, "--seed", self.seed]
         for option, value in (
@@ -57,24 +57,24 @@ class Order:
 
 
 @dataclass(frozen=True, slots=True)
-class Started:
+class StartedEngine:
     """An engine that this screen has started, and the file that it alone speaks to."""
 
     process: subprocess.Popen[bytes]
-    said: Path
+    log_file: Path
 
-    def end(self) -> str:
+    def wait_for_end(self) -> str:
         """Wait for the engine's end; return what the journal may not tell of it, else nothing."""
         from hilcell.journal.runs import JOURNAL  # not for the first screen
 
         code = self.process.wait()
-        if code not in UNTOLD and (self.said.parent / JOURNAL).is_file():
+        if code not in EXIT_REASONS and (self.log_file.parent / JOURNAL).is_file():
             return ""
-        reason = _last_words(self.said) or UNTOLD.get(code, "without a word")
+        reason = _last_reason(self.log_file) or EXIT_REASONS.get(code, "without a word")
         return f"the engine ended, exit {code}: {reason}"
 
 
-def start(runs: Path, run: str, words: Sequence[str]) -> Started:
+def start_engine(runs: Path, run: str, words: Sequence[str]) -> StartedEngine:
     """Start an engine in a session of its own; what it says goes to a file in the run's folder.
 
     Raises `HilcellError` where nothing can be written there.
@@ -90,7 +90,7 @@ def start(runs: Path, run: str, words: Sequence[str]) -> Started:
                 stderr=said,
                 start_new_session=True,
             )
-            return Started(process, Path(said.name))
+            return StartedEngine(process, Path(said.name))
     except OSError as error:
         raise HilcellError(f"no engine was started: {folder}: {error.strerror}") from error
 
@@ -103,10 +103,10 @@ def _new_file(folder: Path) -> BinaryIO:
     raise AssertionError("numbers never end")
 
 
-def _last_words(said: Path) -> str:
+def _last_reason(log_file: Path) -> str:
     """Return the reason that an engine gave last, without what it reported before."""
     try:
-        lines = said.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        lines = log_file.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     except OSError:
         return ""  # the run's folder is gone, or its disk
     reasons = [number for number, line in enumerate(lines) if line.startswith(REASON)]
@@ -114,7 +114,7 @@ def _last_words(said: Path) -> str:
     return "\n".join(last).removeprefix(REASON)
 
 
-async def ask_hilcell(*words: str) -> str:
+async def run_command(*words: str) -> str:
     """Run a command that moves nothing and return what it said; raises `HilcellError`."""
     process = await asyncio.create_subprocess_exec(
         *HILCELL,
@@ -131,8 +131,8 @@ async def ask_hilcell(*words: str) -> str:
     return out.decode(errors="replace") + err.decode(errors="replace")
 
 
-async def dry_run(order: Order) -> dict[str, Any]:
-    """Return the plan of an order; raises `HilcellError` with every refusal."""
-    text = await ask_hilcell(*order.words(), "--dry-run", "--json")
+async def dry_run(request: RunRequest) -> dict[str, Any]:
+    """Return the plan of an request; raises `HilcellError` with every refusal."""
+    text = await run_command(*request.arguments(), "--dry-run", "--json")
     plan: dict[str, Any] = msgspec.json.decode(text.splitlines()[0], type=dict[str, Any])
     return plan

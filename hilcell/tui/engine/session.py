@@ -1,4 +1,4 @@
-"""One attachment of the screen to one run: its feed, and the scene that the feed fills."""
+"""One attachment of the screen to one run: its feed, and the view that the feed fills."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from hilcell.errors import HilcellError
 from hilcell.run.client import EngineClient, stop_engine
 from hilcell.run.forecast import Forecast
 from hilcell.run.protocol import Command
-from hilcell.tui.engine.feed import Feed, Fresh
-from hilcell.tui.engine.scene import EngineState, Scene
+from hilcell.tui.engine.feed import Feed, RunUpdate
+from hilcell.tui.engine.run_view import EngineState, RunView
 
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
@@ -31,13 +31,13 @@ class Session:
     def __init__(
         self,
         folder: Path,
-        deliver: Callable[[Fresh], object],
+        deliver: Callable[[RunUpdate], object],
         period_s: float,
         process: subprocess.Popen[bytes] | None = None,
         go_on: str = GO_ON,
     ) -> None:
         self.folder = folder
-        self.scene = Scene(
+        self.view = RunView(
             folder.name, engine=EngineState.STARTING if process else EngineState.UNKNOWN
         )
         self.latch = Latch()
@@ -48,55 +48,53 @@ class Session:
         self._heard: datetime | None = None
         self.feed = Feed(folder, deliver, period_s)
 
-    def take(self, fresh: Fresh, now: datetime) -> None:
+    def take(self, fresh: RunUpdate, now: datetime) -> None:
         """Add what one look has brought."""
         if not self._foreign:
             self._take_records(fresh.records)
-        scene = self.scene
-        scene.trouble = self._foreign or fresh.trouble
+        view = self.view
+        view.trouble = self._foreign or fresh.trouble
         if fresh.status is not None:
-            scene.status, self._heard = fresh.status, now
-        before = scene.engine, scene.calibrated
-        scene.engine, scene.calibrated = self._engine(fresh.engine), fresh.calibrated
-        changed = (scene.engine, scene.calibrated) != before
+            view.status, self._heard = fresh.status, now
+        before = view.engine, view.calibrated
+        view.engine, view.calibrated = self._engine(fresh.engine), fresh.calibrated
+        changed = (view.engine, view.calibrated) != before
         news = changed or (fresh.records and not self._foreign)
-        if news and scene.log.plan is not None:
-            present = scene.engine is not EngineState.NONE
-            lost = not scene.calibrated
-            scene.alarms = alarms_of(
-                scene.log, scene.run, live=present, go_on=self._go_on, lost=lost
-            )
-            self.latch.take(scene.alarms)
+        if news and view.log.plan is not None:
+            present = view.engine is not EngineState.NONE
+            lost = not view.calibrated
+            view.alarms = alarms_of(view.log, view.run, live=present, go_on=self._go_on, lost=lost)
+            self.latch.take(view.alarms)
         self.tick(now)
 
     def _engine(self, found: EngineState) -> EngineState:
         if found is not EngineState.NONE:
             return found
-        begins = self.scene.engine is EngineState.STARTING
+        begins = self.view.engine is EngineState.STARTING
         running = self.process is not None and self.process.poll() is None
         return EngineState.STARTING if begins and running else EngineState.NONE
 
     def _take_records(self, records: Sequence[Record]) -> None:
-        scene = self.scene
+        view = self.view
         try:
             for record in records:
-                scene.take(record)
+                view.take(record)
                 self._forecast.take(record)
-            if scene.records:
-                _ = scene.log.cell  # read here, so that every line may rely on it
+            if view.records:
+                _ = view.log.cell  # read here, so that every line may rely on it
         except (HilcellError, msgspec.ValidationError) as error:
-            self._foreign = f"{scene.run}: written by another version of hilcell: {error}"
-            self.scene = Scene(scene.run)
+            self._foreign = f"{view.run}: written by another version of hilcell: {error}"
+            self.view = RunView(view.run)
 
     def tick(self, now: datetime) -> None:
         """Let time pass: ages grow, the forecast counts down."""
-        scene = self.scene
-        scene.now = now
-        scene.heard_s = (now - self._heard).total_seconds() if self._heard is not None else 0.0
-        last = datetime.fromisoformat(scene.records[-1].t) if scene.records else now
-        at = now if scene.live else last
-        scene.elapsed_s = self._forecast.elapsed_s(at)
-        scene.remaining_s = self._forecast.remaining_s(at)
+        view = self.view
+        view.now = now
+        view.status_age_s = (now - self._heard).total_seconds() if self._heard is not None else 0.0
+        last = datetime.fromisoformat(view.records[-1].t) if view.records else now
+        at = now if view.live else last
+        view.elapsed_s = self._forecast.elapsed_s(at)
+        view.remaining_s = self._forecast.remaining_s(at)
 
     def stop(self) -> bool:
         """Send a stop at once, from whatever thread; return whether an engine was there to hear.
@@ -108,7 +106,7 @@ class Session:
         client = self.feed.client
         if (client is not None and client.stop()) or stop_engine(self.folder):
             return True
-        if self.process is None or self.scene.engine is not EngineState.STARTING:
+        if self.process is None or self.view.engine is not EngineState.STARTING:
             return False
         self.process.terminate()  # does nothing where it has ended
         return True

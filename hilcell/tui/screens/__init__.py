@@ -1,1 +1,1 @@
-"""One file a screen; each shows the scene and posts commands."""
+"""One file a screen; each shows the view and posts commands."""

@@ -19,13 +19,13 @@ from textual.widgets import Input
 from hilcell.tui.keys import BY_NAME, Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.terminal.themes import NAMES
-from hilcell.tui.widgets import Panel
+from hilcell.tui.widgets import TextPanel
 
 if TYPE_CHECKING:
     from hilcell.alarms import Latch
-    from hilcell.tui.app.actions import Acts
+    from hilcell.tui.app.actions import RunActions
     from hilcell.tui.engine.open_runs import OpenRuns
-    from hilcell.tui.engine.scene import Scene
+    from hilcell.tui.engine.run_view import RunView
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +48,12 @@ class Application(Protocol):
     options: Options
     glyphs: Glyphs
     keymap: Keymap
-    attached: OpenRuns
-    acts: Acts
-    unhurried: bool  # whether the key under way came by itself, not in a burst
+    open_runs: OpenRuns
+    actions: RunActions
+    key_is_deliberate: bool  # whether the key under way came by itself, not in a burst
 
     @property
-    def scene(self) -> Scene | None:
+    def view(self) -> RunView | None:
         """Return what is known of the run that is shown."""
 
     @property
@@ -69,21 +69,21 @@ class Application(Protocol):
     def do(self, name: str) -> None:
         """Do an action, where it is allowed."""
 
-    def background(self, work: Coroutine[Any, Any, None]) -> None:
+    def start_task(self, work: Coroutine[Any, Any, None]) -> None:
         """Do something that may take a while; what goes wrong is said."""
 
     def attach(self, folder: Path, process: Any = None) -> None:
         """Show a run in place of the one shown."""
 
-    def go_back(self) -> None:
-        """Show the live run again that goes on behind this one."""
+    def show_background_run(self) -> None:
+        """Show the background run again."""
 
     def open_run(self, folder: Path) -> None:
         """Show another run; leaving a live one asks."""
 
 
-class SceneScreen(Screen[None]):
-    """A screen that is shown the scene again whenever it has changed."""
+class BaseScreen(Screen[None]):
+    """A screen that is shown the view again whenever it has changed."""
 
     footer: ClassVar[tuple[str, ...]] = ()  # actions, in the order of their weight
     fixed: ClassVar[tuple[tuple[str, str], ...]] = ()  # keys that cannot be rebound
@@ -91,34 +91,34 @@ class SceneScreen(Screen[None]):
 
     def __init__(self) -> None:
         super().__init__()
-        self.stands = asyncio.Event()  # set once every part is built
+        self.built = asyncio.Event()  # set once every part is built
         self._said = ""
         self._said_at: object = None  # the moment that a notice is about
 
     @property
-    def here(self) -> bool:
+    def is_shown(self) -> bool:
         """Whether every part stands and the screen was not left: messages come before and after."""
-        built = self.stands.is_set() and bool(self.query("#keys"))  # parts are taken down first
+        built = self.built.is_set() and bool(self.query("#keys"))  # parts are taken down first
         return built and self.app.is_running and self in self.app.screen_stack
 
     @property
-    def cell(self) -> Application:
+    def application(self) -> Application:
         """Return the application, as screens see it."""
         return cast("Application", self.app)
 
     @property
-    def wide(self) -> int:
+    def line_width(self) -> int:
         """Return how many columns a line may take."""
         return max(self.app.size.width, 20)
 
-    def panel(self, name: str) -> Panel:
+    def panel(self, name: str) -> TextPanel:
         """Return a panel by its name."""
-        return self.query_one(f"#{name}", Panel)
+        return self.query_one(f"#{name}", TextPanel)
 
     def on_mount(self) -> None:
         """Show what is known already."""
-        self.stands.set()
-        self.show(self.cell.scene)
+        self.built.set()
+        self.show(self.application.view)
 
     def on_resize(self) -> None:
         """Lay the lines out again."""
@@ -130,82 +130,82 @@ class SceneScreen(Screen[None]):
 
     def on_descendant_focus(self) -> None:
         """Show the keys that do something there."""
-        if self.here:
+        if self.is_shown:
             self.panel("keys").show(self.key_line())
 
     def show_again(self) -> None:
-        """Show the scene as it is now; before this screen is built, or after it, nothing."""
-        if self.here:
-            self.show(self.cell.scene)
+        """Show the view as it is now; before this screen is built, or after it, nothing."""
+        if self.is_shown:
+            self.show(self.application.view)
 
-    def show(self, scene: Scene | None) -> None:
-        """Show the scene."""
+    def show(self, view: RunView | None) -> None:
+        """Show the view."""
         self.panel("keys").show(self.key_line())
-        if self._said_at is not None and self._said_at != _moment(scene):
-            self.notice("")
-        if scene is not None and self.query("#banner"):
-            from hilcell.tui.text import run as words  # reads journals: not for the first screen
+        if self._said_at is not None and self._said_at != _moment(view):
+            self.show_notice("")
+        if view is not None and self.query("#banner"):
+            from hilcell.tui.text import run as run_text  # reads journals: not for the first screen
 
-            behind = self.cell.attached.behind
-            other = behind.scene if behind is not None else None
-            lines = words.banner(scene, self.cell.glyphs, self.wide, other)
+            background = self.application.open_runs.background
+            other = background.view if background is not None else None
+            lines = run_text.banner(view, self.application.glyphs, self.line_width, other)
             self.panel("banner").show(lines)
 
-    def notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
+    def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
         """Say something on the line above the keys, until the next key.
 
         ``for_now``: only while the run's state and its prompt stay as they are. ``over``: also
         where something else is being said.
         """
-        if not self.here or (self._said and not over):
+        if not self.is_shown or (self._said and not over):
             return
         self._said = text
-        self._said_at = _moment(self.cell.scene) if for_now else None
+        self._said_at = _moment(self.application.view) if for_now else None
         panel = self.panel("notice")
         panel.display = bool(text)
         panel.show(Content.styled(text, "$warn"))
 
-    def take_back(self, text: str) -> None:
+    def clear_notice(self, text: str) -> None:
         """Say no longer what is true no longer."""
         if self._said == text:
-            self.notice("")
+            self.show_notice("")
 
     def key_line(self) -> Content:
         """Return element 10: the keys that do something now."""
         typing = isinstance(self.focused, Input)
         parts: list[tuple[str, str]] = list(self.in_box if typing else self.fixed)
         parts += [
-            (shown(self.cell.keymap[name][0]), self.label(name))
+            (shown(self.application.keymap[name][0]), self.label(name))
             for name in self.footer
-            if self.cell.allowed(name) and (BY_NAME[name].everywhere or not typing)
+            if self.application.allowed(name) and (BY_NAME[name].everywhere or not typing)
         ]
         line = Content("")
         for key, label in parts:
             each = Content.assemble((key, "bold $on-quiet on $quiet"), f" {label}  ")
-            if line.cell_length + each.cell_length <= self.wide + 2:
+            if line.cell_length + each.cell_length <= self.line_width + 2:
                 line = line.append(each)
         return line
 
     def label(self, name: str) -> str:
         """Return what an action is called now."""
-        scene = self.cell.scene
-        if name == "pause" and scene is not None:
-            if not scene.live:
+        view = self.application.view
+        if name == "pause" and view is not None:
+            if not view.live:
                 return "resume"
-            if scene.prompt is not None:
+            if view.prompt is not None:
                 return "answer"
-            return "pause" if scene.key == "running" else "go on"
+            return "pause" if view.state == "running" else "go on"
         return BY_NAME[name].label
 
 
-def _moment(scene: Scene | None) -> tuple[str, bool]:
+def _moment(view: RunView | None) -> tuple[str, bool]:
     """Return what a passing notice is about: the state, and whether a prompt can be answered."""
-    if scene is None:
+    if view is None:
         return "", False
-    return scene.key, scene.prompt is not None and scene.prompt.ready
+    return view.state, view.prompt is not None and view.prompt.ready
 
 
-class Page(SceneScreen):
+class Page(BaseScreen):
     """A whole-screen page over the run: the state stays in sight, q goes back."""
 
     title_text: ClassVar[str] = ""
@@ -216,22 +216,22 @@ class Page(SceneScreen):
 
     def compose(self) -> ComposeResult:
         """Build banner, title, body and key line."""
-        yield Panel("banner")
-        yield Panel("title")
+        yield TextPanel("banner")
+        yield TextPanel("title")
         yield from self.body()
-        yield Panel("notice")
-        yield Panel("keys")
+        yield TextPanel("notice")
+        yield TextPanel("keys")
 
     def body(self) -> ComposeResult:
         """Build what stands between title and keys."""
         return iter(())
 
     def on_mount(self) -> None:
-        """Show title and scene."""
+        """Show title and view."""
         self.panel("notice").display = False
         self.panel("title").show(Content.styled(self.title_text, "bold"))
         super().on_mount()
-        first = next(iter(self.query("Rows, Input, #body").results(Widget)), None)
+        first = next(iter(self.query("Table, Input, #body").results(Widget)), None)
         if first is not None and first.focusable:
             first.focus()
 
@@ -254,18 +254,18 @@ class Dialog(ModalScreen[T]):
     def compose(self) -> ComposeResult:
         """Build the box."""
         with Vertical(id="dialog"):
-            yield Panel("question")
-            yield Panel("answers")
+            yield TextPanel("question")
+            yield TextPanel("answers")
 
     @property
     def deliberate(self) -> bool:
         """Whether the key under way is an answer: a scanner's Enter, or a held one, is none."""
-        return cast("Application", self.app).unhurried
+        return cast("Application", self.app).key_is_deliberate
 
-    def put(self, question: Content, answers: Content) -> None:
+    def show_texts(self, question: Content, answers: Content) -> None:
         """Show both."""
-        self.query_one("#question", Panel).show(question)
-        self.query_one("#answers", Panel).show(answers)
+        self.query_one("#question", TextPanel).show(question)
+        self.query_one("#answers", TextPanel).show(answers)
 
     def on_resize(self) -> None:
         """Let the question yield to the answers."""
@@ -299,7 +299,7 @@ class Confirm(Dialog[str]):
     def on_mount(self) -> None:
         """Show the question."""
         question = Content.assemble((self._title, "bold $warn"), "\n", self._text, "\n")
-        self.put(question, answer_keys(self._yes, "no"))
+        self.show_texts(question, answer_keys(self._yes, "no"))
 
     def action_reply(self, word: str) -> None:
         """Close with the answer."""

@@ -9,13 +9,13 @@ from textual.app import ComposeResult
 from textual.content import Content
 
 from hilcell.errors import HilcellError
-from hilcell.tui.engine import process as engine
-from hilcell.tui.engine.background import aside
+from hilcell.tui.engine import process
+from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.keys import shown
 from hilcell.tui.screens.base import Page
-from hilcell.tui.screens.pages import Finding
+from hilcell.tui.screens.pages import FilterScreen
 from hilcell.tui.text.tables import columns_for, history_row
-from hilcell.tui.widgets import Column, Panel, Row, Rows
+from hilcell.tui.widgets import Column, Row, Table, TextPanel
 
 if TYPE_CHECKING:
     from hilcell.journal.index import RunRow
@@ -25,7 +25,7 @@ TO_COMPARE = 2
 AGAIN_S = 3.0
 
 
-class HistoryPage(Finding, Page):
+class HistoryPage(FilterScreen, Page):
     """Element 12. The rows come from the index; a run is read only when it is opened."""
 
     title_text = "History"
@@ -43,8 +43,10 @@ class HistoryPage(Finding, Page):
 
     def body(self) -> ComposeResult:
         """Build filter and rows."""
-        yield Rows(columns_for(80), empty="reading the index ...", plain=self.cell.glyphs.plain)
-        yield self.find_box("filter: words, state:faulted, operator:ann, -word")
+        yield Table(
+            columns_for(80), empty="reading the index ...", plain=self.application.glyphs.plain
+        )
+        yield self.filter_box("filter: words, state:faulted, operator:ann, -word")
 
     def on_mount(self) -> None:
         """Read the index off the thread that takes keys."""
@@ -55,45 +57,45 @@ class HistoryPage(Finding, Page):
     def on_resize(self) -> None:
         """Show as many columns as fit."""
         super().on_resize()
-        if self.here:
+        if self.is_shown:
             self.filter_rows()
 
     def _begin(self) -> None:
         """Read, once at a time: the first index of many runs takes a while."""
         if not self._reading:
             self._reading = True
-            self.cell.background(self._read())
+            self.application.start_task(self._read())
 
     async def _read(self) -> None:
         from hilcell.journal.index import read_index
 
         try:
-            self._runs = await aside(read_index, self.cell.options.runs)
+            self._runs = await run_in_thread(read_index, self.application.options.runs)
         finally:
             self._reading = False
-        if self.here:
-            self.query_one(Rows).empty = "no such run"
+        if self.is_shown:
+            self.query_one(Table).empty = "no such run"
             self.filter_rows()
 
     def filter_rows(self) -> None:
         """Show the runs with all the words."""
         from hilcell.journal.index import matches
 
-        found = [run for run in self._runs if matches(run, self.wanted)]
+        found = [run for run in self._runs if matches(run, self.filter_text)]
         wide = self.app.size.width
         rows = [history_row(run, self._marked, wide) for run in found]
-        self.query_one(Rows).put(rows, columns_for(wide))
+        self.query_one(Table).show_rows(rows, columns_for(wide))
         title = f"History: {len(found)} of {len(self._runs)} runs; errors in mm"
         self.panel("title").show(Content.styled(title, "bold"))
 
-    def on_rows_chosen(self, message: Rows.Chosen) -> None:
+    def on_table_row_selected(self, message: Table.RowSelected) -> None:
         """Open a run."""
         if message.key:
-            self.cell.open_run(self.cell.options.runs / message.key)
+            self.application.open_run(self.application.options.runs / message.key)
 
     def do_mark(self) -> None:
         """Mark a run, or take its mark away; of more than two the oldest mark goes."""
-        key = self.query_one(Rows).key
+        key = self.query_one(Table).key
         if key in self._marked:
             self._marked.remove(key)
         elif key:
@@ -103,7 +105,9 @@ class HistoryPage(Finding, Page):
     def do_compare(self) -> None:
         """Compare the two marked runs."""
         if len(self._marked) != TO_COMPARE:
-            self.notice(f"mark two runs with {shown(self.cell.keymap['mark'][0])} first")
+            self.show_notice(
+                f"mark two runs with {shown(self.application.keymap['mark'][0])} first"
+            )
             return
         from hilcell.tui.screens.history import ComparePage
 
@@ -135,30 +139,30 @@ class ComparePage(Page):
 
     def body(self) -> ComposeResult:
         """Build the words and the rows."""
-        yield Panel("told")
-        yield Rows(COLUMNS, empty="reading both journals ...", plain=self.cell.glyphs.plain)
+        yield TextPanel("comparison_text")
+        yield Table(COLUMNS, empty="reading both journals ...", plain=self.application.glyphs.plain)
 
     def on_mount(self) -> None:
         """Compare."""
         super().on_mount()
-        self.cell.background(self._compare())
+        self.application.start_task(self._compare())
 
     async def _compare(self) -> None:
-        runs = str(self.cell.options.runs)
+        runs = str(self.application.options.runs)
         words = ("compare", self._first, self._second, "--runs", runs, "--json")
         try:
-            found = msgspec.json.decode(await engine.ask_hilcell(*words), type=dict[str, Any])
+            found = msgspec.json.decode(await process.run_command(*words), type=dict[str, Any])
         except HilcellError:
-            if self.here:
-                self.query_one(Rows).empty = "nothing to compare"
-                self.query_one(Rows).refresh()
+            if self.is_shown:
+                self.query_one(Table).empty = "nothing to compare"
+                self.query_one(Table).refresh()
             raise
-        if self.here:
-            self.panel("told").show(told(found))
-            self.query_one(Rows).put([change_row(each) for each in found["changes"]])
+        if self.is_shown:
+            self.panel("comparison_text").show(comparison_text(found))
+            self.query_one(Table).show_rows([change_row(each) for each in found["changes"]])
 
 
-def told(found: dict[str, Any]) -> Content:
+def comparison_text(found: dict[str, Any]) -> Content:
     """Return which runs, in what they differ, and the verdict."""
     lines = [f"{found['first']}  ->  {found['second']}"]
     lines += [

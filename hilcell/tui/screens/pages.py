@@ -16,15 +16,15 @@ from textual.content import Content
 from textual.widgets import Input
 
 from hilcell.errors import HilcellError
-from hilcell.tui.engine import process as engine
-from hilcell.tui.engine.scene import Scene
-from hilcell.tui.screens.base import Page, SceneScreen
+from hilcell.tui.engine import process
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.text.alarms import alarm_page, interlock_page
 from hilcell.tui.text.help import help_lines
 from hilcell.tui.text.plots import PLOTS, draw
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.tables import COLUMNS, record_row
-from hilcell.tui.widgets import Field, Panel, Row, Rows
+from hilcell.tui.widgets import Row, Table, TextField, TextPanel
 
 
 class TextPage(Page):
@@ -35,14 +35,14 @@ class TextPage(Page):
     def body(self) -> ComposeResult:
         """Build one text that scrolls."""
         with VerticalScroll(classes="scroll", id="body", can_focus=True):
-            yield Panel("text")
+            yield TextPanel("text")
 
-    def show(self, scene: Scene | None) -> None:
+    def show(self, view: RunView | None) -> None:
         """Show the text."""
-        super().show(scene)
-        self.panel("text").show(self.text(scene))
+        super().show(view)
+        self.panel("text").show(self.text(view))
 
-    def text(self, scene: Scene | None) -> Content:
+    def text(self, view: RunView | None) -> Content:
         """Return what the page says."""
         raise NotImplementedError
 
@@ -53,11 +53,11 @@ class AlarmPage(TextPage):
     title_text = "Alarms"
     footer = ("stop", "acknowledge", "pause", "quit")
 
-    def text(self, scene: Scene | None) -> Content:
+    def text(self, view: RunView | None) -> Content:
         """Return the alarms, newest first."""
-        if scene is None:
+        if view is None:
             return Content("")
-        return alarm_page(scene.alarms, self.cell.latch, self.cell.glyphs)
+        return alarm_page(view.alarms, self.application.latch, self.application.glyphs)
 
 
 class InterlockPage(TextPage):
@@ -66,9 +66,9 @@ class InterlockPage(TextPage):
     title_text = "Interlocks: what must be true before anything moves"
     footer = ("stop", "pause", "quit")
 
-    def text(self, scene: Scene | None) -> Content:
+    def text(self, view: RunView | None) -> Content:
         """Return conditions and readings."""
-        return interlock_page(scene, self.cell.glyphs) if scene is not None else Content("")
+        return interlock_page(view, self.application.glyphs) if view is not None else Content("")
 
 
 class HelpPage(TextPage):
@@ -77,9 +77,9 @@ class HelpPage(TextPage):
     title_text = "Help"
     footer = ("stop", "quit")
 
-    def text(self, scene: Scene | None) -> Content:
+    def text(self, view: RunView | None) -> Content:
         """Return the help."""
-        return help_lines(self.cell.keymap, self.cell.glyphs)
+        return help_lines(self.application.keymap, self.application.glyphs)
 
 
 class DetailPage(TextPage):
@@ -92,24 +92,24 @@ class DetailPage(TextPage):
         super().__init__()
         self._key = key
 
-    def text(self, scene: Scene | None) -> Content:
+    def text(self, view: RunView | None) -> Content:
         """Return the point."""
-        return point_page(scene, self._key) if scene is not None else Content("")
+        return point_page(view, self._key) if view is not None else Content("")
 
     def do_retake(self) -> None:
         """Re-measure this point."""
-        self.cell.acts.retake(self._key)
+        self.application.actions.retake(self._key)
 
 
-class Finding(SceneScreen):
-    """A screen with rows and a filter; ``wanted`` is what was typed."""
+class FilterScreen(BaseScreen):
+    """A screen with rows and a filter; ``filter_text`` is what was typed."""
 
     in_box = (("Enter", "to the rows"),)
-    wanted = ""
+    filter_text = ""
 
-    def find_box(self, hint: str) -> Input:
+    def filter_box(self, hint: str) -> Input:
         """Return the filter's box, to stand under the rows."""
-        box = Field(placeholder=hint, id="find")
+        box = TextField(placeholder=hint, id="find")
         box.display = False
         return box
 
@@ -125,7 +125,7 @@ class Finding(SceneScreen):
 
     def on_input_changed(self, message: Input.Changed) -> None:
         """Filter as one types."""
-        self.wanted = message.value
+        self.filter_text = message.value
         message.input.display = bool(message.value) or message.input.has_focus  # never unseen
         self.filter_rows()
 
@@ -133,10 +133,10 @@ class Finding(SceneScreen):
         """Keep the filter and go back to the rows; an empty one closes."""
         box = self.query_one("#find", Input)
         box.display = bool(box.value)
-        self.set_focus(self.query_one(Rows))  # at once, as above
+        self.set_focus(self.query_one(Table))  # at once, as above
 
 
-class LogPage(Finding, Page):
+class LogPage(FilterScreen, Page):
     """Element 13: the newest two thousand records; the journal keeps all."""
 
     title_text = "Event log"
@@ -149,22 +149,22 @@ class LogPage(Finding, Page):
 
     def body(self) -> ComposeResult:
         """Build rows and filter."""
-        rows = Rows(COLUMNS, empty="no records", plain=self.cell.glyphs.plain)
+        rows = Table(COLUMNS, empty="no records", plain=self.application.glyphs.plain)
         rows.follow = True
         yield rows
-        yield self.find_box("filter: words of a record")
+        yield self.filter_box("filter: words of a record")
 
     def on_mount(self) -> None:
         """Begin at the newest record."""
         super().on_mount()
-        self.query_one(Rows).action_to(-1)
+        self.query_one(Table).action_to(-1)
 
-    def show(self, scene: Scene | None) -> None:
+    def show(self, view: RunView | None) -> None:
         """Add what is new."""
-        super().show(scene)
-        if scene is None:
+        super().show(view)
+        if view is None:
             return
-        fresh = [record for record in scene.records if record.seq > self._seq]
+        fresh = [record for record in view.records if record.seq > self._seq]
         if fresh:
             self._seq = fresh[-1].seq
             self._rows += [record_row(record) for record in fresh]
@@ -172,16 +172,16 @@ class LogPage(Finding, Page):
 
     def filter_rows(self) -> None:
         """Show the records with all the words."""
-        words = self.wanted.lower().split()
+        words = self.filter_text.lower().split()
         wanted = [row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)]
-        self.query_one(Rows).put(wanted)
+        self.query_one(Table).show_rows(wanted)
 
 
 REDRAW_S = 0.5
 
 
 class PlotPage(Page):
-    """Element 11. Drawn twice a second at most: a drawing costs as much as twenty lines."""
+    """Element 11. HasGlyphs twice a second at most: a drawing costs as much as twenty lines."""
 
     footer = ("stop", "pause", "alarms", "quit")
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("left right", "other plot"))
@@ -199,23 +199,23 @@ class PlotPage(Page):
 
     def body(self) -> ComposeResult:
         """Build the plot's place."""
-        yield Panel("plot")
+        yield TextPanel("plot")
 
-    def show(self, scene: Scene | None) -> None:
+    def show(self, view: RunView | None) -> None:
         """Draw the chosen plot, if there is anything new to draw."""
-        super().show(scene)
-        if scene is None or scene.log.plan is None:
+        super().show(view)
+        if view is None or view.log.plan is None:
             return
         now_s = time.monotonic()
-        state = (len(scene.log.points), self._chosen, self.app.size, self.app.theme)
+        state = (len(view.log.points), self._chosen, self.app.size, self.app.theme)
         if state == self._seen or now_s - self._drawn_s < REDRAW_S:
             return
         self._seen, self._drawn_s = state, now_s
-        plot = PLOTS[self._chosen](scene.log)
+        plot = PLOTS[self._chosen](view.log)
         title = f"Plot {self._chosen + 1} of {len(PLOTS)}: {plot.title}"
         self.panel("title").show(Content.styled(title, "bold"))
         height = max(self.app.size.height - 4, 6)
-        self.panel("plot").show(draw(plot, self.wide, height))
+        self.panel("plot").show(draw(plot, self.line_width, height))
 
     def action_turn(self, step: int) -> None:
         """Choose the next plot."""
@@ -224,7 +224,7 @@ class PlotPage(Page):
     def action_choose(self, index: int) -> None:
         """Choose a plot."""
         self._chosen, self._drawn_s = index, -REDRAW_S
-        self.show(self.cell.scene)
+        self.show(self.application.view)
 
 
 FILE = "report.html"
@@ -245,17 +245,17 @@ class ReportPage(TextPage):
     def on_mount(self) -> None:
         """Write the report."""
         super().on_mount()
-        self.cell.background(self._show_figures())
-        self.cell.background(self._write())
+        self.application.start_task(self._show_figures())
+        self.application.start_task(self._write())
 
-    def text(self, scene: Scene | None) -> Content:
+    def text(self, view: RunView | None) -> Content:
         """Return where the file is, and the figures."""
         return Content.assemble((self._where, "bold"), "\n\n", self._figures)
 
     async def _show_figures(self) -> None:
         runs = str(self._folder.parent)
         try:
-            self._figures = await engine.ask_hilcell("show", self._folder.name, "--runs", runs)
+            self._figures = await process.run_command("show", self._folder.name, "--runs", runs)
         except HilcellError:
             self._figures = "the figures could not be computed"
             raise
@@ -266,7 +266,7 @@ class ReportPage(TextPage):
         path = (self._folder / FILE).resolve()
         runs = str(self._folder.parent)
         try:
-            await engine.ask_hilcell("report", self._folder.name, "--runs", runs, "-o", str(path))
+            await process.run_command("report", self._folder.name, "--runs", runs, "-o", str(path))
         except Exception:
             self._where = "the report was not written"
             self.show_again()

@@ -12,12 +12,12 @@ from textual.content import Content
 from textual.widgets import Input, Label
 
 from hilcell.errors import HilcellError
-from hilcell.tui.engine import process as engine
-from hilcell.tui.engine.background import aside
-from hilcell.tui.engine.scene import Scene
-from hilcell.tui.screens.base import Dialog, SceneScreen, answer_keys
+from hilcell.tui.engine import process
+from hilcell.tui.engine.background import run_in_thread
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
 from hilcell.tui.text.run import MOVES, NOT_E_STOP, duration
-from hilcell.tui.widgets import Choice, Column, Field, Panel, Row, Rows
+from hilcell.tui.widgets import Choice, Column, Row, Table, TextField, TextPanel
 
 FIELDS = (
     ("cell", "paper", "a built-in cell, or a path to a TOML file"),
@@ -29,13 +29,13 @@ WATCHED = ("yes, I am here", "no, unattended")
 SPEEDS = ("max", "100", "10", "1")
 
 
-class StartScreen(SceneScreen):
+class StartScreen(BaseScreen):
     """The form. Enter checks the plan; nothing moves before the plan was shown."""
 
     footer = ("history", "help", "theme", "quit")
     fixed = in_box = (("Enter", "check the plan"), ("Tab", "next field"))
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("down", "turn(1)", show=False, priority=True),  # in the order typed
+        Binding("down", "turn(1)", show=False, priority=True),  # in the request typed
         Binding("up", "turn(-1)", show=False, priority=True),
         Binding("enter", "check", show=False),
     ]
@@ -43,26 +43,26 @@ class StartScreen(SceneScreen):
 
     def compose(self) -> ComposeResult:
         """Build the form."""
-        yield Panel("title")
+        yield TextPanel("title")
         for name, value, hint in FIELDS:
             with Horizontal(classes="field"):
                 yield Label(name)
-                start = self.cell.options.cell if name == "cell" else value
-                yield Field(start, placeholder=hint, id=name)
+                start = self.application.options.cell if name == "cell" else value
+                yield TextField(start, placeholder=hint, id=name)
         with Horizontal(classes="field"):
             yield Label("attended")
             yield Choice(WATCHED, id="attended")
         with Horizontal(classes="field"):
             yield Label("speed")
             yield Choice(SPEEDS, id="speed")
-        yield Rows(
+        yield Table(
             [Column("procedure", 24), Column("what it does", 52)],
             id="procedures",
             empty="no procedures are installed",
-            plain=self.cell.glyphs.plain,
+            plain=self.application.glyphs.plain,
         )
-        yield Panel("notice")
-        yield Panel("keys")
+        yield TextPanel("notice")
+        yield TextPanel("keys")
 
     def on_mount(self) -> None:
         """List the procedures; their summaries come when they are loaded."""
@@ -70,47 +70,47 @@ class StartScreen(SceneScreen):
         self.panel("title").show(
             Content.assemble(("New run", "bold"), (f"   {NOT_E_STOP}", "$dim"))
         )
-        rows = self.query_one(Rows)
+        rows = self.query_one(Table)
         names = sorted({entry.name for entry in entry_points(group="hilcell.procedures")})
-        rows.put([Row(name, (name, "")) for name in names])
+        rows.show_rows([Row(name, (name, "")) for name in names])
         rows.action_to(names.index("calibrate") if "calibrate" in names else 0)
         rows.focus()
         super().on_mount()
-        self.cell.background(self._summaries(names))
+        self.application.start_task(self._summaries(names))
 
-    def show(self, scene: Scene | None) -> None:
+    def show(self, view: RunView | None) -> None:
         """Show the keys; there is no run yet."""
         self.panel("keys").show(self.key_line())
 
     async def _summaries(self, names: list[str]) -> None:
-        found = await aside(summaries, names)
-        if self.here:
-            self.query_one(Rows).put([Row(name, (name, found[name])) for name in names])
+        found = await run_in_thread(summaries, names)
+        if self.is_shown:
+            self.query_one(Table).show_rows([Row(name, (name, found[name])) for name in names])
 
-    def order(self) -> engine.Order:
+    def request(self) -> process.RunRequest:
         """Return what the form says."""
         text = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
         speed = self.query_one("#speed", Choice).value
-        return engine.Order(
+        return process.RunRequest(
             cell=text["cell"],
-            procedure=self.query_one(Rows).key,
+            procedure=self.query_one(Table).key,
             operator=text["operator"],
             job=text["job"],
             seed=text["seed"] or "1",
             speed="" if speed == SPEEDS[0] else speed,
             attended=self.query_one("#attended", Choice).value == WATCHED[0],
-            settings=self.cell.options.settings,
+            settings=self.application.options.settings,
         )
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Leave up and down to the list of procedures."""
-        return action != "turn" or not isinstance(self.focused, Rows)
+        return action != "turn" or not isinstance(self.focused, Table)
 
     def action_turn(self, step: int) -> None:
         """Go to the next field, or to the one before."""
         self.focus_next() if step > 0 else self.focus_previous()
 
-    def on_rows_chosen(self) -> None:
+    def on_table_row_selected(self) -> None:
         """Check the plan."""
         self.action_check()
 
@@ -122,30 +122,30 @@ class StartScreen(SceneScreen):
         """Check the plan, once at a time: keys may be held down."""
         if not self._checking:
             self._checking = True
-            self.cell.background(self._check())
+            self.application.start_task(self._check())
 
     async def _check(self) -> None:
-        order = self.order()
-        self.notice("checking the plan; nothing is opened ...")
+        request = self.request()
+        self.show_notice("checking the plan; nothing is opened ...")
         try:
-            plan = await engine.dry_run(order)
+            plan = await process.dry_run(request)
         finally:
             self._checking = False
         if self.app.screen is not self:
             return  # left meanwhile
-        self.notice("")
+        self.show_notice("")
         self.app.push_screen(
-            PlanSummary(order, plan),
-            lambda yes: self.cell.background(self._start(order)) if yes else None,
+            PlanSummary(request, plan),
+            lambda yes: self.application.start_task(self._start(request)) if yes else None,
         )
 
-    async def _start(self, order: engine.Order) -> None:
+    async def _start(self, request: process.RunRequest) -> None:
         from hilcell.journal.runs import new_run
 
-        runs = self.cell.options.runs
-        run = new_run(order.procedure)
-        words = [*order.words(), "--runs", str(runs), "--name", run]
-        self.cell.acts.start(runs / run, words)
+        runs = self.application.options.runs
+        run = new_run(request.procedure)
+        words = [*request.arguments(), "--runs", str(runs), "--name", run]
+        self.application.actions.start(runs / run, words)
 
 
 class PlanSummary(Dialog[bool]):
@@ -156,13 +156,13 @@ class PlanSummary(Dialog[bool]):
         Binding("q,n,backspace", "reply(False)", show=False, priority=True),
     ]
 
-    def __init__(self, order: engine.Order, plan: dict[str, Any]) -> None:
+    def __init__(self, request: process.RunRequest, plan: dict[str, Any]) -> None:
         super().__init__()
-        self._order, self._plan = order, plan
+        self._order, self._plan = request, plan
 
     def on_mount(self) -> None:
         """Show the plan."""
-        self.put(plan_lines(self._order, self._plan), warning(self._plan))
+        self.show_texts(plan_lines(self._order, self._plan), warning(self._plan))
 
     def action_reply(self, yes: bool) -> None:
         """Close with the answer."""
@@ -170,17 +170,19 @@ class PlanSummary(Dialog[bool]):
             self.dismiss(yes)
 
 
-def plan_lines(order: engine.Order, plan: dict[str, Any]) -> Content:
+def plan_lines(request: process.RunRequest, plan: dict[str, Any]) -> Content:
     """Return a plan as a table, with what starts it."""
     rows = [
         f"{step['name']:<26}{step['points']:>7}  {duration(step['duration_s']):>9}"
         for step in plan["steps"]
     ]
     rows.append(f"{'all':<26}{plan['points']:>7}  {duration(plan['duration_s']):>9}")
-    who = "somebody is here to be asked" if order.attended else "unattended: a question is a fault"
+    who = (
+        "somebody is here to be asked" if request.attended else "unattended: a question is a fault"
+    )
     return Content.assemble(
         (f"{plan['procedure']} on cell {plan['cell']}", "bold $warn"),
-        f"   job {order.job or '-'}, operator {order.operator or '-'}\n",
+        f"   job {request.job or '-'}, operator {request.operator or '-'}\n",
         (f"{'step':<26}{'points':>7}  {'cell time':>9}\n", "$dim"),
         "\n".join(rows),
         f"\n\n{who}.",

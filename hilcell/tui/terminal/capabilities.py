@@ -26,7 +26,7 @@ def has_colours(environment: Mapping[str, str]) -> bool:
     return not environment.get("NO_COLOR") and not _is_colourless(environment)
 
 
-def has_shapes(environment: Mapping[str, str], *, coerced: bool = False) -> bool:
+def has_unicode(environment: Mapping[str, str], *, coerced: bool = False) -> bool:
     """Whether the terminal shows more than ASCII; ``coerced``: LC_CTYPE is Python's own word."""
     if _is_colourless(environment) or environment["TERM"] == _FEW_SHAPES:
         return False

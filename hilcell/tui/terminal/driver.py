@@ -43,7 +43,7 @@ class StopDriver(LinuxDriver):
 
     def write(self, data: str) -> None:
         """Write what is drawn."""
-        super().write(bare(data, self._app.theme) if self._app.no_color else data)
+        super().write(without_colours(data, self._app.theme) if self._app.no_color else data)
 
     def run_input_thread(self) -> None:
         """Read the terminal until the screen ends."""
@@ -81,15 +81,15 @@ FOCUS_TINT = 0.05  # of the text's colour, as in Textual's style of `Input:focus
 BOLD, UNDERLINE, REVERSE = "1", "4", "7"
 
 
-def bare(written: str, theme: str) -> str:
+def without_colours(written: str, theme: str) -> str:
     """Return what Textual writes in a theme, without its colours."""
-    return _SGR.sub(lambda found: _bare_style(found[1], theme), written)
+    return _SGR.sub(lambda found: _style_without_colours(found[1], theme), written)
 
 
 @lru_cache(1024)
-def _bare_style(codes: str, theme: str) -> str:
-    kept, ground = _parted(codes.split(";"))
-    tones, boxes = _grounds(theme)
+def _style_without_colours(codes: str, theme: str) -> str:
+    kept, ground = _split_codes(codes.split(";"))
+    tones, boxes = _backgrounds(theme)
     if ground in boxes and BOLD not in kept:
         kept.append(UNDERLINE)
     elif ground in tones | boxes and REVERSE not in kept:
@@ -97,7 +97,7 @@ def _bare_style(codes: str, theme: str) -> str:
     return f"\x1b[{';'.join(kept)}m" if kept else ""
 
 
-def _parted(codes: list[str]) -> tuple[list[str], str]:
+def _split_codes(codes: list[str]) -> tuple[list[str], str]:
     """Return the codes that are no colours, and the background's numbers."""
     kept, ground = [], ""
     left = iter(codes)
@@ -111,14 +111,14 @@ def _parted(codes: list[str]) -> tuple[list[str], str]:
 
 
 @cache
-def _grounds(theme: str) -> tuple[frozenset[str], frozenset[str]]:
+def _backgrounds(theme: str) -> tuple[frozenset[str], frozenset[str]]:
     """Return, in Textual's greys, the backgrounds of tones and caret, and of boxes and cursor."""
     palette = next(each for each in PALETTES if each.name == theme)
     tones = (Color.parse(getattr(palette, name)) for name in (*TONES, "text"))
     box = Color.parse(palette.cursor)
     focused = box.tint(Color.parse(palette.text).with_alpha(FOCUS_TINT))
-    return frozenset(map(_grey, tones)), frozenset(map(_grey, (box, focused)))
+    return frozenset(map(_monochrome, tones)), frozenset(map(_monochrome, (box, focused)))
 
 
-def _grey(colour: Color) -> str:
+def _monochrome(colour: Color) -> str:
     return ";".join(map(str, colour.monochrome.rgb))

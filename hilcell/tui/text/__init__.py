@@ -1,1 +1,1 @@
-"""What the screen says, as pure functions of the scene."""
+"""What the screen says, as pure functions of the view."""

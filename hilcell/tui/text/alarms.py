@@ -8,7 +8,7 @@ from textual.content import Content
 
 from hilcell.alarms import Alarm, Latch, Latched, Severity
 from hilcell.run.protocol import DeviceStatus
-from hilcell.tui.engine.scene import Scene
+from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import LAMPS, lamp
@@ -83,10 +83,10 @@ def _one(alarm: Alarm, glyphs: Glyphs, *, open_: bool) -> Content:
     )
 
 
-def interlock_page(scene: Scene, glyphs: Glyphs) -> Content:
+def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
     """Return element 15 whole: each condition, then each device's last reading."""
-    status = scene.status
-    if status is None or not scene.live:
+    status = view.status
+    if status is None or not view.live:
         return Content("No engine is at work on this run: nothing can move from here.")
     lines = [
         Content.styled(f"{glyphs.lost} {each.name} blocked: {each.blocked}", "bold $warn")
@@ -97,7 +97,7 @@ def interlock_page(scene: Scene, glyphs: Glyphs) -> Content:
     lines.append(Content(""))
     for name in LAMPS:
         device = status.devices.get(name, DeviceStatus())
-        head = lamp(name, device, scene, glyphs)
+        head = lamp(name, device, view, glyphs)
         said = device.reason or device.text
         lines.append(head.append(f"   {said}" if said else ""))
     lines += [

@@ -1,5 +1,5 @@
 """Deviations of points from their nominal targets, e = actual - nominal in {W}, mm; and their
-drawing in large digits.
+drawing in large_digits digits.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ _SEGMENTS = {
 }
 
 
-def large(text: str) -> tuple[str, str, str]:
+def large_digits(text: str) -> tuple[str, str, str]:
     """Return three rows of equal length; raises `KeyError` for what is no number."""
     glyphs = [_SEGMENTS[letter] for letter in text]
     top, middle, bottom = ("".join(glyph[row] for glyph in glyphs) for row in range(3))
@@ -114,7 +114,7 @@ def large(text: str) -> tuple[str, str, str]:
 
 
 def deviation_lines(found: Deviation | None, glyphs: Glyphs, width: int, none: str = "") -> Content:
-    """Return element 6 in five rows: names, large digits, and |e| against its limit.
+    """Return element 6 in five rows: names, large_digits digits, and |e| against its limit.
 
     ``none``: what is said where there is no deviation.
     """
@@ -126,7 +126,7 @@ def deviation_lines(found: Deviation | None, glyphs: Glyphs, width: int, none: s
         ("dz", f"{found.error_mm[2]:+.3f}"),
         ("|e|", f"{found.norm_mm:.3f}"),
     ]
-    columns = [large(text) for _, text in values]
+    columns = [large_digits(text) for _, text in values]
     gap = "   "
     head = gap.join(
         f"{name} mm".ljust(len(rows[0])) for (name, _), rows in zip(values, columns, strict=True)

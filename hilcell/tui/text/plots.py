@@ -16,7 +16,7 @@ from hilcell.calibration.errors import errors_of
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
-from hilcell.tui.engine.scene import Scene
+from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.text.tables import record_words
 
 HOWS = ("before", "idw", "chosen")
@@ -132,12 +132,12 @@ def draw(plot: Plot, width: int, height: int) -> Content:
 LEAST_PLOT = 8
 
 
-def side_lines(scene: Scene, width: int, height: int) -> Content:
+def side_lines(view: RunView, width: int, height: int) -> Content:
     """Return a plot over the newest records, in a space of this size."""
     plot_height = max(LEAST_PLOT, height // 2)
-    plot = sorted_plot(scene.log)
+    plot = sorted_plot(view.log)
     lines = [Content.styled(plot.title, "bold"), draw(plot, width, plot_height)]
-    newest = scene.records[-max(height - plot_height - 2, 1) :]
+    newest = view.records[-max(height - plot_height - 2, 1) :]
     lines.append(Content.styled("newest records", "bold"))
     lines += [
         Content.assemble((f"{record.t[11:19]} ", "$dim"), record_words(record)).truncate(

@@ -10,7 +10,7 @@ from textual.content import Content
 
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
-from hilcell.tui.engine.scene import Scene
+from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.text.deviation import BAD_STATES, PointRow, row_of
 from hilcell.tui.widgets import Column, Row
 
@@ -40,7 +40,7 @@ def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> S
     return (replace(columns[0], title=f"point: {which}"), *columns[1:]) if which else columns
 
 
-class PointTable:
+class PointRows:
     """Makes each row once: while points come, all but the newest stay as they were."""
 
     def __init__(self) -> None:
@@ -109,12 +109,12 @@ def _triple(values: Sequence[float], digits: int) -> str:
     return " ".join(f"{value:.{digits}f}" for value in values)
 
 
-def point_page(scene: Scene, key: str) -> Content:
+def point_page(view: RunView, key: str) -> Content:
     """Return everything that the journal says of a point."""
-    point = scene.log.points.get(key)
+    point = view.log.points.get(key)
     if point is None:
         return Content(f"{key}: the journal holds no such point")
-    row = row_of(scene.log, point)
+    row = row_of(view.log, point)
     facts: list[tuple[str, str]] = [("point", key), ("state", row.state)]
     facts += [("group", point.group), ("station", point.station or "-")]
     if row.deviation is not None:

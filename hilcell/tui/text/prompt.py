@@ -6,7 +6,7 @@ from textual.content import Content
 
 from hilcell.cell.file import Layout
 from hilcell.run.protocol import PromptStatus
-from hilcell.tui.engine.scene import Scene
+from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import short_age
 
@@ -14,28 +14,28 @@ MAP_WIDTH, MAP_HEIGHT = 34, 5
 MOST_LINES = 3  # of a prompt's text
 
 
-def prompt_lines(prompt: PromptStatus, scene: Scene, glyphs: Glyphs, width: int) -> Content:
+def prompt_lines(prompt: PromptStatus, view: RunView, glyphs: Glyphs, width: int) -> Content:
     """Return element 9: one prompt, with the nest drawn where there is one."""
     title = Content.styled(prompt.title, "bold $warn").truncate(width, ellipsis=True)
     text = Content(prompt.text.replace("\n", " ")).truncate(MOST_LINES * width, ellipsis=True)
-    parts = [title, text]  # short, so that what the tracker sees stays in sight
+    parts = [title, text]  # short, so that what the tracker sees stays in tracker_text
     if prompt.expected_mm is not None:
         x, y, z = prompt.expected_mm
         parts.append(
             Content(f"expected reading: x {x:.1f}  y {y:.1f}  z {z:.1f} mm, tracker's frame")
         )
-    parts.append(sight(prompt, scene))
-    drawing = nest_map(scene.log.cell.layout, prompt.place, glyphs)
+    parts.append(tracker_text(prompt, view))
+    drawing = nest_map(view.log.cell.layout, prompt.place, glyphs)
     return Content("\n").join(parts + drawing)
 
 
-def sight(prompt: PromptStatus, scene: Scene) -> Content:
+def tracker_text(prompt: PromptStatus, view: RunView) -> Content:
     """Return what the tracker sees there, and whether Enter works."""
     if not prompt.check:
         return Content.styled("Enter when it is done", "bold $good")
-    if scene.stale or prompt.age_s is None:
+    if view.stale or prompt.age_s is None:
         return Content.styled("the tracker has not looked yet; Enter does not work", "$dim")
-    age = short_age(prompt.age_s + scene.heard_s)
+    age = short_age(prompt.age_s + view.status_age_s)
     if prompt.seen_mm is None:
         return Content.styled(f"tracker: sees nothing there ({age} ago); Enter waits", "$warn")
     limit = "" if prompt.limit_mm is None else f", limit {prompt.limit_mm:.1f}"

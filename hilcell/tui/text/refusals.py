@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hilcell.tui.engine.scene import Scene
+    from hilcell.tui.engine.run_view import RunView
 
 POINTS, HISTORY = "only where the points are listed", "only in the history"
 ELSEWHERE = {  # actions of certain screens: what is said on others
@@ -27,72 +27,72 @@ ONE_AT_A_TIME = "a run is live: stop, abort or detach from it first"
 NO_POINTS = "no point is measured yet"
 NO_RUN = "there is no run here to act on"
 NOT_LIVE = "no run is live"
-UNHEARD = {
+NO_ANSWER_REASONS = {
     "looking": "the run is being read",
     "checking": "the engine starts",
     "silent": "the engine does not answer",
 }
-AT_REST = {"stopping": "the run is being stopped", "done": "the run is over"} | UNHEARD
+AT_REST = {"stopping": "the run is being stopped", "done": "the run is over"} | NO_ANSWER_REASONS
 
 
-def pause_command(scene: Scene | None) -> str:
+def pause_command(view: RunView | None) -> str:
     """Return what the space bar does: pause, proceed, resume, or nothing."""
-    if scene is None or scene.key in ("looking", "silent"):
+    if view is None or view.state in ("looking", "silent"):
         return ""
-    if not scene.live:
-        over = scene.key in ("done", "intolerant", "idle") and not scene.lost
+    if not view.live:
+        over = view.state in ("done", "intolerant", "idle") and not view.calibration_lost
         return "" if over else "resume"
-    if scene.allows("pause") and scene.key != "pausing":
+    if view.allows("pause") and view.state != "pausing":
         return "pause"
-    return "proceed" if scene.allows("proceed") or scene.key == "pausing" else ""
+    return "proceed" if view.allows("proceed") or view.state == "pausing" else ""
 
 
-def refusal(name: str, scene: Scene | None, *, behind: bool, standing: bool) -> str:
+def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged: bool) -> str:
     """Return why an action does nothing now.
 
-    ``behind``: a live run goes on behind the one shown; ``standing``: alarms are unacknowledged.
+    ``background``: another run is live in the background; ``unacknowledged``: alarms are.
     """
-    live = scene is not None and scene.live
+    live = view is not None and view.live
     match name:
         case "stop" | "detach":
-            return "" if live or behind else NOT_LIVE
+            return "" if live or background else NOT_LIVE
         case "abort":
-            return _abort_refusal(scene, behind=behind)
+            return _abort_refusal(view, background=background)
         case "new":
-            return ONE_AT_A_TIME if live or behind else ""
+            return ONE_AT_A_TIME if live or background else ""
     if name not in OF_A_RUN:
         return ""
-    if scene is None or scene.log.plan is None:
+    if view is None or view.log.plan is None:
         return NO_RUN
     match name:
         case "retake":
-            return _retake_refusal(scene, behind=behind)
+            return _retake_refusal(view, background=background)
         case "pause":
-            return _pause_refusal(scene, behind=behind)
+            return _pause_refusal(view, background=background)
         case "acknowledge":
-            return "" if standing else "no alarm waits for it"
+            return "" if unacknowledged else "no alarm waits for it"
     return ""
 
 
-def unheard(scene: Scene) -> str:
+def no_answer_reason(view: RunView) -> str:
     """Return why the engine of a live run takes no commands, or nothing where it does."""
-    return "" if scene.heard else UNHEARD.get(scene.key, UNHEARD["silent"])
+    return "" if view.answers else NO_ANSWER_REASONS.get(view.state, NO_ANSWER_REASONS["silent"])
 
 
-def _abort_refusal(scene: Scene | None, *, behind: bool) -> str:
-    if scene is None or not scene.live:
-        return "not the run behind: go back to it first" if behind else NOT_LIVE
-    return unheard(scene)
+def _abort_refusal(view: RunView | None, *, background: bool) -> str:
+    if view is None or not view.live:
+        return "not the run behind: go back to it first" if background else NOT_LIVE
+    return no_answer_reason(view)
 
 
-def _retake_refusal(scene: Scene, *, behind: bool) -> str:
-    if not scene.log.points:
+def _retake_refusal(view: RunView, *, background: bool) -> str:
+    if not view.log.points:
         return NO_POINTS
-    return unheard(scene) if scene.live else ONE_AT_A_TIME if behind else ""
+    return no_answer_reason(view) if view.live else ONE_AT_A_TIME if background else ""
 
 
-def _pause_refusal(scene: Scene, *, behind: bool) -> str:
-    command = pause_command(scene)
-    if command == "resume" and behind:
+def _pause_refusal(view: RunView, *, background: bool) -> str:
+    command = pause_command(view)
+    if command == "resume" and background:
         return ONE_AT_A_TIME
-    return "" if command else AT_REST.get(scene.key, AT_REST["done"])
+    return "" if command else AT_REST.get(view.state, AT_REST["done"])

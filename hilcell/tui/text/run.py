@@ -1,4 +1,4 @@
-"""The run in words: each line of the screen as a pure function of the scene and a width."""
+"""The run in words: each line of the screen as a pure function of the view and a width."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from textual.content import Content
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.run.protocol import DeviceStatus
-from hilcell.tui.engine.scene import EngineState, Scene
+from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 
 STATES = {
@@ -32,11 +32,11 @@ STATES = {
 }
 NOT_E_STOP = "software stop; not the E-stop"
 MOVES = "The robot and the rail will move"
-NOTHING = {  # where there is no plan in the journal
+NO_PLAN_TEXTS = {  # where there is no plan in the journal
     EngineState.UNKNOWN: "reading ...",
     EngineState.NONE: "nothing was recorded",
     EngineState.STARTING: "the engine starts ...",
-    EngineState.HEARD: "nothing to see yet",
+    EngineState.ANSWERING: "nothing to see yet",
     EngineState.SILENT: "nothing to see yet",
 }
 SHORT = 4
@@ -44,77 +44,81 @@ MOST_OF_A_NAME = 20
 LAMPS = ("rail", "strip", "robot", "tracker")
 
 
-def inverse(text: str, tone: str) -> Content:
+def block(text: str, tone: str) -> Content:
     """Return a block of a tone: dark on light or light on dark, as the theme has it."""
     return Content.styled(f" {text} ", f"bold $on-{tone} on ${tone}")
 
 
-def state_block(scene: Scene, glyphs: Glyphs) -> Content:
+def state_block(view: RunView, glyphs: Glyphs) -> Content:
     """Return element 1: the state by word, shape and colour."""
-    word, tone = STATES[scene.key]
-    return inverse(f"{glyphs.states[scene.key]} {word}", tone)
+    word, tone = STATES[view.state]
+    return block(f"{glyphs.states[view.state]} {word}", tone)
 
 
-def banner(scene: Scene, glyphs: Glyphs, width: int, behind: Scene | None = None) -> Content:
-    """Return the first line: state, LIVE or HISTORIC, SIMULATION, and what the stop is not.
+def banner(view: RunView, glyphs: Glyphs, width: int, background: RunView | None = None) -> Content:
+    """Return the first line: state, LIVE or HISTORIC, SIMULATION, and a notice.
 
-    ``behind``: the live run that was left to look at this one.
+    ``background``: the live run that goes on while this one is shown.
     """
-    parts = [state_block(scene, glyphs)]
-    if scene.engine is not EngineState.UNKNOWN:
-        word, tone = ("LIVE", "info") if scene.live else ("HISTORIC", "quiet")
-        parts += [Content(" "), inverse(word, tone)]
-    if scene.log.plan is not None and scene.log.plan.simulated:
-        parts += [Content(" "), inverse("SIMULATION", "sim")]
+    parts = [state_block(view, glyphs)]
+    if view.engine is not EngineState.UNKNOWN:
+        word, tone = ("LIVE", "info") if view.live else ("HISTORIC", "quiet")
+        parts += [Content(" "), block(word, tone)]
+    if view.log.plan is not None and view.log.plan.simulated:
+        parts += [Content(" "), block("SIMULATION", "sim")]
     left = Content("").join(parts)
     room = width - left.cell_length - 1
-    return spread(left, _beside(scene, room) if behind is None else _told(behind, room), width)
+    return justified(
+        left,
+        _stop_notice(view, room) if background is None else _background_notice(background, room),
+        width,
+    )
 
 
-def _beside(scene: Scene, room: int) -> Content:
-    if scene.key == "silent":
-        since = f" for {short_age(scene.heard_s)}" if scene.status is not None else ""
+def _stop_notice(view: RunView, room: int) -> Content:
+    if view.state == "silent":
+        since = f" for {short_age(view.status_age_s)}" if view.status is not None else ""
         return Content.styled(f"silent{since}: use the E-stop", "bold $bad")
     return Content.styled(NOT_E_STOP if room >= len(NOT_E_STOP) else "", "$dim")
 
 
-def _told(behind: Scene, room: int) -> Content:
-    """Say that a run goes on behind, in as many words as there is room for."""
-    word = STATES[behind.key][0]
-    stop = "use the E-stop" if behind.key == "silent" else "Esc stops"
-    sayings = (f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind")
-    said = next((each for each in sayings if len(each) <= room), "")
-    return Content.styled(said, "bold $warn")
+def _background_notice(background: RunView, room: int) -> Content:
+    """Return the longest notice of the background run that fits."""
+    word = STATES[background.state][0]
+    stop = "use the E-stop" if background.state == "silent" else "Esc stops"
+    notices = (f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind")
+    notice = next((each for each in notices if len(each) <= room), "")
+    return Content.styled(notice, "bold $warn")
 
 
-def end_of(scene: Scene) -> str:
-    """Say how a run has ended that went on behind another one."""
-    worst = max(scene.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity), default=None)
+def end_text(view: RunView) -> str:
+    """Return how a background run has ended."""
+    worst = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity), default=None)
     why = f": {worst.code} {worst.title}" if worst is not None else ""
-    return f"the run behind, {scene.run}, has ended: {STATES[scene.key][0]}{why}"
+    return f"the run behind, {view.run}, has ended: {STATES[view.state][0]}{why}"
 
 
-def spread(left: Content, right: Content, width: int) -> Content:
-    """Return a line with one text at each end; the right one yields where both do not fit."""
+def justified(left: Content, right: Content, width: int) -> Content:
+    """Return a line with one text at each end; the right one yields where room is short."""
     room = width - left.cell_length - right.cell_length
     return left.append(" " * room).append(right) if room >= 1 else left
 
 
-def identity(scene: Scene, width: int) -> Content:
+def identity(view: RunView, width: int) -> Content:
     """Return element 2: procedure, job, operator, run."""
-    plan = scene.log.plan
+    plan = view.log.plan
     if plan is None:
-        begun = NOTHING[scene.engine]
-        return Content(f"run {scene.run}: {scene.trouble or begun}")
+        begun = NO_PLAN_TEXTS[view.engine]
+        return Content(f"run {view.run}: {view.trouble or begun}")
     cell = str(plan.cell.get("name", "?"))
     words = [plan.procedure, f"cell {cell}"]
     words += [f"job {short(plan.job)}"] if plan.job else []
     words += [f"operator {short(plan.operator)}"] if plan.operator else []
     words += ["unattended" if plan.unattended else "attended"]
     left = Content("  ".join(words))
-    fits = left.cell_length + len(scene.run) < width
-    run = scene.run if fits else f"run {scene.run[-SHORT:]}"  # its last letters tell runs apart
-    return spread(left, Content.styled(run, "$dim"), width)
+    fits = left.cell_length + len(view.run) < width
+    run = view.run if fits else f"run {view.run[-SHORT:]}"  # its last letters tell runs apart
+    return justified(left, Content.styled(run, "$dim"), width)
 
 
 def short(name: str) -> str:
@@ -122,31 +126,31 @@ def short(name: str) -> str:
     return Content(name).truncate(MOST_OF_A_NAME, ellipsis=True).plain
 
 
-def step(scene: Scene, width: int) -> Content:
+def step(view: RunView, width: int) -> Content:
     """Return element 3: the current step with its count, and the next."""
-    plan, now = scene.log.plan, scene.step
+    plan, now = view.log.plan, view.step
     if plan is None or not now:
         return Content.styled("step: none yet", "$dim")
     number, of = int(now["number"]), int(now["of"])
     head = f"step {number}/{of} {now['name']}"
     planned = plan.steps[number - 1]["points"] if number <= len(plan.steps) else 0
     if planned:
-        head += f": {min(len(scene.measured.get(number, ())), planned)}/{planned}"
-    if scene.last is not None:
-        place = f" at {scene.last.station}" if scene.last.station else ""
-        head += f", last {scene.last.key}{place}"
-    if scene.key in ("done", "intolerant"):
+        head += f": {min(len(view.measured.get(number, ())), planned)}/{planned}"
+    if view.last is not None:
+        place = f" at {view.last.station}" if view.last.station else ""
+        head += f", last {view.last.key}{place}"
+    if view.state in ("done", "intolerant"):
         return Content(head)
     following = plan.steps[number]["name"] if number < len(plan.steps) else "the end"
-    return spread(Content(head), Content.styled(f"next: {following}", "$dim"), width)
+    return justified(Content(head), Content.styled(f"next: {following}", "$dim"), width)
 
 
-def progress(scene: Scene, glyphs: Glyphs, width: int) -> Content:
+def progress(view: RunView, glyphs: Glyphs, width: int) -> Content:
     """Return element 4: bar, elapsed, remaining."""
-    share = share_done(scene)
-    left_s = scene.remaining_s if scene.live and scene.key != "checking" else None
+    share = share_done(view)
+    left_s = view.remaining_s if view.live and view.state != "checking" else None
     left = "" if left_s is None else f"  left {duration(left_s)}"
-    tail = f" {math.floor(100 * share):3d} %  elapsed {duration(scene.elapsed_s)}{left}"
+    tail = f" {math.floor(100 * share):3d} %  elapsed {duration(view.elapsed_s)}{left}"
     room = max(width - len(tail), 1)
     done = math.floor(room * share)
     return Content.assemble(
@@ -154,16 +158,16 @@ def progress(scene: Scene, glyphs: Glyphs, width: int) -> Content:
     )
 
 
-def share_done(scene: Scene) -> float:
+def share_done(view: RunView) -> float:
     """Return the share of the run that is done, by time where it is known, else by points."""
-    if scene.key in ("done", "intolerant"):
+    if view.state in ("done", "intolerant"):
         return 1.0
-    if scene.remaining_s is not None and scene.elapsed_s + scene.remaining_s > 0:
-        return scene.elapsed_s / (scene.elapsed_s + scene.remaining_s)
-    plan = scene.log.plan
+    if view.remaining_s is not None and view.elapsed_s + view.remaining_s > 0:
+        return view.elapsed_s / (view.elapsed_s + view.remaining_s)
+    plan = view.log.plan
     if plan is None or not plan.points:
         return 0.0
-    return min(len(scene.log.points) / plan.points, 1.0)
+    return min(len(view.log.points) / plan.points, 1.0)
 
 
 def duration(seconds: float) -> str:
@@ -176,26 +180,26 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minute:02d}:{second:02d}" if hours else f"{minute}:{second:02d}"
 
 
-def lamps(scene: Scene, glyphs: Glyphs, width: int) -> Content:
+def lamps(view: RunView, glyphs: Glyphs, width: int) -> Content:
     """Return element 5 with 16: four lamps with the age of their readings, and the air."""
-    devices = scene.status.devices if scene.status is not None and scene.live else {}
+    devices = view.status.devices if view.status is not None and view.live else {}
     parts = [
-        lamp(name, devices.get(name, DeviceStatus()), scene, glyphs).append("  ") for name in LAMPS
+        lamp(name, devices.get(name, DeviceStatus()), view, glyphs).append("  ") for name in LAMPS
     ]
-    return spread(Content("").join(parts), air(scene, glyphs), width)
+    return justified(Content("").join(parts), air(view, glyphs), width)
 
 
-def lamp(name: str, device: DeviceStatus, scene: Scene, glyphs: Glyphs) -> Content:
+def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Content:
     """Return one lamp; a stale reading is grey and says how old it is."""
     title = name.capitalize()
     if device.age_s is None and device.state != "lost":
         return Content.styled(f"{glyphs.stale} {title} -", "$dim")
-    age_s = (device.age_s or 0.0) + scene.heard_s
+    age_s = (device.age_s or 0.0) + view.status_age_s
     if device.state == "lost":
         return Content.styled(f"{glyphs.lost} {title} lost", "bold $bad")
-    if device.state == "moving" and not scene.stale:
+    if device.state == "moving" and not view.stale:
         return Content.styled(f"{glyphs.moving} {title} moves", "$info")
-    if device.state not in ("fresh", "moving") or scene.stale or not age_s <= STALE_AFTER_S:
+    if device.state not in ("fresh", "moving") or view.stale or not age_s <= STALE_AFTER_S:
         return Content.styled(f"{glyphs.stale} {title} {short_age(age_s)}", "$dim")
     return Content.styled(f"{glyphs.fresh} {title} {short_age(age_s)}", "$good")
 
@@ -215,21 +219,21 @@ def short_age(seconds: float) -> str:
     return f"{seconds / 86400:.0f} d"
 
 
-def drift_k(scene: Scene) -> float | None:
+def drift_k(view: RunView) -> float | None:
     """Return how far the air is from the run's first point, K."""
-    points = scene.log.points
-    if scene.last is None or not points:
+    points = view.log.points
+    if view.last is None or not points:
         return None
     first = next(iter(points.values()))
-    return scene.last.temperature_c - first.temperature_c
+    return view.last.temperature_c - first.temperature_c
 
 
-def air(scene: Scene, glyphs: Glyphs) -> Content:
+def air(view: RunView, glyphs: Glyphs) -> Content:
     """Return element 16: temperature and its drift since the first point."""
-    drift = drift_k(scene)
-    if scene.last is None or drift is None:
+    drift = drift_k(view)
+    if view.last is None or drift is None:
         return Content("")
-    text = f"{scene.last.temperature_c:.1f} C {glyphs.delta}{drift:+.1f} K"
+    text = f"{view.last.temperature_c:.1f} C {glyphs.delta}{drift:+.1f} K"
     within = abs(drift) <= DRIFT_LIMIT_K
     return Content.styled(text if within else f"! {text}", "" if within else "bold $warn")
 
@@ -243,17 +247,17 @@ class _Place(msgspec.Struct):
     chosen: _Mean
 
 
-def result(scene: Scene, width: int) -> Content:
+def result(view: RunView, width: int) -> Content:
     """Return a finished run's main figures in one line, mean |e| before and after.
 
     Where it is out of tolerance, the worst place stands first.
     """
-    found = (scene.log.end or {}).get("result", {}).get("validation", {})
+    found = (view.log.end or {}).get("result", {}).get("validation", {})
     try:
         places = msgspec.convert(found, dict[str, _Place])
     except msgspec.ValidationError:  # another procedure's result
         return Content("")
-    bad = scene.key == "intolerant"
+    bad = view.state == "intolerant"
     verdict = "out of tolerance" if bad else "in tolerance"
     line = f"{verdict}: mean |e| mm" if places else ""
     order = sorted(places, key=lambda name: -places[name].chosen.mean if bad else 0.0)
@@ -265,36 +269,36 @@ def result(scene: Scene, width: int) -> Content:
     return Content(line)
 
 
-def interlocks(scene: Scene, width: int) -> Content:
+def interlocks(view: RunView, width: int) -> Content:
     """Return element 15 in one line: the first thing that is blocked, and why."""
-    if not scene.live:
-        return result(scene, width)
-    found = scene.status.interlocks if scene.status is not None else []
+    if not view.live:
+        return result(view, width)
+    found = view.status.interlocks if view.status is not None else []
     blocked = [each for each in found if each.blocked]
     if not found:
         return Content.styled("interlocks: no reading", "$dim")
-    if scene.stale:
-        return Content.styled(f"interlocks: last heard {short_age(scene.heard_s)} ago", "$dim")
+    if view.stale:
+        return Content.styled(f"interlocks: last heard {short_age(view.status_age_s)} ago", "$dim")
     if not blocked:
-        return Content.styled(f"interlocks: {_free(scene)}", "$dim")
+        return Content.styled(f"interlocks: {_free(view)}", "$dim")
     said = f"{blocked[0].name} blocked: {blocked[0].blocked}"
     return Content(said).truncate(width, ellipsis=True)
 
 
-def _free(scene: Scene) -> str:
+def _free(view: RunView) -> str:
     """Return what may happen where nothing is blocked; a person may stand in the cell."""
-    if scene.prompt is not None:
+    if view.prompt is not None:
         return "nothing is blocked; nothing moves before the answer"
-    if scene.at_rest:
+    if view.at_rest:
         return "nothing is blocked; nothing moves before one goes on"
     return "rail and robot may move"
 
 
-def prospect(scene: Scene | None) -> str:
+def resume_text(view: RunView | None) -> str:
     """Return what a resumed run will meet."""
-    if scene is not None and scene.lost:
+    if view is not None and view.calibration_lost:
         return "Its calibration file is written; nothing moves."
-    if scene is not None and any(alarm.ended for alarm in scene.alarms):
+    if view is not None and any(alarm.ended for alarm in view.alarms):
         return f"{MOVES}. Its fault wants a new run: resumed, it will most likely fault again."
     return (
         f"{MOVES}: the devices are connected again, and the tracker's control points proved "

@@ -1,4 +1,4 @@
-"""Rows of tables: the runs of the history, and the records of the event log."""
+"""Table of tables: the runs of the history, and the records of the event log."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import msgspec
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.run.protocol import Status
-from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.engine.feed import RunUpdate
 from tests.hilcell.tui.scenes import PROMPT, fresh
 
 MARK = "PWNED"  # in every payload, to be searched for behind what must not be before it
@@ -41,11 +41,11 @@ FORBIDDEN = (
 _KEPT = ("what", "machine", "to", "from", "group", "state", "trigger", "frame", "procedure_kind")
 
 
-def poisoned(name: str, text: str) -> Fresh:
+def poisoned(name: str, text: str) -> RunUpdate:
     """Return a made-up run with ``text`` in every word that comes from outside."""
     found = fresh(name)
     records = [_record(record, text) for record in found.records]
-    return Fresh(records, found.engine, _status(found.status, text), text)
+    return RunUpdate(records, found.engine, _status(found.status, text), text)
 
 
 def _record(record: Record, text: str) -> Record:

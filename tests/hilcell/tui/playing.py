@@ -8,9 +8,9 @@ from pathlib import Path
 
 from textual.pilot import Pilot
 
-from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.keys import Keymap
-from hilcell.tui.screens.base import SceneScreen
+from hilcell.tui.screens.base import BaseScreen
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import (
     AlarmPage,
@@ -24,7 +24,7 @@ from tests.hilcell.tui.stage import Stage, options, settle, text_of
 
 RUNS = Path("/runs")
 ROOMY = (240, 30)  # a footer that holds every key
-PAGES: dict[str, type[SceneScreen]] = {
+PAGES: dict[str, type[BaseScreen]] = {
     "e": AlarmPage,
     "i": InterlockPage,
     "l": LogPage,
@@ -41,7 +41,7 @@ def play(
     act: Act,
     state: str = "",
     *,
-    brought: Fresh | None = None,
+    brought: RunUpdate | None = None,
     keymap: Keymap | None = None,
     size: tuple[int, int] = ROOMY,
 ) -> Stage:

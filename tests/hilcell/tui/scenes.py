@@ -14,8 +14,8 @@ from hilcell.journal.journal import Kind, Record
 from hilcell.journal.point_id import PointId
 from hilcell.run.protocol import DeviceStatus, Interlock, PromptStatus, Status
 from hilcell.run.reflector_prompts import seat_prompt
-from hilcell.tui.engine.feed import Fresh
-from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.engine.feed import RunUpdate
+from hilcell.tui.engine.run_view import EngineState
 
 BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
 RUN = "20260304-080000-calibrate-ab12"
@@ -185,13 +185,13 @@ PROMPT = PromptStatus(
 )
 
 
-def fresh(name: str) -> Fresh:
+def fresh(name: str) -> RunUpdate:
     """Return what one look at a run in a state brings."""
     unheard = {"silent": EngineState.SILENT, "looking": EngineState.UNKNOWN}
-    engine = EngineState.HEARD if name in HEARD else unheard.get(name, EngineState.NONE)
-    told = status(name) if engine in (EngineState.HEARD, EngineState.SILENT) else None
+    engine = EngineState.ANSWERING if name in HEARD else unheard.get(name, EngineState.NONE)
+    told = status(name) if engine in (EngineState.ANSWERING, EngineState.SILENT) else None
     trouble = "journal: damaged or not a journal" if name == "unreadable" else ""
-    return Fresh(stories()[name].records, engine, told, trouble)
+    return RunUpdate(stories()[name].records, engine, told, trouble)
 
 
 def status(name: str) -> Status:

@@ -18,9 +18,9 @@ from textual.pilot import Pilot
 from textual.screen import Screen
 from textual.worker import WorkerCancelled
 
-from hilcell.tui.app.actions import Acts, Host
+from hilcell.tui.app.actions import Host, RunActions
 from hilcell.tui.app.app import HilcellApp
-from hilcell.tui.engine.feed import Fresh
+from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.session import Session
 from hilcell.tui.keys import ACTIONS, Keymap
 from hilcell.tui.screens.base import Options
@@ -51,8 +51,8 @@ class Listener(Session):
 
     def stop(self) -> bool:
         """Count a stop, where an engine would hear it."""
-        self.stops += self.scene.live
-        return self.scene.live
+        self.stops += self.view.live
+        return self.view.live
 
     def close(self, *, leave: bool) -> None:
         """Write the end down."""
@@ -60,7 +60,7 @@ class Listener(Session):
         super().close(leave=leave)
 
 
-class Unstarted(Acts):
+class Unstarted(RunActions):
     """Writes down what an engine would have been started with."""
 
     def __init__(self, host: Host) -> None:
@@ -75,11 +75,11 @@ class Unstarted(Acts):
 class Stage(HilcellApp):
     """Opens a made-up run in place of looking for one; without a run, the form."""
 
-    def __init__(self, options: Options, name: str = "", brought: Fresh | None = None) -> None:
+    def __init__(self, options: Options, name: str = "", brought: RunUpdate | None = None) -> None:
         super().__init__(options)
         self.heard = Listener(options.runs / (options.run or RUN))
         self.story, self.brought = name, brought
-        self.acts: Unstarted = Unstarted(self)
+        self.actions: Unstarted = Unstarted(self)
 
     async def _open(self) -> None:
         while len(self.screen_stack) > 1:
@@ -87,7 +87,7 @@ class Stage(HilcellApp):
         if not self.story and self.brought is None:
             self.push_screen(StartScreen())
             return
-        self.attached.show(self.heard)
+        self.open_runs.show(self.heard)
         self.heard.take(self.brought or fresh(self.story), self._now())
         self.push_screen(RunScreen())
 

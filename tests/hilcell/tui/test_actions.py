@@ -8,17 +8,17 @@ import msgspec
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.app.app import Delivered
-from hilcell.tui.engine.feed import Fresh
-from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.app.app import RunUpdated
+from hilcell.tui.engine.feed import RunUpdate
+from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.engine.session import utc_now
 from hilcell.tui.keys import ACTIONS
-from hilcell.tui.screens.base import Confirm, SceneScreen
+from hilcell.tui.screens.base import BaseScreen, Confirm
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import DetailPage, HelpPage, LogPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from hilcell.tui.widgets import Rows
+from hilcell.tui.widgets import Table
 from tests.hilcell.tui.playing import PAGES, footer, play
 from tests.hilcell.tui.scenes import HEARD, LIVE, PROMPT, fresh, status, stories
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
@@ -93,16 +93,16 @@ def test_the_space_bar_pauses_goes_on_or_resumes(state: str) -> None:
         space = SPACE[state]
         assert isinstance(app.screen, Confirm) == (space is not None and space[1])
         if isinstance(app.screen, Confirm):
-            assert (app.heard.asked, app.acts.engines) == ([], [])
+            assert (app.heard.asked, app.actions.engines) == ([], [])
             await press(pilot, "n")
-            assert (app.heard.asked, app.acts.engines) == ([], [])
+            assert (app.heard.asked, app.actions.engines) == ([], [])
             await press(pilot, "space", "y")
 
     app = play(act, state)
     space = SPACE[state]
     told = space is not None and space[0] != "resume"
     assert app.heard.asked == ([(space[0], {})] if space is not None and told else [])
-    assert bool(app.acts.engines) == (space is not None and space[0] == "resume")
+    assert bool(app.actions.engines) == (space is not None and space[0] == "resume")
     assert app.heard.stops == 0
 
 
@@ -137,9 +137,9 @@ def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order(key: str) -> None:
         type_ahead(app, "q", "h", "q", "space", "enter")
         await settle(pilot)
         assert isinstance(app.screen, Confirm)  # it moves the machine: not in one burst
-        assert not app.acts.engines
+        assert not app.actions.engines
         await press(pilot, "enter")
-        assert app.acts.engines
+        assert app.actions.engines
 
     play(act, "fault")
 
@@ -156,13 +156,13 @@ def test_pages_turned_in_a_circle_are_not_piled_up() -> None:
 
 def test_a_trouble_that_lasts_leaves_other_words_their_time() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
-        trouble = Fresh([], trouble="the journal is gone")
-        app.say("the engine ended, exit 7")
-        app.post_message(Delivered(app.heard, trouble))
+        trouble = RunUpdate([], trouble="the journal is gone")
+        app.show_notice("the engine ended, exit 7")
+        app.post_message(RunUpdated(app.heard, trouble))
         await settle(pilot)
         assert "exit 7" in text_of(app)
         await press(pilot, "w")
-        app.post_message(Delivered(app.heard, trouble))
+        app.post_message(RunUpdated(app.heard, trouble))
         await settle(pilot)
         assert "the journal is gone" in text_of(app)
 
@@ -174,10 +174,10 @@ def test_a_question_about_a_run_ends_with_it(key: str) -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, key)
         assert isinstance(app.screen, Confirm)
-        app.post_message(Delivered(app.heard, Fresh([], engine=EngineState.HEARD)))
+        app.post_message(RunUpdated(app.heard, RunUpdate([], engine=EngineState.ANSWERING)))
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
-        app.post_message(Delivered(app.heard, Fresh([], engine=EngineState.NONE)))
+        app.post_message(RunUpdated(app.heard, RunUpdate([], engine=EngineState.NONE)))
         await settle(pilot)
         assert isinstance(app.screen, RunScreen)
 
@@ -189,15 +189,18 @@ def test_what_was_said_about_a_moment_goes_with_it() -> None:
         waiting = msgspec.structs.replace(PROMPT, ready=False, seen_mm=9.0)
         asked = msgspec.structs.replace(status("suspended"), prompt=waiting)
         app.heard.take(
-            Fresh([], engine=EngineState.HEARD, status=asked), app.heard.scene.now or utc_now()
+            RunUpdate([], engine=EngineState.ANSWERING, status=asked),
+            app.heard.view.now or utc_now(),
         )
         app._show()
         await press(pilot, "enter")
         assert "Enter works when" in text_of(app)
-        app.heard.take(Fresh([], engine=EngineState.HEARD, status=asked), utc_now())
+        app.heard.take(RunUpdate([], engine=EngineState.ANSWERING, status=asked), utc_now())
         app._show()
         assert "Enter works when" in text_of(app)
-        app.heard.take(Fresh([], engine=EngineState.HEARD, status=status("suspended")), utc_now())
+        app.heard.take(
+            RunUpdate([], engine=EngineState.ANSWERING, status=status("suspended")), utc_now()
+        )
         app._show()
         await settle(pilot)
         assert "Enter works when" not in text_of(app)
@@ -228,13 +231,13 @@ def test_escape_stops_from_everywhere_and_never_asks() -> None:
         for number, (place, keys) in enumerate(PLACES.items(), start=1):
             await press(pilot, *keys, "escape")
             assert app.heard.stops == number, place
-            assert isinstance(app.screen, SceneScreen), place
+            assert isinstance(app.screen, BaseScreen), place
             assert "STOP" in text_of(app), place
             assert app.glyphs.states["running"] in text_of(app).splitlines()[0], place
             while app.screen is not home:
                 app.pop_screen()
                 await settle(pilot)
-            home.query_one(Rows).focus()
+            home.query_one(Table).focus()
 
     assert play(act, "running").heard.asked == []
 
@@ -244,7 +247,7 @@ def test_what_is_said_is_seen_and_spoils_no_page(key: str) -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, key)
         before = text_of(app).splitlines()
-        app.say("something happened")
+        app.show_notice("something happened")
         await settle(pilot)
         after = text_of(app).splitlines()
         assert after[-2] == "something happened"
@@ -369,7 +372,7 @@ def test_looking_at_another_run_over_a_live_one_asks() -> None:
 # -- the prompt ------------------------------------------------------------------------------------
 
 
-def asking(**more: object) -> Fresh:
+def asking(**more: object) -> RunUpdate:
     """Return a run whose prompt differs from the usual one."""
     found = fresh("suspended")
     assert found.status is not None
@@ -389,7 +392,7 @@ def asking(**more: object) -> Fresh:
     ids=["ready", "too far", "nothing", "not looked", "no check"],
 )
 def test_enter_answers_a_prompt_only_when_it_is_ready(
-    brought: Fresh, answered: bool, said: str
+    brought: RunUpdate, answered: bool, said: str
 ) -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         assert said in text_of(app)
@@ -424,18 +427,18 @@ def test_a_point_is_measured_anew_after_a_question(state: str) -> None:
     if state in LIVE:
         assert app.heard.asked == [("retake", {"key": "grid/0-0-4"})]
     else:
-        assert [words[-2:] for _, words in app.acts.engines] == [["--retake", "grid/0-0-4"]]
+        assert [words[-2:] for _, words in app.actions.engines] == [["--retake", "grid/0-0-4"]]
 
 
 @pytest.mark.parametrize("unattended", [True, False])
 def test_a_run_is_resumed_as_it_was_begun(unattended: bool) -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
-        log = app.heard.scene.log
+        log = app.heard.view.log
         log.plan = msgspec.structs.replace(log.inputs, unattended=unattended)
         await press(pilot, "space", "enter")
 
     app = play(act, "gone")
-    [(folder, words)] = app.acts.engines
+    [(folder, words)] = app.actions.engines
     assert words[:4] == ["resume", folder.name, "--runs", str(folder.parent)]
     assert ("--unattended" in words) == unattended
 

@@ -1,4 +1,4 @@
-"""Work aside: what it returns and raises comes back, and an end does not wait for it."""
+"""Work run_in_thread: what it returns and raises comes back, and an end does not wait for it."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import threading
 
 import pytest
 
-from hilcell.tui.engine.background import aside
+from hilcell.tui.engine.background import run_in_thread
 
 NEVER = """
 import asyncio, threading
-from hilcell.tui.engine.background import aside
+from hilcell.tui.engine.background import run_in_thread
 
 async def leave():
-    task = asyncio.create_task(aside(threading.Event().wait))
+    task = asyncio.create_task(run_in_thread(threading.Event().wait))
     await asyncio.sleep(0)
     task.cancel()
 
@@ -25,15 +25,15 @@ asyncio.run(leave())
 
 
 def test_what_is_returned_or_raised_comes_back() -> None:
-    assert asyncio.run(aside(divmod, 7, 2)) == (3, 1)
+    assert asyncio.run(run_in_thread(divmod, 7, 2)) == (3, 1)
     with pytest.raises(ZeroDivisionError):
-        asyncio.run(aside(divmod, 7, 0))
+        asyncio.run(run_in_thread(divmod, 7, 0))
 
 
 def test_others_work_meanwhile() -> None:
     async def both() -> bool:
         came = threading.Event()
-        waiting = asyncio.create_task(aside(came.wait, timeout=10.0))
+        waiting = asyncio.create_task(run_in_thread(came.wait, timeout=10.0))
         await asyncio.sleep(0)
         came.set()
         return await waiting
@@ -56,7 +56,7 @@ def test_what_was_given_up_may_still_end() -> None:
         ended.set()
 
     async def give_up() -> None:
-        task = asyncio.create_task(aside(work))
+        task = asyncio.create_task(run_in_thread(work))
         await asyncio.sleep(0)
         task.cancel()
 

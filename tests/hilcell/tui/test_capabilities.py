@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from hilcell.tui.terminal.capabilities import has_colours, has_shapes
+from hilcell.tui.terminal.capabilities import has_colours, has_unicode
 
 XTERM = {"TERM": "xterm-256color"}
 COERCED = "C.UTF-8"
@@ -31,7 +31,7 @@ def test_terminals_without_colours(term: str) -> None:
 
 def test_an_unnamed_terminal_has_neither() -> None:
     assert not has_colours({})
-    assert not has_shapes({"LANG": "C.UTF-8"})
+    assert not has_unicode({"LANG": "C.UTF-8"})
 
 
 @pytest.mark.parametrize("value", ["1", "0", "false"])
@@ -57,9 +57,9 @@ def test_an_empty_no_color_says_nothing() -> None:
     ],
 )
 def test_a_locale_with_utf_8_or_none_has_shapes(locale: dict[str, str]) -> None:
-    assert has_shapes(XTERM | locale)
+    assert has_unicode(XTERM | locale)
     for term in ("vt100", "dumb", "linux"):
-        assert not has_shapes({"TERM": term} | locale)
+        assert not has_unicode({"TERM": term} | locale)
 
 
 @pytest.mark.parametrize(
@@ -74,20 +74,20 @@ def test_a_locale_with_utf_8_or_none_has_shapes(locale: dict[str, str]) -> None:
     ],
 )
 def test_every_other_locale_that_is_named_is_ascii(locale: dict[str, str]) -> None:
-    assert not has_shapes(XTERM | locale)
+    assert not has_unicode(XTERM | locale)
 
 
 def test_what_python_wrote_into_its_environment_is_no_claim_of_the_terminals() -> None:
-    assert has_shapes(XTERM | {"LC_CTYPE": COERCED})
-    assert has_shapes(XTERM | {"LC_CTYPE": COERCED}, coerced=True)
-    assert not has_shapes(XTERM | {"LC_CTYPE": COERCED, "LANG": "C"}, coerced=True)
-    assert has_shapes(XTERM | {"LC_CTYPE": COERCED, "LANG": "not_HERE.UTF-8"}, coerced=True)
-    assert has_shapes(XTERM | {"LC_CTYPE": COERCED, "LC_ALL": COERCED}, coerced=True)
+    assert has_unicode(XTERM | {"LC_CTYPE": COERCED})
+    assert has_unicode(XTERM | {"LC_CTYPE": COERCED}, coerced=True)
+    assert not has_unicode(XTERM | {"LC_CTYPE": COERCED, "LANG": "C"}, coerced=True)
+    assert has_unicode(XTERM | {"LC_CTYPE": COERCED, "LANG": "not_HERE.UTF-8"}, coerced=True)
+    assert has_unicode(XTERM | {"LC_CTYPE": COERCED, "LC_ALL": COERCED}, coerced=True)
 
 
 SAID = (
-    "import os, sys; from hilcell.tui.terminal.capabilities import has_shapes, is_coerced;"
-    "print(has_shapes(os.environ, coerced=is_coerced()))"
+    "import os, sys; from hilcell.tui.terminal.capabilities import has_unicode, is_coerced;"
+    "print(has_unicode(os.environ, coerced=is_coerced()))"
 )
 
 

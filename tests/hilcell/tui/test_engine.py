@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from hilcell.clean import clean
 from hilcell.commands.cli import _parser
 from hilcell.errors import HilcellError
-from hilcell.tui.engine import process as engine
-from hilcell.tui.engine.process import UNTOLD, Order, Started, ask_hilcell, dry_run
+from hilcell.tui.engine import process
+from hilcell.tui.engine.process import EXIT_REASONS, RunRequest, StartedEngine, dry_run, run_command
 
 # No terminal types NUL or half a letter; argparse drops a lone --.
 TYPED = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])).filter(
@@ -26,8 +26,8 @@ TYPED = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]
 @settings(max_examples=25)
 @given(operator=TYPED, job=TYPED, attended=st.booleans())
 def test_names_reach_the_command_whole(operator: str, job: str, attended: bool) -> None:
-    order = Order("paper", "calibrate", operator, job, attended=attended)
-    found = _parser().parse_args(order.words())
+    asked = RunRequest("paper", "calibrate", operator, job, attended=attended)
+    found = _parser().parse_args(asked.arguments())
     assert (found.operator, found.job) == (clean(operator), clean(job))
     assert (found.cell, found.procedure, found.seed) == ("paper", "calibrate", 1)
     assert found.unattended is not attended
@@ -35,60 +35,67 @@ def test_names_reach_the_command_whole(operator: str, job: str, attended: bool) 
 
 @pytest.mark.parametrize("name", ["--unattended", "-x", "---", "=", "a b", "[/nope]"])
 def test_names_that_look_like_options_are_names(name: str) -> None:
-    found = _parser().parse_args(Order("paper", "home", name, name, settings=("a.b=c",)).words())
+    found = _parser().parse_args(
+        RunRequest("paper", "home", name, name, settings=("a.b=c",)).arguments()
+    )
     assert (found.operator, found.job, found.unattended) == (name, name, False)
     assert found.set == [("a.b", "c")]
 
 
 def test_speed_is_named_only_where_it_is_chosen() -> None:
-    assert "--speed" not in " ".join(Order("paper", "home").words())
-    assert _parser().parse_args(Order("paper", "home", speed="10").words()).speed == 10.0
+    assert "--speed" not in " ".join(RunRequest("paper", "home").arguments())
+    assert _parser().parse_args(RunRequest("paper", "home", speed="10").arguments()).speed == 10.0
 
 
 def test_a_plan_comes_from_the_command_itself() -> None:
-    plan = asyncio.run(dry_run(Order("paper", "home")))
+    plan = asyncio.run(dry_run(RunRequest("paper", "home")))
     assert plan["procedure"] == "home"
     assert plan["steps"]
 
 
-@pytest.mark.parametrize("order", [Order("nowhere", "home"), Order("paper", "home", seed="x")])
-def test_a_refusal_says_why(order: Order) -> None:
+@pytest.mark.parametrize(
+    "asked", [RunRequest("nowhere", "home"), RunRequest("paper", "home", seed="x")]
+)
+def test_a_refusal_says_why(asked: RunRequest) -> None:
     with pytest.raises(HilcellError, match=r"nowhere|seed"):
-        asyncio.run(dry_run(order))
+        asyncio.run(dry_run(asked))
 
 
 def test_a_value_that_is_refused_comes_without_the_usage_of_a_command() -> None:
     with pytest.raises(HilcellError, match=r"^argument --seed: a whole number") as refused:
-        asyncio.run(dry_run(Order("paper", "home", seed="-1")))
+        asyncio.run(dry_run(RunRequest("paper", "home", seed="-1")))
     assert "\n" not in str(refused.value)
 
 
 def test_what_a_command_says_in_its_last_breath_is_kept(tmp_path: Path) -> None:
     with pytest.raises(HilcellError, match="not in"):
-        asyncio.run(ask_hilcell("show", "none", "--runs", str(tmp_path)))
+        asyncio.run(run_command("show", "none", "--runs", str(tmp_path)))
 
 
 def test_an_engine_says_its_last_words_to_a_file_of_its_own(tmp_path: Path) -> None:
     words = ["run", "nothing", "--runs", str(tmp_path)]
-    first, second = (engine.start(tmp_path, "r", words) for _ in range(2))
-    assert "'nothing' is not installed" in first.end()
-    assert first.said != second.said
-    assert "'nothing' is not installed" in second.end()
+    first, second = (process.start_engine(tmp_path, "r", words) for _ in range(2))
+    assert "'nothing' is not installed" in first.wait_for_end()
+    assert first.log_file != second.log_file
+    assert "'nothing' is not installed" in second.wait_for_end()
 
 
-def ended(folder: Path, code: int) -> Started:
+def ended(folder: Path, code: int) -> StartedEngine:
     """Return an engine that has ended so, without having run."""
     process = subprocess.Popen([sys.executable, "-c", f"raise SystemExit({code})"])
-    return Started(process, folder / "engine-1.log")
+    return StartedEngine(process, folder / "engine-1.log")
 
 
 @pytest.mark.parametrize("code", [2, 5, 6, 7])
 def test_an_end_that_no_journal_tells_is_told(tmp_path: Path, code: int) -> None:
     (tmp_path / "journal.sqlite").touch()
-    assert ended(tmp_path, code).end() == f"the engine ended, exit {code}: {UNTOLD[code]}"
+    assert (
+        ended(tmp_path, code).wait_for_end()
+        == f"the engine ended, exit {code}: {EXIT_REASONS[code]}"
+    )
     said = tmp_path / "engine-1.log"
     said.write_text("".join(f"line {number}\n" for number in range(100)))
-    told = ended(tmp_path, code).end()
+    told = ended(tmp_path, code).wait_for_end()
     assert told.endswith("line 98\nline 99")
     assert len(told.splitlines()) == 7
 
@@ -96,17 +103,17 @@ def test_an_end_that_no_journal_tells_is_told(tmp_path: Path, code: int) -> None
 def test_the_reason_is_told_and_not_what_was_reported_before_it(tmp_path: Path) -> None:
     said = tmp_path / "engine-1.log"
     said.write_text("connected\nhilcell: a notice\n25/1035 points\nhilcell: locked\nby a run\n")
-    assert ended(tmp_path, 6).end() == "the engine ended, exit 6: locked\nby a run"
+    assert ended(tmp_path, 6).wait_for_end() == "the engine ended, exit 6: locked\nby a run"
 
 
 @pytest.mark.parametrize("code", [0, 1, 3, 4])
 def test_an_end_that_the_journal_tells_is_not_told_twice(tmp_path: Path, code: int) -> None:
-    assert ended(tmp_path, code).end() == f"the engine ended, exit {code}: without a word"
+    assert ended(tmp_path, code).wait_for_end() == f"the engine ended, exit {code}: without a word"
     (tmp_path / "journal.sqlite").touch()
-    assert ended(tmp_path, code).end() == ""
+    assert ended(tmp_path, code).wait_for_end() == ""
 
 
 def test_no_room_for_an_engine_is_told(tmp_path: Path) -> None:
     (tmp_path / "runs").touch()
     with pytest.raises(HilcellError, match=r"no engine was started: .*Not a directory"):
-        engine.start(tmp_path / "runs", "r", [])
+        process.start_engine(tmp_path / "runs", "r", [])

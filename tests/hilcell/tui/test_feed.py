@@ -15,8 +15,8 @@ import pytest
 
 from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import CALIBRATION
-from hilcell.tui.engine.feed import Feed, Fresh
-from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.engine.feed import Feed, RunUpdate
+from hilcell.tui.engine.run_view import EngineState
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.engine_peer import SILENCE, STATUS, PauseGate, Peer, says, usual
 from tests.hilcell.tui.lines import LIMIT_S, PERIOD_S, nothing_left_open, short
@@ -28,17 +28,17 @@ class Screen:
     """Takes what a feed delivers."""
 
     def __init__(self, folder: Path) -> None:
-        self.brought: list[Fresh] = []
+        self.brought: list[RunUpdate] = []
         self._looked = 0
         self._came = threading.Condition()
         self.feed = Feed(folder, self._take, PERIOD_S)
 
-    def _take(self, fresh: Fresh) -> None:
+    def _take(self, fresh: RunUpdate) -> None:
         with self._came:
             self.brought.append(fresh)
             self._came.notify_all()
 
-    def until(self, true: Callable[[Fresh], bool]) -> Fresh:
+    def until(self, true: Callable[[RunUpdate], bool]) -> RunUpdate:
         """Wait for a look that brings something, after those already returned; return it."""
         with self._came:
             assert self._came.wait_for(
@@ -79,7 +79,7 @@ def test_it_attends_asks_and_leaves(tmp_path: Path) -> None:
         screen = Screen(tmp_path)
         screen.feed.start()
         fresh = screen.until(lambda fresh: fresh.status is not None)
-        assert fresh.engine is EngineState.HEARD
+        assert fresh.engine is EngineState.ANSWERING
         assert fresh.status is not None
         assert fresh.status.devices["rail"].text == "1100.20 mm"
         assert peer.commands == ["attend"]
@@ -132,7 +132,7 @@ def test_a_line_that_ends_is_opened_again(tmp_path: Path) -> None:
         peer.hang_up()
         screen.until(lambda fresh: fresh.status is None)
         peer.until(lambda: peer.commands.count("attend") == 2)
-        assert screen.until(lambda fresh: fresh.status is not None).engine is EngineState.HEARD
+        assert screen.until(lambda fresh: fresh.status is not None).engine is EngineState.ANSWERING
         screen.close()
         peer.until(lambda: peer.open == 0)
 
@@ -154,7 +154,7 @@ def test_an_engine_gone_mad_is_asked_anew_until_it_is_well(
         lost = screen.until(lambda fresh: fresh.status is None)
         assert lost.engine is (EngineState.SILENT if answer == SILENCE else EngineState.NONE)
         mad.clear()
-        assert screen.until(lambda fresh: fresh.status is not None).engine is EngineState.HEARD
+        assert screen.until(lambda fresh: fresh.status is not None).engine is EngineState.ANSWERING
         screen.close()
         peer.until(lambda: peer.open == 0)
 
@@ -182,7 +182,7 @@ def test_a_status_that_makes_no_sense_leaves_the_last_to_grow_stale(
         screen.feed.start()
         screen.until(lambda fresh: fresh.status is not None)
         odd.set()
-        assert screen.until(lambda fresh: fresh.status is None).engine is EngineState.HEARD
+        assert screen.until(lambda fresh: fresh.status is None).engine is EngineState.ANSWERING
         odd.clear()
         screen.until(lambda fresh: fresh.status is not None)
         screen.close()
@@ -198,7 +198,7 @@ def test_an_engine_that_only_stood_still_is_heard_on_the_same_line(tmp_path: Pat
         gate.open.clear()
         assert screen.until(lambda fresh: fresh.status is None).engine is EngineState.SILENT
         gate.open.set()
-        assert screen.until(lambda fresh: fresh.status is not None).engine is EngineState.HEARD
+        assert screen.until(lambda fresh: fresh.status is not None).engine is EngineState.ANSWERING
         assert peer.commands == ["attend"]
         screen.close()
 

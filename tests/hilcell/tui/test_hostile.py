@@ -12,9 +12,9 @@ from textual.events import Paste
 from textual.widgets import Input
 
 from hilcell.errors import HilcellError
-from hilcell.tui.engine import process as engine
-from hilcell.tui.engine.feed import Fresh
-from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.engine import process
+from hilcell.tui.engine.feed import RunUpdate
+from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens import start
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
@@ -51,17 +51,17 @@ def poisoned_outside(
     """Let every question outside the screen answer with the hostile text."""
     text = request.node.callspec.params.get("text", "") if hasattr(request.node, "callspec") else ""
 
-    async def ask_hilcell(*words: str) -> str:
+    async def run_command(*words: str) -> str:
         if words[0] == "compare":
             return msgspec.json.encode(_poison(COMPARISON, text)).decode()
         return f"line\n{text}\n"
 
-    async def dry_run(order: engine.Order) -> dict[str, Any]:
+    async def dry_run(order: process.RunRequest) -> dict[str, Any]:
         found: dict[str, Any] = _poison(PLAN, text)
         return found
 
-    monkeypatch.setattr(engine, "ask_hilcell", ask_hilcell)
-    monkeypatch.setattr(engine, "dry_run", dry_run)
+    monkeypatch.setattr(process, "run_command", run_command)
+    monkeypatch.setattr(process, "dry_run", dry_run)
     monkeypatch.setattr("hilcell.journal.index.read_index", lambda _: hostile.runs(text))
     monkeypatch.setattr(start, "summaries", lambda names: dict.fromkeys(names, text))
 
@@ -85,7 +85,7 @@ def test_every_screen_shows_hostile_words_and_does_nothing_by_them(text: str) ->
         async with app.run_test(size=SIZE) as pilot:
             seen = await screens_of(app, pilot)
             assert app.is_running
-        assert (app.heard.stops, app.acts.engines) == (0, [])
+        assert (app.heard.stops, app.actions.engines) == (0, [])
         assert {command for command, _ in app.heard.asked} <= {"answer"}
         return seen
 
@@ -175,8 +175,8 @@ def test_refusals_are_said_without_harm(text: str, monkeypatch: pytest.MonkeyPat
     async def refuse(*_: object) -> str:
         raise HilcellError(f"refused: {text}")
 
-    monkeypatch.setattr(engine, "ask_hilcell", refuse)
-    monkeypatch.setattr(engine, "dry_run", refuse)
+    monkeypatch.setattr(process, "run_command", refuse)
+    monkeypatch.setattr(process, "dry_run", refuse)
 
     async def play() -> None:
         app = Stage(options(RUNS), "done")
@@ -215,11 +215,11 @@ def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -
     ]
 
     async def play() -> str:
-        app = Stage(options(RUNS), brought=Fresh(records))
+        app = Stage(options(RUNS), brought=RunUpdate(records))
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             await press(pilot, "e", "q", "w", "b", "enter", "question_mark", "q")
-            app.say(app.heard.scene.trouble)
+            app.show_notice(app.heard.view.trouble)
             await settle(pilot)
             return text_of(app)
 
@@ -232,7 +232,7 @@ def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -
 def test_an_engine_whose_journal_cannot_be_read_yet_breaks_nothing(state: str) -> None:
     async def play() -> str:
         app = Stage(
-            options(RUNS), brought=Fresh([], engine=EngineState.HEARD, status=status(state))
+            options(RUNS), brought=RunUpdate([], engine=EngineState.ANSWERING, status=status(state))
         )
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.journal import index
-from hilcell.tui.engine import process as engine
+from hilcell.tui.engine import process
 from hilcell.tui.screens.run import RunScreen
 from tests.hilcell.tui.stage import Stage, options, settle
 
@@ -50,7 +50,7 @@ def test_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert await asyncio.to_thread(answer.wait, LIMIT_S)
         return "figures"
 
-    monkeypatch.setattr(engine, "ask_hilcell", late)
+    monkeypatch.setattr(process, "run_command", late)
     assert leave(tmp_path, "o", answer) == "RunScreen"
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.app.app import Delivered
-from hilcell.tui.engine.feed import Fresh
-from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.app.app import RunUpdated
+from hilcell.tui.engine.feed import RunUpdate
+from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens.run import RunScreen
 from tests.hilcell.tui.playing import play
 from tests.hilcell.tui.scenes import status
@@ -24,24 +24,24 @@ def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
         await press(pilot, "space")
         assert isinstance(app.screen, RunScreen)
         assert "the run is over" in text_of(app)
-        app.post_message(Delivered(app.heard, Fresh([], calibrated=False)))
+        app.post_message(RunUpdated(app.heard, RunUpdate([], calibrated=False)))
         await settle(pilot)
         assert "HC-J11  Calibration without a file" in text_of(app)
         assert "space resume" in text_of(app)
         await press(pilot, "space")
         assert "nothing moves" in text_of(app)
-        assert app.acts.engines == []
+        assert app.actions.engines == []
         await press(pilot, "enter")
 
-    assert len(play(act, "done").acts.engines) == 1
+    assert len(play(act, "done").actions.engines) == 1
 
 
 @pytest.mark.parametrize("over", ["a", "ctrl+p"])
 def test_what_comes_in_is_shown_under_a_question_and_under_the_palette(over: str) -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         await press(pilot, over)
-        for engine, word in ((EngineState.SILENT, "NO ANSWER"), (EngineState.HEARD, "PAUSED")):
-            app.post_message(Delivered(app.heard, Fresh([], engine, status("paused"))))
+        for engine, word in ((EngineState.SILENT, "NO ANSWER"), (EngineState.ANSWERING, "PAUSED")):
+            app.post_message(RunUpdated(app.heard, RunUpdate([], engine, status("paused"))))
             await settle(pilot)
             assert word in text_of(app)
 
@@ -51,7 +51,7 @@ def test_what_comes_in_is_shown_under_a_question_and_under_the_palette(over: str
 def test_a_calibration_that_has_its_file_again_is_told() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
         for calibrated in (False, True):
-            app.post_message(Delivered(app.heard, Fresh([], calibrated=calibrated)))
+            app.post_message(RunUpdated(app.heard, RunUpdate([], calibrated=calibrated)))
             await settle(pilot)
         assert "the calibration has its file" in text_of(app)
         assert "HC-J11" not in text_of(app)
@@ -61,10 +61,10 @@ def test_a_calibration_that_has_its_file_again_is_told() -> None:
 
 def test_what_could_not_be_read_is_told_only_as_long_as_it_cannot() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
-        app.post_message(Delivered(app.heard, Fresh([], trouble="journal: cannot be read")))
+        app.post_message(RunUpdated(app.heard, RunUpdate([], trouble="journal: cannot be read")))
         await settle(pilot)
         assert "cannot be read" in text_of(app)
-        app.post_message(Delivered(app.heard, Fresh([])))
+        app.post_message(RunUpdated(app.heard, RunUpdate([])))
         await settle(pilot)
         assert "cannot be read" not in text_of(app)
 

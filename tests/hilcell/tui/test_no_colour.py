@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from textual.color import Color
 
-from hilcell.tui.terminal.driver import bare
+from hilcell.tui.terminal.driver import without_colours
 from hilcell.tui.terminal.themes import NAMES, PALETTES, TONES, Palette
 from tests.hilcell.tui.sgr import colours_of
 
@@ -47,22 +47,22 @@ def styled(ground: str, *, bold: bool = False, text: str = "#123456") -> str:
 @pytest.mark.parametrize("tone", [*TONES, "text"])
 def test_what_stands_on_a_tone_is_reversed(palette: Palette, tone: str) -> None:
     ground = getattr(palette, tone)
-    assert bare(styled(ground), palette.name) == "\x1b[7mX\x1b[0m"
-    assert bare(styled(ground, bold=True), palette.name) == "\x1b[1;7mX\x1b[0m"
+    assert without_colours(styled(ground), palette.name) == "\x1b[7mX\x1b[0m"
+    assert without_colours(styled(ground, bold=True), palette.name) == "\x1b[1;7mX\x1b[0m"
 
 
 @by_palette
 def test_the_cursor_row_is_reversed_and_a_text_box_is_a_line_to_write_on(palette: Palette) -> None:
-    assert bare(styled(palette.cursor, bold=True), palette.name) == "\x1b[1;7mX\x1b[0m"
-    assert bare(styled(palette.cursor), palette.name) == "\x1b[4mX\x1b[0m"
+    assert without_colours(styled(palette.cursor, bold=True), palette.name) == "\x1b[1;7mX\x1b[0m"
+    assert without_colours(styled(palette.cursor), palette.name) == "\x1b[4mX\x1b[0m"
 
 
 @by_palette
 def test_what_stands_on_the_ground_or_on_its_shades_is_left_alone(palette: Palette) -> None:
     variables = palette.theme().to_color_system().generate()
     for ground in (palette.background, variables["scrollbar-background"], variables["surface"]):
-        assert bare(styled(ground), palette.name) == "X\x1b[0m"
-        assert bare(styled(ground, bold=True), palette.name) == "\x1b[1mX\x1b[0m"
+        assert without_colours(styled(ground), palette.name) == "X\x1b[0m"
+        assert without_colours(styled(ground, bold=True), palette.name) == "\x1b[1mX\x1b[0m"
 
 
 @pytest.mark.parametrize(
@@ -82,20 +82,20 @@ def test_what_stands_on_the_ground_or_on_its_shades_is_left_alone(palette: Palet
     ],
 )
 def test_attributes_stay_and_colours_go(code: str, wanted: str) -> None:
-    assert bare(code, NAMES[0]) == wanted
+    assert without_colours(code, NAMES[0]) == wanted
 
 
 @given(written, themes)
 def test_no_colour_is_left(text: str, theme: str) -> None:
-    assert colours_of(bare(text, theme).encode()) == set()
+    assert colours_of(without_colours(text, theme).encode()) == set()
 
 
 @given(written, themes)
 def test_everything_else_is_left(text: str, theme: str) -> None:
-    assert SGR.sub("", bare(text, theme)) == SGR.sub("", text)
+    assert SGR.sub("", without_colours(text, theme)) == SGR.sub("", text)
 
 
 @given(written, themes)
 def test_what_is_bare_stays_as_it_is(text: str, theme: str) -> None:
-    once = bare(text, theme)
-    assert bare(once, theme) == once
+    once = without_colours(text, theme)
+    assert without_colours(once, theme) == once

@@ -10,7 +10,7 @@ from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from hilcell.tui.widgets import Choice, Rows
+from hilcell.tui.widgets import Choice, Table
 from tests.hilcell.tui.playing import play
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import PLAN, outside
@@ -104,24 +104,24 @@ def test_a_scanned_code_moves_nothing_and_leaves_nothing(state: str) -> None:
         assert app.detached == []
 
     app = play(act, state)
-    assert app.acts.engines == []
+    assert app.actions.engines == []
     assert [word for word, _ in app.heard.asked if word != "pause"] == []
 
 
 def test_choices_and_rows_follow_the_keys_before_them() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
-        before = app.screen.query_one(Rows).key
+        before = app.screen.query_one(Table).key
         type_ahead(app, "down", *["tab"] * 5, "space", "down", "right", "right", "tab", "up")
         await settle(pilot)
         assert [each.index for each in app.screen.query(Choice)] == [1, 2]
-        assert app.screen.query_one(Rows).key == before  # down, and up again
+        assert app.screen.query_one(Table).key == before  # down, and up again
 
     play(act)
 
 
 def test_the_point_under_the_cursor_is_the_one_acted_upon() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
-        rows = app.screen.query_one(Rows)
+        rows = app.screen.query_one(Table)
         type_ahead(app, "end", "up", "r")
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
@@ -143,7 +143,7 @@ def test_the_run_under_the_cursor_is_the_one_marked() -> None:
         await press(pilot, "h")
         type_ahead(app, "x", "down", "down", "x", "up", "x", "x")
         await settle(pilot)
-        marks = [row.cells[0] for row in app.screen.query_one(Rows).rows]
+        marks = [row.cells[0] for row in app.screen.query_one(Table).rows]
         assert marks == ["", "", "*", ""]  # of three the first went, the third was taken back
 
     play(act)
@@ -155,6 +155,6 @@ def test_a_filter_ends_with_its_enter() -> None:
         await settle(pilot)
         assert app.screen_stack[-2].query_one(Input).value == "grid"
         assert isinstance(app.screen_stack[-2], RunScreen)
-        assert app.screen_stack[-2].query_one(Rows).key in text_of(app)
+        assert app.screen_stack[-2].query_one(Table).key in text_of(app)
 
     play(act, "running")

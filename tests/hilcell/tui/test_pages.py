@@ -1,4 +1,4 @@
-"""Rows, filters, alarms and pages, by keys; and keys of one's own."""
+"""Table, filters, alarms and pages, by keys; and keys of one's own."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from textual.pilot import Pilot
 from textual.widgets import Input
 
 from hilcell.journal import index
-from hilcell.tui.engine.process import Order
+from hilcell.tui.engine.process import RunRequest
 from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import InterlockPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from hilcell.tui.widgets import Choice, Rows
+from hilcell.tui.widgets import Choice, Table
 from tests.hilcell.tui.playing import PAGES, footer, play
 from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
 from tests.hilcell.tui.walk import PLAN, outside
@@ -112,7 +112,7 @@ def test_letters_typed_into_the_form_do_not_act() -> None:
 
 def test_a_filter_is_kept_and_an_empty_one_closes() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
-        rows = app.screen.query_one(Rows)
+        rows = app.screen.query_one(Table)
         await press(pilot, "slash", *"0-0-3", "enter")
         assert [row.key for row in rows.rows] == ["grid/0-0-3"]
         assert app.screen.focused is rows
@@ -125,7 +125,7 @@ def test_a_filter_is_kept_and_an_empty_one_closes() -> None:
 
 def test_the_worst_and_the_bad_are_found_with_a_key() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
-        rows = app.screen.query_one(Rows)
+        rows = app.screen.query_one(Table)
         await press(pilot, "w")
         assert rows.key == "validate/S1100/chosen/001"  # raw errors are larger, but meant to be
         assert "as measured" in footer(app)
@@ -224,7 +224,7 @@ def test_the_next_theme_comes_with_a_key() -> None:
 
 def test_an_enter_held_down_on_the_form_starts_nothing() -> None:
     async def act(app: Stage, pilot: Pilot[int]) -> None:
-        app.push_screen(PlanSummary(Order("paper", "calibrate"), PLAN))
+        app.push_screen(PlanSummary(RunRequest("paper", "calibrate"), PLAN))
         await settle(pilot)
         type_ahead(app, "f9", *["enter"] * 20)  # the form's own came just before
         await settle(pilot)
@@ -242,7 +242,7 @@ def test_a_question_yields_to_its_answers(size: tuple[int, int], which: str) -> 
         if which == "abort":
             await press(pilot, "a")
         else:
-            app.push_screen(PlanSummary(Order("paper", "calibrate"), PLAN))
+            app.push_screen(PlanSummary(RunRequest("paper", "calibrate"), PLAN))
         await settle(pilot)
         assert "Enter" in text_of(app)
         await pilot.resize_terminal(24, 6)

@@ -15,7 +15,7 @@ from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import read_log
-from hilcell.tui.engine.scene import Scene
+from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.text.deviation import deviation_of, row_of, state_of
 from hilcell.tui.text.plots import (
     PLOTS,
@@ -27,7 +27,7 @@ from hilcell.tui.text.plots import (
     sorted_plot,
     strip_plot,
 )
-from hilcell.tui.text.points import WIDE, PointTable, columns_for, filtered, point_page, to_row
+from hilcell.tui.text.points import WIDE, PointRows, columns_for, filtered, point_page, to_row
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.scenes import Story, measuring, validated
 
@@ -92,7 +92,7 @@ def test_plots_show_the_reports_errors(journal: Log) -> None:
 def test_only_corrected_points_have_a_limit(journal: Log) -> None:
     limits = {
         row.point.group: row.deviation and row.deviation.limit_mm
-        for row in PointTable().rows(journal)
+        for row in PointRows().rows(journal)
     }
     limit_mm = journal.cell.validation.max_tolerance_mm
     assert limits == {"grid": None, "validate_chosen": limit_mm, "world": None}
@@ -133,7 +133,7 @@ def test_states_of_points(more: dict[str, Any], wanted: str) -> None:
 
 
 def keys_of(log: Log, wanted: str = "", *, bad: bool = False, worst: bool = False) -> list[str]:
-    found = filtered(PointTable().rows(log), wanted, bad_only=bad, worst=worst)
+    found = filtered(PointRows().rows(log), wanted, bad_only=bad, worst=worst)
     return [row.point.key for row in found]
 
 
@@ -148,7 +148,7 @@ def test_points_stand_in_the_order_in_which_they_were_measured() -> None:
 
 def test_worst_first_puts_points_with_a_tolerance_before_raw_ones() -> None:
     log = log_of(validated(worst_mm=1.2))
-    rows = filtered(PointTable().rows(log), "", bad_only=False, worst=True)
+    rows = filtered(PointRows().rows(log), "", bad_only=False, worst=True)
     toleranced = [row.deviation is not None and row.deviation.limit_mm is not None for row in rows]
     assert toleranced == sorted(toleranced, reverse=True)
     for group in (True, False):
@@ -185,7 +185,7 @@ def test_only_bad_ones() -> None:
 def test_rows_fit_their_columns(width: int) -> None:
     log = log_of(validated())
     columns = columns_for(width)
-    for found in PointTable().rows(log):
+    for found in PointRows().rows(log):
         row = to_row(found, (), width)
         assert len(row.cells) == len(columns)
         assert all(len(c) <= column.width for c, column in zip(row.cells, columns, strict=True))
@@ -210,14 +210,14 @@ def test_a_point_without_nominal_has_no_errors() -> None:
 
 
 def test_the_page_of_a_point_tells_everything() -> None:
-    scene = Scene("r", log_of(validated()))
-    text = point_page(scene, "validate/S1100/chosen/001").plain
+    view = RunView("r", log_of(validated()))
+    text = point_page(view, "validate/S1100/chosen/001").plain
     for part in ("validate/S1100/chosen/001", "validate_chosen", "S1100", "+0.0000  +0.1000",
                  "0.1005", "1.000", "SMR 1.5in", "22.50 C", "1010.0 mbar", "45 %",
                  "1100.200 / 1100.00"):  # fmt: skip
         assert part in text
-    assert "nominal" not in point_page(scene, "world/F1").plain
-    assert "no such point" in point_page(scene, "grid/9-9-9").plain
+    assert "nominal" not in point_page(view, "world/F1").plain
+    assert "no such point" in point_page(view, "grid/9-9-9").plain
 
 
 # -- plots -----------------------------------------------------------------------------------------

@@ -4,41 +4,41 @@ from __future__ import annotations
 
 import pytest
 
-from hilcell.tui.engine.scene import Scene
+from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.engine.session import Session
 from hilcell.tui.text.refusals import ONE_AT_A_TIME, pause_command, refusal
 from tests.hilcell.tui.playing import RUNS
 from tests.hilcell.tui.scenes import LIVE, fresh, stories
 
 
-def scene_of(name: str) -> Scene:
+def scene_of(name: str) -> RunView:
     session = Session(RUNS / "r", lambda _: None, 1.0)
     session.take(fresh(name), stories()[name].now)
-    return session.scene
+    return session.view
 
 
 @pytest.mark.parametrize("name", ["new", "pause", "retake"])
 @pytest.mark.parametrize("state", ["aborted", "fault", "gone"])
 def test_nothing_is_started_while_a_live_run_goes_on_behind(state: str, name: str) -> None:
-    scene = scene_of(state)
-    assert refusal(name, scene, behind=True, standing=False) == ONE_AT_A_TIME
-    assert refusal(name, scene, behind=False, standing=False) == ""
+    view = scene_of(state)
+    assert refusal(name, view, background=True, unacknowledged=False) == ONE_AT_A_TIME
+    assert refusal(name, view, background=False, unacknowledged=False) == ""
 
 
 @pytest.mark.parametrize("name", ["stop", "detach"])
 @pytest.mark.parametrize("state", stories())
 def test_what_goes_on_behind_can_be_stopped_and_left(state: str, name: str) -> None:
-    scene = scene_of(state)
-    assert refusal(name, scene, behind=True, standing=False) == ""
-    assert (refusal(name, scene, behind=False, standing=False) == "") == (state in LIVE)
+    view = scene_of(state)
+    assert refusal(name, view, background=True, unacknowledged=False) == ""
+    assert (refusal(name, view, background=False, unacknowledged=False) == "") == (state in LIVE)
 
 
 def test_without_a_run_there_is_nothing_to_act_on() -> None:
     assert pause_command(None) == ""
     for name in ("pause", "retake", "acknowledge", "log", "bad"):
-        assert refusal(name, None, behind=False, standing=False)
+        assert refusal(name, None, background=False, unacknowledged=False)
     for name in ("new", "history", "help", "theme", "quit", "find", "mark"):
-        assert refusal(name, None, behind=False, standing=False) == ""
+        assert refusal(name, None, background=False, unacknowledged=False) == ""
 
 
 @pytest.mark.parametrize(
@@ -52,4 +52,4 @@ def test_without_a_run_there_is_nothing_to_act_on() -> None:
     ],
 )
 def test_the_space_bar_says_why_it_does_nothing(state: str, why: str) -> None:
-    assert refusal("pause", scene_of(state), behind=False, standing=False) == why
+    assert refusal("pause", scene_of(state), background=False, unacknowledged=False) == why

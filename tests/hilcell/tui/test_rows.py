@@ -1,4 +1,4 @@
-"""The table that draws what is in sight: ten thousand rows, a cursor, and following."""
+"""The table that draws what is in tracker_text: ten thousand rows, a cursor, and following."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from textual.app import App, ComposeResult
 from textual.pilot import Pilot
 
 from hilcell.tui.terminal.themes import PALETTES
-from hilcell.tui.widgets import Column, Row, Rows
+from hilcell.tui.widgets import Column, Row, Table
 
 MANY = 10_000
-HEIGHT = 20  # rows in sight, under the header
+HEIGHT = 20  # rows in tracker_text, under the header
 COLUMNS = (Column("name", 10), Column("mm", 8, right=True))
 
 
@@ -23,19 +23,19 @@ def rows_of(count: int, start: int = 0) -> list[Row]:
     return [Row(f"k{n}", (f"run {n}", f"{n:.2f}")) for n in range(start, start + count)]
 
 
-class Table(App[None]):
+class TableApp(App[None]):
     """A table alone, which writes down what it says."""
 
     def __init__(self, *, follow: bool = False, plain: bool = False) -> None:
         super().__init__()
-        self.rows = Rows(COLUMNS, empty="nothing here", plain=plain)
+        self.rows = Table(COLUMNS, empty="nothing here", plain=plain)
         self.rows.follow = follow
         self.chosen: list[str] = []
         self.moved: list[str] = []
         self.register_theme(PALETTES[0].theme())
         self.theme = PALETTES[0].name
 
-    CSS = "Rows { height: 21; } Rows > .rows--cursor { text-style: bold; }"
+    CSS = "Table { height: 21; } Table > .table--cursor { text-style: bold; }"
 
     def compose(self) -> ComposeResult:
         yield self.rows
@@ -43,23 +43,23 @@ class Table(App[None]):
     def on_mount(self) -> None:
         self.rows.focus()
 
-    def on_rows_chosen(self, message: Rows.Chosen) -> None:
+    def on_table_row_selected(self, message: Table.RowSelected) -> None:
         self.chosen.append(message.key)
 
-    def on_rows_moved(self, message: Rows.Moved) -> None:
+    def on_table_row_highlighted(self, message: Table.RowHighlighted) -> None:
         self.moved.append(message.key)
 
     def seen(self) -> list[str]:
-        """Return the lines in sight, the header first."""
+        """Return the lines in tracker_text, the header first."""
         lines = [self.rows.render_line(y).text.rstrip() for y in range(HEIGHT + 1)]
         return [line for line in lines if line]
 
 
-Act = Callable[[Table, Pilot[None]], Awaitable[None]]
+Act = Callable[[TableApp, Pilot[None]], Awaitable[None]]
 
 
-def play(act: Act, table: Table | None = None) -> Table:
-    app = table or Table()
+def play(act: Act, table: TableApp | None = None) -> TableApp:
+    app = table or TableApp()
 
     async def run() -> None:
         async with app.run_test(size=(60, 24)) as pilot:
@@ -71,8 +71,8 @@ def play(act: Act, table: Table | None = None) -> Table:
 
 
 def test_ten_thousand_rows_are_paged_to_their_end() -> None:
-    async def act(app: Table, pilot: Pilot[None]) -> None:
-        app.rows.put(rows_of(MANY))
+    async def act(app: TableApp, pilot: Pilot[None]) -> None:
+        app.rows.show_rows(rows_of(MANY))
         assert app.seen()[:2] == [" name             mm", ">run 0          0.00"]
         await pilot.press("end")
         assert app.rows.key == f"k{MANY - 1}"
@@ -89,9 +89,9 @@ def test_ten_thousand_rows_are_paged_to_their_end() -> None:
 
 
 def test_a_row_costs_nothing_out_of_sight() -> None:
-    async def act(app: Table, pilot: Pilot[None]) -> None:
+    async def act(app: TableApp, pilot: Pilot[None]) -> None:
         def cost_s(count: int) -> float:
-            app.rows.put(rows_of(count))
+            app.rows.show_rows(rows_of(count))
             began_s = perf_counter()
             for y in range(HEIGHT):
                 app.rows.render_line(y)
@@ -104,11 +104,11 @@ def test_a_row_costs_nothing_out_of_sight() -> None:
 
 
 def test_the_cursor_stays_on_its_row_when_rows_come_before_it() -> None:
-    async def act(app: Table, pilot: Pilot[None]) -> None:
-        app.rows.put(rows_of(50, start=50))
+    async def act(app: TableApp, pilot: Pilot[None]) -> None:
+        app.rows.show_rows(rows_of(50, start=50))
         await pilot.press("down", "down")
         assert app.rows.key == "k52"
-        app.rows.put(rows_of(100))
+        app.rows.show_rows(rows_of(100))
         assert (app.rows.key, app.rows.cursor) == ("k52", 52)
         await pilot.pause()
         assert any(line.startswith(">run 52") for line in app.seen())
@@ -117,42 +117,42 @@ def test_the_cursor_stays_on_its_row_when_rows_come_before_it() -> None:
 
 
 def test_the_cursor_stays_near_when_its_row_goes() -> None:
-    async def act(app: Table, pilot: Pilot[None]) -> None:
-        app.rows.put(rows_of(50))
+    async def act(app: TableApp, pilot: Pilot[None]) -> None:
+        app.rows.show_rows(rows_of(50))
         await pilot.press("end")
-        app.rows.put(rows_of(10))
+        app.rows.show_rows(rows_of(10))
         assert app.rows.key == "k9"
-        app.rows.put([])
+        app.rows.show_rows([])
         assert app.rows.key == ""
         assert app.seen()[-1] == "nothing here"
         await pilot.press("down", "end", "pagedown", "enter")
         assert app.chosen == [""]
-        app.rows.put(rows_of(3))
+        app.rows.show_rows(rows_of(3))
         assert app.rows.key == "k0"
 
     play(act)
 
 
 def test_following_keeps_to_the_end_until_one_looks_back() -> None:
-    async def act(app: Table, pilot: Pilot[None]) -> None:
+    async def act(app: TableApp, pilot: Pilot[None]) -> None:
         for count in (1, 5, 40):
-            app.rows.put(rows_of(count))
+            app.rows.show_rows(rows_of(count))
             assert app.rows.key == f"k{count - 1}"
         await pilot.press("up")
-        app.rows.put(rows_of(60))
+        app.rows.show_rows(rows_of(60))
         assert app.rows.key == "k38"
         await pilot.press("end")
-        app.rows.put(rows_of(80))
+        app.rows.show_rows(rows_of(80))
         assert app.rows.key == "k79"
         await pilot.pause()
         assert app.seen()[-1].startswith(">run 79")
 
-    play(act, Table(follow=True))
+    play(act, TableApp(follow=True))
 
 
 def test_it_says_what_is_chosen_and_where_the_cursor_is() -> None:
-    async def act(app: Table, pilot: Pilot[None]) -> None:
-        app.rows.put(rows_of(5))
+    async def act(app: TableApp, pilot: Pilot[None]) -> None:
+        app.rows.show_rows(rows_of(5))
         await pilot.press("down", "enter", "down")
         await pilot.pause()
 
@@ -170,8 +170,8 @@ HOSTILE = [
 @pytest.mark.parametrize("plain", [False, True])
 @pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
 def test_cells_are_plain_text_and_stay_in_their_columns(text: str, plain: bool) -> None:
-    async def act(app: Table, pilot: Pilot[None]) -> None:
-        app.rows.put([Row(text, (text, "1.25"), "bad"), Row("k", ("fine", "2.50"))])
+    async def act(app: TableApp, pilot: Pilot[None]) -> None:
+        app.rows.show_rows([Row(text, (text, "1.25"), "bad"), Row("k", ("fine", "2.50"))])
         line = app.rows.render_line(1)
         assert line.cell_length == app.rows.size.width
         shown = line.text
@@ -191,4 +191,4 @@ def test_cells_are_plain_text_and_stay_in_their_columns(text: str, plain: bool) 
         assert cell_len(before) == 1 + 10 + 1 + 4
         await pilot.press("enter")
 
-    assert play(act, Table(plain=plain)).chosen == [text]
+    assert play(act, TableApp(plain=plain)).chosen == [text]

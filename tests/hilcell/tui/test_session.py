@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from hilcell.errors import HilcellError
-from hilcell.tui.engine.feed import Fresh
-from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.engine.feed import RunUpdate
+from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.engine.session import Session, utc_now
 from tests.hilcell.tui.engine_peer import Peer, usual
 from tests.hilcell.tui.lines import ANSWER_S, LIMIT_S, PERIOD_S, nothing_left_open, short
@@ -80,7 +80,7 @@ def test_a_stop_ends_an_engine_that_hears_nobody_yet(tmp_path: Path) -> None:
 def test_an_engine_that_was_heard_once_is_never_killed(tmp_path: Path) -> None:
     with child() as process:
         session = Session(tmp_path, lambda _: None, PERIOD_S, process)
-        session.take(Fresh([], engine=EngineState.HEARD), utc_now())
-        session.take(Fresh([], engine=EngineState.NONE), utc_now())
+        session.take(RunUpdate([], engine=EngineState.ANSWERING), utc_now())
+        session.take(RunUpdate([], engine=EngineState.NONE), utc_now())
         assert not session.stop()
         assert process.poll() is None

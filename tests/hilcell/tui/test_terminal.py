@@ -18,7 +18,7 @@ import pytest
 from hilcell.journal.journal import Journal, Record
 from hilcell.journal.runs import JOURNAL
 from hilcell.run.protocol import Status
-from hilcell.tui.engine.scene import EngineState
+from hilcell.tui.engine.run_view import EngineState
 from tests.hilcell.tui.engine_peer import STATUS, Peer, says
 from tests.hilcell.tui.hostile import NASTY, poisoned
 from tests.hilcell.tui.scenes import fresh, status, stories

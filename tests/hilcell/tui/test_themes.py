@@ -10,7 +10,7 @@ import pytest
 from rich.segment import Segment
 
 from hilcell.commands.cli import _parser
-from hilcell.tui.engine.scene import Scene
+from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, Glyphs
 from hilcell.tui.terminal.themes import NAMES, PALETTES, TONES, Palette
 from hilcell.tui.text.run import STATES
@@ -114,10 +114,10 @@ def test_each_state_has_a_word_and_a_shape_of_its_own(glyphs: Glyphs) -> None:
 
 def test_every_state_of_a_run_can_be_shown() -> None:
     for name, story in stories().items():
-        scene = Scene("r")
+        view = RunView("r")
         for record in story.records:
-            scene.take(record)
-        assert scene.key in STATES, name
+            view.take(record)
+        assert view.state in STATES, name
 
 
 def test_ascii_shapes_are_ascii() -> None:

@@ -1,4 +1,4 @@
-"""The lines of the screen, as pure functions of a scene: what they say, and never too wide."""
+"""The lines of the screen, as pure functions of a view: what they say, and never too wide."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.point_id import PointId
 from hilcell.run.protocol import DeviceStatus
-from hilcell.tui.engine.scene import Scene
+from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
-from hilcell.tui.text import run as words
+from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import alarm_lines, alarm_page
-from hilcell.tui.text.deviation import Deviation, deviation_lines, large, tolerance_line
-from hilcell.tui.text.prompt import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, sight
+from hilcell.tui.text.deviation import Deviation, deviation_lines, large_digits, tolerance_line
+from hilcell.tui.text.prompt import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, tracker_text
 from tests.hilcell.tui.scenes import BEGAN, PROMPT, fresh, measuring, stories
 from tests.hilcell.tui.stage import DEFAULT_KEYS, Listener
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 
 
-def scene_of(name: str) -> Scene:
-    """Return the scene of a made-up run."""
+def scene_of(name: str) -> RunView:
+    """Return the view of a made-up run."""
     session = Listener(Path("/runs/made-up"))
     session.take(fresh(name), stories()[name].now)
-    return session.scene
+    return session.view
 
 
 # -- durations and ages ----------------------------------------------------------------------------
@@ -46,12 +46,12 @@ def scene_of(name: str) -> Scene:
      (3599, "59:59"), (3600, "1:00:00"), (86399, "23:59:59"), (100 * 3600, "100:00:00")],
 )  # fmt: skip
 def test_durations(seconds: float, wanted: str) -> None:
-    assert words.duration(seconds) == wanted
+    assert run_text.duration(seconds) == wanted
 
 
 @pytest.mark.parametrize("seconds", [math.nan, math.inf, -math.inf])
 def test_a_duration_that_is_no_number_is_said_so(seconds: float) -> None:
-    assert words.duration(seconds) == "-:--"
+    assert run_text.duration(seconds) == "-:--"
 
 
 @pytest.mark.parametrize(
@@ -61,12 +61,12 @@ def test_a_duration_that_is_no_number_is_said_so(seconds: float) -> None:
      (math.nan, "?"), (math.inf, "?")],
 )  # fmt: skip
 def test_ages(seconds: float, wanted: str) -> None:
-    assert words.short_age(seconds) == wanted
+    assert run_text.short_age(seconds) == wanted
 
 
 @given(st.floats(0, 1e6))
 def test_ages_are_short(seconds: float) -> None:
-    assert len(words.short_age(seconds)) <= 5
+    assert len(run_text.short_age(seconds)) <= 5
 
 
 # -- lamps -----------------------------------------------------------------------------------------
@@ -87,24 +87,24 @@ def test_ages_are_short(seconds: float) -> None:
     ],
 )
 def test_lamps(device: DeviceStatus, wanted: str, good: bool) -> None:
-    lamp = words.lamp("rail", device, scene_of("running"), UNICODE)
+    lamp = run_text.lamp("rail", device, scene_of("running"), UNICODE)
     assert lamp.plain == wanted
     assert any("good" in str(span.style) for span in lamp.spans) == good
 
 
 def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
-    scene = scene_of("running")
-    scene.heard_s = 2.1
+    view = scene_of("running")
+    view.status_age_s = 2.1
     for device in (DeviceStatus("fresh", 0.2), DeviceStatus("moving", 0.2)):
-        lamp = words.lamp("rail", device, scene, UNICODE)
+        lamp = run_text.lamp("rail", device, view, UNICODE)
         assert lamp.plain == "○ Rail 2.3 s"
         assert not any("good" in str(span.style) for span in lamp.spans)
-    scene.heard_s = math.nan
-    assert scene.stale
+    view.status_age_s = math.nan
+    assert view.stale
 
 
 def test_a_past_run_has_no_lamps() -> None:
-    assert words.lamps(scene_of("done"), UNICODE, 80).plain.count(" -") == len(words.LAMPS)
+    assert run_text.lamps(scene_of("done"), UNICODE, 80).plain.count(" -") == len(run_text.LAMPS)
 
 
 # -- lines -----------------------------------------------------------------------------------------
@@ -114,14 +114,14 @@ def test_a_past_run_has_no_lamps() -> None:
 @settings(max_examples=20)
 @given(width=st.integers(20, 200))
 def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
-    scene = scene_of(name)
-    lines = [words.progress(scene, UNICODE, width), words.interlocks(scene, width)]
+    view = scene_of(name)
+    lines = [run_text.progress(view, UNICODE, width), run_text.interlocks(view, width)]
     if width >= 80:
         lines += [
-            words.banner(scene, UNICODE, width),
-            words.identity(scene, width),
-            words.step(scene, width),
-            words.lamps(scene, UNICODE, width),
+            run_text.banner(view, UNICODE, width),
+            run_text.identity(view, width),
+            run_text.step(view, width),
+            run_text.lamps(view, UNICODE, width),
         ]
     for line in lines:
         assert line.cell_length <= max(width, 40), line.plain
@@ -129,97 +129,99 @@ def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
 
 @pytest.mark.parametrize("name", stories())
 def test_the_banner_names_the_state_and_says_what_the_stop_is_not(name: str) -> None:
-    line = words.banner(scene_of(name), UNICODE, 80).plain
-    assert f"{UNICODE.states[name]} {words.STATES[name][0]}" in line
+    line = run_text.banner(scene_of(name), UNICODE, 80).plain
+    assert f"{UNICODE.states[name]} {run_text.STATES[name][0]}" in line
     assert ("LIVE" in line) + ("HISTORIC" in line) == (name != "looking")
-    assert ("use the E-stop" if name == "silent" else words.NOT_E_STOP) in line
+    assert ("use the E-stop" if name == "silent" else run_text.NOT_E_STOP) in line
     assert ("SIMULATION" in line) == (name not in ("looking", "idle", "unreadable"))
 
 
 @pytest.mark.parametrize("name", stories())
-@pytest.mark.parametrize("behind", ["running", "suspended", "silent"])
-def test_a_run_behind_is_told_of_in_every_state(name: str, behind: str) -> None:
+@pytest.mark.parametrize("background", ["running", "suspended", "silent"])
+def test_a_run_behind_is_told_of_in_every_state(name: str, background: str) -> None:
     for width in (80, 120):
-        line = words.banner(scene_of(name), UNICODE, width, scene_of(behind)).plain
-        assert f"behind: {words.STATES[behind][0]}" in line
-        assert ("use the E-stop" if behind == "silent" else "Esc stops") in line
-    assert len(words.banner(scene_of(name), UNICODE, 40, scene_of(behind)).plain) <= 60
+        line = run_text.banner(scene_of(name), UNICODE, width, scene_of(background)).plain
+        assert f"behind: {run_text.STATES[background][0]}" in line
+        assert ("use the E-stop" if background == "silent" else "Esc stops") in line
+    assert len(run_text.banner(scene_of(name), UNICODE, 40, scene_of(background)).plain) <= 60
 
 
 def test_the_end_of_a_run_behind_names_its_worst_alarm() -> None:
-    told = words.end_of(scene_of("fault"))
+    told = run_text.end_text(scene_of("fault"))
     assert told.endswith("made-up, has ended: FAULT: HC-T99 Tracker fault")
-    assert words.end_of(scene_of("done")).endswith("has ended: DONE")
+    assert run_text.end_text(scene_of("done")).endswith("has ended: DONE")
 
 
 def test_a_real_run_is_not_called_a_simulation() -> None:
-    scene = scene_of("running")
-    assert scene.log.plan is not None
-    scene.log.plan = msgspec.structs.replace(scene.log.plan, simulated=False)
-    assert "SIMULATION" not in words.banner(scene, UNICODE, 80).plain
+    view = scene_of("running")
+    assert view.log.plan is not None
+    view.log.plan = msgspec.structs.replace(view.log.plan, simulated=False)
+    assert "SIMULATION" not in run_text.banner(view, UNICODE, 80).plain
 
 
 def test_the_step_is_told_with_its_count_and_the_next() -> None:
-    line = words.step(scene_of("running"), 80).plain
+    line = run_text.step(scene_of("running"), 80).plain
     assert line.startswith("step 5/7 robot-grid: 5/8, last grid/0-0-4 at S1100")
     assert line.endswith("next: fit")
-    assert "next" not in words.step(scene_of("done"), 80).plain
-    assert words.step(scene_of("checking"), 80).plain == "step: none yet"
+    assert "next" not in run_text.step(scene_of("done"), 80).plain
+    assert run_text.step(scene_of("checking"), 80).plain == "step: none yet"
 
 
 def test_a_long_job_leaves_room_for_operator_and_run() -> None:
-    scene = scene_of("running")
-    assert scene.log.plan is not None
-    scene.log.plan = msgspec.structs.replace(scene.log.plan, job="J" * 500, operator="Ann" * 50)
-    line = words.identity(scene, 100).plain
+    view = scene_of("running")
+    assert view.log.plan is not None
+    view.log.plan = msgspec.structs.replace(view.log.plan, job="J" * 500, operator="Ann" * 50)
+    line = run_text.identity(view, 100).plain
     assert "operator AnnAnn" in line
     assert "attended" in line
-    assert line.endswith(scene.run)
+    assert line.endswith(view.run)
 
 
 def test_a_journal_that_cannot_be_read_says_why() -> None:
-    assert words.identity(scene_of("unreadable"), 80).plain.endswith("damaged or not a journal")
+    assert run_text.identity(scene_of("unreadable"), 80).plain.endswith("damaged or not a journal")
 
 
 def test_the_newest_deviation_stays_while_points_without_one_are_measured() -> None:
-    scene = scene_of("running")
+    view = scene_of("running")
     story = measuring().point(PointId("control", nest="F1"), commanded_deg=None)
-    scene.take(story.records[-1])
-    assert scene.last is not None
-    assert scene.last.key == "control/F1"
-    assert scene.newest_target is scene.log.points["grid/0-0-4"]
+    view.take(story.records[-1])
+    assert view.last is not None
+    assert view.last.key == "control/F1"
+    assert view.newest_target is view.log.points["grid/0-0-4"]
 
 
 @pytest.mark.parametrize("remaining_s", [None, 0.0, 30.0, 1e9])
 def test_the_bar_is_as_long_as_the_share(remaining_s: float | None) -> None:
-    scene = scene_of("running")
-    scene.elapsed_s, scene.remaining_s = 10.0, remaining_s
-    share = words.share_done(scene)
+    view = scene_of("running")
+    view.elapsed_s, view.remaining_s = 10.0, remaining_s
+    share = run_text.share_done(view)
     assert 0.0 <= share <= 1.0
-    line = words.progress(scene, UNICODE, 80).plain
+    line = run_text.progress(view, UNICODE, 80).plain
     bar = line.count("█") + line.count("░")
     assert line.count("█") == math.floor(bar * share)
     assert f"{math.floor(100 * share):3d} %" in line
 
 
 def test_a_run_that_is_over_is_done() -> None:
-    assert words.share_done(scene_of("done")) == words.share_done(scene_of("intolerant")) == 1.0
-    assert words.share_done(scene_of("fault")) < 1.0
-    assert words.share_done(scene_of("idle")) == 0.0
+    assert (
+        run_text.share_done(scene_of("done")) == run_text.share_done(scene_of("intolerant")) == 1.0
+    )
+    assert run_text.share_done(scene_of("fault")) < 1.0
+    assert run_text.share_done(scene_of("idle")) == 0.0
 
 
 def test_interlocks_name_the_first_that_is_blocked() -> None:
-    scene = scene_of("running")
-    assert "rail move blocked: robot not at safe pose" in words.interlocks(scene, 80).plain
-    assert scene.status is not None
-    scene.heard_s = 9.0
-    assert words.interlocks(scene, 80).plain == "interlocks: last heard 9.0 s ago"
-    scene.status = None
-    assert words.interlocks(scene, 80).plain == "interlocks: no reading"
+    view = scene_of("running")
+    assert "rail move blocked: robot not at safe pose" in run_text.interlocks(view, 80).plain
+    assert view.status is not None
+    view.status_age_s = 9.0
+    assert run_text.interlocks(view, 80).plain == "interlocks: last heard 9.0 s ago"
+    view.status = None
+    assert run_text.interlocks(view, 80).plain == "interlocks: no reading"
 
 
 def test_a_finished_run_says_its_figures_there() -> None:
-    line = words.interlocks(scene_of("done"), 80).plain
+    line = run_text.interlocks(scene_of("done"), 80).plain
     assert line == "in tolerance: mean |e| mm  S1100 1.200 -> 0.110"
 
 
@@ -235,9 +237,9 @@ def test_a_finished_run_says_its_figures_there() -> None:
     ],
 )
 def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) -> None:
-    scene = scene_of("done")
-    scene.log.end = {"state": "finished", "exit": 0, "result": result}
-    assert words.result(scene, 80).plain == ""
+    view = scene_of("done")
+    view.log.end = {"state": "finished", "exit": 0, "result": result}
+    assert run_text.result(view, 80).plain == ""
 
 
 # -- air -------------------------------------------------------------------------------------------
@@ -247,10 +249,10 @@ def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) 
     ("drift_k", "warns"), [(0.0, False), (2.0, False), (-2.1, True), (math.nan, True)]
 )
 def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
-    scene = scene_of("running")
-    assert scene.last is not None
-    scene.last = msgspec.structs.replace(scene.last, temperature_c=22.5 + drift_k)
-    assert words.air(scene, UNICODE).plain.startswith("! ") == warns
+    view = scene_of("running")
+    assert view.last is not None
+    view.last = msgspec.structs.replace(view.last, temperature_c=22.5 + drift_k)
+    assert run_text.air(view, UNICODE).plain.startswith("! ") == warns
 
 
 # -- deviation -------------------------------------------------------------------------------------
@@ -290,38 +292,38 @@ def test_the_mark_crosses_the_limit_with_the_error() -> None:
     assert lines[1].index("▼") > lines[1].index("|")
 
 
-# -- large digits ----------------------------------------------------------------------------------
+# -- large digits -------------------------------------------------------------------------------
 
 
 def test_every_digit_looks_different() -> None:
-    assert len({large(letter) for letter in "0123456789+-. "}) == 14
+    assert len({large_digits(letter) for letter in "0123456789+-. "}) == 14
 
 
 @given(st.text("0123456789+-. ", max_size=12))
 def test_large_rows_are_of_one_length(text: str) -> None:
-    assert len({len(row) for row in large(text)}) == 1
+    assert len({len(row) for row in large_digits(text)}) == 1
 
 
 @pytest.mark.parametrize("text", ["nan", "+inf", "-inf"])
 def test_what_is_no_number_can_be_shown(text: str) -> None:
-    assert len({len(row) for row in large(text)}) == 1
+    assert len({len(row) for row in large_digits(text)}) == 1
 
 
 # -- prompts ---------------------------------------------------------------------------------------
 
 
 def test_the_prompt_says_what_is_expected_and_seen() -> None:
-    scene = scene_of("suspended")
-    text = prompt_lines(PROMPT, scene, UNICODE, 76).plain
+    view = scene_of("suspended")
+    text = prompt_lines(PROMPT, view, UNICODE, 76).plain
     assert "expected reading: x 4007.5  y -238.7  z -480.3 mm" in text
     assert "reflector 1.24 mm from there, limit 5.0 (0.3 s ago); press Enter" in text
     assert ">P1<" in text
 
 
 def test_a_prompt_is_not_ready_when_the_engine_has_gone_silent() -> None:
-    scene = scene_of("suspended")
-    scene.heard_s = 60.0
-    assert "Enter does not work" in sight(PROMPT, scene).plain
+    view = scene_of("suspended")
+    view.status_age_s = 60.0
+    assert "Enter does not work" in tracker_text(PROMPT, view).plain
 
 
 def test_a_place_that_is_no_nest_is_not_drawn() -> None:
@@ -377,7 +379,7 @@ def test_what_stands_from_before_a_resume_is_on_the_page_of_alarms() -> None:
     latch = Latch()
     faulted = Listener(Path("/runs/r"))
     faulted.take(fresh("fault"), BEGAN)
-    (alarm,) = faulted.scene.alarms
+    (alarm,) = faulted.view.alarms
     latch.take([alarm])
     page = alarm_page([], latch, UNICODE).plain
     assert alarm.code in page
@@ -390,7 +392,7 @@ def test_a_long_advice_is_told_in_two_rows() -> None:
     latch = Latch()
     faulted = Listener(Path("/runs/r"))
     faulted.take(fresh("fault"), BEGAN)
-    (alarm,) = faulted.scene.alarms
+    (alarm,) = faulted.view.alarms
     advice = "Look at every nest, measure the floor again, and start a new run where one has moved."
     latch.take([replace(alarm, do=(advice,))])
     lines = alarm_lines(latch.standing(), DEFAULT_KEYS, UNICODE, 80)
@@ -402,13 +404,13 @@ def test_a_long_advice_is_told_in_two_rows() -> None:
 
 
 def test_a_start_that_was_refused_has_lost_no_engine() -> None:
-    scene = Scene("r")
+    view = RunView("r")
     for record in stories()["idle"].records:
-        scene.take(record)
-    assert (scene.log.plan, scene.key) == (None, "idle")
+        view.take(record)
+    assert (view.log.plan, view.state) == (None, "idle")
     plan, *_ = stories()["running"].records
-    scene.take(plan)
-    assert scene.key == "gone"
+    view.take(plan)
+    assert view.state == "gone"
     end = {"state": "idle", "exit": 6, "reason": "the cell is in use", "result": {}}
-    scene.take(Record(2, plan.t, "end", "", end))
-    assert scene.key == "idle"
+    view.take(Record(2, plan.t, "end", "", end))
+    assert view.state == "idle"

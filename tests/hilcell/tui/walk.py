@@ -11,7 +11,7 @@ from textual.command import CommandPalette
 from textual.pilot import Pilot
 
 from hilcell.journal.index import RunRow
-from hilcell.tui.engine import process as engine
+from hilcell.tui.engine import process
 from hilcell.tui.screens import start
 from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
@@ -96,15 +96,15 @@ class _Ended:
 def outside(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let nothing outside the screen be asked: no process, no index, no browser."""
 
-    async def ask_hilcell(*words: str) -> str:
+    async def run_command(*words: str) -> str:
         return SAID[words[0]]
 
-    async def dry_run(order: engine.Order) -> dict[str, Any]:
+    async def dry_run(order: process.RunRequest) -> dict[str, Any]:
         return PLAN
 
-    monkeypatch.setattr(engine, "ask_hilcell", ask_hilcell)
-    monkeypatch.setattr(engine, "dry_run", dry_run)
-    monkeypatch.setattr(engine, "start", lambda *_: _Ended())
+    monkeypatch.setattr(process, "run_command", run_command)
+    monkeypatch.setattr(process, "dry_run", dry_run)
+    monkeypatch.setattr(process, "start_engine", lambda *_: _Ended())
     monkeypatch.setattr("hilcell.journal.index.read_index", lambda _: RUNS)
     monkeypatch.setattr(start, "entry_points", lambda group: [_Entry(name) for name in PROCEDURES])
     monkeypatch.setattr(start, "summaries", lambda names: {n: PROCEDURES[n] for n in names})

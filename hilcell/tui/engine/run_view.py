@@ -1,7 +1,7 @@
 """What the screen knows at one moment: the journal so far, and what the engine last said.
 
-The same scene stands for a live run, a finished one and one left by a crash. The trap: the
-engine's words grow old; whatever shows them asks `Scene.heard_s` how old they are.
+The same view stands for a live run, a finished one and one left by a crash. The trap: the
+engine's words grow old; whatever shows them asks `RunView.status_age_s` how old they are.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ class EngineState(Enum):
     UNKNOWN = "unknown"  # nobody has looked yet
     NONE = "none"
     STARTING = "starting"  # this screen has started it; it has not said anything yet
-    HEARD = "heard"
+    ANSWERING = "answering"
     SILENT = "silent"  # it lives, and does not answer
 
 
 @dataclass(slots=True)
-class Scene:
+class RunView:
     """All that is shown. Fed by `take` and `hear`; read by the pure functions of this package."""
 
     run: str
@@ -44,7 +44,7 @@ class Scene:
     calibrated: bool = True  # whether a calibration has its file
     engine: EngineState = EngineState.NONE
     status: Status | None = None
-    heard_s: float = 0.0  # how old the status is
+    status_age_s: float = 0.0  # how old the status is
     now: datetime | None = None
     remaining_s: float | None = None
     elapsed_s: float = 0.0
@@ -76,29 +76,29 @@ class Scene:
         return next((point for point in points if point.nominal_mm is not None), None)
 
     @property
-    def over(self) -> bool:
+    def ended(self) -> bool:
         """Whether the run has ended, by its journal."""
         return self.log.states["run"] in OVER and self.log.end is not None
 
     @property
-    def lost(self) -> bool:
+    def calibration_lost(self) -> bool:
         """Whether the run has ended with a calibration that has no file."""
         return not self.calibrated and self.log.calibrates
 
     @property
-    def key(self) -> str:
+    def state(self) -> str:
         """Return the state in one word, as the state block names it."""
         state = self.log.states["run"]
         if self.engine is EngineState.UNKNOWN:
             return "looking"
         if self.engine is EngineState.STARTING:
             return "checking"
-        if self.engine is EngineState.NONE and not self.over:
+        if self.engine is EngineState.NONE and not self.ended:
             if self.trouble and self.log.plan is None:
                 return "unreadable"
             begun = self.log.plan is not None and self.log.end is None  # else it was refused
             return "gone" if begun else "idle"
-        if self.engine is EngineState.SILENT and not self.over:
+        if self.engine is EngineState.SILENT and not self.ended:
             return "silent"
         if state == "finished":
             return "intolerant" if self.log.end and self.log.end["exit"] else "done"
@@ -111,23 +111,23 @@ class Scene:
     @property
     def live(self) -> bool:
         """Whether an engine is at work on this run."""
-        ended = self.key in ("done", "intolerant", "aborted", "fault")
+        ended = self.state in ("done", "intolerant", "aborted", "fault")
         return self.engine is not EngineState.NONE and not ended
 
     @property
-    def heard(self) -> bool:
+    def answers(self) -> bool:
         """Whether an engine takes commands."""
-        return self.engine is EngineState.HEARD
+        return self.engine is EngineState.ANSWERING
 
     @property
     def at_rest(self) -> bool:
         """Whether nothing moves: no engine is at work, or it waits for the operator."""
-        return not self.live or self.key in ("paused", "suspended")
+        return not self.live or self.state in ("paused", "suspended")
 
     @property
     def stale(self) -> bool:
         """Whether the engine's last words are too old to be shown as good."""
-        return self.status is None or not self.heard_s <= STALE_S
+        return self.status is None or not self.status_age_s <= STALE_S
 
     @property
     def prompt(self) -> PromptStatus | None:
