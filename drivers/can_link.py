@@ -22,7 +22,7 @@ from hilcell.ports import DeviceError, LinkStatistics
 
 RECEIVE_S = 0.02
 HEARTBEAT_PERIOD_S = 0.05
-RECENT_S = 5.0  # a pause that ended before does not explain what a node reports now
+RECENT_S = 5.0  # a pause that ended before does not explain a node's report
 JOIN_S = 1.0
 OPERATIONAL = b"\x05"
 
@@ -115,7 +115,7 @@ class CanLink:
         beat.start()
 
     def statistics(self) -> LinkStatistics:
-        """Return what the link has carried so far."""
+        """Return the link's counts so far."""
         bus = self._bus
         bad, refused = (bus.bad_lines, bus.refused) if isinstance(bus, SlcanBus) else (0, 0)
         return LinkStatistics(self._frames, bad, refused, self._malformed)

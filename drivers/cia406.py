@@ -16,7 +16,7 @@ _ALARMS = {0: "position error: missing magnet, or the head too far from the stri
 
 
 def alarm_text(alarms: int) -> str:
-    """Return what the alarm bits of 6503h say."""
+    """Return the alarm bits of 6503h in words."""
     bits = [bit for bit in range(16) if alarms >> bit & 1]
     return "; ".join(_ALARMS.get(bit, f"alarm bit {bit} (see the sensor's manual)") for bit in bits)
 

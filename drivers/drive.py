@@ -354,7 +354,7 @@ class Drive:
             )
 
     def _fields(self, now: Snapshot) -> dict[str, object]:
-        """Return what a poll shows, as data."""
+        """Return the values of a poll, as data."""
         scale = self._limits.counts_per_mm
         return {
             "position_mm": now.position / scale,
@@ -365,7 +365,7 @@ class Drive:
         }
 
     def _seen(self, now: Snapshot) -> str:
-        """Return what a poll shows, in words."""
+        """Return the values of a poll, in words."""
         return (
             f"{self._limits.mm(now.position)}, {self._limits.mm(now.velocity)}/s, "
             f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}"

@@ -235,7 +235,7 @@ def status_text(status: int) -> str:
 
 
 def air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: float) -> str:
-    """Return what is impossible about the air, or nothing."""
+    """Return why the air's values are impossible, or nothing."""
     limits = (
         ("temperature", temperature_c, "C", TEMPERATURE_C),
         ("pressure", pressure_mbar, "mbar", PRESSURE_MBAR),

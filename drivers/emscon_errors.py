@@ -26,7 +26,7 @@ def refused(
 
 
 def failed(command: Command, status: int) -> DeviceError:
-    """Return what a refused command means."""
+    """Return the error of a refused command."""
     kind = NoReading if status in emscon.RECOVERABLE else DeviceError
     return kind(
         emscon.alarm(status),

@@ -120,7 +120,7 @@ class EmsconStream:
         self._silence = Patience(SILENT_S + self._separation_ms / 1000.0)
 
     def collect(self) -> list[StreamBlock]:
-        """Return what has arrived, without waiting; raises `NoReading` when the beam broke."""
+        """Return arrived blocks, without waiting; raises `NoReading` when the beam broke."""
         looked_s = self._clock.now_s()
         over = self._silence.over()
         samples = []
@@ -149,7 +149,7 @@ class EmsconStream:
         return self._blocks(samples, looked_s)
 
     def _stop(self) -> list[Packet]:
-        """Stop measuring; return what came before the tracker's answer."""
+        """Stop measuring; return the blocks that came before the tracker's answer."""
         packets: list[Packet] = []
         self._tracker.stop()
         patience = Patience(END_S)
@@ -170,7 +170,7 @@ class EmsconStream:
         )
 
     def _samples(self, packet: Packet) -> list[Multi]:
-        """Return the packet's samples; raises what it says otherwise."""
+        """Return the packet's samples; raises the error of any other packet."""
         if isinstance(packet, Failure):
             raise failed(Command.START_MEASUREMENT, packet.status)
         if packet == StatusChange(Change.NOT_READY):
@@ -224,7 +224,7 @@ class EmsconStream:
             )
 
     def _blocks(self, samples: list[Multi], looked_s: float) -> list[StreamBlock]:
-        """Return what came since a look before ``looked_s`` that found nothing left."""
+        """Return the packets since a look before ``looked_s`` that found nothing left."""
         after_s, by_s, self._emptied_s = self._emptied_s, self._clock.now_s(), looked_s
         return [StreamBlock(each.device_s, each.xyz, after_s, by_s) for each in samples]
 

@@ -29,7 +29,7 @@ class KeepAlive:
         self._thread.start()
 
     def check(self) -> None:
-        """Raise what broke a connection since the last look."""
+        """Raise the error that broke a connection since the last look."""
         if self._failure is not None:
             raise self._failure
 

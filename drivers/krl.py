@@ -52,7 +52,7 @@ def numbers(text: str, names: tuple[str, ...]) -> list[float]:
 
 
 def structure(kind: str, components: Mapping[str, float], decimals: int = 6) -> str:
-    """Return ``{KIND: A1 1.000000, ...}``; raises `KrlError` for what is not finite."""
+    """Return ``{KIND: A1 1.000000, ...}``; raises `KrlError` for a value that is not finite."""
     for name, number in components.items():
         if not math.isfinite(number):
             raise KrlError(f"{name} {number} is not finite")

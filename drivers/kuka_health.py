@@ -14,7 +14,7 @@ ERRORS = {
     STOPPED: "stopped by HC_STOP",
 }
 
-# Variable, the values with which work may go on, the alarm otherwise and what to do; causes first.
+# Variable, the values with which work may go on, the alarm otherwise, the next act; causes first.
 HEALTH: dict[str, tuple[tuple[str | bool, ...], str, str]] = {
     "$ALARM_STOP": (
         (True,),
@@ -34,7 +34,7 @@ HEALTH: dict[str, tuple[tuple[str | bool, ...], str, str]] = {
 
 
 def refused_motion(error: int) -> DeviceError:
-    """Return what HC_ERR of a motion means."""
+    """Return the error for HC_ERR of a motion."""
     return DeviceError(
         "HC-B21" if error == STOPPED else "HC-B20",
         DEVICE,
@@ -48,7 +48,7 @@ def refused_motion(error: int) -> DeviceError:
 def unwell(
     code: str, name: str, found: krl.Value, wanted: str, act: str, *, moving: bool
 ) -> DeviceError:
-    """Return what a variable shows that forbids to go on; ``moving`` makes it a fault."""
+    """Return the error for a variable that forbids to go on; ``moving`` makes it a fault."""
     text = str(found).upper() if isinstance(found, bool) else clean(str(found))
     kind, operation = (DeviceError, "move") if moving else (DeviceRefused, "check")
     return kind(

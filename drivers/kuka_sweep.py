@@ -1,8 +1,8 @@
 """One axis of a KUKA robot turned slowly, with its joints read meanwhile.
 
 Speed is HC_VEL (1 to 100 % of an axis) times $OV_PRO, which a sweep lowers: so an axis turns at
-1/10000 of its speed, too. $OV_PRO stays lowered when the PC dies. So the controller remembers what
-it was (HC_OV_OLD) and what it was set to (HC_OV_SET); every way out of a sweep and every connect
+1/10000 of its speed, too. $OV_PRO stays lowered when the PC dies. So the controller remembers its
+old value (HC_OV_OLD) and the lowered one (HC_OV_SET); every way out of a sweep and every connect
 give it back, at rest only, and only where nobody has changed it meanwhile.
 """
 
@@ -56,10 +56,10 @@ class SweepingRobot(Protocol):
         """Start a motion; return its number."""
 
     def acknowledged(self, number: int) -> bool:
-        """Whether a motion has ended; raises what the program says otherwise."""
+        """Whether a motion has ended; raises the program's error."""
 
     def check_progress(self, limits: MotionLimits, number: int) -> None:
-        """Raise what shows that the motion gets nowhere."""
+        """Raise an error where the motion gets nowhere."""
 
     def rest(self, target_deg: Array) -> RobotReading:
         """Wait until the robot stands at its target."""
@@ -141,7 +141,7 @@ class KukaSweep:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Brake what still moves and give the override back."""
+        """Brake a motion under way and give the override back."""
         self._give_back(error)
 
     def kickoff(self) -> None:
@@ -235,7 +235,7 @@ def give_back(line: C3Connection) -> None:
 
 
 def give_back_left_behind(line: C3Connection) -> None:
-    """Give back what an engine that died has left lowered; its sweep is braked first."""
+    """Give back an override that a dead engine left lowered; its sweep is braked first."""
     if _whole(line, "HC_OV_OLD") == 0:
         return
     if _whole(line, "HC_SEQ") != _whole(line, "HC_ACK"):
@@ -268,7 +268,7 @@ def await_rest(line: C3Connection) -> None:
 
 def _lower(line: C3Connection, found: int, wanted: int) -> None:
     line.write("HC_OV_SET", str(wanted))
-    line.write("HC_OV_OLD", str(found))  # from here on the controller knows what to give back
+    line.write("HC_OV_OLD", str(found))  # from here on the controller knows its old value
     line.write("$OV_PRO", str(wanted))
     if (set_to := _whole(line, "$OV_PRO")) != wanted:
         raise DeviceError(

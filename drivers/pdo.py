@@ -27,7 +27,7 @@ EVERY_SYNC, ON_EVENT = 1, 255
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """One PDO: its parameter objects, identifier, transmission type and what it carries."""
+    """One PDO: its parameter objects, identifier, transmission type and mapped objects."""
 
     communication: int  # 14xxh or 18xxh
     mapping: int  # 16xxh or 1Axxh

@@ -94,7 +94,7 @@ class ProcessImage:
         self._inbox = Inbox(DEVICE, link, (self.status, self.motion, self.strip))
 
     def refresh(self, check: Callable[[], None]) -> Snapshot:
-        """Return what drive and strip report at a SYNC sent now."""
+        """Return the values of drive and strip at a SYNC sent now."""
         values, taken_s = self._inbox.refresh(check)
         statusword, position = values[self.status.cob_id]
         velocity, mode = values[self.motion.cob_id]

@@ -176,7 +176,7 @@ class CanopenRail:
         self._used().disable()
 
     def statistics(self) -> LinkStatistics:
-        """Return what the link has carried, or had when it was closed."""
+        """Return the link's counts, also after it was closed."""
         link = self._link
         return link.statistics() if link is not None else self._statistics
 

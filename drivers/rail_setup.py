@@ -68,7 +68,7 @@ def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, clock: Clock) 
 
 
 def _losses(link: CanLink) -> str:
-    """Return what was lost on a link, to be said behind a node's silence; "" where nothing was."""
+    """Return the losses on a link, to be named behind a node's silence; "" for none."""
     lost = link.statistics()
     if not lost.bad_lines + lost.refused + lost.malformed:
         return ""
@@ -161,7 +161,7 @@ def drive_settings(
     acceleration_mm_s2: float,
     homing_mm_s: float,
 ) -> Mapping[tuple[int, int], int]:
-    """Return what is written into the drive: (object, sub-index) to value."""
+    """Return the settings of the drive: (object, sub-index) to value."""
     speed = round(speed_mm_s * counts_per_mm)
     acceleration = round(acceleration_mm_s2 * counts_per_mm)
     homing = round(min(speed_mm_s, homing_mm_s) * counts_per_mm)
@@ -192,7 +192,7 @@ def homing_s(*, travel_mm: float, speed_mm_s: float) -> float:
 
 
 def window_settings(*, arrived: int, speed: float, dwell_s: float) -> Mapping[tuple[int, int], int]:
-    """Return what says to the drive when it has arrived (counts) and stands (counts/s)."""
+    """Return the drive's own windows of arrival (counts) and standstill (counts/s)."""
     dwell_ms = min(LARGEST_U16, round(dwell_s * 1000))
     return {
         (cia402.POSITION_WINDOW, 0): arrived,

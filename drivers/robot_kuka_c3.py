@@ -75,7 +75,7 @@ class KukaC3Robot:
     """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-        """Where the controller is and what it must be."""
+        """Address and wanted identity of the controller."""
 
         host: str
         smr_mm: tuple[float, float, float]
@@ -221,7 +221,7 @@ class KukaC3Robot:
                 raise next(filter(None, map(self._problem, HEALTH)), problem)
 
     def _problem(self, name: str) -> DeviceError | None:
-        """Read one variable of the controller's state; return what is wrong with it."""
+        """Read one variable of the controller's state; return its error, if any."""
         if name in HEALTH:
             good, code, act = HEALTH[name]
             found = self._value(name)
@@ -302,7 +302,7 @@ class KukaC3Robot:
         return number
 
     def _write_once(self, name: str, value: str) -> None:
-        """Write what this connection has not written already; nobody else writes these."""
+        """Write values that this connection has not written yet; nobody else writes these."""
         if self._written.get(name) != value:
             self.wire().write(name, value)
             self._written[name] = value
@@ -370,7 +370,7 @@ class KukaC3Robot:
             target_deg=target_deg,
         )
 
-    # -- what a sweep needs of its robot, too -------------------------------------------------
+    # -- for a sweep as well ------------------------------------------------------------------
 
     def open_line(self) -> C3Connection:
         """Return a new connection that a stop does not end."""

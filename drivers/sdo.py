@@ -1,8 +1,8 @@
 """SDO to one node (CiA 301, 7.2.4): typed by its EDS, one at a time, stop-aware.
 
 After a timeout canopen hands the late reply to the next request of the same object. So a channel
-that missed a reply is tainted: it waits, drops what came, asks something else, and believes a value
-only when it reads twice the same.
+that missed a reply is tainted: it waits, drops late replies, asks something else, and believes a
+value only when it reads twice the same.
 """
 
 from __future__ import annotations

@@ -126,7 +126,7 @@ class SlcanBus(can.BusABC):
         self._put(line.encode(), SEND_S if timeout is None else timeout)
 
     def _put(self, line: bytes, patience_s: float = SEND_S) -> None:
-        """Send ``line`` behind what other threads have begun; return when the port has taken it."""
+        """Send ``line`` behind other threads' lines; return when the port has taken it."""
         with self._writing:
             self._unsent += line
             mine = self._taken + len(self._unsent)
@@ -139,7 +139,7 @@ class SlcanBus(can.BusABC):
                 self._push()
 
     def _push(self) -> None:
-        """Hand the port what it takes at once."""
+        """Hand the port as many bytes as it takes at once."""
         try:
             taken = os.write(self._port, self._unsent) if self._unsent else 0
         except BlockingIOError:
@@ -161,7 +161,7 @@ class SlcanBus(can.BusABC):
 
 
 def check_channel(channel: str) -> None:
-    """Raise `ValueError` for what is neither ``socket://HOST:PORT`` nor ``PATH[@BAUD]``."""
+    """Raise `ValueError` for a channel that is not ``socket://HOST:PORT`` or ``PATH[@BAUD]``."""
     if "://" in channel:
         _host_and_port(channel)
     path, at, baud = channel.partition("@")

@@ -64,7 +64,7 @@ class Standstill:
     def __init__(self, windows: Windows) -> None:
         self._windows = windows
         self._polls: deque[tuple[float, Snapshot]] = deque()
-        self._recent: deque[tuple[float, Snapshot]] = deque()  # of a dwell, whatever they show
+        self._recent: deque[tuple[float, Snapshot]] = deque()  # of a dwell, all of them
 
     def forget(self) -> None:
         """Begin again: the slide is about to move."""
@@ -98,7 +98,7 @@ class Standstill:
 
     @property
     def unrest(self) -> Unrest:
-        """Return what keeps the slide from standing; raises `ValueError` before the first poll."""
+        """Return why the slide does not stand; raises `ValueError` before the first poll."""
         polls = [poll for _, poll in self._recent]
         positions, strips = [poll.position for poll in polls], [poll.strip for poll in polls]
         return Unrest(

@@ -17,7 +17,7 @@ from hilcell.ports import DeviceError
 
 LOOK_S = 0.1  # several times the period of a wait on a wire
 LATE_S = 1.0
-ATTENDED_S = 0.4  # the heartbeat pauses then, so that the device stops what nobody looks at
+ATTENDED_S = 0.4  # the heartbeat pauses then, so that the device stops an unobserved motion
 
 
 class Patience:

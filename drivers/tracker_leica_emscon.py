@@ -410,7 +410,7 @@ class LeicaEmsconTracker:
     # -- packets ------------------------------------------------------------------------------
 
     def _ask(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> bytes:
-        """Send a command and return its reply's body; raises what a refusal means."""
+        """Send a command and return its reply's body; raises the error of a refusal."""
         reply = self._request(command, body, limit_s)
         if reply.status != 0:
             raise failed(command, reply.status)

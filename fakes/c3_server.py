@@ -39,7 +39,7 @@ class C3Server:
         *,
         port: int = 0,
     ) -> None:
-        """``catch_up`` lets others do what became due while a request was answered."""
+        """``catch_up`` lets others do work that became due while a request was answered."""
         self._controller, self._faults, self._catch_up = controller, faults, catch_up
         self._closing = threading.Event()
         self._listener = Listener("c3", self._serve, limit=MAX_CLIENTS, port=port)

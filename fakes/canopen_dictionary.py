@@ -109,7 +109,7 @@ class ObjectDictionary:
         return value
 
     def set(self, index: int, sub: int, value: Value) -> None:
-        """Change a value from inside the device, whatever its access."""
+        """Change a value from inside the device, with any access."""
         self._entries[index, sub].value = value
 
     def upload(self, index: int, sub: int) -> bytes:
@@ -138,7 +138,7 @@ class ObjectDictionary:
         entry.value = value
 
     def restore(self, indices: range) -> None:
-        """Put the values of ``indices`` back to what they were at power-on."""
+        """Put the values of ``indices`` back to those at power-on."""
         for key, value in self._defaults.items():
             if key[0] in indices:
                 self._entries[key].value = value

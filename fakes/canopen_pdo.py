@@ -200,6 +200,6 @@ class ReceivePdo(Pdo):
         return self.distribute(data)
 
     def at_sync(self) -> bool:
-        """Write what was held back; False when it is shorter than the mapping."""
+        """Write the frame that was held back; False when it is shorter than the mapping."""
         data, self._held = self._held, None
         return data is None or self.distribute(data)

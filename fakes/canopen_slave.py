@@ -1,10 +1,10 @@
 """A simulated CANopen node: NMT, SYNC, heartbeat both ways, EMCY, SDO and PDO (CiA 301).
 
 A device is a subclass that fills the object dictionary and overrides the four hooks `written`,
-`switched_off`, `connection_lost` and `restarted`. One thread calls everything. Heartbeats and
-event timers run in real time, whatever the plant's clock does, and no heartbeat is punctual. The
-trap: a lost heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched: a
-new master must start it again, and a START before its first new heartbeat does not hold.
+`switched_off`, `connection_lost` and `restarted`. One thread calls everything. Heartbeats and event
+timers run in real time, independent of the plant's clock, and no heartbeat is punctual. The trap: a
+lost heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched: a new
+master must start it again, and a START before its first new heartbeat does not hold.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class CanopenSlave:
         self._heartbeat_lost = False
         self._add_communication_objects(identity)
 
-    # -- what a device adds -------------------------------------------------------------------
+    # -- added by a device --------------------------------------------------------------------
 
     def written(self) -> None:
         """React to objects that the master has written: all of one frame are in place."""
@@ -84,7 +84,7 @@ class CanopenSlave:
     def restarted(self) -> None:
         """React to the end of a reset: the dictionary holds its power-on values."""
 
-    # -- what the bus calls -------------------------------------------------------------------
+    # -- called by the bus --------------------------------------------------------------------
 
     def boot(self, now_s: float) -> None:
         """Announce the node and wait for the master in PRE-OPERATIONAL."""
@@ -109,7 +109,7 @@ class CanopenSlave:
         self._send_events(now_s)
 
     def tick(self, now_s: float) -> None:
-        """Do what is due by time: heartbeats and event timers."""
+        """Do the work that is due by time: heartbeats and event timers."""
         if self.nmt is Nmt.BOOT_UP:
             return
         if now_s >= self._next_heartbeat_s:

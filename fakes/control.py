@@ -103,7 +103,7 @@ class ControlServer:
         return {}
 
     def _clear(self, order: Answer) -> Answer:
-        """Disarm faults; with no name also put right what they have left behind."""
+        """Disarm faults; with no name also put their consequences right."""
         name = str(order.get("name", ""))
         self._faults.clear(name)
         if not name:
@@ -115,7 +115,7 @@ class ControlServer:
 
 
 def seat_at(seat: Callable[[str], None], order: Answer) -> Answer:
-    """Do what a person does with the reflector of a cell where it is carried by hand."""
+    """Do a person's acts with the reflector of a cell where it is carried by hand."""
     seat(str(order["place"]))
     return {}
 

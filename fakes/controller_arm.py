@@ -48,7 +48,7 @@ class ControllerArm:
 
 
 def controller_arm(cell: Cell) -> ControllerArm:
-    """Return what the controller of a simulated cell knows; raises `SettingsError`.
+    """Return the arm as the controller of a simulated cell knows it; raises `SettingsError`.
 
     A replayed cell has no machine: there the cell file's rows are the robot's.
     """

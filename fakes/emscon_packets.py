@@ -1,7 +1,7 @@
 """emScon TPI packets: little-endian, pack 4 (protocols, section 3; names after the header).
 
 Every packet begins ``size i32 | type u32``; commands and their replies go on ``command u32``,
-replies ``status u32``, then what belongs to the command.
+replies ``status u32``, then the command's own fields.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Change(IntEnum):
     SERVER_CLOSING = 998
 
 
-# Formats of what follows the command in a request, of those that carry anything.
+# Formats of the fields behind the command in a request, where it has any.
 ARGUMENTS = {
     Command.SET_UNITS: "<5I",
     Command.SET_ENVIRONMENT: "<3d",

@@ -24,7 +24,7 @@ LONGEST = 4096
 RECEIVE = 4096
 LATE_EVERY, LATE_S = 5, 0.001  # results that come well after their acknowledgement
 WEATHER_EVERY = 7  # results with news of the air glued to them
-STREAM_LOOK_S = 0.05  # plant time between two looks at what a stream has to send
+STREAM_LOOK_S = 0.05  # plant time between two looks for samples that are due
 
 
 class EmsconServer:
@@ -114,7 +114,7 @@ class EmsconServer:
                 stream.close()
 
     def _let_pass(self, session: _Session, duration_s: float) -> bool:
-        """Let plant time pass; return False where the client stopped what takes it."""
+        """Let plant time pass; return False where the client stopped the command meanwhile."""
         if self._time.stepped:
             self._time.advance(duration_s)
             return True

@@ -49,7 +49,7 @@ class SampleStream:
         self.ended = False
 
     def due(self) -> bytes:
-        """Return what the tracker sends until now."""
+        """Return the packets that are due by now."""
         if self.ended:
             return b""
         broken = self._take()
@@ -96,7 +96,7 @@ class SampleStream:
         return struck is not None or len(xyz_mm) < len(times_s)
 
     def _packet(self, size: int) -> bytes:
-        """Return what goes out with the next packet; the rest of it waits."""
+        """Return the bytes that go out with the next packet; the rest of it waits."""
         self._packets += 1
         data = self._kept + self._pack(self._times_s[:size], self._xyz_mm[:size])
         self._times_s, self._xyz_mm = self._times_s[size:], self._xyz_mm[size:]

@@ -197,7 +197,7 @@ def load_faults(path: str) -> Faults:
 
 
 def _problem(name: str, value: Value) -> str:
-    """Return what is wrong with a fault; ``true`` is the default value of every fault."""
+    """Return the problem of a fault; ``true`` is the default value of every fault."""
     if name not in KNOWN:
         return _unknown(name)
     wanted = "text" if name in TEXTS else "a number"

@@ -107,7 +107,7 @@ class KrlController:
                 raise KrlError(name)
             self._run_program()
 
-    # -- what can be read -----------------------------------------------------------------------
+    # -- variables to read ----------------------------------------------------------------------
 
     def _system_readers(self) -> dict[str, Callable[[], str]]:
         return {
@@ -242,7 +242,7 @@ class KrlController:
         self._override = percent
         self._motion.override(percent / 100.0)
 
-    # -- what goes wrong ------------------------------------------------------------------------
+    # -- faults ---------------------------------------------------------------------------------
 
     def _strike_on_request(self) -> None:
         if self._faults.take("robot.mode_t1") is not None:

@@ -1,8 +1,8 @@
-"""Noise that depends on what is done and how often, never on when or in which thread.
+"""Noise that depends on the act and its count, never on the time or the thread.
 
-A draw is keyed by the seed, by what happens ("robot lands on these joints") and by how many times
-it has happened before. So a run is the same figure for figure on a slow and on a fast machine,
-while two visits of one target still differ.
+A draw is keyed by the seed, by the act ("robot lands on these joints") and by how many times it has
+happened before. So a run is the same figure for figure on a slow and on a fast machine, while two
+visits of one target still differ.
 """
 
 from __future__ import annotations

@@ -134,7 +134,7 @@ class RailDrive(CanopenSlave):
         self._open_switch = 0
         self._homing = self._homed = self._homing_error = False
 
-    # -- what the plant shows -----------------------------------------------------------------
+    # -- values of the plant ------------------------------------------------------------------
 
     @property
     def moving(self) -> bool:
@@ -231,7 +231,7 @@ class RailDrive(CanopenSlave):
     # -- hooks of the node --------------------------------------------------------------------
 
     def connection_lost(self) -> None:
-        """Do what 6007h says: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
+        """Act by 6007h: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
         if self.state is not State.OPERATION_ENABLED:
             return
         match self.dictionary.number(0x6007):

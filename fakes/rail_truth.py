@@ -70,7 +70,7 @@ class RailTruth:
         self._path = Path(time.now_s(), POWER_ON_MM)
         self._seen_s = time.now_s()
 
-    # -- what a drive does ----------------------------------------------------------------------
+    # -- for the drive --------------------------------------------------------------------------
 
     def move(self, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Start for ``target_mm`` of the encoder; a motion under way is braked first.
@@ -130,7 +130,7 @@ class RailTruth:
                 at_positive_limit=motor_mm >= self._high_mm,
             )
 
-    # -- what only the plant and tests see ------------------------------------------------------
+    # -- for the plant and tests alone ----------------------------------------------------------
 
     @property
     def still(self) -> bool:
@@ -211,7 +211,7 @@ class _Shape:
         self._share = self._share_as_surveyed(self._base[:3, :3] @ flange_mm)
 
     def _share_as_surveyed(self, lever_mm: Array) -> float:
-        """Return what brings the survey of Fig 1 to its largest error.
+        """Return the factor that brings the survey of Fig 1 to its largest error.
 
         It was made at the flange of a parked robot, so it shows the slide's leaning times the
         lever arm (3,) as well as the rail's own error.
@@ -233,7 +233,7 @@ class _Shape:
         return along_mm + behind * self._ways(play_mm)
 
     def strip_mm(self, slide_mm: float) -> float:
-        """Return what the strip reads, unquantised."""
+        """Return the strip's reading, unquantised."""
         pole = math.sin(2 * math.pi * slide_mm / POLE_PITCH_MM + self._pole_phase)
         return slide_mm + self._strip_long(slide_mm) + self._sizes.strip_pole_mm * pole
 

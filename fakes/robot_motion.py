@@ -1,7 +1,7 @@
 """How the robot moves: all axes from standstill to standstill together (PTP), on plant time.
 
-The controller's joints run along one trapezoid that the slowest axis rules. With each motion
-goes what the joints do beside it: from which side each comes, and by how much it misses.
+The controller's joints run along one trapezoid that the slowest axis rules. With each motion go the
+joints' own errors: from which side each comes, and by how much it misses.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ class Chain:
         raise HilcellError("simulated robot: a reference pose of the machine is out of reach")
 
     def _moved(self, joints_rad: Array) -> list[Array]:
-        """Return the motion (..., 4, 4) of what hangs on 0, 1, .. 6 joints."""
+        """Return the motion (..., 4, 4) of bodies behind 0, 1, .. 6 joints."""
         R = turned(np.broadcast_to(self.axes, (*joints_rad.shape, 3)), joints_rad)
         single = np.zeros((*joints_rad.shape, 4, 4))
         single[..., :3, :3], single[..., 3, 3] = R, 1.0

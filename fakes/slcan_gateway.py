@@ -59,7 +59,7 @@ class SlcanGateway:
         self._habits = np.random.default_rng(0)
 
     def serve(self, timeout_s: float, wake: socket.socket) -> None:
-        """Handle what clients send within ``timeout_s``; bytes on ``wake`` end the wait early."""
+        """Handle clients' bytes for ``timeout_s``; bytes on ``wake`` end the wait early."""
         waiting = self._client or self._listener
         ready, _, _ = select.select([waiting, wake] if waiting else [wake], [], [], timeout_s)
         if self._client in ready:
@@ -77,7 +77,7 @@ class SlcanGateway:
         self._put(encode(cob_id, data))
 
     def flush(self) -> None:
-        """Send what is queued; a client that does not take it in time is dropped."""
+        """Send the queue; a client that does not take it in time is dropped."""
         if self._client is not None and self._sending:
             try:
                 if self._habits.random() < LATE_SHARE:

@@ -40,7 +40,7 @@ class StreamTruth:
         self.drift = DRIFT_PPM * 1e-6 * float(clock.uniform(-1.0, 1.0))
 
     def device_s(self, time_s: float) -> float:
-        """Return what the tracker's own clock shows at a plant time."""
+        """Return the tracker's own time at a plant time."""
         return self.offset_s + (1.0 + self.drift) * time_s
 
     def plant_s(self, device_s: Array) -> Array:

@@ -2,8 +2,8 @@
 
 In stepped time nothing passes by itself. Time advances by the waits that the engine asks for on the
 control channel, and by the polls of a moving device: each poll lets a third of the motion pass,
-never beyond its end. So a whole run takes the same simulated time whatever the machine. While
-somebody follows a motion (a tracker that streams), a poll lets only the time of an exchange with a
+never beyond its end. So a whole run takes the same simulated time on any machine. While somebody
+follows a motion (a tracker that streams), a poll lets only the time of an exchange with a
 controller pass, and all that happened meanwhile is handed out before the poll is answered.
 """
 
@@ -65,7 +65,7 @@ class PlantTime:
             self._followers = tuple(each for each in self._followers if each != follower)
 
     def catch_up(self) -> None:
-        """Have all followers do what is due; to be called with no lock held, before an answer."""
+        """Have all followers do due work; to be called with no lock held, before an answer."""
         if self.stepped:
             for follower in self._followers:
                 follower()

@@ -1,4 +1,4 @@
-"""The truth of the tracker: where it stands, what it finds, what it reads, and the air.
+"""The truth of the tracker: its place, the reflectors it finds, its readings, and the air.
 
 Noise along the beam is a length, across it an angle. All positions are in the tracker's frame, mm.
 The plant time between two measurements depends a little on the machine's speed, so slow drift and

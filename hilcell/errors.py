@@ -35,7 +35,7 @@ class Stopped(HilcellError):
 
 
 class DeviceError(HilcellError):
-    """A device failed: its code, the device, the operation, what was found and wanted, next act.
+    """A device failed: its code, the device, the operation, found and wanted value, next act.
 
     ``fields`` are the values behind the words, for programs: plain, with units in their names.
     ``causes`` are the errors of several devices that failed together.
@@ -60,7 +60,7 @@ class DeviceError(HilcellError):
 
     @property
     def summary(self) -> str:
-        """Return the message without the act, for those who advise better."""
+        """Return the message without the act, for callers that advise better."""
         wanted = f", wanted {self.wanted}" if self.wanted else ""
         return f"{self.device}: {self.operation}: {self.found}{wanted}"
 
@@ -84,7 +84,7 @@ class DeviceError(HilcellError):
 
 
 class DeviceRefused(DeviceError):
-    """The device answers, but is not what the cell file says, or is not allowed to work."""
+    """The device answers, but is not the cell file's, or is not allowed to work."""
 
 
 class NoReading(DeviceError):

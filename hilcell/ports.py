@@ -3,7 +3,7 @@
 Every rail, robot and tracker satisfies one of three. A tracker that can also stream satisfies
 `Streams`, a robot that can turn one axis slowly and report its joints meanwhile `Sweeps`; both hand
 out a flyer: prepared by ``with``, started by ``kickoff``, read by ``collect``, ended by
-``complete``, and put back to what it was on every way out of the ``with``.
+``complete``, and put back to its earlier state on every way out of the ``with``.
 
 A driver is one plain class that satisfies one of these; it is built as ``Driver(options, clock)``
 with its own checked options (``Driver.Options``, a msgspec Struct) and the clock of the cell. A
@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 class Identity:
     """The device that answered: every string was cleaned at the driver's edge.
 
-    ``simulated`` is what the device says of itself: see `says_simulated`.
+    ``simulated`` is the device's own statement: see `says_simulated`.
     """
 
     device: str
@@ -87,7 +87,7 @@ class LinkStatistics:
     frames: int = 0
     bad_lines: int = 0  # that the gateway garbled
     refused: int = 0  # frames of ours that the gateway did not take
-    malformed: int = 0  # frames too short for what they should carry
+    malformed: int = 0  # frames too short for their contents
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +172,7 @@ class Rail(Protocol):
         """Take the power to move away: drive disabled, brake closed."""
 
     def statistics(self) -> LinkStatistics:
-        """Return what the wire has carried, also after ``close``; any thread, asks nobody."""
+        """Return the wire's counts, also after ``close``; any thread, asks nobody."""
 
     def stop(self) -> None:
         """Quick stop, without waiting for an answer."""
@@ -228,7 +228,7 @@ class Stream(Protocol):
         """Start; returns when the tracker has acknowledged."""
 
     def collect(self) -> list[StreamBlock]:
-        """Return what has arrived, without waiting; raises `NoReading` when the beam broke."""
+        """Return arrived blocks, without waiting; raises `NoReading` when the beam broke."""
 
     def complete(self) -> list[StreamBlock]:
         """End the stream and return the rest of it."""

@@ -31,8 +31,8 @@ def write_whole(path: Path, content: bytes, *, inputs: Iterable[Path] = ()) -> N
 def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = ()) -> None:
     """Write files that belong together: all are ready beside their places before one is renamed.
 
-    Existing files keep their mode. Raises `NotWritten`, and leaves what was there, where a path
-    is a folder, cannot be written, or is one of ``inputs``, the files that were read.
+    Existing files keep their mode. Raises `NotWritten`, and leaves all files as they were, where
+    one is a folder, cannot be written, or is one of ``inputs``, the files that were read.
     """
     read = list(inputs)
     modes = {path: _mode(path, read) for path in contents}

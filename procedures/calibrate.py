@@ -37,7 +37,7 @@ def validation_table(result: dict[str, Any]) -> Table:
 
 
 def station_table(result: dict[str, Any]) -> Table:
-    """Return what each station's frame is good for."""
+    """Return the quality of each station's frame."""
     headers = ["station", "strip mm", "fit rms mm", "tool point u mm"]
     rows = [
         [

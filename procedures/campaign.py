@@ -58,7 +58,7 @@ class Campaign:
             session.pose_points(rows.joints_rad[at[0]], targets)
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return the cross-validated fit of what was measured."""
+        """Return the cross-validated fit of the measured points."""
         return {"campaign": fit(robot_of(log.cell), measured(log), None)}
 
 

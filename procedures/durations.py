@@ -16,7 +16,7 @@ from hilcell.ports import Array
 from hilcell.run.procedure import Span, Step
 
 SEEN_S = 0.06  # until a driver has looked often enough to see that a motion has ended
-APPROACHES = 2  # first by the drive, then by what the strip said
+APPROACHES = 2  # first by the drive, then by the strip's reading
 
 
 def measure_s(cell: Cell, samples: int) -> float:

@@ -40,7 +40,7 @@ EXPERIMENTS: tuple[Part, ...] = (
 
 
 class PaperRows:
-    """Compares what the run found with what the paper reports."""
+    """Compares the run's figures with the paper's."""
 
     name = "paper-rows"
     needs = "all experiments"

@@ -1,4 +1,4 @@
-"""The limits by which the paper's rows hold, worked out from what the run itself states.
+"""The limits by which the paper's rows hold, worked out from the run's own figures.
 
 A limit that a correct run of another machine may cross by chance, or that no mistake crosses, is
 no limit: so each is the paper's own figure, or follows from stated uncertainties or counts.
@@ -88,7 +88,7 @@ def plain_range(log: Log, result: Result) -> Limits:
 
 
 def sign_residual(log: Log, result: Result) -> Limits:
-    """Return what a right correction leaves at worst, over the error before.
+    """Return the worst error after a right correction, over the error before.
 
     The largest residual of cross-validation, and the robot's repeatability (95 %).
     """
@@ -119,7 +119,7 @@ def circle_residual(log: Log, result: Result) -> Limits:
 def rigid_slide(log: Log, result: Result) -> Limits:
     """Return the tool point's uncertainty if the slide is rigid and its nests stay in place.
 
-    That of the readings' noise alone, widened by what chance does to the fit's residuals.
+    That of the readings' noise alone, widened by the effect of chance on the fit's residuals.
     """
     from scipy import stats
 
@@ -158,7 +158,7 @@ def as_cross_validated(log: Log, result: Result) -> Limits:
 
 
 def transferred(log: Log, result: Result) -> Limits:
-    """Return the mean at the grid's station and, in squares, what the transfer cost the paper."""
+    """Return the mean at the grid's station and, in squares, the paper's cost of the transfer."""
     here_mm = validation("reference", "idw", "mean")(log, result)
     return -INFINITE, float(np.sqrt(here_mm**2 + PAPER_OTHERS_MM**2 - PAPER_REFERENCE_MM**2))
 
@@ -180,7 +180,7 @@ def same_robot(log: Log, result: Result) -> Limits:
 
 
 def largest_of_many(log: Log, result: Result) -> Limits:
-    """Return the paper's 0.3, or what the largest of so many errors reaches by chance.
+    """Return the paper's 0.3, or the size that the largest of so many errors has by chance.
 
     For normal errors in 3-D their norms follow Maxwell's law: the largest of 135 stays below 3.3
     times their mean in all runs but one in a thousand, and below 2.2 times in every second run.
@@ -194,7 +194,7 @@ def largest_of_many(log: Log, result: Result) -> Limits:
 
 
 def reduced(where: str) -> Limit:
-    """Return the paper's "about 85 %", up to what the robot's repeatability lets be removed."""
+    """Return the paper's "about 85 %", up to the share that the robot's repeatability allows."""
 
     def limits(log: Log, result: Result) -> Limits:
         floor_mm = validation(where, "floor", "mean")(log, result)

@@ -24,7 +24,7 @@ from procedures.paper_stations import stations_planned
 class Row:
     """One figure: its name, the paper's value, its unit, where ours is found, when it holds.
 
-    ``set_by`` names what brings the figure about; the machine does so only if it is simulated.
+    ``set_by`` names the cause of the figure; a machine sets it only if it is simulated.
     """
 
     name: str

@@ -35,7 +35,7 @@ def joints_for(cell: Cell, points_mm: Array) -> Array:
 
 
 def check_reach(cell: Cell, points_mm: Array, what: str) -> Array:
-    """Return the joints (N, 6), or say what cannot be reached."""
+    """Return the joints (N, 6), or name the poses that cannot be reached."""
     try:
         return joints_for(cell, points_mm)
     except ReachError as error:

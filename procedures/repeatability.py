@@ -104,6 +104,6 @@ def rp_robot_mm(log: Log) -> float:
 
 
 def floor(log: Log) -> dict[str, float]:
-    """Return mean and p95 of what a perfect map would leave: one visit's distance from the mean."""
+    """Return mean and p95 of a perfect map's errors: one visit's distance from the mean."""
     figures = figures_of(distances_mm(log))
     return {"mean": figures.mean, "p95": figures.p95}

@@ -69,7 +69,7 @@ class SignCheck:
         session.verdict("sign", holds=holds, limit=CLEARLY, **figures)
 
     def command(self, log: Log, target_mm: Array) -> Array:
-        """Return what to command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
+        """Return the command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
         measured = measured_grid(log)
         model = MODELS[str(log.verdicts["fit"]["method"])].learn(measured)
         return corrected(measured.grid, target_mm, model)

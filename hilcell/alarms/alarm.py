@@ -110,7 +110,7 @@ def _then(entry: Entry, run: str, go_on: str, *, over: bool) -> str:
             return ""
 
 
-# -- what the journal says ------------------------------------------------------------------------
+# -- alarms of the journal's records --------------------------------------------------------------
 
 
 def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
@@ -142,7 +142,7 @@ def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
 def _moments(
     body: dict[str, Any], t: str, seq: int, severity: Severity | None = None
 ) -> Iterator[_Moment]:
-    """Yield what the error of a record says."""
+    """Yield the alarms of a record's error."""
     for finding in findings_of(body):
         yield _Moment(finding, t, seq, severity)
 
@@ -152,7 +152,7 @@ def _cell(code: str, operation: str, found: str, wanted: str = "") -> Finding:
 
 
 def _problem(name: str, body: dict[str, Any]) -> str:
-    """Return what a device's error says, with its name once and without its advice."""
+    """Return the message of a device's error, with its name once and without its advice."""
     error = body.get("errors", {}).get(name, {})
     finding = findings_of({"error": error} if error else {"reason": body["problems"][name]})[0]
     text = f"{finding.where}: {finding.text}" if finding.where else finding.text

@@ -28,12 +28,12 @@ class Finding:
 
     @property
     def where(self) -> str:
-        """Return the device and what it was doing."""
+        """Return the device and its operation."""
         return clean(": ".join(part for part in (self.device, self.operation) if part))
 
     @property
     def text(self) -> str:
-        """Return what was found and what was wanted, as one line."""
+        """Return the found and the wanted value, as one line."""
         wanted = f", wanted {line(self.wanted)}" if self.wanted else ""
         return line(self.found) + wanted
 
@@ -51,7 +51,7 @@ def line(text: str) -> str:
 
 
 def findings_of(body: Mapping[str, Any]) -> list[Finding]:
-    """Return what the error of a journal's record says; devices that failed together are several.
+    """Return the findings of a journal's record; devices that failed together have one each.
 
     Older records have no code, and some no parts: their alarm is the device's general one.
     """

@@ -50,7 +50,7 @@ class Latch:
                 self._add(alarm)
 
     def _let_go(self, mark: Mark, alarm: Alarm) -> None:
-        """Let go of what is raised no more, where it is of a kind that goes by itself."""
+        """Let go of alarms that are raised no more, where their kind goes by itself."""
         latched = self._latched.get(alarm.code)
         if latched is not None and _mark(latched.alarm) != mark:
             latched = None  # a newer one of its code stands
@@ -70,7 +70,7 @@ class Latch:
         )
 
     def standing(self) -> list[Latched]:
-        """Return what is latched: the most severe first, of those the newest first."""
+        """Return the latched alarms: the most severe first, of those the newest first."""
         newest = list(reversed(self._latched.values()))
         return sorted(newest, key=lambda each: -SEVERITIES.index(each.severity))
 

@@ -22,7 +22,7 @@ THEN = {
 }
 HEAD = """# Alarms
 
-Every alarm of hilcell: its code, what it means, what to do. This page is written from the
+Every alarm of hilcell: its code, its meaning, the steps to take. This page is written from the
 catalogues of hilcell, its drivers and its procedures by `python -m hilcell.alarms.page`.
 
 A **fault** has stopped the run; devices are stopped, measured points are kept. A **warning** asks
@@ -30,9 +30,9 @@ for somebody: the run waits, or its result is in doubt. A **notice** is worth kn
 that nobody can answer, because the run is unattended, ends it as a fault; a warning that a
 repetition has healed is shown as a notice. `hilcell explain CODE` prints one entry.
 
-On the screen an alarm also says where it was found, what was read and what was wanted. Where this
-list does not know a fault (codes that end in 99), the first step there is what the failing
-operation itself advises. A stop on the screen is a software stop, not the E-stop.
+On the screen an alarm also states its place, the found and the wanted value. Where this list does
+not know a fault (codes that end in 99), the first step there is the failing operation's own advice.
+A stop on the screen is a software stop, not the E-stop.
 """
 
 

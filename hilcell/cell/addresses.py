@@ -1,8 +1,8 @@
 """Where a device is reached, in one spelling: two spellings of one place must give one lock.
 
-An address is compared by what it resolves to: a host by its addresses, a device file by the file
-behind its links. A name server may take long to answer; a name that it does not resolve in
-`RESOLVE_S` stands for itself.
+An address is compared by its target: a host by its addresses, a device file by the file behind its
+links. A name server may take long to answer; a name that it does not resolve in `RESOLVE_S` stands
+for itself.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ def check_copied(where: str, cell: Cell) -> str:
 
 
 def _kept(cell: Cell, built_in: Cell) -> list[tuple[str, str, str]]:
-    """Return what must differ, of both cells; nothing where the cells are the same."""
+    """Return the values that must differ, of both cells; nothing where the cells are the same."""
     if cell.simulation is not None and cell.digest == built_in.digest:
         return []
     return [("name", cell.name, built_in.name), ("serial", cell.serial, built_in.serial)]

@@ -30,7 +30,7 @@ TABLES = (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers"))
 
 
 def load_entry(group: str, name: str) -> Any:
-    """Return what the entry point ``name`` of ``hilcell.<group>`` names."""
+    """Return the object of the entry point ``name`` of ``hilcell.<group>``."""
     found = {entry.name: entry for entry in entry_points(group=f"hilcell.{group}")}
     if name not in found:
         known = ", ".join(sorted(found)) or "none; is the package installed?"
@@ -83,7 +83,7 @@ def sweeps_of(robot: Robot) -> Sweeps:
 
 
 def abilities(cell: Cell) -> dict[str, bool]:
-    """Return what the cell's drivers can beside what every driver must."""
+    """Return the abilities of the cell's drivers beside those of every driver."""
     return {
         "tracker_streams": issubclass(load_entry("trackers", cell.tracker.driver), Streams),
         "robot_sweeps": issubclass(load_entry("robots", cell.robot.driver), Sweeps),

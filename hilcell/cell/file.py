@@ -346,7 +346,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @cached_property
     def digest(self) -> str:
-        """Return SHA-256 over canonical JSON of what stands, however it is simulated."""
+        """Return SHA-256 over canonical JSON of the cell, without its simulation."""
         values = msgspec.to_builtins(self)
         values.pop("simulation")
         for table, keys in PACE.items():

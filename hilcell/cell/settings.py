@@ -48,7 +48,7 @@ def read_text(path: Path) -> str:
 
 
 def unreadable(source: str, error: Exception, kind: str = "file") -> SettingsError:
-    """Return what refuses a file that could not be opened or is no text; ``kind`` was expected."""
+    """Return the error for a file that could not be opened or is no text; ``kind`` was expected."""
     match error:
         case IsADirectoryError():
             problem = f"is a folder, not a {kind}"

@@ -31,7 +31,7 @@ class FrameError(HilcellError):
 
 @dataclass(frozen=True, slots=True)
 class RigidFit:
-    """``b = T a``: fitted frame of a in b, its covariance and what is left over.
+    """``b = T a``: fitted frame of a in b, its covariance and residuals.
 
     ``covariance`` (6, 6) is that of (shift of a's origin in mm, rotation vector in rad about it),
     axes of b; ``residuals_mm`` (N, 3) are ``b - T a``.

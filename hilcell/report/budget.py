@@ -130,7 +130,7 @@ def _thermal(log: Log) -> Contribution:
 
 
 def _target(log: Log, noise_mm: float) -> list[Contribution]:
-    """Return what a corrected target has besides; nothing where robot and model are not known."""
+    """Return a corrected target's other contributions; none where robot and model are not known."""
     clouds_mm = visits_mm(log)
     reference = validation(log, [log.cell.grid.station]).get("chosen")
     if not clouds_mm or reference is None:

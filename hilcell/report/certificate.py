@@ -1,7 +1,7 @@
 """Contents of a calibration certificate (ISO/IEC 17025:2017, 7.8.2, 7.8.4), item by item.
 
-hilcell fills in what the journal proves; the rest stays a blank line for the laboratory. The
-trap: a filled form is not an accredited certificate, and a simulated run calibrates nothing.
+hilcell fills in the items that the journal proves; the rest stays a blank line for the laboratory.
+The trap: a filled form is not an accredited certificate, and a simulated run calibrates nothing.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
 
 
 def title(facts: Facts) -> str:
-    """Return what kind of report this is: without a validated correction nothing is calibrated."""
+    """Return the kind of this report: without a validated correction nothing is calibrated."""
     return "Calibration report" if _calibrated(facts) else "Measurement report"
 
 

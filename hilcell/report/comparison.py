@@ -59,7 +59,7 @@ class Comparison:
 def compare_runs(
     first: Log, second: Log, *, live: tuple[bool, bool] = (False, False)
 ) -> Comparison:
-    """Return what changed from the first run to the second; ``live`` says whose engine is at work.
+    """Return the changes from the first run to the second; ``live``: whose engine is at work.
 
     Raises `HilcellError` for runs of different cells, for a simulated beside a real one, and for
     runs that have nothing in common.
@@ -182,7 +182,7 @@ def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
 
 
 def _settings(first: Log, second: Log) -> list[Setting]:
-    """Return what differs of the frozen inputs, key by key, the simulation's addresses left out."""
+    """Return the differences of the frozen inputs by key, the simulation's addresses left out."""
     one, other = _inputs(first), _inputs(second)
     keys = [*one, *(key for key in other if key not in one)]
     pairs = ((key, one.get(key, ""), other.get(key, "")) for key in keys)

@@ -41,7 +41,7 @@ class Change:
     """One figure of both runs.
 
     ``change`` is second less first, or the length of a move, which has no first and second.
-    ``limit`` is what 95 % of changes keep where nothing drifted, or a stated margin; None where
+    95 % of changes keep ``limit`` where nothing drifted, or it is a stated margin; None where
     neither is known.
     """
 

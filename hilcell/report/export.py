@@ -139,7 +139,7 @@ def _leaves(path: str, value: Any) -> Iterable[tuple[str, Value]]:
 
 
 def run_table(facts: Facts) -> list[Row]:
-    """Return what identifies the run."""
+    """Return the identity of the run."""
     inputs = facts.inputs
     rows: list[Row] = [
         ["run", facts.run],

@@ -23,7 +23,7 @@ from hilcell.run.procedure import Procedure, Table
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """One run: its records, what they say, and the result where the run has finished."""
+    """One run: its records, its log, and the result where the run has finished."""
 
     run: str
     records: Sequence[Record]
@@ -50,7 +50,7 @@ class Facts:
 
     @property
     def devices(self) -> list[dict[str, str]]:
-        """Return who answered when the devices were last connected."""
+        """Return the devices that answered when they were last connected."""
         found: list[dict[str, str]] = []
         for event in self.log.events:
             if event.body["what"] == "connected":

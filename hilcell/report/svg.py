@@ -54,7 +54,7 @@ _LINK = re.compile(r'(url\(#|href="#)([^")]+)')
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw with these settings, whatever the user's matplotlib is set to."""
+    """Draw with these settings, independent of the user's matplotlib."""
     import matplotlib
 
     with matplotlib.rc_context():
@@ -73,7 +73,7 @@ def svg_of(figure: Figure, name: str) -> str:
 
 
 def compact(svg: str, name: str) -> str:
-    """Return ``svg`` without what a page does not need; 0.01 pt is finer than any printer."""
+    """Return ``svg`` without parts that no page needs; 0.01 pt is finer than any printer."""
     svg = _DROPPED.sub(" ", svg)
     linked = {found[1] for found in _LINK.findall(svg)}
 

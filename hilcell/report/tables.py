@@ -89,7 +89,7 @@ STATIONS: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
 
 
 def stations(facts: Facts) -> Sheet | None:
-    """Return what each station's frame is good for."""
+    """Return the quality of each station's frame."""
     found = ((each, facts.log.frames.get(f"station.{each.name}")) for each in facts.cell.station)
     rows = ((station, frame) for station, frame in found if frame is not None)
     note = "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ."
@@ -182,7 +182,7 @@ DEVICES: tuple[Column[Mapping[str, str]], ...] = tuple(
 
 
 def devices(facts: Facts) -> Sheet | None:
-    """Return who answered."""
+    """Return the devices that answered."""
     link = facts.log.link
     note = f"CAN link in the last session: {link.text}." if link is not None else ""
     if link is not None and link.warning:
@@ -219,7 +219,7 @@ VERDICTS: tuple[Column[tuple[str, Mapping[str, Any]]], ...] = (
 
 
 def verdicts(facts: Facts) -> Sheet | None:
-    """Return what was judged, with the figures it was judged by."""
+    """Return the verdicts, with the figures behind them."""
     return sheet("Verdicts", VERDICTS, facts.log.verdicts.items())
 
 

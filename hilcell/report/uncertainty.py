@@ -2,7 +2,7 @@
 
 Every figure is for **one coordinate** of a position, in mm. A contribution that acts along one
 direction only, or a 3D length, counts with its root mean square over the three coordinates; 3D
-errors are sqrt(3) times larger than what stands here.
+errors are sqrt(3) times larger than these figures.
 """
 
 from __future__ import annotations
@@ -59,5 +59,5 @@ def thermal_limit_mm(length_mm: float, expansion_per_k: float, range_k: float) -
 
 
 def remainder_mm(whole_mm: float, *parts_mm: float) -> float:
-    """Return what independent parts leave of a whole, in squares; nothing where they exceed it."""
+    """Return a whole less its independent parts, in squares; nothing where they exceed it."""
     return math.sqrt(max(0.0, whole_mm**2 - sum(part**2 for part in parts_mm)))
