@@ -8,6 +8,7 @@ loop above it decides.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from importlib import resources
 from typing import Annotated, Literal
 
@@ -88,6 +89,7 @@ class CanopenRail:
         self._statistics = LinkStatistics()
         self._image: ProcessImage | None = None
         self._drive: Drive | None = None
+        self._ended_s: float | None = None  # when the last motion was seen to have ended
         self._drive_sdo: SdoChannel | None = None
         self._watches: tuple[NodeWatch, ...] = ()
 
@@ -108,11 +110,7 @@ class CanopenRail:
     def home(self) -> None:
         """Home to the negative limit switch (6098h = 17); the drive then reads 0."""
         drive = self._used()
-        try:
-            drive.home(round(WINDOW_MM * self._options.counts_per_mm))
-        except BaseException:
-            self._stop_after_failure()
-            raise
+        self._move(lambda: drive.home(round(WINDOW_MM * self._options.counts_per_mm)))
 
     def move_to(self, position_mm: float) -> None:
         """Move by the drive's encoder; return at standstill, the drive holding."""
@@ -131,11 +129,7 @@ class CanopenRail:
                     "highest_mm": options.travel_max_mm,
                 },
             )
-        try:
-            drive.move(round(position_mm * options.counts_per_mm))
-        except BaseException:
-            self._stop_after_failure()
-            raise
+        self._move(lambda: drive.move(round(position_mm * options.counts_per_mm)))
 
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
@@ -324,7 +318,17 @@ class CanopenRail:
             still=rest is not None,
             powered=now.powered,
             taken_s=now.taken_s,
+            ended_s=self._ended_s,
         )
+
+    def _move(self, motion: Callable[[], None]) -> None:
+        self._ended_s = None
+        try:
+            motion()
+        except BaseException:
+            self._stop_after_failure()
+            raise
+        self._ended_s = time.monotonic()
 
     def _stop_after_failure(self) -> None:
         try:

@@ -99,6 +99,7 @@ class KukaC3Robot:
         self._rest_deg = np.zeros(6)
         self._sequence = 0
         self._under_way = False
+        self._ended_s: float | None = None  # when the last motion was seen to have ended
         self._stopped = False
 
     # -- the port -----------------------------------------------------------------------------
@@ -160,7 +161,7 @@ class KukaC3Robot:
         pose = self._pose()
         moved_deg = np.abs(self._axes_deg() - before_deg)
         still = not self._under_way and bool(np.all(moved_deg <= STILL_DEG))
-        return RobotReading(np.radians(before_deg), pose, still, taken_s)
+        return RobotReading(np.radians(before_deg), pose, still, taken_s, self._ended_s)
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> KukaSweep:
         """Return a motion of one axis (0 to 5) alone, at the next speed below ``speed_rad_s``."""
@@ -295,7 +296,7 @@ class KukaC3Robot:
         self.wire().write("HC_TGT", krl.structure("E6AXIS", axes))
         self._write_once("HC_VEL", str(speed_percent))
         self._write_once("HC_CMD", str(PTP_JOINTS))
-        self._under_way = True
+        self._under_way, self._ended_s = True, None
         self._watch.begin()
         self.wire().write("HC_SEQ", str(number))
         self._sequence = number
@@ -356,8 +357,8 @@ class KukaC3Robot:
             pose = self._pose()
             arrived = bool(np.all(np.abs(axes_deg - target_deg) <= AXIS_TOLERANCE_DEG))
             if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
-                self._under_way, self._rest_deg = False, target_deg
-                return RobotReading(np.radians(axes_deg), pose, True, taken_s)
+                self._under_way, self._rest_deg, self._ended_s = False, target_deg, taken_s
+                return RobotReading(np.radians(axes_deg), pose, True, taken_s, taken_s)
             if over:
                 break
             over = patience.over()

@@ -25,6 +25,7 @@ from drivers.supervision import Patience
 from drivers.tcp import TcpLink
 from hilcell.clean import clean
 from hilcell.ports import (
+    Air,
     Array,
     Clock,
     DeviceError,
@@ -401,9 +402,7 @@ class LeicaEmsconTracker:
             std_mm,
             len(results),
             reflector,
-            last.temperature,
-            last.pressure,
-            last.humidity,
+            Air(last.temperature, last.pressure, last.humidity),
             self._arrived_s,
         )
 

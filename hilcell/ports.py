@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from hilcell.cell.file import Cell
 
 __all__ = [
-    "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity", "JointSample",
-    "LinkStatistics", "NoReading", "Rail", "RailReading", "Robot", "RobotReading", "SimulatedCell",
-    "Stopped", "Stream", "StreamBlock", "Streams", "Sweep", "Sweeps", "Tracker", "TrackerReading",
-    "says_simulated",
+    "Air", "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity",
+    "JointSample", "LinkStatistics", "NoReading", "Rail", "RailReading", "Robot", "RobotReading",
+    "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "Sweep", "Sweeps", "Tracker",
+    "TrackerReading", "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -69,7 +69,8 @@ class RailReading:
     each within a window of position. A speed alone does not say it: a servo that holds a position
     dithers, and a creep is slow. Positions of a slide that stands are medians of at least five
     readings of the drive and of the same five of the strip; ``taken_s`` is when the newest of them
-    arrived, which agrees with the others. For a slide that moves it is the newest.
+    arrived, which agrees with the others. For a slide that moves it is the newest. ``ended_s`` is
+    when the last motion was seen to have ended; None where none has since connect.
     """
 
     position_mm: float
@@ -78,6 +79,7 @@ class RailReading:
     still: bool
     powered: bool
     taken_s: float
+    ended_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,25 +94,39 @@ class LinkStatistics:
 
 @dataclass(frozen=True, slots=True)
 class RobotReading:
-    """Joints (6,) in rad, pose (4, 4) of {T} in {B} in mm as the controller states it."""
+    """Joints (6,) in rad, pose (4, 4) of {T} in {B} in mm as the controller states it.
+
+    ``ended_s`` is when the last motion was seen to have ended; None where none has since connect.
+    """
 
     joints_rad: Array
     pose: Array
     still: bool
     taken_s: float
+    ended_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """The air at the tracker, by its weather station."""
+
+    temperature_c: float
+    pressure_mbar: float
+    humidity_percent: float
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerReading:
-    """Mean (3,) of ``samples`` readings in the tracker's frame, 1-sigma ``std_mm`` (3,), air."""
+    """Mean (3,) of ``samples`` readings in the tracker's frame, 1-sigma ``std_mm`` (3,).
+
+    ``air`` is None where the tracker has no weather station.
+    """
 
     xyz_mm: Array
     std_mm: Array
     samples: int
     reflector: str
-    temperature_c: float
-    pressure_mbar: float
-    humidity_percent: float
+    air: Air | None
     taken_s: float
 
 

@@ -56,9 +56,10 @@ class PaperRows:
         """Do nothing: the rows are computed from the journal."""
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return the rows."""
+        """Return the rows; those of the air only where it was measured."""
         found = Procedure("experiments", "", EXPERIMENTS, paper_table).result(log)
-        return {"rows": [row.judged(log, found) for row in ROWS]}
+        rows = [row for row in ROWS if row.unit != "C" or log.temperatures_c()]
+        return {"rows": [row.judged(log, found) for row in rows]}
 
 
 def paper_table(result: dict[str, Any]) -> Table:

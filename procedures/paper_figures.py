@@ -60,12 +60,12 @@ def cells(log: Log, result: Result) -> float:
 
 def lowest_temperature(log: Log, result: Result) -> float:
     """Return the lowest temperature of all points."""
-    return min(point.temperature_c for point in log.points.values())
+    return min(log.temperatures_c())
 
 
 def highest_temperature(log: Log, result: Result) -> float:
     """Return the highest temperature of all points."""
-    return max(point.temperature_c for point in log.points.values())
+    return max(log.temperatures_c())
 
 
 def jacobian_error(log: Log, result: Result) -> float:

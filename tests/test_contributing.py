@@ -15,7 +15,7 @@ import pytest
 from hilcell.alarms.catalogue import Entry
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
-from hilcell.ports import NoReading, Tracker
+from hilcell.ports import Air, NoReading, Tracker
 from tests.hilcell.run.bed import Bed
 
 TEXT = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text("utf-8")
@@ -58,7 +58,7 @@ def test_the_driver_measures_stops_and_refuses_another_reflector() -> None:
     assert tracker.connect()[0].serial == "17"
     reading = tracker.measure(np.array([1.0, 2.0, 3.5]), "SMR", 3)
     assert reading.xyz_mm.tolist() == [1.0, 2.0, 3.0]
-    assert (reading.temperature_c, reading.samples) == (22.0, 3)
+    assert (reading.air, reading.samples) == (Air(22.0, 1013.0, 45.0), 3)
     with pytest.raises(NoReading, match=r"reflector 8\.00 mm from its expected place"):
         tracker.measure(np.array([1.0, 2.0, 3.0]), "SMR", 1)
     tracker.stop()

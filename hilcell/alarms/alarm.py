@@ -179,9 +179,12 @@ def _strip(log: Log, session: list[Record]) -> Iterator[_Moment]:
 
 def _temperature(log: Log) -> Iterator[_Moment]:
     """Yield the first point at which the air is too far from that of the run's first."""
-    points = list(log.points.values())
-    for point in points:
-        off_k = point.temperature_c - points[0].temperature_c
+    first_c: float | None = None
+    for point in log.points.values():
+        if point.temperature_c is None:
+            continue
+        first_c = point.temperature_c if first_c is None else first_c
+        off_k = point.temperature_c - first_c
         if not abs(off_k) <= DRIFT_LIMIT_K:
             found = f"{point.temperature_c:.1f} C at {point.key}, {off_k:+.1f} K from the start"
             wanted = f"within {DRIFT_LIMIT_K:.0f} K"

@@ -60,6 +60,8 @@ def _validity(validity: Validity) -> Iterator[str]:
             f"validity.orientation_tolerance_deg: {tolerance_deg:g}, wanted above 0 and "
             f"<= {MOST_TURN_DEG:g}"
         )
+    if validity.temperature_c is None:
+        return
     yield from _within("validity.temperature_c", validity.temperature_c, MOST_C, "C")
     low_c, high_c = validity.temperature_c
     if not low_c <= high_c:

@@ -46,7 +46,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
     grid, fit = measured.grid, log.verdicts["fit"]
     method = str(fit["method"])
     points = log.select("grid")
-    temperatures = [point.temperature_c for point in points]
+    celsius = [point.temperature_c for point in points if point.temperature_c is not None]
     high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
     values = {
         "schema": SCHEMA,
@@ -59,7 +59,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "validity": Validity(
             tuple(grid.origin_mm.tolist()), tuple(high_mm.tolist()),
             cell.grid.centre.matrix()[:3, :3].tolist(), ORIENTATION_TOLERANCE_DEG,
-            (min(temperatures), max(temperatures)),
+            (min(celsius), max(celsius)) if celsius else None,
         ),
         "stations": {
             station.name: _entry(log, frames.base_in_world(station), station.name)

@@ -26,13 +26,16 @@ class StationEntry(msgspec.Struct, frozen=True):
 
 
 class Validity(msgspec.Struct, frozen=True):
-    """Where the calibration holds: the cube in {B}, one orientation, the measured temperatures."""
+    """Where the calibration holds: the cube in {B}, one orientation, the measured temperatures.
+
+    ``temperature_c`` is None where the tracker had no weather station.
+    """
 
     low_mm: tuple[float, float, float]
     high_mm: tuple[float, float, float]
     orientation: list[list[float]]
     orientation_tolerance_deg: float
-    temperature_c: tuple[float, float]
+    temperature_c: tuple[float, float] | None
 
 
 class Device(msgspec.Struct, frozen=True):

@@ -81,6 +81,11 @@ def _other_cell(calibration: Calibration, digest: str) -> str:
 
 
 def _temperature(calibration: Calibration, temperature_c: float) -> str:
+    if calibration.validity.temperature_c is None:
+        return (
+            f"{temperature_c:.1f} C cannot be compared: the calibration's tracker had no weather "
+            "station; leave --temperature out"
+        )
     low_c, high_c = calibration.validity.temperature_c
     if low_c - TEMPERATURE_MARGIN_K <= temperature_c <= high_c + TEMPERATURE_MARGIN_K:
         return ""

@@ -18,7 +18,34 @@ from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import PointId
 from hilcell.journal.stream_file import StreamRecord
-from hilcell.ports import Array
+from hilcell.ports import Air, Array
+
+
+class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
+    """When a reading was taken, in s of the PC's monotonic clock, and its age when it was used.
+
+    ``ended_s`` is when the motion before it was seen to have ended. Times of one session can be
+    compared with each other, and with nothing else.
+    """
+
+    taken_s: float
+    age_s: float
+    ended_s: float | None = None
+
+
+class Readings(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The times of the readings that make a point."""
+
+    tracker: ReadingTime
+    rail: ReadingTime
+    robot: ReadingTime | None = None
+
+    @property
+    def settled_s(self) -> float | None:
+        """Return how long slide and robot had been at rest; None where neither has moved."""
+        both = (self.rail, self.robot)
+        ends_s = [each.ended_s for each in both if each is not None and each.ended_s is not None]
+        return self.tracker.taken_s - max(ends_s) if ends_s else None
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True):
@@ -36,11 +63,11 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     xyz_mm: tuple[float, float, float]
     std_mm: tuple[float, float, float]
     samples: int
-    temperature_c: float
-    pressure_mbar: float
-    humidity_percent: float
     session: int
     frame: str
+    temperature_c: float | None = None
+    pressure_mbar: float | None = None
+    humidity_percent: float | None = None
     retaken: bool = False
     nominal_mm: tuple[float, float, float] | None = None
     smr_mm: tuple[float, float, float] | None = None
@@ -49,6 +76,18 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     pose: tuple[tuple[float, ...], ...] | None = None
     rail_mm: float | None = None
     strip_mm: float | None = None
+    readings: Readings | None = None
+
+    @property
+    def air(self) -> Air | None:
+        """Return the air at the tracker, or None where no weather station measured it."""
+        if (
+            self.temperature_c is None
+            or self.pressure_mbar is None
+            or self.humidity_percent is None
+        ):
+            return None
+        return Air(self.temperature_c, self.pressure_mbar, self.humidity_percent)
 
 
 class Seated(msgspec.Struct, frozen=True, kw_only=True):
@@ -260,6 +299,10 @@ class Log:
             )
 
         return [self.points[key] for key in sorted(self.points) if agrees(self.points[key])]
+
+    def temperatures_c(self) -> list[float]:
+        """Return the air's temperature at every point; nothing without a weather station."""
+        return [p.temperature_c for p in self.points.values() if p.temperature_c is not None]
 
     def matrix(self, frame: str) -> Array:
         """Return a frame's homogeneous matrix (4, 4)."""

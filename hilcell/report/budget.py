@@ -32,6 +32,7 @@ TRACKER_LIMIT_MM = 0.015  # the paper's tracker within 10 m (section 5.1)
 SMR_CENTRING_LIMIT_MM = 0.0127  # half a thousandth of an inch, a common grade of 1.5-inch SMRs
 DRIFT_LIMIT_MM = 0.02  # where the floor nests were not measured again
 STEEL_EXPANSION_PER_K = 11.5e-6
+AIR_RANGE_K = 4.0  # of the air during a run, where the tracker has no weather station
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,16 +117,17 @@ def _moves_mm(log: Log) -> Array:
 
 
 def _thermal(log: Log) -> Contribution:
-    celsius = [point.temperature_c for point in log.points.values()]
-    range_k = max(celsius) - min(celsius)
+    celsius = log.temperatures_c()
+    range_k = max(celsius) - min(celsius) if celsius else AIR_RANGE_K
+    known = "measured" if celsius else "assumed: no weather station"
     world_mm = apply(log.matrix("world"), positions_mm(log.points.values()))
     length_mm = float(np.linalg.norm(world_mm, axis=1).max())
     how = (
         f"steel, {STEEL_EXPANSION_PER_K * 1e6:.1f} µm/(m·K) assumed, {length_mm / 1000:.2f} m "
-        f"from {{W}}, range {range_k:.2f} K measured"
+        f"from {{W}}, range {range_k:.2f} K {known}"
     )
     limit_mm = thermal_limit_mm(length_mm, STEEL_EXPANSION_PER_K, range_k)
-    source = f"{MEASURED}, and {ASSUMED}"
+    source = f"{MEASURED}, and {ASSUMED}" if celsius else ASSUMED
     return Contribution("Thermal expansion", limit_mm, "rectangular", source, how, "4.3.7")
 
 

@@ -95,10 +95,11 @@ def _uncertainty(budget: Budget | None) -> str:
 
 
 def _conditions(facts: Facts) -> str:
-    points = facts.log.points.values()
-    if not points:
+    if not facts.log.points:
         return ""
-    celsius = [point.temperature_c for point in points]
+    celsius = facts.log.temperatures_c()
+    if not celsius:
+        return "air not measured: the tracker has no weather station"
     return f"air {min(celsius):.2f} to {max(celsius):.2f} °C at the tracker; see the table of air"
 
 

@@ -142,7 +142,7 @@ def _mean_limit_mm(how: str, *runs: tuple[Side, Errors]) -> float | None:
 
 def _air(first: Log, second: Log) -> Iterator[Change]:
     """Yield the mean temperature of both runs; its limit is the margin of a calibration's use."""
-    celsius = [[p.temperature_c for p in log.points.values()] for log in (first, second)]
+    celsius = [log.temperatures_c() for log in (first, second)]
     if all(celsius):
         pair = [float(np.mean(each)) for each in celsius]
         yield Change(
@@ -171,6 +171,9 @@ def _unfinished(first: Log, second: Log, live: tuple[bool, bool]) -> Iterator[st
 
 def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
     yield "the tracker's place in {W} is of its set-up and is not compared"
+    for which, log in (("first", first), ("second", second)):
+        if log.points and not log.temperatures_c():
+            yield f"the {which} run's tracker had no weather station: the air is not compared"
     seeds = (first.inputs.truth_seed, second.inputs.truth_seed)
     if None not in seeds and seeds[0] != seeds[1]:
         yield "the machines' seeds differ: these are two simulated cells, not one that drifted"

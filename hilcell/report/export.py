@@ -42,6 +42,11 @@ class Measured:
     zyx: Array | None
 
     @property
+    def settled_s(self) -> float | None:
+        """Return for how long slide and robot had been at rest."""
+        return None if self.point.readings is None else self.point.readings.settled_s
+
+    @property
     def norm_mm(self) -> float | None:
         """Return the length of the error."""
         return None if self.error_mm is None else float(np.linalg.norm(self.error_mm))
@@ -73,6 +78,14 @@ def _element(of: Callable[[Measured], Any], n: int) -> Callable[[Measured], Valu
     return value
 
 
+def _age(name: str) -> Callable[[Measured], Value]:
+    def value(row: Measured) -> Value:
+        taken = getattr(row.point.readings, name, None)
+        return None if taken is None else float(taken.age_s)
+
+    return value
+
+
 _AXES = [f"a{axis}" for axis in range(1, 7)]
 POINTS: tuple[Column[Measured], ...] = (
     Column("seq", attrgetter("record.seq")),
@@ -91,6 +104,8 @@ POINTS: tuple[Column[Measured], ...] = (
     *_vector("read_", _AXES, "°", "point.joints_deg"),
     *_vector("pose_", "xyz", "mm", "zyx"),
     *_vector("pose_", "abc", "°", "zyx", first=3),
+    *(Column(f"{name}_age", _age(name), "s") for name in ("tracker", "rail", "robot")),
+    Column("settled", attrgetter("settled_s"), "s"),
 )
 FRAMES: tuple[Column[Posed], ...] = (
     *tables.FRAMES,

@@ -166,12 +166,12 @@ AIR: tuple[Column[Condition], ...] = (
 
 
 def conditions(facts: Facts) -> Sheet | None:
-    """Return the air at the tracker, smallest, largest and mean over all points."""
-    points = list(facts.log.points.values())
+    """Return the air at the tracker, smallest, largest and mean; nothing where not measured."""
+    measured = [point.air for point in facts.log.points.values() if point.air]
     rows = [
-        Condition(f"{name} {unit}", np.array([getattr(point, field) for point in points]), digits)
+        Condition(f"{name} {unit}", np.array([getattr(air, field) for air in measured]), digits)
         for name, field, unit, digits in CONDITIONS
-        if points
+        if measured
     ]
     return sheet("Air at the tracker", AIR, rows)
 

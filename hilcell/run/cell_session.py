@@ -20,7 +20,7 @@ from hilcell.cell.file import Cell, Nest, Station
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import Journal
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log, Point, Readings, ReadingTime
 from hilcell.journal.point_id import PointId
 from hilcell.ports import (
     Array,
@@ -282,11 +282,10 @@ class CellSession:
             id,
             station.name,
             reading,
+            robot,
             nominal_mm=nominal_mm,
             smr_mm=self.cell.robot.smr_mm,
             commanded_deg=np.degrees(joints_rad),
-            joints_deg=np.degrees(robot.joints_rad),
-            pose=robot.pose,
             retaken=retake,
         )
 
@@ -302,14 +301,7 @@ class CellSession:
         robot = self.robot_to(joints_rad, missing[0][0].key)
         for id, near_mm in missing:
             reading = self._measure(id.key, id.target, near_mm, self.cell.tracker.samples)
-            self._keep(
-                id,
-                "",
-                reading,
-                commanded_deg=np.degrees(joints_rad),
-                joints_deg=np.degrees(robot.joints_rad),
-                pose=robot.pose,
-            )
+            self._keep(id, "", reading, robot, commanded_deg=np.degrees(joints_rad))
 
     def floor_point(self, id: PointId, nest: Nest) -> Point:
         """Measure a nest on the floor."""
@@ -446,7 +438,14 @@ class CellSession:
                 fields={"point": key, "off_mm": off_mm, "limit_mm": limit_mm},
             )
 
-    def _keep(self, id: PointId, station: str, reading: TrackerReading, **facts: Any) -> Point:
+    def _keep(
+        self,
+        id: PointId,
+        station: str,
+        reading: TrackerReading,
+        robot: RobotReading | None = None,
+        **facts: Any,
+    ) -> Point:
         rail = self.devices.rail.read()
         if self._held is not None:
             check_strip(self.cell, rail, self._held, f"after measuring {id.key}")
@@ -459,15 +458,28 @@ class CellSession:
             "xyz_mm": reading.xyz_mm,
             "std_mm": reading.std_mm,
             "samples": reading.samples,
-            "temperature_c": reading.temperature_c,
-            "pressure_mbar": reading.pressure_mbar,
-            "humidity_percent": reading.humidity_percent,
+            "temperature_c": reading.air and reading.air.temperature_c,
+            "pressure_mbar": reading.air and reading.air.pressure_mbar,
+            "humidity_percent": reading.air and reading.air.humidity_percent,
             "session": self.log.session,
             "rail_mm": rail.position_mm,
             "strip_mm": rail.strip_mm,
+            "readings": _times(reading, rail, robot),
         }
+        if robot is not None:
+            body |= {"joints_deg": np.degrees(robot.joints_rad), "pose": robot.pose}
         self._journal.append("point", id.key, body | facts)
         return self.log.point(id)
+
+
+def _times(tracker: TrackerReading, rail: RailReading, robot: RobotReading | None) -> Readings:
+    now_s = time.monotonic()
+
+    def of(reading: RailReading | RobotReading) -> ReadingTime:
+        return ReadingTime(reading.taken_s, now_s - reading.taken_s, reading.ended_s)
+
+    seen = ReadingTime(tracker.taken_s, now_s - tracker.taken_s)
+    return Readings(seen, of(rail), None if robot is None else of(robot))
 
 
 def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:

@@ -121,9 +121,8 @@ class CellMonitor:
     def take_tracker(self, reading: TrackerReading) -> TrackerReading:
         """Show a reading of the tracker."""
         x, y, z = reading.xyz_mm
-        self.tracker.show(
-            f"{x:.2f} {y:.2f} {z:.2f} mm, {reading.temperature_c:.1f} C", reading.taken_s
-        )
+        air = f"{reading.air.temperature_c:.1f} C" if reading.air else "air not measured"
+        self.tracker.show(f"{x:.2f} {y:.2f} {z:.2f} mm, {air}", reading.taken_s)
         return reading
 
     def status(self) -> dict[str, DeviceStatus]:

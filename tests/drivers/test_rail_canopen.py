@@ -192,6 +192,25 @@ def test_a_reading_is_newer_than_its_request(rail: CanopenRail, peer: CanPeer) -
     assert rail.read().taken_s >= began_s
 
 
+def test_a_reading_says_since_when_the_slide_rests(
+    rail: CanopenRail, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: drive.Drive, target: int) -> None:
+        raise DeviceError("HC-R31", "Rail", "move", "it stands")
+
+    assert rail.read().ended_s is None
+    began_s = time.monotonic()
+    rail.move_to(510.0)
+    reading = rail.read()
+    assert reading.ended_s is not None
+    assert began_s <= reading.ended_s <= reading.taken_s
+    assert rail.read().ended_s == reading.ended_s
+    monkeypatch.setattr(drive.Drive, "move", fail)
+    with pytest.raises(DeviceError):
+        rail.move_to(1100.0)
+    assert rail.read().ended_s is None
+
+
 def test_a_lost_tpdo_costs_one_more_sync(rail: CanopenRail, peer: CanPeer) -> None:
     lost = iter([True])
     peer.tamper = lambda line: [] if line.startswith(b"t285") and next(lost, False) else [line]

@@ -88,6 +88,16 @@ def test_a_move_ends_at_the_target_at_rest(robot: KukaC3Robot, peer: KukaPeer) -
     assert len(peer.requests) - before <= 15
 
 
+def test_a_reading_says_since_when_the_robot_rests(robot: KukaC3Robot) -> None:
+    assert robot.read().ended_s is None
+    began_s = time.monotonic()
+    arrived = robot.move_to(TARGET_RAD, 30.0)
+    assert arrived.ended_s is not None
+    assert began_s <= arrived.ended_s <= arrived.taken_s
+    later = robot.read()
+    assert later.ended_s == arrived.ended_s < later.taken_s
+
+
 def test_joints_are_read_in_radians(robot: KukaC3Robot, peer: KukaPeer) -> None:
     np.testing.assert_allclose(robot.read().joints_rad, np.radians(peer.axes))
 

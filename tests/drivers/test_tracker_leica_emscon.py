@@ -12,7 +12,7 @@ import pytest
 from drivers import tracker_leica_emscon
 from drivers.tracker_leica_emscon import LeicaEmsconTracker
 from hilcell.clock import WallClock
-from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Tracker
+from hilcell.ports import Air, DeviceError, DeviceRefused, NoReading, Stopped, Tracker
 from tests.drivers.cesapi_server import CesapiServer
 from tests.drivers.emscon_peer import (
     CLOSING,
@@ -114,8 +114,7 @@ def test_one_measurement(tracker: Quick, peer: EmsconPeer) -> None:
     reading = tracker.measure(POINT, SMR, 1)
     np.testing.assert_array_equal(reading.xyz_mm, POINT)
     np.testing.assert_array_equal(reading.std_mm, [0.0025] * 3)
-    assert (reading.temperature_c, reading.pressure_mbar) == (22.5, 1013.25)
-    assert reading.humidity_percent == 45.0
+    assert reading.air == Air(22.5, 1013.25, 45.0)
     assert peer.commands[before:] == [55, 49]
 
 

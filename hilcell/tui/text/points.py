@@ -140,6 +140,7 @@ def _measured(point: Point) -> list[tuple[str, str]]:
         ("samples", str(point.samples)),
         ("reflector", point.reflector),
         ("air", _air(point)),
+        ("readings", _readings(point)),
         ("session", str(point.session)),
     ]
     if point.commanded_deg is not None:
@@ -151,9 +152,21 @@ def _measured(point: Point) -> list[tuple[str, str]]:
     return facts
 
 
+def _readings(point: Point) -> str:
+    if (times := point.readings) is None:
+        return "times not recorded"
+    known = {"tracker": times.tracker, "rail": times.rail, "robot": times.robot}
+    ages = ", ".join(f"{name} {each.age_s:.2f}" for name, each in known.items() if each)
+    settled_s = times.settled_s
+    rest = "" if settled_s is None else f"; at rest for {settled_s:.2f} s when measured"
+    return f"age at use in s: {ages}{rest}"
+
+
 def _air(point: Point) -> str:
-    humidity = f"{point.humidity_percent:.0f} %"
-    return f"{point.temperature_c:.2f} C  {point.pressure_mbar:.1f} mbar  {humidity}"
+    if (air := point.air) is None:
+        return "not measured"
+    humidity = f"{air.humidity_percent:.0f} %"
+    return f"{air.temperature_c:.2f} C  {air.pressure_mbar:.1f} mbar  {humidity}"
 
 
 def _numbers(values: Sequence[float], digits: int, sign: str = "") -> str:

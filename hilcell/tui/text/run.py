@@ -221,18 +221,19 @@ def short_age(seconds: float) -> str:
 
 def drift_k(view: RunView) -> float | None:
     """Return how far the air is from the run's first point, K."""
-    points = view.log.points
-    if view.last is None or not points:
+    celsius = view.log.temperatures_c()
+    if view.last is None or view.last.temperature_c is None or not celsius:
         return None
-    first = next(iter(points.values()))
-    return view.last.temperature_c - first.temperature_c
+    return view.last.temperature_c - celsius[0]
 
 
 def air(view: RunView, glyphs: Glyphs) -> Content:
     """Return element 16: temperature and its drift since the first point."""
     drift = drift_k(view)
-    if view.last is None or drift is None:
+    if view.last is None:
         return Content("")
+    if view.last.temperature_c is None or drift is None:
+        return Content("air not measured")
     text = f"{view.last.temperature_c:.1f} C {glyphs.delta}{drift:+.1f} K"
     within = abs(drift) <= DRIFT_LIMIT_K
     return Content.styled(text if within else f"! {text}", "" if within else "bold $warn")

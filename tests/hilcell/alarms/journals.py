@@ -50,7 +50,7 @@ def ended(error: HilcellError | None, code: int = 3, to: str = "faulted") -> Row
     return ("end", "", END | said | {"exit": code, "state": to})
 
 
-def point(key: str, temperature_c: float = 20.0) -> Row:
+def point(key: str, temperature_c: float | None = 20.0) -> Row:
     return ("point", key, {
         "group": "grid", "station": "S1100", "frame": "tracker", "reflector": "SMR", "samples": 1,
         "xyz_mm": (1.0, 2.0, 3.0), "std_mm": (0.0, 0.0, 0.0), "temperature_c": temperature_c,

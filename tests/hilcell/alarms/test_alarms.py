@@ -312,6 +312,7 @@ def test_temperature_is_judged_from_the_first_point_and_told_once() -> None:
     assert alarm.found == "17.9 C at b, -2.1 K from the start, wanted within 2 K"
     (alarm,) = alarms(point("a"), point("b", float("nan")), *BEGUN, live=True)
     assert alarm.code == "HC-V04"
+    assert alarms(point("a", None), point("b", 10.0), point("c", None), *BEGUN, live=True) == []
 
 
 def test_figures_of_a_verdict_carry_their_unit() -> None:

@@ -49,6 +49,14 @@ def test_round_trip(file: Path) -> None:
     )
 
 
+def test_a_calibration_may_know_no_temperature(tmp_path: Path) -> None:
+    values = msgspec.to_builtins(calibration())
+    values["validity"]["temperature_c"] = None
+    path = tmp_path / "calibration.json"
+    write_calibration(msgspec.convert(values, Calibration), path)
+    assert read_calibration(path).validity.temperature_c is None
+
+
 def test_layout_and_order_of_keys_do_not_matter(file: Path) -> None:
     values = json.loads(file.read_text())
     file.write_text(json.dumps(dict(reversed(values.items()))))

@@ -3,6 +3,7 @@
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+import msgspec
 import pytest
 
 from hilcell.calibration.form import Calibration
@@ -51,6 +52,15 @@ def test_another_cell() -> None:
 def test_temperature(temperature_c: float) -> None:
     with pytest.raises(Unfit, match=r"is not within 2 K of the calibrated 22\.0 \.\. 23\.0 C"):
         check_fitness(aged(1), NOW, temperature_c=temperature_c)
+
+
+def test_a_temperature_cannot_be_compared_with_none() -> None:
+    values = msgspec.to_builtins(aged(1))
+    values["validity"]["temperature_c"] = None
+    without = msgspec.convert(values, Calibration)
+    check_fitness(without, NOW)
+    with pytest.raises(Unfit, match=r"22\.0 C cannot be compared: .* no weather station"):
+        check_fitness(without, NOW, temperature_c=22.0)
 
 
 def test_an_unproven_sign() -> None:

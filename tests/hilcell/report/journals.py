@@ -26,6 +26,9 @@ class Writer:
     """A journal in the making; {W} is the tracker's frame, so that figures are easy to foretell."""
 
     def __init__(self, folder: Path, **plan: Any) -> None:
+        self.air: dict[str, float | None] = {
+            "temperature_c": 22.0, "pressure_mbar": 1013.0, "humidity_percent": 45.0,
+        }  # fmt: skip
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.journal = Journal(folder / JOURNAL, folder.name, create=True)
@@ -51,9 +54,9 @@ class Writer:
             "id": id, "group": id.group, "station": station, "frame": "tracker",
             "reflector": "SMR 1.5in",
             "xyz_mm": tuple(map(float, xyz_mm)), "std_mm": (0.01, 0.01, 0.01), "samples": 1,
-            "temperature_c": 22.0, "pressure_mbar": 1013.0, "humidity_percent": 45.0, "session": 1,
+            "session": 1,
         }  # fmt: skip
-        self.journal.append("point", id.key, body | more)
+        self.journal.append("point", id.key, body | self.air | more)
 
     def validated(self, station: str, how: str, errors_mm: Sequence[tuple[float, ...]]) -> Writer:
         for number, error_mm in enumerate(errors_mm):

@@ -228,6 +228,15 @@ def test_warm_air_is_a_reason_and_not_a_drift(first: Log, records: list[Record])
     assert found.drifted == []
 
 
+def test_air_that_one_run_did_not_measure_is_a_note(first: Log, records: list[Record]) -> None:
+    def without(record: Record) -> Record:
+        return body_with(record, temperature_c=None) if record.kind == "point" else record
+
+    found = compare_runs(first, altered(records, without))
+    assert of(found, "air") == []
+    assert "the second run's tracker had no weather station: the air is not compared" in found.notes
+
+
 # -- settings and notes ---------------------------------------------------------------------------
 
 

@@ -35,6 +35,26 @@ def test_points_as_csv(tmp_path: Path) -> None:
     assert float(second["temperature_c"]) == 22.0
 
 
+def test_readings_have_their_age_at_use(tmp_path: Path) -> None:
+    tracker, robot = (
+        {"taken_s": 12.0, "age_s": 0.02},
+        {"taken_s": 11.0, "age_s": 1.0, "ended_s": 9.5},
+    )
+    rail = {"taken_s": 12.0, "age_s": 0.01, "ended_s": 4.0}
+    writer = Writer(tmp_path / "r").began()
+    times = {"tracker": tracker, "rail": rail}
+    writer.point(PointId("grid"), (0, 0, 0), readings=times | {"robot": robot})
+    writer.point(PointId("world"), (0, 0, 0), readings=times)
+    writer.point(PointId("old"), (0, 0, 0))
+    names = ("tracker_age_s", "rail_age_s", "robot_age_s", "settled_s")
+    rows = csv.DictReader(io.StringIO(csv_bytes(writer.facts()).decode()))
+    assert [[row[name] for name in names] for row in rows] == [
+        ["0.02", "0.01", "1.0", "2.5"],
+        ["0.02", "0.01", "", "8.0"],
+        ["", "", "", ""],
+    ]
+
+
 def test_a_formula_stays_text(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r").began()
     writer.point(PointId("=1+1"), (-1, 0, 0), reflector="@x\u202e")

@@ -13,7 +13,15 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
-from hilcell.ports import Array, Identity, LinkStatistics, RailReading, RobotReading, TrackerReading
+from hilcell.ports import (
+    Air,
+    Array,
+    Identity,
+    LinkStatistics,
+    RailReading,
+    RobotReading,
+    TrackerReading,
+)
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step
 
@@ -22,6 +30,7 @@ class DeskRail:
     def __init__(self, cell: Cell) -> None:
         self.cell, self.position_mm, self.powered = cell, 1100.0, False
         self.stopped_s: float | None = None
+        self.ended_s: float | None = None
         self.closed = 0
         self.link = LinkStatistics(frames=1000)
         self.identity = Identity("Rail", "desk", "1", "memory", simulated=True)
@@ -33,14 +42,15 @@ class DeskRail:
         self.position_mm = 0.0
 
     def move_to(self, position_mm: float) -> None:
-        self.position_mm, self.powered = position_mm, True
+        self.position_mm, self.powered, self.ended_s = position_mm, True, time.monotonic()
 
     def settle(self) -> RailReading:
         return self.read()
 
     def read(self) -> RailReading:
         at_mm = self.position_mm
-        return RailReading(at_mm, at_mm, 0.0, True, self.powered, time.monotonic())
+        now_s = time.monotonic()
+        return RailReading(at_mm, at_mm, 0.0, True, self.powered, now_s, self.ended_s)
 
     def hold(self) -> None:
         self.powered = False
@@ -60,6 +70,7 @@ class DeskRobot:
     def __init__(self, cell: Cell) -> None:
         self.joints_rad = np.radians(cell.robot.safe_deg)
         self.moves = 0
+        self.ended_s: float | None = None
         self.stopped = 0
 
     def connect(self) -> list[Identity]:
@@ -68,10 +79,11 @@ class DeskRobot:
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         self.joints_rad = np.array(joints_rad)
         self.moves += 1
+        self.ended_s = time.monotonic()
         return self.read()
 
     def read(self) -> RobotReading:
-        return RobotReading(self.joints_rad, np.eye(4), True, time.monotonic())
+        return RobotReading(self.joints_rad, np.eye(4), True, time.monotonic(), self.ended_s)
 
     def stop(self) -> None:
         self.stopped += 1
@@ -85,6 +97,7 @@ class DeskTracker:
     def __init__(self) -> None:
         self.answer: Callable[[], None] = lambda: None
         self.off_mm = np.zeros(3)
+        self.air: Air | None = Air(22.0, 1013.0, 45.0)
         self.measured = 0
 
     def connect(self) -> list[Identity]:
@@ -99,9 +112,7 @@ class DeskTracker:
             std,
             samples,
             reflector,
-            22.0,
-            1013.0,
-            45.0,
+            self.air,
             time.monotonic(),
         )
 

@@ -77,6 +77,27 @@ def test_a_point_is_measured_once_in_a_run_s_life(bed: Bed) -> None:
     assert list(bed.log().points) == ["flange/0", "p/0"]
 
 
+def test_a_point_keeps_when_its_readings_were_taken(bed: Bed) -> None:
+    assert fault_of(bed, flange) == ""
+    for key, at_rest in (("flange/0", True), ("p/0", False)):
+        times = bed.log().points[key].readings
+        assert times is not None
+        assert (times.robot is not None) == at_rest
+        known = [each for each in (times.tracker, times.rail, times.robot) if each is not None]
+        assert all(0.0 <= each.age_s < 10.0 for each in known)
+        assert len({round(each.taken_s + each.age_s, 6) for each in known}) == 1  # used at once
+        assert times.settled_s is not None
+        assert times.settled_s >= 0.0
+
+
+def test_a_point_may_have_no_air(bed: Bed) -> None:
+    bed.tracker.air = None
+    assert fault_of(bed, flange) == ""
+    point = bed.log().points["flange/0"]
+    assert (point.air, point.temperature_c, bed.log().temperatures_c()) == (None, None, [])
+    assert bed.records("point")[0].body["pressure_mbar"] is None
+
+
 def test_every_axis_comes_from_below(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
     targets: list[Array] = []
     move = bed.robot.move_to

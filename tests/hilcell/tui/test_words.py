@@ -255,6 +255,13 @@ def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
     assert run_text.air(view, UNICODE).plain.startswith("! ") == warns
 
 
+def test_a_tracker_without_a_weather_station_is_said_in_words() -> None:
+    view = scene_of("running")
+    assert view.last is not None
+    view.last = msgspec.structs.replace(view.last, temperature_c=None)
+    assert run_text.air(view, UNICODE).plain == "air not measured"
+
+
 # -- deviation -------------------------------------------------------------------------------------
 
 
