@@ -19,6 +19,7 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.frames import apply
+from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
@@ -87,7 +88,7 @@ def worst_mm(log: Log) -> Array:
     grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
     cells = list(product(*(range(count - 1) for count in grid.shape)))
     mean_mm = [errors_mm[i : i + 2, j : j + 2, k : k + 2].mean(axis=(0, 1, 2)) for i, j, k in cells]
-    worst = int(np.argmax(np.linalg.norm(mean_mm, axis=1)))
+    worst = int(np.argmax(lengths_mm(mean_mm)))
     return middle_mm(grid, np.array([cells[worst]]))
 
 

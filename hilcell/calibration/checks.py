@@ -1,6 +1,6 @@
 """What must hold in a calibration file before a single target is corrected by it.
 
-The trap: a damaged number still reads as a number; a frame that stretches, or a pitch that does
+A damaged number still reads as a number; a frame that stretches, or a pitch that does
 not fit its grid, moves every target and looks sound.
 """
 

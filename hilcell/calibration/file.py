@@ -1,8 +1,8 @@
 """The calibration file: what a finished calibration is for others, one JSON schema with a version.
 
 All lengths mm, frames as homogeneous matrices; the errors of the grid stand in {B}, so that they
-hold at every station. The trap: one changed digit corrects every target wrongly, so the file is
-sealed, and judged by `hilcell.calibration.checks`, before it is used.
+hold at every station. One changed digit corrects every target wrongly, so the file is sealed, and
+judged by `hilcell.calibration.checks`, before it is used.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def read_calibration(path: Path) -> Calibration:
 def _seal(content: dict[str, Any]) -> str:
     """Return SHA-256 over the canonical JSON of everything but the seal.
 
-    It tells damage and edits by hand; it does not prove who wrote the file.
+    It shows damage and edits by hand; it does not prove who wrote the file.
     """
     rest = {key: value for key, value in content.items() if key != SEAL}
     return hashlib.sha256(msgspec.json.encode(rest, order="sorted")).hexdigest()

@@ -1,8 +1,8 @@
 """How well each method predicts measured targets: base and reflectors are found, errors learnt.
 
 A method learns from training rows and predicts positions of other rows. Figures come from rows
-that were not learnt from: the test rows, or each fifth of the training poses in turn. The trap:
-rows of one pose share their errors, so a pose is left out as a whole.
+that were not learnt from: the test rows, or each fifth of the training poses in turn.
+Rows of one pose share their errors, so a pose is left out as a whole.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Files of ``hilcell fit``: a robot's nominal kinematics and measured targets.
 
 ``robot.toml``: standard DH rows, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``. Measurements: one
-row a measured target, with commanded joints and the position in the tracker's frame. The trap:
-joints read back while the robot moves spoil a fit; give the commanded ones.
+row a measured target, with commanded joints and the position in the tracker's frame. Joints
+read back while the robot moves spoil a fit; give the commanded ones.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Whether a calibration may be used here and now: cell, age, temperature, proof of its sign.
 
-Volume and orientation are judged target by target in `hilcell.calibration.file`. The trap: a
-calibration with the wrong sign looks sound and doubles every error, so one that was not proven on
-the cell is refused.
+Volume and orientation are judged target by target in `hilcell.calibration.file`. A calibration
+with the wrong sign looks sound and doubles every error, so one that was not proven on the cell is
+refused.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def check_fitness(
         reasons.append(_other_cell(calibration, digest))
     if temperature_c is not None:
         reasons.append(_temperature(calibration, temperature_c))
-    told = [reason for reason in reasons if reason]
-    if told:
+    found = [reason for reason in reasons if reason]
+    if found:
         run = calibration.provenance.run
-        raise Unfit(f"calibration of run {run} refused\n" + "\n".join(f"  {r}" for r in told))
+        raise Unfit(f"calibration of run {run} refused\n" + "\n".join(f"  {r}" for r in found))
 
 
 def _unproven(calibration: Calibration) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 
 CONTRACTION = 0.5  # step n + 1 may move the command by this share to the n-th of the first
@@ -52,7 +53,7 @@ def corrected(
     command, first_mm = targets, np.full(len(targets), np.inf)
     for step in range(steps):
         further = targets - model.predict(grid.clamped(command)).error_mm
-        moved_mm = np.linalg.norm(further - command, axis=1)
+        moved_mm = lengths_mm(further - command)
         first_mm = moved_mm if step == 0 else first_mm
         _check_contraction(moved_mm, first_mm, step, names)
         command = further

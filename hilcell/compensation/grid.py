@@ -1,7 +1,7 @@
 """A regular lattice of measured vertices: order of visit, cells, what is inside.
 
-The trap: a target on the upper face belongs to the last cell, not to a cell beyond it; and
-outside of the lattice nothing is known, so that `OutsideGrid` refuses instead of extrapolating.
+A target on the upper face belongs to the last cell, not to a cell beyond it. Outside of the
+lattice nothing is known, so `OutsideGrid` refuses instead of extrapolating.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ CORNERS: Ints = np.array(
     list(product((0, 1), repeat=3))
 )  # (8, 3) steps from a cell's lowest vertex
 SYMMETRIC = 1e-9  # of a covariance, relative to its largest element
+MOST_MM2 = 1e4  # beyond is no uncertainty of a robot's error
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -206,7 +207,10 @@ def _check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
     if found.shape != shape or not np.isfinite(found).all():
         counts = " x ".join(map(str, shape))
         raise ModelError(f"{name}: wanted {counts} finite numbers")
-    slack = SYMMETRIC * max(float(np.abs(found).max()), np.finfo(float).tiny)
+    largest = float(np.abs(found).max())
+    if not largest <= MOST_MM2:
+        raise ModelError(f"{name}: {largest:g} mm2, wanted within +-{MOST_MM2:g} mm2")
+    slack = SYMMETRIC * max(largest, np.finfo(float).tiny)
     if not np.abs(found - found.swapaxes(-1, -2)).max() <= slack:
         raise ModelError(f"{name}: not symmetric")
     if not np.linalg.eigvalsh(found).min() >= -slack:

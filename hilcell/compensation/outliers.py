@@ -3,8 +3,8 @@
 A smooth field, of second order in x, y and z, is fitted to all vertices, and each is judged by its
 studentized residual: a residual divided by ``sqrt(1 - h)``, h its leverage, so that all have one
 spread, at the grid's corners too. That spread is what the residuals themselves show: readings,
-repeatability, and what of the robot's error no smooth field follows. The trap: a limit in mm
-would be knowledge about one robot.
+repeatability, and what of the robot's error no smooth field follows. A limit in mm would be
+knowledge about one robot.
 """
 
 from __future__ import annotations

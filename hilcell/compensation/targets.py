@@ -1,6 +1,6 @@
 """CSV files of named rows in {W}: strict reading, whole writing.
 
-Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with Z-Y-X angles. The trap: Python
+Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with Z-Y-X angles. Python
 takes ``1_0`` for 10, digits of any script, and ``nan`` for a number; all are refused here.
 """
 

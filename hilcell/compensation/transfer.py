@@ -1,7 +1,7 @@
 """Data of station 1 used at station i: the slide is rigid, so the robot rides with it.
 
 Eqs 11-13 and 17 in their corrected form: ``W_p(i) = W_Si T (W_S1 T)^-1 W_p(1)``; the constant
-frame of {B} in {S} cancels. The trap: nominal targets ride along as measured data do. Carrying
+frame of {B} in {S} cancels. Nominal targets ride along as measured data do. Carrying
 only the measured data loses the rail's offset, as if it were an error of the robot.
 """
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from hilcell.geometry.frames import FrameError, checked_points, matrix, unit
 from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import lengths_mm, rms
 
 ITERATIONS = 50
 CONVERGED = 1e-12
@@ -37,7 +38,7 @@ class Circle:
     @property
     def rms_mm(self) -> float:
         """Return the root mean square distance of the points from the circle."""
-        return float(np.sqrt(np.mean(np.sum(self.residuals_mm**2, axis=1))))
+        return rms(lengths_mm(self.residuals_mm))
 
 
 def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.rotations import from_rotvec, from_zyx
+from hilcell.geometry.statistics import lengths_mm, rms
 from hilcell.ports import HilcellError
 
 LEAST_SPREAD = 0.02  # across over along: below this the points count as one line
@@ -88,8 +89,8 @@ def rigid_fit(a_mm: ArrayLike, b_mm: ArrayLike, weights: ArrayLike | None = None
     at_centroid = np.linalg.inv(_normal_matrix(moved - centroid, W)) * excess
     shift = np.eye(6)
     shift[:3, 3:] = -cross_matrix(T[:3, 3] - centroid)
-    rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
-    return RigidFit(T, shift @ at_centroid @ shift.T, residuals, rms)
+    rms_mm = rms(lengths_mm(residuals))
+    return RigidFit(T, shift @ at_centroid @ shift.T, residuals, rms_mm)
 
 
 def point_uncertainty(fit: RigidFit, point_mm: ArrayLike) -> float:

@@ -10,11 +10,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from hilcell.calibration.errors import validation, visits_mm
 from hilcell.geometry.frames import apply
-from hilcell.geometry.statistics import pooled_std_mm, reading_variances_mm2, rms
+from hilcell.geometry.statistics import lengths_mm, pooled_std_mm, reading_variances_mm2, rms
 from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
 from hilcell.report.uncertainty import (
@@ -121,7 +119,7 @@ def _thermal(log: Log) -> Contribution:
     range_k = max(celsius) - min(celsius) if celsius else AIR_RANGE_K
     known = "measured" if celsius else "assumed: no weather station"
     world_mm = apply(log.matrix("world"), positions_mm(log.points.values()))
-    length_mm = float(np.linalg.norm(world_mm, axis=1).max())
+    length_mm = float(lengths_mm(world_mm).max())
     how = (
         f"steel, {STEEL_EXPANSION_PER_K * 1e6:.1f} µm/(m·K) assumed, {length_mm / 1000:.2f} m "
         f"from {{W}}, range {range_k:.2f} K {known}"

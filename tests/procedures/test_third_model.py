@@ -86,7 +86,7 @@ def _kept(method: str, path: Path) -> Any:
     return read_calibration(path)
 
 
-def test_its_bad_parameters_are_told_by_field(tmp_path: Path) -> None:
+def test_its_bad_parameters_are_reported_by_field(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     made = calibration(method="plane")
     assert made.model is not None

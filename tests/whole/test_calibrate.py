@@ -2,12 +2,18 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hilcell.calibration.errors import errors_of
+from hilcell.calibration.file import read_calibration
+from hilcell.geometry.frames import apply, inverse
+from hilcell.journal.runs import CALIBRATION, read_log
 from tests.whole.bench import command, end_of, events, hilcell, sweep
 from tests.whole.golden import LIMIT_S, RUNS, GoldenRuns
 from tests.whole.trace import judge
 
+CHI2_95 = 7.815  # three degrees of freedom
 pytestmark = pytest.mark.timeout(LIMIT_S)
 
 
@@ -56,6 +62,18 @@ def test_show_computes_the_result_anew(golden: GoldenRuns) -> None:
     assert events(shown.stdout)[0]["result"] == end_of(done)["result"]
     listed = events(command("runs", "--runs", folder, "--json").stdout)[0]["runs"]
     assert [(each["state"], each["exit"]) for each in listed] == [("finished", 0)]
+
+
+def test_the_models_covariance_covers_the_errors(golden: GoldenRuns) -> None:
+    """Of targets that it corrected: a 95 % ellipsoid is good to about 30 % of the variance."""
+    folder = golden["calibration"].folder
+    log, made = read_log(folder), read_calibration(folder / CALIBRATION)
+    found = errors_of(log, log.select("validate", log.cell.grid.station, how="chosen"))
+    T_B_W = inverse(log.matrix("base"))
+    errors_mm = found.error_mm @ T_B_W[:3, :3].T
+    covariances = made.error_model().predict(apply(T_B_W, found.nominal_mm)).covariance_mm2
+    squares = np.einsum("nx,nxy,ny->n", errors_mm, np.linalg.inv(covariances), errors_mm)
+    assert 0.80 <= np.mean(squares <= CHI2_95) <= 0.99
 
 
 def test_the_calibration_corrects_targets(golden: GoldenRuns, tmp_path: Path) -> None:

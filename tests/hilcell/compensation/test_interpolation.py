@@ -288,6 +288,7 @@ def test_a_model_comes_back_from_its_parameters(model: Kind, seed: int) -> None:
     [
         ({"residual_covariance_mm2": [[1.0]]}, "residual_covariance_mm2: wanted 3 x 3 finite"),
         ({"residual_covariance_mm2": [[1.0], [1.0, 2.0]]}, "no covariances of a lattice"),
+        ({"residual_covariance_mm2": (1e308 * np.eye(3)).tolist()}, r"1e\+308 mm2, wanted within"),
         ({"residual_covariance_mm2": (-np.eye(3)).tolist()}, "a variance below zero"),
         ({"residual_covariance_mm2": np.triu(np.ones((3, 3))).tolist()}, "not symmetric"),
         ({"vertex_covariance_mm2": []}, "vertex_covariance_mm2: wanted 4 x 4 x 4 x 3 x 3"),
