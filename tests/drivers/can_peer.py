@@ -80,7 +80,7 @@ class Axis:
         self.position, self.target, self.steps = 500_000, 500_000, 0
         self.mode, self.homing = 0, False
         self.frozen = self.deaf = self.lies = self.hunts = self.homes_at_once = False
-        self.speed, self.looks = 100_000, 0
+        self.speed, self.looks, self.zero = 100_000, 0, 0
 
     def control(self, word: int, target: int) -> None:
         if word & 0x80 and self.state == FAULT:
@@ -90,7 +90,7 @@ class Axis:
         if self.homes_at_once and self.state == ENABLED and self.mode == 6 and word & 0x10:
             self.position, self.bits = 0, 0x1400
         elif self.state == ENABLED and word & 0x10 and not self.bits & 0x1000:
-            self.target = 0 if self.mode == 6 else target
+            self.target = self.zero if self.mode == 6 else target
             self.steps, self.homing = 3, self.mode == 6
             self.bits = 0 if self.homing else 0x1000
         if self.mode == 1 and not word & 0x10:

@@ -173,6 +173,30 @@ def test_a_robot_that_does_not_come_to_rest_keeps_its_override_low(
     assert "the next connect does it" in caught.value.__notes__[0]
 
 
+@pytest.mark.parametrize("step_deg", [0.5, -0.5])
+def test_the_override_comes_back_only_once_no_axis_moves(
+    peer: KukaPeer, robot: KukaC3Robot, monkeypatch: pytest.MonkeyPatch, step_deg: float
+) -> None:
+    read, write, left, early = peer._read, peer._write, [4], list[int]()
+
+    def braking(name: str) -> str | None:
+        if name == "$AXIS_ACT" and peer.stopped.is_set() and left[0]:
+            left[0] -= 1
+            peer.axes[0] += step_deg
+        return read(name)
+
+    def watched(name: str, value: bytes) -> str:
+        if name == "$OV_PRO" and peer.stopped.is_set():
+            early.append(left[0])
+        return write(name, value)
+
+    monkeypatch.setattr(peer, "_read", braking)
+    monkeypatch.setattr(peer, "_write", watched)
+    with pytest.raises(NoReading):
+        sweep(robot, lose_beam)
+    assert early == [0]
+
+
 def test_connect_gives_back_what_a_dead_engine_left(peer: KukaPeer) -> None:
     peer.variables |= {"$OV_PRO": "10", "HC_OV_SET": "10", "HC_OV_OLD": "80", "HC_SEQ": "8"}
     robot = robot_for(peer)

@@ -57,6 +57,14 @@ def test_flicker_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not motion.stalled(at + 0.02)
 
 
+@pytest.mark.parametrize("step_deg", [0.02, -0.02])
+def test_progress_is_progress_in_either_direction(step_deg: float) -> None:
+    motion = MotionLimits(2.0, stall_s=0.0, progress=0.01)
+    at = np.array([10.0, 20.0])
+    assert [motion.stalled(at), motion.stalled(at)] == [False, True]
+    assert not motion.stalled(at + step_deg)
+
+
 def test_an_axis_that_is_no_number_never_counts_as_standing() -> None:
     motion = limits()
     assert not motion.stalled(np.array([np.nan, 0.0]))

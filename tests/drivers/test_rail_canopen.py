@@ -63,6 +63,26 @@ def test_homing_ends_at_zero(rail: CanopenRail, peer: CanPeer) -> None:
     assert peer.axis.mode == 6
 
 
+@pytest.mark.parametrize("counts", [300, -300])
+def test_homing_that_ends_beside_zero_is_refused(
+    rail: CanopenRail, peer: CanPeer, counts: int
+) -> None:
+    peer.axis.zero = counts
+    with pytest.raises(DeviceError, match=f"stands at {counts / 1000:.3f} mm") as caught:
+        rail.home()
+    assert caught.value.code == "HC-R35"
+
+
+@pytest.mark.parametrize("target_mm", [490.0, 510.0])
+def test_a_target_that_was_not_reached_is_not_believed(
+    rail: CanopenRail, peer: CanPeer, monkeypatch: pytest.MonkeyPatch, target_mm: float
+) -> None:
+    monkeypatch.setattr(drive, "STALL_S", 0.3)
+    peer.axis.lies = True
+    with pytest.raises(DeviceError, match=r"no progress for .* wanted target reached"):
+        rail.move_to(target_mm)
+
+
 def never_starts(peer: CanPeer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep the bit that starts a motion (controlword, bit 4) from the drive."""
     control = peer.axis.control

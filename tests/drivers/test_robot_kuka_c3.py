@@ -330,21 +330,25 @@ def test_a_frozen_robot_is_noticed(robot: KukaC3Robot, peer: KukaPeer) -> None:
         robot.move_to(TARGET_RAD, 30.0)
 
 
-def test_stopping_short_is_noticed(robot: KukaC3Robot, peer: KukaPeer) -> None:
-    peer.short_deg = -0.006
-    with pytest.raises(DeviceError, match=r"A1 9\.994"):
+@pytest.mark.parametrize(("short_deg", "found"), [(-0.006, r"A1 9\.994"), (0.006, r"A1 10\.006")])
+def test_stopping_beside_the_target_is_noticed(
+    robot: KukaC3Robot, peer: KukaPeer, short_deg: float, found: str
+) -> None:
+    peer.short_deg = short_deg
+    with pytest.raises(DeviceError, match=found):
         robot.move_to(TARGET_RAD, 30.0)
 
 
+@pytest.mark.parametrize("steps", [range(1000), range(999, -1, -1)], ids=["up", "down"])
 def test_a_moving_pose_is_not_rest(
-    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch, steps: range
 ) -> None:
-    number = iter(range(1000))
+    number = iter(steps)
     original = peer._read
 
     def read(name: str) -> str | None:
         if name == "$POS_ACT":
-            return peer.pose.replace("1620.5", f"16{next(number):02}.5")
+            return peer.pose.replace("1620.5", f"1{next(number):03}.5")
         return original(name)
 
     monkeypatch.setattr(peer, "_read", read)

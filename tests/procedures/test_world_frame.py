@@ -1,17 +1,16 @@
 """Nests that are swapped, units that are wrong, a tracker that was bumped: all are refused."""
 
-from types import SimpleNamespace
-from typing import Any, cast
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hilcell.cell.file import load_cell
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
-from procedures.world_frame import CONTROL_LIMIT_MM, check_control_points, check_distances
+from procedures.world_frame import CONTROL_LIMIT_MM, WorldFrame, check_distances
+from tests.hilcell.run.bed import CELL, Bed
+from tests.hilcell.run.rig import Points, procedure
 
-CELL = load_cell("paper")
 NESTS_MM = np.array([nest.xyz_mm for nest in CELL.layout.floor])
 
 
@@ -30,32 +29,20 @@ def test_other_distances_are_refused(measured_mm: Array) -> None:
     assert raised.value.code == "HC-T32"
 
 
-def session(moved_mm: float) -> CellSession:
-    """Return a session in which every floor nest is found ``moved_mm`` from where it was."""
-    log = SimpleNamespace(
-        session=1,
-        matrix=lambda _: np.eye(4),
-        points={f"world/{nest.name}": point(nest.xyz_mm) for nest in CELL.layout.floor},
-    )
-    again = {
-        nest.name: point(nest.xyz_mm + np.array([moved_mm, 0, 0])) for nest in CELL.layout.floor
-    }
-    found = SimpleNamespace(
-        cell=CELL, log=log, floor_point=lambda _key, _group, nest: again[nest.name]
-    )
-    return cast("CellSession", found)
+@pytest.mark.parametrize(
+    ("share", "code"), [(0.0, ""), (0.9, ""), (1.1, "HC-T33"), (-1.1, "HC-T33"), (np.nan, "HC-J12")]
+)
+def test_a_tracker_that_was_bumped_ends_the_run(tmp_path: Path, share: float, code: str) -> None:
+    """Framed once, and checked as at every step's end and after every resume."""
+    bed, world = Bed(tmp_path), WorldFrame()
 
+    def act(session: CellSession, number: int) -> None:
+        session.reach("reference")
+        world.perform(session)
+        bed.tracker.off_mm = np.array([share * CONTROL_LIMIT_MM, 0.0, 0.0])
+        world.perform(session)
 
-def point(xyz_mm: Any) -> SimpleNamespace:
-    return SimpleNamespace(xyz_mm=tuple(np.asarray(xyz_mm, dtype=float)))
-
-
-def test_a_tracker_that_stands_goes_on() -> None:
-    check_control_points(session(0.5 * CONTROL_LIMIT_MM))
-
-
-@pytest.mark.parametrize("moved_mm", [1.5 * CONTROL_LIMIT_MM, -1.5 * CONTROL_LIMIT_MM, np.nan])
-def test_a_tracker_that_was_bumped_ends_the_run(moved_mm: float) -> None:
-    with pytest.raises(DeviceError) as raised:
-        check_control_points(session(moved_mm))
-    assert raised.value.code == "HC-T33"
+    bed.run(procedure(Points(1, act)))
+    end = bed.log().end
+    assert end is not None
+    assert end.get("error", {}).get("code", "") == code

@@ -87,6 +87,12 @@ BY_EVENTS: dict[str, tuple[Row, ...]] = {
 }
 
 
+@pytest.mark.parametrize(("rail_mm", "codes"), [(1098.5, ["HC-S09"]), (1099.5, [])])
+def test_a_drive_that_falls_behind_the_strip_is_noticed(rail_mm: float, codes: list[str]) -> None:
+    holds = event("station held", **HELD), event("station held", **HELD | {"rail_mm": rail_mm})
+    assert [alarm.code for alarm in alarms(*BEGUN, *holds, *DONE)] == codes
+
+
 @pytest.mark.parametrize("code", BY_EVENTS)
 def test_each_record_worth_an_alarm_becomes_one(code: str) -> None:
     (alarm,) = alarms(*BY_EVENTS[code])

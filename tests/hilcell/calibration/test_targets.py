@@ -35,7 +35,7 @@ def test_a_target_that_is_turned_away_is_refused(turn_deg: float) -> None:
         compensate_targets(calibration(), "S1100", target(turn_deg), ["hole"])
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e9])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e9, -1e9])
 def test_a_target_that_is_nowhere_is_refused(value: float) -> None:
     for number in range(6):
         bad = target()

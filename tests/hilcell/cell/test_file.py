@@ -64,8 +64,10 @@ def test_collinear_slide_nests_are_refused() -> None:
     ("key", "value", "part"),
     [
         ("grid.pitch_mm", "310.0", "not a whole number of pitches"),
+        ("grid.pitch_mm", "290.0", "not a whole number of pitches"),
         ("grid.station", '"S1"', "is none of S300, S1100, S1900"),
         ("layout.rail_direction", "[0.0, 2.0, 0.0]", "length 1"),
+        ("layout.rail_direction", "[0.0, 0.5, 0.0]", "length 1"),
         ("rail.travel_max_mm", "1500.0", "station S1900: rail_mm 1900.0 is outside"),
         ("robot.joint", "[]", "six joints are wanted, found 0"),
         ("name", '"a/b"', "Expected `str` matching regex"),
@@ -82,6 +84,8 @@ def test_collinear_slide_nests_are_refused() -> None:
         ),
         ("validation.per_cell", "1001", "allowed: >= 1, <= 1000"),
         ("validation.others", "100001", "allowed: >= 1, <= 100000"),
+        ("survey.step_mm", "110.0", "is not three or more steps of 110.0 mm"),
+        ("survey.step_mm", "120.0", "is not three or more steps of 120.0 mm"),
         ("survey.step_mm", "0.01", "200000 steps, at most 10000"),
         ("settle.robot_s", "3601.0", "allowed: >= 0, <= 3600"),
         ("settle.rail_s", "-1.0", "allowed: >= 0, <= 3600"),
@@ -137,7 +141,17 @@ def test_a_station_whose_strip_and_rail_disagree_is_refused() -> None:
     problems = refused(stations(("S300", 300.0, 300.0), ("S1100", 1100.0, 1103.0)))
     wanted = "strip_mm 1103.0 and rail_mm 1100.0 differ by more than rail.slip_limit_mm 2.0"
     assert problems == [f"file: station S1100: {wanted}"]
+    (problem,) = refused(stations(("S300", 300.0, 300.0), ("S1100", 1100.0, 1097.0)))
+    assert "strip_mm 1097.0 and rail_mm 1100.0 differ" in problem
     assert load_cell("paper", stations(("S1100", 1100.0, 1101.9))).station[0].strip_mm == 1101.9
+
+
+def test_stations_and_sweeps_may_be_stated_downwards() -> None:
+    down = stations(("S1900", 1900.0, 1900.0), ("S1100", 1100.0, 1100.0), ("S300", 300.0, 300.0))
+    down["base_frame.axis_1_sweep_deg"] = "[60.0, -60.0]"
+    cell = load_cell("paper", down)
+    assert [station.name for station in cell.station] == ["S1900", "S1100", "S300"]
+    assert cell.base_frame.axis_1_sweep_deg == (60.0, -60.0)
 
 
 def nests(*rows: tuple[str, float, float, float]) -> str:

@@ -387,9 +387,12 @@ def test_the_worlds_noise_is_what_chance_makes_of_it(first: Log) -> None:
     assert np.allclose(found, predicted / np.outer(scale, scale), atol=0.08)
 
 
-def test_nothing_is_within_a_limit_that_is_no_number() -> None:
-    change = Change("grid", "", "", "mm", None, None, float("nan"), 1.0)
-    assert change.verdict == "beyond"
+@pytest.mark.parametrize(
+    ("change", "verdict"),
+    [(1.0, "within"), (-1.0, "within"), (1.1, "beyond"), (-1.1, "beyond"), (np.nan, "beyond")],
+)
+def test_a_change_keeps_its_limit_to_both_sides(change: float, verdict: str) -> None:
+    assert Change("grid", "", "", "mm", None, None, change, 1.0).verdict == verdict
 
 
 # -- the command ----------------------------------------------------------------------------------

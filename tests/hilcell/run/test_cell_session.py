@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.journal.point_id import PointId
-from hilcell.ports import Array, RobotReading, TrackerReading
+from hilcell.ports import Array, RailReading, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import Points, procedure
@@ -111,3 +111,35 @@ def test_every_axis_comes_from_below(bed: Bed, monkeypatch: pytest.MonkeyPatch) 
     before_rad, there_rad = targets
     assert np.array_equal(there_rad, HOME_RAD)
     assert there_rad - before_rad == pytest.approx(np.radians(CELL.robot.approach_deg))
+
+
+@pytest.mark.parametrize(
+    ("slip_mm", "agrees"), [(0.0, True), (1.9, True), (2.1, False), (-2.1, False), (np.nan, False)]
+)
+def test_a_reference_is_proven_by_drive_and_strip(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch, slip_mm: float, agrees: bool
+) -> None:
+    read, proven = bed.rail.read, list[bool]()
+
+    def slipped() -> RailReading:
+        reading = read()
+        return replace(reading, strip_mm=reading.position_mm + slip_mm)
+
+    def look(session: CellSession, number: int) -> None:
+        monkeypatch.setattr(bed.rail, "read", slipped)
+        proven.append(session.rail_referenced())
+        monkeypatch.setattr(bed.rail, "read", read)
+
+    assert fault_of(bed, look) == ""
+    assert proven == [agrees]
+
+
+@pytest.mark.parametrize(("off_deg", "moves"), [(0.0, 0), (1.0, 1), (-1.0, 1)])
+def test_a_robot_that_is_not_parked_is_parked(bed: Bed, off_deg: float, moves: int) -> None:
+    def park(session: CellSession, number: int) -> None:
+        bed.robot.joints_rad = np.radians(np.add(CELL.robot.safe_deg, [0, 0, off_deg, 0, 0, 0]))
+        session.park_robot()
+
+    assert fault_of(bed, park) == ""
+    assert bed.robot.moves == moves
+    np.testing.assert_allclose(np.degrees(bed.robot.joints_rad), CELL.robot.safe_deg)

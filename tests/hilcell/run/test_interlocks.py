@@ -84,6 +84,7 @@ def test_the_rail_stays(changes: dict[str, object], now_s: float, part: str) -> 
         ({"powered": True}, 10.0, "power to move"),
         ({"powered": True, "velocity_mm_s": 0.0}, 10.0, "power to move"),
         ({"strip_mm": 1100.03}, 10.0, "station S1100 not held: strip 1100.03 mm, wanted 1100.00"),
+        ({"strip_mm": 1099.97}, 10.0, "station S1100 not held: strip 1099.97 mm, wanted 1100.00"),
         ({"strip_mm": float("nan")}, 10.0, "slide moves at"),
         ({"strip_mm": float("inf")}, 10.0, "slide moves at"),
     ],

@@ -63,8 +63,9 @@ def test_it_converges_and_always_comes_from_below(
         assert math.isclose(high - low, CELL.rail.back_off_mm)
 
 
-def test_a_slide_that_does_not_follow_is_refused() -> None:
-    slide = Slide(gain=-1.0)
+@pytest.mark.parametrize("offset_mm", [0.3, -0.3])
+def test_a_slide_that_does_not_follow_is_refused(offset_mm: float) -> None:
+    slide = Slide(offset_mm, gain=-1.0)
     with pytest.raises(DeviceError, match=r"station S1100 not held: strip .* approaches"):
         approach_station(slide, CELL.rail, S1100)
 

@@ -246,7 +246,7 @@ def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) 
 
 
 @pytest.mark.parametrize(
-    ("drift_k", "warns"), [(0.0, False), (2.0, False), (-2.1, True), (math.nan, True)]
+    ("drift_k", "warns"), [(0.0, False), (2.0, False), (2.1, True), (-2.1, True), (math.nan, True)]
 )
 def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
     view = scene_of("running")
