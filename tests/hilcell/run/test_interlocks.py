@@ -63,6 +63,7 @@ def off(axis: int, deg: float) -> np.ndarray:
         ({"taken_s": float("nan")}, 10.0, "nan ms old"),
         ({"still": False}, 10.0, "moving"),
         ({"joints_rad": off(1, 0.2)}, 10.0, "not at safe pose, A2 -99.800 deg"),
+        ({"joints_rad": off(1, -0.2)}, 10.0, "not at safe pose, A2 -100.200 deg"),
         ({"joints_rad": off(3, float("nan"))}, 10.0, "not at safe pose, A4 nan deg"),
         ({"joints_rad": np.full(6, np.nan)}, 10.0, "not at safe pose"),
     ],
