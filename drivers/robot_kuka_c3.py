@@ -1,10 +1,10 @@
 """A KUKA robot through C3 Bridge or KUKAVARPROXY and the resident program ``krl/hilcell.src``.
 
-The PC writes a target and a number; the program moves and acknowledges with that number. The
-trap: an acknowledgement alone proves nothing. Motion has ended only when the number is this
-command's, the axes stand at the target and two looks, more than a cycle of the controller apart,
-see the same: within one cycle a robot at full speed reads the same twice, and one that holds still
-flickers in the last digit.
+The PC writes a target and a number; the program moves and acknowledges with that number. An
+acknowledgement alone proves nothing: motion has ended only when the number is this command's, the
+axes stand at the target and two looks, more than a cycle of the controller apart, see the same:
+within one cycle a robot at full speed reads the same twice, and one that holds still flickers in
+the last digit.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 A device is a subclass that fills the object dictionary and overrides the four hooks `written`,
 `switched_off`, `connection_lost` and `restarted`. One thread calls everything. Heartbeats and event
-timers run in real time, independent of the plant's clock, and no heartbeat is punctual. The trap: a
-lost heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched: a new
-master must start it again, and a START before its first new heartbeat does not hold.
+timers run in real time, independent of the plant's clock, and no heartbeat is punctual. A lost
+heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched: a new master
+must start it again, and a START before its first new heartbeat does not hold.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Nmt(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class NodeIdentity:
-    """What 1000h, 1008h and 1018h say."""
+    """Contents of 1000h, 1008h and 1018h."""
 
     device_type: int
     name: str

@@ -1,8 +1,8 @@
 """Commands as an emScon tracker performs them: settings, pointing, finding, measuring.
 
-Positions on the wire have the units and axes that were set; inside all is mm, right-handed. The
-traps, as in the original: lengths are metres until SetUnits says otherwise, and a measurement is
-acknowledged at once while its result comes later as a packet of its own.
+Positions on the wire have the units and axes that were set; inside all is mm, right-handed. As with
+the original, lengths are metres until SetUnits says otherwise, and a measurement is acknowledged at
+once while its result comes later as a packet of its own.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""The house keeps its own rules: directions of imports, sizes, no paths of a machine."""
+"""The house keeps its own rules: directions of imports, sizes, plain words."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,30 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = ("hilcell", "drivers", "procedures", "fakes", "tests", "benchmarks")
 MODULES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+
+LATER = ("calibration", "commands", "compensation", "journal", "run", "tui")
+PROSE = [
+    path
+    for room in ("hilcell", "drivers", "procedures", "fakes", "docs")
+    for path in sorted((ROOT / room).rglob("*"))
+    if path.suffix in (".py", ".toml", ".md", ".j2")
+    and path.relative_to(ROOT).as_posix().split("/")[1] not in LATER
+] + [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+# Quaint words, and sentences or clauses that have "what" or "who" as their subject.
+QUAINT = re.compile(
+    r"\b(?:[Aa]new|[Tt]old|[Ww]hoever|[Gg]o(?:es)? with)\b"
+    r"|(?:^|\"\"\"|(?<!#)# |[.!?;:] )(?:What|Who|Whatever) "
+    r"|[;:] (?:what|who) (?!to )",
+    re.MULTILINE,
+)
+TRAPS = {  # a motion or a result that would be wrong without notice; all else is a plain reason
+    "drivers/cia402.py": "a motion counts as ended that has not begun",
+    "drivers/keep_alive.py": "a stop is lost",
+    "drivers/process_image.py": "a stop is undone",
+    "drivers/program_krl/data.py": "a target is relative in disguise",
+    "drivers/program_krl/turns.py": "an axis turns by 360 deg",
+    "drivers/tracker_leica_emscon.py": "a late result passes for the next point",
+}
 
 
 def test_the_import_contract_holds() -> None:
@@ -41,3 +66,18 @@ def test_help_is_quick_to_import() -> None:
     code += "'msgspec') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_words_are_plain() -> None:
+    found = {
+        (path.relative_to(ROOT).as_posix(), text[max(0, hit.start() - 30) : hit.end() + 30])
+        for path in PROSE
+        for text in [path.read_text("utf-8")]
+        for hit in QUAINT.finditer(text)
+    }
+    assert sorted(found) == []
+
+
+def test_a_trap_is_a_hazard() -> None:
+    with_traps = [path for path in PROSE if re.search(r"The\s+traps?\b", path.read_text("utf-8"))]
+    assert {path.relative_to(ROOT).as_posix() for path in with_traps} == set(TRAPS)

@@ -1,9 +1,9 @@
 """Inverse kinematics: closed form for six-axis arms with a spherical wrist, refined for others.
 
-A pose has up to eight postures; its status picks one: bit 0 the wrist centre lies behind axis
-1, bit 1 axis 3 is at or beyond the stretched arm (the elbow's offset counts), bit 2 A5 < 0. The
-trap: a posture says nothing about whole turns; `posture` takes those nearest to a reference that
-keep within the limits, as a robot does that goes there from the reference.
+A pose has up to eight postures; its status picks one: bit 0 the wrist centre lies behind axis 1,
+bit 1 axis 3 is at or beyond the stretched arm (the elbow's offset counts), bit 2 A5 < 0. A posture
+leaves whole turns open; `posture` takes those nearest to a reference that keep within the limits,
+as a robot does that goes there from the reference.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Contents of a calibration certificate (ISO/IEC 17025:2017, 7.8.2, 7.8.4), item by item.
 
 hilcell fills in the items that the journal proves; the rest stays a blank line for the laboratory.
-The trap: a filled form is not an accredited certificate, and a simulated run calibrates nothing.
+A filled form is not an accredited certificate, and a simulated run calibrates nothing.
 """
 
 from __future__ import annotations
