@@ -10,10 +10,13 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 NEIGHBOURS = ("drivers", "procedures", "fakes")
-PAGES = ("CONTRIBUTING.md", "docs/architecture.md", "docs/glossary.md")
+MANUAL = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md"))
+PAGES = ("README.md", "CONTRIBUTING.md", *MANUAL)
 PICTURE = (ROOT / "docs/architecture.md").read_text("utf-8")
 CODE = re.compile(rf"`((?:hilcell|{'|'.join(NEIGHBOURS)})(?:\.\w+)+)`")
 FILE = re.compile(rf"`((?:hilcell|{'|'.join(NEIGHBOURS)}|tests|docs)/[\w./-]+)`")
+GROUPS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["entry-points"]
+NO_MODULES = {*GROUPS, "hilcell.src", "hilcell.dat"}
 EXAMPLES = ("tracker_lines", "floor_noise")  # of CONTRIBUTING.md: written by its reader
 
 Arrow = tuple[str, str]
@@ -86,8 +89,7 @@ def test_the_picture_shows_the_imports_that_exist() -> None:
 
 
 def test_the_dotted_arrows_are_the_entry_points() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    groups = {name: row for name, row in project["entry-points"].items() if "alarms" not in name}
+    groups = {name: row for name, row in GROUPS.items() if "alarms" not in name}
     targets = {target.partition(".")[0] for row in groups.values() for target in row.values()}
     loaders = {
         path.parent.name
@@ -111,10 +113,16 @@ def test_the_glossary_is_in_order_and_every_term_has_its_module() -> None:
     assert [row[0] for row in rows if not CODE.fullmatch(row[-1].strip())] == []
 
 
+def test_the_manual_lists_every_page() -> None:
+    index = (ROOT / "docs/README.md").read_text("utf-8")
+    pages = {path.name for path in (ROOT / "docs").glob("*.md")} - {"README.md"}
+    assert pages <= set(re.findall(r"\]\(([\w-]+\.md)\)", index))
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_pages_name_code_and_files_that_exist(page: str) -> None:
     text = (ROOT / page).read_text("utf-8")
-    for name in CODE.findall(text):
+    for name in set(CODE.findall(text)) - NO_MODULES:
         pkgutil.resolve_name(name)
     files = [name for name in FILE.findall(text) if not any(each in name for each in EXAMPLES)]
     assert [name for name in files if not (ROOT / name).exists()] == []
