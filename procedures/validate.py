@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.errors import errors_of
+from hilcell.calibration.errors import validation
 from hilcell.calibration.frames import grid_of, measured_grid
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
@@ -120,12 +120,9 @@ def by_paper(session: CellSession, station: Station, targets_mm: Array) -> Array
 
 def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
     """Return mean, p95 and max of |e| before, by the paper's method and by the chosen one."""
-    figures: dict[str, Any] = {}
-    for how in ("before", "idw", "chosen"):
-        points = [p for name in stations for p in log.select("validate", name, how=how)]
-        figures["points"] = len(points)
-        figures[how] = errors_of(log, points).figures._asdict()
-    return figures
+    series = validation(log, stations)
+    figures = {how: errors.figures._asdict() for how, errors in series.items()}
+    return {"points": len(series["chosen"]), **figures}
 
 
 def targets(cell: Cell, seed: int) -> dict[str, Array]:
