@@ -12,6 +12,7 @@ import pytest
 from hilcell.commands.compare import _print, compare
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, three_point_frame
+from hilcell.geometry.statistics import Figures
 from hilcell.journal.journal import Journal, Record, StorageError, read_journal
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import JOURNAL
@@ -108,7 +109,7 @@ def test_figures_are_those_of_both_results(seeds: Comparison, pair: tuple[Path, 
     results = [Log(read_journal(folder / JOURNAL)).end for folder in pair]
     told = of(seeds, "validation")
     assert {each.place for each in told} == {"S1100", "others", "S300", "S1900"}
-    assert len(told) == 4 * 3 * 3
+    assert len(told) == 4 * 3 * len(Figures._fields)
     for each in told:
         how, what = each.what.split()
         one, two = (end["result"]["validation"][each.place][how][what] for end in results if end)
