@@ -30,14 +30,21 @@ TABLES = (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers"))
 
 
 def load_entry(group: str, name: str) -> Any:
-    """Return the object of the entry point ``name`` of ``hilcell.<group>``."""
-    found = {entry.name: entry for entry in entry_points(group=f"hilcell.{group}")}
-    if name not in found:
-        known = ", ".join(sorted(found)) or "none; is the package installed?"
+    """Return the object of the entry point ``name`` of ``hilcell.<group>``.
+
+    Raises `SettingsError` where it is not installed, cannot be loaded, or two packages have it.
+    """
+    entries = entry_points(group=f"hilcell.{group}")
+    found = {entry.value: entry for entry in entries if entry.name == name}
+    if not found:
+        known = ", ".join(sorted(entries.names)) or "none; is the package installed?"
         raise SettingsError(group, [f"{name!r} is not installed; installed: {known}"])
+    if len(found) > 1:
+        both = " and ".join(sorted(found))
+        raise SettingsError(group, [f"{name!r} is installed as {both}; uninstall all but one"])
     try:
-        return found[name].load()
-    except ImportError as error:
+        return found.popitem()[1].load()
+    except (ImportError, AttributeError) as error:
         raise SettingsError(group, [f"{name!r} cannot be loaded: {error}"]) from error
 
 

@@ -52,7 +52,7 @@ class Program(Protocol):
 def load_program(path: Path) -> Program | None:
     """Read a program by the format of its suffix; None where no format has it."""
     suffix = path.suffix.lower().removeprefix(".")
-    if suffix not in {entry.name for entry in entry_points(group="hilcell.programs")}:
+    if suffix not in entry_points(group="hilcell.programs").names:
         return None
     program: Program = load_entry("programs", suffix)(path)
     return program

@@ -1,5 +1,8 @@
 """`compensate` as a command, in this process: lists of targets, and programs of any format."""
 
+import sys
+from collections.abc import Iterator
+from importlib import invalidate_caches
 from pathlib import Path
 
 import numpy as np
@@ -165,19 +168,25 @@ def load(path):
 '''
 
 
-@pytest.fixture
-def plant(desk: Workplace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workplace:
-    """Return the desk with a second make's program; its format is an installed package's."""
-    site = tmp_path / "site"
-    package = site / "plant_poses-1.dist-info"
+def install(site: Path, name: str, entry: str) -> None:
+    """Put the metadata of an installed package with one format of programs into ``site``."""
+    package = site / f"{name}-1.dist-info"
     package.mkdir(parents=True)
-    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: plant-poses\nVersion: 1\n")
-    (package / "entry_points.txt").write_text("[hilcell.programs]\nposes = plant_poses:load\n")
+    (package / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
+    (package / "entry_points.txt").write_text(f"[hilcell.programs]\nposes = {entry}\n")
+
+
+@pytest.fixture
+def plant(desk: Workplace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Workplace]:
+    """Yield the desk with a second make's program; its format is an installed package's."""
+    site = tmp_path / "site"
+    install(site, "plant_poses", "plant_poses:load")
     (site / "plant_poses.py").write_text(PLANT)
     monkeypatch.syspath_prepend(site)
     desk.source, desk.out = tmp_path / "drill.POSES", tmp_path / "out.poses"
     desk.source.write_text("H1 0 0 1200 0 75 0\nH2 0 50 1250 0 75 0\n")
-    return desk
+    yield desk
+    sys.modules.pop("plant_poses", None)
 
 
 def test_a_second_make_s_programs_need_its_own_files_only(
@@ -207,3 +216,29 @@ def test_a_second_make_refuses_in_its_own_words(
     plant.source.write_text("H1 0 0 1200\n")
     assert plant.compensate() == 2
     assert "drill.POSES: 1 problem\n  a line is no pose" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("entry", "part"),
+    [
+        ("other_poses:load", "'poses' is installed as other_poses:load and plant_poses:load"),
+        ("plant_poses:load", ""),
+    ],
+)
+def test_of_two_formats_of_one_suffix_none_is_chosen(
+    plant: Workplace, capsys: pytest.CaptureFixture[str], entry: str, part: str
+) -> None:
+    install(plant.folder / "site", "other_poses", entry)
+    invalidate_caches()
+    assert plant.compensate() == (2 if part else 0)
+    assert part in capsys.readouterr().err
+    assert (plant.folder / "out.POSES").exists() != bool(part)
+
+
+@pytest.mark.parametrize("text", ["import nothing_like_it", "read = 1"])
+def test_a_format_that_cannot_be_loaded_is_refused(
+    plant: Workplace, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    (plant.folder / "site" / "plant_poses.py").write_text(text)
+    assert plant.compensate() == 2
+    assert "'poses' cannot be loaded: " in capsys.readouterr().err
