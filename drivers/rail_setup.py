@@ -104,7 +104,25 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     vendor, product, serial = (found for _, found, _ in checks[1:])
     model = clean(f"{expected.name} vendor 0x{vendor:X} product 0x{product:X}")
     where = f"{address} node {expected.node}"
-    return Identity("Rail", model, str(serial), where, says_simulated(_device_name(sdo)))
+    return Identity(
+        "Rail",
+        model,
+        str(serial),
+        where,
+        says_simulated(_device_name(sdo)),
+        expected.name,
+        f"vendor 0x{vendor:X}",
+        _revision(sdo),
+    )
+
+
+def _revision(sdo: SdoChannel) -> str:
+    """Return 1018h:03, which a device may leave out: major in the upper half, minor in the lower.
+
+    CiA 301, 7.5.2.19.
+    """
+    found = _optional(sdo, IDENTITY, 3)
+    return "" if found is None else f"revision {found >> 16}.{found & 0xFFFF}"
 
 
 def _device_name(sdo: SdoChannel) -> str:

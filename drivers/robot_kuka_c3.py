@@ -213,7 +213,7 @@ class KukaC3Robot:
                 serial=serial,
             )
         address = f"{self._options.host}:{self._options.port}"
-        return Identity(DEVICE, model, str(serial), address, says_simulated(model))
+        return Identity(DEVICE, model, str(serial), address, says_simulated(model), "robot", "KUKA")
 
     def check(self, *names: str) -> None:
         """Refuse to work with a wrong state; report the first cause, not its consequence."""

@@ -174,7 +174,8 @@ class LeicaEmsconTracker:
         address = f"{self._options.host}:{self._options.port}"
         name = self._name()
         model = f"Leica {name}".strip() + f", emScon {status.version}"
-        return Identity(DEVICE, model, serial, address, says_simulated(name))
+        simulated, firmware = says_simulated(name), f"emScon {status.version}"
+        return Identity(DEVICE, model, serial, address, simulated, "tracker", "Leica", firmware)
 
     def _name(self) -> str:
         """Return the tracker's name, which older controllers do not tell."""

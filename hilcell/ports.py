@@ -44,9 +44,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The device that answered: every string was cleaned at the driver's edge.
+    """The asset that answered: every string was cleaned at the driver's edge.
 
-    ``simulated`` is the device's own statement: see `says_simulated`.
+    ``kind`` is robot, tracker, drive or strip; "" means the device's own name. ``maker`` and
+    ``firmware`` are "" where the device does not state them. ``simulated`` is the device's own
+    statement: see `says_simulated`.
     """
 
     device: str
@@ -54,6 +56,9 @@ class Identity:
     serial: str
     address: str
     simulated: bool = False
+    kind: str = ""
+    maker: str = ""
+    firmware: str = ""
 
 
 def says_simulated(name: str) -> bool:

@@ -75,8 +75,10 @@ def calibration_of(log: Log, run: str) -> Calibration:
 
 def devices_of(log: Log) -> list[Device]:
     """Return the devices that answered when they were last connected."""
-    connected = [event.body for event in log.events if event.body["what"] == "connected"]
-    return msgspec.convert(connected[-1]["devices"], list[Device]) if connected else []
+    return [
+        Device(each.device, each.model, each.serial, each.kind, each.maker, each.firmware)
+        for each in log.assets
+    ]
 
 
 def _entry(log: Log, base: Array, station: str) -> StationEntry:

@@ -39,11 +39,14 @@ class Validity(msgspec.Struct, frozen=True):
 
 
 class Device(msgspec.Struct, frozen=True):
-    """A device that measured."""
+    """An asset that measured; files of old know no kind, maker and firmware."""
 
     device: str
     model: str
     serial: str
+    kind: str = ""
+    maker: str = ""
+    firmware: str = ""
 
 
 class Provenance(msgspec.Struct, frozen=True):

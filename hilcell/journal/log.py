@@ -14,6 +14,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
+from hilcell.journal.asset import Asset, asset_of
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import PointId
@@ -188,6 +189,7 @@ class Log:
         self.seated = ""  # the place of a reflector that is carried by hand
         self.sights: dict[str, Seated] = {}
         self.streams: dict[str, StreamRecord] = {}
+        self.assets: list[Asset] = []  # that answered when they were last connected
         self.newest: Record | None = None
         for record in records:
             self.take(record)
@@ -225,9 +227,11 @@ class Log:
                 self.retakes.pop(body["key"], None)
             case "link":
                 self.link = msgspec.convert(body, LinkRecord)
-            case "connected" if any(each.get("simulated") for each in body["devices"]):
-                # What it says of itself counts, whatever the cell file said before.
-                self.plan = msgspec.structs.replace(self.inputs, simulated=True)
+            case "connected":
+                self.assets = [asset_of(entry) for entry in body["devices"]]
+                if any(asset.simulated for asset in self.assets):
+                    # What it says of itself counts, whatever the cell file said before.
+                    self.plan = msgspec.structs.replace(self.inputs, simulated=True)
             case "stream":
                 self.streams[body["key"]] = msgspec.convert(body, StreamRecord)
             case "seated":

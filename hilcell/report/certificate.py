@@ -51,6 +51,7 @@ def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
         Item("7.8.2.1 n", "Deviations from the method"),
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget)),
         Item("7.8.4.1 b", "Conditions", _conditions(facts)),
+        Item("7.8.4.1 c", "Measured with", _measured_with(facts)),
         Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector, thermometer"),
         Item("7.8.4.1 d", "Before and after adjustment", "both are reported: “before” is the robot "
              "commanded by its nominal kinematics, “after” the same robot with corrected targets"),
@@ -76,8 +77,15 @@ def _method(facts: Facts) -> str:
 
 
 def _robot_serial(facts: Facts) -> str:
-    found = [each["serial"] for each in facts.devices if each["device"] == "Robot"]
+    found = [asset.serial for asset in facts.log.assets if asset.kind == "robot"]
     return f", serial {found[0]}" if found else ""
+
+
+def _measured_with(facts: Facts) -> str:
+    """Return the tracker and the strip that measured, by their serial numbers."""
+    kinds = ("tracker", "strip")
+    found = [f"{each.kind} {each.text}" for each in facts.log.assets if each.kind in kinds]
+    return "; ".join(found)
 
 
 def _dates(facts: Facts) -> str:

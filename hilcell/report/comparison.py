@@ -17,6 +17,7 @@ from hilcell.calibration.errors import Errors, places, validation
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.errors import HilcellError
 from hilcell.geometry.statistics import Figures, variance_of_mean
+from hilcell.journal.asset import differing
 from hilcell.journal.log import Log
 from hilcell.report.drift import Change, Side, base_variance_mm2, frame_changes, grid_drift, side_of
 from hilcell.report.uncertainty import expanded_mm
@@ -174,6 +175,8 @@ def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
     for which, log in (("first", first), ("second", second)):
         if log.points and not log.temperatures_c():
             yield f"the {which} run's tracker had no weather station: the air is not compared"
+    for one, other in differing(first.assets, second.assets):
+        yield f"the {one.kind} differs: {one.text} in the first run, {other.text} in the second"
     seeds = (first.inputs.truth_seed, second.inputs.truth_seed)
     if None not in seeds and seeds[0] != seeds[1]:
         yield "the machines' seeds differ: these are two simulated cells, not one that drifted"

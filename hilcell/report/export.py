@@ -172,8 +172,10 @@ def run_table(facts: Facts) -> list[Row]:
         ["ended_utc", facts.records[-1].t],
     ]
     rows += [[f"version.{name}", version] for name, version in inputs.versions.items()]
-    for each in facts.devices:
-        rows.append([f"device.{each['device']}", f"{each['model']}, serial {each['serial']}"])
+    rows += [[f"device.{asset.device}", asset.text] for asset in facts.log.assets]
+    for asset in facts.log.assets:
+        for name in ("maker", "model", "serial", "firmware"):
+            rows.append([f"asset.{asset.kind}.{name}", getattr(asset, name)])
     if facts.log.link is not None:
         rows.append(["link", facts.log.link.text])
         if facts.log.link.warning:

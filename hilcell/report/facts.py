@@ -48,15 +48,6 @@ class Facts:
         """Return the procedure's own table of its result."""
         return self.procedure.table(self.result) if self.result else None
 
-    @property
-    def devices(self) -> list[dict[str, str]]:
-        """Return the devices that answered when they were last connected."""
-        found: list[dict[str, str]] = []
-        for event in self.log.events:
-            if event.body["what"] == "connected":
-                found = event.body["devices"]
-        return found
-
 
 def read_facts(folder: Path) -> Facts:
     """Read a run's folder; raises `StorageError` where the journal is not sound."""

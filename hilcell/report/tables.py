@@ -14,6 +14,7 @@ from hilcell.calibration.errors import OTHERS, Errors, places, reduction, valida
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
+from hilcell.journal.asset import Asset
 from hilcell.journal.journal import Record
 from hilcell.ports import Array
 from hilcell.report.budget import Budget
@@ -176,8 +177,9 @@ def conditions(facts: Facts) -> Sheet | None:
     return sheet("Air at the tracker", AIR, rows)
 
 
-DEVICES: tuple[Column[Mapping[str, str]], ...] = tuple(
-    Column(name, itemgetter(name)) for name in ("device", "model", "serial", "address")
+DEVICES: tuple[Column[Asset], ...] = tuple(
+    Column(name, attrgetter(name))
+    for name in ("kind", "maker", "model", "serial", "firmware", "address")
 )
 
 
@@ -187,7 +189,7 @@ def devices(facts: Facts) -> Sheet | None:
     note = f"CAN link in the last session: {link.text}." if link is not None else ""
     if link is not None and link.warning:
         note += f" Warning: {link.warning}."
-    return sheet("Devices", DEVICES, facts.devices, note)
+    return sheet("Devices", DEVICES, facts.log.assets, note)
 
 
 SOFTWARE: tuple[Column[Pair], ...] = (

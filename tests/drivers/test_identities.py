@@ -78,10 +78,14 @@ def test_a_robot_tells_by_its_model(model: str, simulated: bool) -> None:
 class Node:
     """A node's objects, as an SDO channel reads them."""
 
-    def __init__(self, name: bytes | None) -> None:
-        self.name = name
+    def __init__(self, name: bytes | None, revision: int | None = None) -> None:
+        self.name, self.revision = name, revision
 
     def read(self, index: int, sub: int) -> int:
+        if (index, sub) == (0x1018, 3):
+            if self.revision is None:
+                raise Aborted("Rail", "read 1018h:03", SdoAbortedError(0x06090011))
+            return self.revision
         return {1: 0x484, 2: 0x402, 4: 4711}[sub] if index == 0x1018 else 0
 
     def read_bytes(self, index: int) -> bytes:
@@ -100,3 +104,12 @@ def test_a_node_tells_by_its_device_name(name: bytes | None, simulated: bool) ->
     identity = identify(cast("SdoChannel", Node(name)), expected, 0x00020192, "can0")
     assert identity.simulated is simulated
     assert identity.serial == "4711"
+
+
+@pytest.mark.parametrize(("revision", "firmware"), [(None, ""), (0x0003_0012, "revision 3.18")])
+def test_a_node_is_an_asset(revision: int | None, firmware: str) -> None:
+    """The revision, 1018h:03, is optional."""
+    expected = Expected("strip", 6, 406, 0x484, 0x402, 0)
+    identity = identify(cast("SdoChannel", Node(None, revision)), expected, 0x196, "can0")
+    assert (identity.device, identity.kind, identity.maker) == ("Rail", "strip", "vendor 0x484")
+    assert identity.firmware == firmware

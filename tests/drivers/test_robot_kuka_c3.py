@@ -73,6 +73,7 @@ def test_identity(peer: KukaPeer) -> None:
     (identity,) = robot.connect()
     robot.close()
     assert (identity.model, identity.serial) == ("#KR210R2700_2 C4 FLR", "472911")
+    assert (identity.kind, identity.maker) == ("robot", "KUKA")
     assert "write HC_SEQ" not in peer.requests
 
 

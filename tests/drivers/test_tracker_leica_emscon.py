@@ -79,6 +79,8 @@ def test_connecting_sets_everything_and_tells_who_answered(peer: EmsconPeer) -> 
     (identity,) = tracker.connect()
     tracker.close()
     assert (identity.serial, identity.model) == ("390793", "Leica, emScon 3.8.900")
+    assert (identity.kind, identity.maker) == ("tracker", "Leica")
+    assert identity.firmware == "emScon 3.8.900"
     assert 7 in peer.commands
     assert peer.settings[6] == struct.pack("<5I", 1, 0, 0, 0, 0)
     assert peer.settings[27] == peer.settings[25] == struct.pack("<i", 0)

@@ -39,6 +39,8 @@ def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Pat
     assert first["simulated"] is False  # the plan states what is known before anything is opened
     (connected,) = [e for e in rest if e["kind"] == "event" and e["what"] == "connected"]
     assert [each["simulated"] for each in connected["devices"]] == [True] * 4
+    kinds = [each["kind"] for each in connected["devices"]]
+    assert kinds == ["drive", "strip", "robot", "tracker"]
     (row,) = json.loads(hilcell("runs", "--json", "--runs", tmp_path).stdout)["runs"]
     assert row["simulated"] is True
     hilcell("report", "r", "--runs", tmp_path, "-o", tmp_path / "r.html")

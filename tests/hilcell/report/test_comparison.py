@@ -238,6 +238,23 @@ def test_air_that_one_run_did_not_measure_is_a_note(first: Log, records: list[Re
     assert "the second run's tracker had no weather station: the air is not compared" in found.notes
 
 
+def test_another_tracker_is_a_note(first: Log, records: list[Record]) -> None:
+    def other(record: Record) -> Record:
+        if record.body.get("what") != "connected":
+            return record
+        devices = [
+            each | ({"serial": "T-2"} if each["kind"] == "tracker" else {})
+            for each in record.body["devices"]
+        ]
+        return body_with(record, devices=devices)
+
+    assert not any("differs:" in note for note in compare_runs(first, Log(records)).notes)
+    notes = compare_runs(first, altered(records, other)).notes
+    (note,) = [each for each in notes if "differs:" in each]
+    assert note.startswith("the tracker differs: Leica ")
+    assert note.endswith(", serial T-2 in the second")
+
+
 # -- settings and notes ---------------------------------------------------------------------------
 
 

@@ -48,6 +48,16 @@ def test_a_validated_run(tmp_path: Path) -> None:
         assert words in page.text
 
 
+def test_the_tracker_is_named_by_its_serial_number(tmp_path: Path) -> None:
+    entry = {"device": "Tracker", "model": "Leica AT960, emScon 3.8", "serial": "750123",
+             "address": "192.0.2.3:700", "kind": "tracker", "maker": "Leica",
+             "firmware": "emScon 3.8"}  # fmt: skip
+    writer = Writer(tmp_path / "r").began([entry])
+    text = page_of(writer.facts()).text
+    assert "tracker Leica AT960, emScon 3.8, serial 750123" in text
+    assert "firmware" in text
+
+
 def test_means_maxima_and_both_ratios(tmp_path: Path) -> None:
     before, after, *_ = page_of(validated_run(tmp_path / "r1").facts()).table("Before and after")
     figures = {"targets": "4", "mean mm": "2.0000", "p95 mm": "2.8500", "max mm": "3.0000"}

@@ -1,0 +1,46 @@
+"""The assets of a cell as the journal names them: one entry per device with a serial number."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+
+class Asset(msgspec.Struct, frozen=True, kw_only=True):
+    """A robot, a tracker, a rail's drive or its strip. "" where a device does not say.
+
+    ``device`` is the port by which it was reached: drive and strip are both at "Rail".
+    """
+
+    kind: str
+    device: str = ""
+    maker: str = ""
+    model: str = ""
+    serial: str = ""
+    firmware: str = ""
+    address: str = ""
+    simulated: bool = False
+
+    @property
+    def text(self) -> str:
+        """Return it in words: ``Leica AT960, emScon 3.8, serial 4711``."""
+        return f"{self.model}, serial {self.serial}"
+
+
+def asset_of(entry: dict[str, Any]) -> Asset:
+    """Return a device of the event `connected`.
+
+    Journals without kinds say drive and strip of a rail by the first word of the model.
+    """
+    kind = entry.get("kind") or str(entry.get("device", "")).lower()
+    if kind == "rail":
+        kind = str(entry.get("model", "")).partition(" ")[0] or kind
+    return msgspec.convert(entry | {"kind": kind}, Asset)
+
+
+def differing(first: list[Asset], second: list[Asset]) -> list[tuple[Asset, Asset]]:
+    """Return the assets of one kind that are not the same ones in both runs, by serial number."""
+    there = {asset.kind: asset for asset in second}
+    pairs = ((one, there[one.kind]) for one in first if one.kind in there)
+    return [pair for pair in pairs if pair[0].serial != pair[1].serial]
