@@ -17,7 +17,8 @@ CODE = re.compile(rf"`((?:hilcell|{'|'.join(NEIGHBOURS)})(?:\.\w+)+)`")
 FILE = re.compile(rf"`((?:hilcell|{'|'.join(NEIGHBOURS)}|tests|docs)/[\w./-]+)`")
 GROUPS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["entry-points"]
 NO_MODULES = {*GROUPS, "hilcell.src", "hilcell.dat"}
-EXAMPLES = ("tracker_lines", "floor_noise")  # of CONTRIBUTING.md: written by its reader
+# Files of CONTRIBUTING.md that its reader writes.
+EXAMPLES = ("tracker_lines", "floor_noise", "program_poses")
 
 Arrow = tuple[str, str]
 
