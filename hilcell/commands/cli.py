@@ -1,4 +1,4 @@
-"""The commands: words in, exit code out. Everything heavy is imported by the command that runs.
+"""The command line: arguments in, exit code out. Each command imports its own heavy modules.
 
 stdout carries data only; progress and messages go to stderr.
 """
@@ -407,7 +407,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return 0
-    except Exception as error:  # noqa: BLE001 - the last place where an error can be told
+    except Exception as error:  # noqa: BLE001 - the last place where an error can be reported
         return _refuse(error, as_json=getattr(args, "json", False) and args.command == "run")
 
 

@@ -1,4 +1,4 @@
-"""``runs`` and ``show``: what the journals say."""
+"""``runs`` and ``show``: recorded runs, read from their journals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``run`` and ``resume``: from words to a runner, and from its journal to its output."""
+"""``run`` and ``resume``: build a runner from the arguments, and print its journal."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def resume(args: argparse.Namespace) -> int:
 def machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
     """Return the seed of the machine that is started: its own, or else the run's.
 
-    None where no simulator is started: nobody knows it.
+    None where no simulator is started: it is unknown.
     """
     if cell.simulation is None or cell.simulation.address:
         return None
@@ -137,7 +137,7 @@ def machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
 
 
 def _check_of_simulator(cell: Cell, option: str, value: float | None) -> None:
-    """Refuse what is said to a simulator where this run starts none."""
+    """Refuse an option of the simulator where this run starts none."""
     if value is None:
         return
     if cell.simulation is None:
@@ -179,7 +179,7 @@ def _perform(
     folder: Path,
     args: argparse.Namespace,
 ) -> int:
-    """Run to an end, write the calibration, and say how it went."""
+    """Run to an end, write the calibration, and print the outcome."""
     with ExitStack() as stack:
         stack.callback(journal.close)
         stack.enter_context(output)
@@ -255,7 +255,7 @@ def _run(
 def _with_calibration(
     code: int, fault: Exception | None, log: Log, run: str, folder: Path
 ) -> tuple[int, Exception | None]:
-    """Write the calibration that a run has ended with; a file that cannot be written is told."""
+    """Write the calibration that a run has ended with; report a file that cannot be written."""
     if log.calibrates:
         try:
             write_calibration(calibration_of(log, run), folder / CALIBRATION)

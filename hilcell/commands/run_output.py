@@ -173,7 +173,7 @@ def print_end(
 
 
 def kind_of(log: Log) -> str:
-    """Return the word for a run, which says so where it is simulated."""
+    """Return how to name a run: a simulated one is always marked."""
     return "SIMULATED run" if log.inputs.simulated else "run"
 
 

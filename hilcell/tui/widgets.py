@@ -106,7 +106,11 @@ _KEYS = BindingsMap(Input.BINDINGS).key_to_bindings
 
 
 class TextField(Input):
-    """An input that acts on its own keys at once."""
+    """A text box whose keys act in the order typed, however fast they come.
+
+    Textual inserts letters where they arrive, but passes every other key of an input up to the
+    application first; a scanner of barcodes sends its next letters before that.
+    """
 
     async def on_key(self, event: Key) -> None:
         """Edit, or submit, before the next letter is taken."""
@@ -118,7 +122,7 @@ class TextField(Input):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its header with the unit, its width, and whether numbers stand in it."""
+    """One column: its header with the unit, its width, and whether it is right-aligned."""
 
     title: str
     width: int
@@ -127,7 +131,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row: what it stands for, its cells, and its tone (a theme's variable)."""
+    """One row: its key, its cells, and its tone (a theme's variable)."""
 
     key: str
     cells: tuple[str, ...]
@@ -162,7 +166,7 @@ class Table(ScrollView, can_focus=True):
             self.key = key
 
     class RowHighlighted(Message):
-        """The cursor stands on another row."""
+        """The cursor moved to another row."""
 
         def __init__(self, key: str) -> None:
             super().__init__()
@@ -223,7 +227,7 @@ class Table(ScrollView, can_focus=True):
         self._move(index if index >= 0 else len(self.rows) + index)
 
     def action_choose(self) -> None:
-        """Say that this row was chosen; the key is empty where there are no rows."""
+        """Post the chosen row; the key is empty where there are no rows."""
         self.post_message(self.RowSelected(self.key))
 
     def _move(self, to: int) -> None:

@@ -48,11 +48,11 @@ ScrollBar.renderer = CellScrollBar  # Textual's way to choose: a class, for all 
 
 
 class RunUpdated(Message):
-    """What the feed has read."""
+    """The feed has read something new."""
 
-    def __init__(self, session: Session, fresh: RunUpdate) -> None:
+    def __init__(self, session: Session, update: RunUpdate) -> None:
         super().__init__()
-        self.session, self.fresh = session, fresh
+        self.session, self.update = session, update
 
 
 class HilcellApp(App[int]):
@@ -80,7 +80,7 @@ class HilcellApp(App[int]):
         self.refused: HilcellError | None = None  # why nothing could be opened
         self.actions = RunActions(self)
         self.key_is_deliberate = True
-        self._typed_s = -math.inf  # when the last key came
+        self._last_key_s = -math.inf  # when the last key came
         self._collector: GarbageCollector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
         for palette in PALETTES:
@@ -90,7 +90,7 @@ class HilcellApp(App[int]):
 
     @property
     def session(self) -> Session | None:
-        """Return the attachment to the run that is shown."""
+        """Return the session of the run that is shown."""
         return self.open_runs.shown
 
     @property
@@ -123,22 +123,25 @@ class HilcellApp(App[int]):
         return type("Stopping", (StopDriver,), {"on_escape": staticmethod(self.open_runs.stop)})
 
     async def on_event(self, event: Event) -> None:
-        """Take what is typed in its order; everything else as Textual does."""
+        """Process keys in their order, all other events as Textual does."""
         if isinstance(event, Key | Paste) and not event.is_forwarded:
             await self._take_typed(event)
         else:
             await super().on_event(event)
 
     async def _take_typed(self, event: Key | Paste) -> None:
-        """Let nothing be pasted that a terminal would take for a command; wait for what it does."""
+        """Clean pasted text of control characters, and wait until a key has taken effect."""
         if isinstance(event, Paste):
             event.text = UNSAFE.sub("", event.text.partition("\n")[0])
-        told = (self.focused or self.screen).ancestors_with_self
-        self.key_is_deliberate, self._typed_s = event.time - self._typed_s >= BURST_S, event.time
-        self.show_notice("")  # what was said has been read
+        receivers = (self.focused or self.screen).ancestors_with_self
+        self.key_is_deliberate, self._last_key_s = (
+            event.time - self._last_key_s >= BURST_S,
+            event.time,
+        )
+        self.show_notice("")  # the last notice has been read
         await super().on_event(event)
-        await wait_until_processed(node for node in told if node is not self)
-        if isinstance(self.screen, Palette):  # its parts tell one another
+        await wait_until_processed(node for node in receivers if node is not self)
+        if isinstance(self.screen, Palette):  # its parts exchange messages
             await wait_until_processed([*self.screen.query("*"), self.screen])
         if isinstance(self.screen, BaseScreen):
             await wait_until_built(self.screen.built)
@@ -179,7 +182,7 @@ class HilcellApp(App[int]):
         session = self.open_runs.background
         if session is None or session.folder != folder:
             session = self._session(folder, process)
-            if before is not None:  # what nobody has acknowledged still stands
+            if before is not None:  # unacknowledged alarms stay
                 session.latch = before.latch
             session.feed.start()
         self.open_runs.show(session)
@@ -192,7 +195,7 @@ class HilcellApp(App[int]):
 
         session: Session = Session(
             folder,
-            lambda fresh: self.post_message(RunUpdated(session, fresh)),
+            lambda update: self.post_message(RunUpdated(session, update)),
             SLOW_PERIOD_S if self.options.slow else PERIOD_S,
             process,
             shown(self.keymap["pause"][0]),
@@ -221,7 +224,7 @@ class HilcellApp(App[int]):
     # -- what comes in ------------------------------------------------------------------------
 
     def on_run_updated(self, message: RunUpdated) -> None:
-        """Take what the feed has read, and show it."""
+        """Apply the feed's update and show it."""
         from hilcell.tui.engine.session import utc_now
 
         session = message.session
@@ -229,7 +232,7 @@ class HilcellApp(App[int]):
             return
         view = session.view
         was_live, was_lost, trouble = view.live, view.calibration_lost, view.trouble
-        session.take(message.fresh, utc_now())
+        session.take(message.update, utc_now())
         if session is self.session and was_live and not self.live:
             self._close_questions()  # they were about a run that goes on
         self._show()
@@ -238,10 +241,10 @@ class HilcellApp(App[int]):
 
             self.show_notice(end_text(ended.view))
         if session is self.session:
-            self._tell(session.view, was_lost=was_lost, trouble=trouble)
+            self._report_changes(session.view, was_lost=was_lost, trouble=trouble)
 
-    def _tell(self, view: RunView, *, was_lost: bool, trouble: str) -> None:
-        """Say why the journal cannot be read, as long as it cannot, and what has come right."""
+    def _report_changes(self, view: RunView, *, was_lost: bool, trouble: str) -> None:
+        """Report a journal that cannot be read, while it cannot, and a calibration saved."""
         if view.trouble:
             self.show_notice(view.trouble, over=False)
         elif trouble and isinstance(self.page, BaseScreen):
@@ -270,12 +273,12 @@ class HilcellApp(App[int]):
             self.page.show_again()
 
     def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
-        """Say something on the line above the keys, as `BaseScreen.notice` does."""
+        """Show a notice on the line above the keys, as `BaseScreen.notice` does."""
         if isinstance(self.page, BaseScreen):
             self.page.show_notice(text, for_now=for_now, over=over)
 
     def start_task(self, work: Coroutine[Any, Any, None]) -> None:
-        """Do something that may take a while; what goes wrong is said."""
+        """Start work that may take a while; show its error as a notice."""
 
         async def guarded() -> None:
             try:
@@ -292,7 +295,7 @@ class HilcellApp(App[int]):
         return not self.refusal(name)
 
     def refusal(self, name: str) -> str:
-        """Return why an action does nothing now, on the screen that is on top."""
+        """Return why an action does nothing now on the top screen."""
         if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
             return ELSEWHERE[name]
         unacknowledged = self.session is not None and bool(self.latch.standing())
@@ -304,7 +307,7 @@ class HilcellApp(App[int]):
         )
 
     def label(self, name: str) -> str:
-        """Return what an action is called now, on the page that is shown."""
+        """Return the current label of an action on the page that is shown."""
         return self.page.label(name) if isinstance(self.page, BaseScreen) else BY_NAME[name].label
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
@@ -344,10 +347,10 @@ class HilcellApp(App[int]):
         sent = self.open_runs.stop()
         if live or (sent and not over):
             self._close_questions()
-            said = "STOP sent" if sent else "STOP: no engine is there to hear it"
+            notice = "STOP sent" if sent else "STOP: no engine is there to hear it"
             if any(session.view.state == "silent" for session in live):
-                said += ", but it does not answer: use the E-stop"
-            self.show_notice(said, for_now=sent)
+                notice += ", but it does not answer: use the E-stop"
+            self.show_notice(notice, for_now=sent)
         elif len(self.screen_stack) > 2:
             self.pop_screen()
         elif self.session is not None:
@@ -359,7 +362,7 @@ class HilcellApp(App[int]):
             self.pop_screen()
 
     def ask(self, title: str, text: str, yes: str, act: Any) -> None:
-        """Ask before an act; only a yes does it, and what hinders it is said."""
+        """Ask before an act; only a yes does it; show its error as a notice."""
 
         def replied(reply: str | None) -> None:
             try:

@@ -1,7 +1,7 @@
-"""Follows one run from a thread of its own: the journal as it grows, the engine as it answers.
+"""Follows one run from a thread of its own: reads new records and asks the engine for its status.
 
-Reading may block, so it never happens where keys are taken. What was read is handed over as one
-`RunUpdate`; the screen alone keeps state.
+Reading may block, so it never runs in the thread that takes keys. Each look is handed over as one
+`RunUpdate`; only the session keeps state.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ REOPEN_S = 10.0  # a line that was silent for so long is opened again
 
 @dataclass(frozen=True, slots=True)
 class RunUpdate:
-    """What one look has brought."""
+    """The result of one look."""
 
     records: list[Record] = field(default_factory=list)
     engine: EngineState = EngineState.NONE
@@ -44,28 +44,28 @@ class Feed:
         self.client: EngineClient | None = None
         self._deliver, self._period_s = deliver, period_s
         self._seen = 0
-        self._heard_s = 0.0
+        self._answered_s = 0.0
         self._leave = False
         self._ended = threading.Event()
         self._soon = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="feed", daemon=True)
 
     def start(self) -> None:
-        """Begin to look."""
+        """Start the thread."""
         self._thread.start()
 
-    def soon(self) -> None:
-        """Look at once: something was asked for."""
+    def look_now(self) -> None:
+        """Look at once: a command was sent."""
         self._soon.set()
 
     def close(self, *, leave: bool) -> None:
-        """Stop looking. ``leave`` tells the engine that nobody is lost."""
+        """Stop looking. ``leave``: report to the engine that this screen leaves on purpose."""
         self._leave = leave
         self._ended.set()
         self._soon.set()
-        self._let_go()
+        self._disconnect()
 
-    def _let_go(self) -> None:
+    def _disconnect(self) -> None:
         client, self.client = self.client, None
         if client is not None:
             if self._leave:
@@ -75,17 +75,17 @@ class Feed:
     def _follow(self) -> None:
         while not self._ended.is_set():
             began_s = time.monotonic()
-            fresh = self._look()
+            update = self._look()
             if not self._ended.is_set():
-                self._deliver(fresh)
-                quiet = fresh.engine is EngineState.NONE
+                self._deliver(update)
+                quiet = update.engine is EngineState.NONE
                 period_s = max(self._period_s, QUIET_S) if quiet else self._period_s
                 self._soon.wait(max(period_s - (time.monotonic() - began_s), 0.02))
                 self._soon.clear()
-        self._let_go()  # a line that was being opened when the end came
+        self._disconnect()  # a line that was being opened when the end came
 
     def _look(self) -> RunUpdate:
-        engine, status = self._hear()
+        engine, status = self._ask_status()
         try:
             records = read_journal(self.folder / JOURNAL, after=self._seen)
         except StorageError as error:
@@ -96,36 +96,36 @@ class Feed:
         return RunUpdate(records, engine, status, calibrated=calibrated)
 
     def _lacks(self, name: str) -> bool:
-        """Whether a file is not there, as far as that can be told."""
+        """Whether a file is missing, as far as that is known."""
         try:
             return not is_there(self.folder / name)
         except OSError:
             return False
 
-    def _hear(self) -> tuple[EngineState, Status | None]:
-        """Ask the engine how it is; an answer without sense leaves the readings to grow stale."""
+    def _ask_status(self) -> tuple[EngineState, Status | None]:
+        """Ask the engine how it is; after an answer that cannot be read the lamps grow stale."""
         try:
             client = self._connected()
             if client is None:
                 return EngineState.NONE, None
             status = client.ask("status")
         except EngineSilent:
-            if time.monotonic() - self._heard_s > REOPEN_S:
-                self._let_go()
+            if time.monotonic() - self._answered_s > REOPEN_S:
+                self._disconnect()
             return EngineState.SILENT, None
         except EngineLost:
             self.client = None
             return EngineState.NONE, None
         except HilcellError:
             return EngineState.ANSWERING, None
-        self._heard_s = time.monotonic()
+        self._answered_s = time.monotonic()
         return EngineState.ANSWERING, status
 
     def _connected(self) -> EngineClient | None:
         """Return the client of the engine, connected where it was not."""
         if self.client is None:
             self.client = EngineClient.of_run(self.folder)
-            self._heard_s = time.monotonic()
+            self._answered_s = time.monotonic()
             if self.client is not None:
                 self.client.ask("attend")
         return self.client

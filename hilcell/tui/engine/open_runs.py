@@ -1,8 +1,7 @@
 """The runs that this screen is attached to: the one shown, and a live one in the background.
 
-The live run that is left to look at others keeps its line: a stop reaches it as before, and its
-engine still learns when this screen is lost. Other live runs are visited only: a screen that
-watches them elsewhere goes on doing so.
+The background run keeps its connection: a stop reaches it as before, and its engine still learns
+when this screen is lost. Other live runs are only visited: other screens go on watching them.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ import msgspec
 from hilcell.errors import HilcellError
 
 REASON = "hilcell: "
-MOST_LINES = 7  # of an engine's last words are shown
-EXIT_REASONS = {  # exits that the journal may not tell of
+MOST_LINES = 7  # of an engine's log are shown
+EXIT_REASONS = {  # exits that the journal may not hold
     -SIGTERM: "stopped before anything moved",
     2: "refused",
     5: "a defect of hilcell; please report it",
@@ -31,7 +31,7 @@ HILCELL = (sys.executable, "-m", "hilcell")
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What is asked for in the form."""
+    """The entries of the form for a new run."""
 
     cell: str
     procedure: str
@@ -44,59 +44,59 @@ class RunRequest:
 
     def arguments(self) -> list[str]:
         """Return the command line of `hilcell run`."""
-        words = ["run", self.procedure, "--cell", self.cell, "--seed", self.seed]
+        arguments = ["run", self.procedure, "--cell", self.cell, "--seed", self.seed]
         for option, value in (
             ("--operator", self.operator),
             ("--job", self.job),
             ("--speed", self.speed),
         ):
-            words += [f"{option}={value}"] if value else []
+            arguments += [f"{option}={value}"] if value else []
         for setting in self.settings:
-            words += ["--set", setting]
-        return words if self.attended else [*words, "--unattended"]
+            arguments += ["--set", setting]
+        return arguments if self.attended else [*arguments, "--unattended"]
 
 
 @dataclass(frozen=True, slots=True)
 class StartedEngine:
-    """An engine that this screen has started, and the file that it alone speaks to."""
+    """An engine that this screen has started, and its log file."""
 
     process: subprocess.Popen[bytes]
     log_file: Path
 
     def wait_for_end(self) -> str:
-        """Wait for the engine's end; return what the journal may not tell of it, else nothing."""
+        """Wait for the engine's end; return the reason where the journal may not hold it."""
         from hilcell.journal.runs import JOURNAL  # not for the first screen
 
         code = self.process.wait()
         if code not in EXIT_REASONS and (self.log_file.parent / JOURNAL).is_file():
             return ""
-        reason = _last_reason(self.log_file) or EXIT_REASONS.get(code, "without a word")
+        reason = _last_reason(self.log_file) or EXIT_REASONS.get(code, "no reason given")
         return f"the engine ended, exit {code}: {reason}"
 
 
-def start_engine(runs: Path, run: str, words: Sequence[str]) -> StartedEngine:
-    """Start an engine in a session of its own; what it says goes to a file in the run's folder.
+def start_engine(runs: Path, run: str, arguments: Sequence[str]) -> StartedEngine:
+    """Start an engine in a process session of its own; its log goes to the run's folder.
 
     Raises `HilcellError` where nothing can be written there.
     """
     folder = runs / run
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _new_file(folder) as said:
-            process = subprocess.Popen(  # noqa: S603 - our own interpreter, words reach no shell
-                [*HILCELL, *words, "--screen"],
+        with _new_file(folder) as log:
+            process = subprocess.Popen(  # noqa: S603 - our own interpreter, no shell reads the arguments
+                [*HILCELL, *arguments, "--screen"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=said,
+                stderr=log,
                 start_new_session=True,
             )
-            return StartedEngine(process, Path(said.name))
+            return StartedEngine(process, Path(log.name))
     except OSError as error:
         raise HilcellError(f"no engine was started: {folder}: {error.strerror}") from error
 
 
 def _new_file(folder: Path) -> BinaryIO:
-    """Open a file that nobody else writes: two screens may resume one run at a time."""
+    """Open a new file: two screens may resume one run at a time."""
     for number in count(1):
         with suppress(FileExistsError):
             return (folder / f"engine-{number}.log").open("xb")
@@ -104,7 +104,7 @@ def _new_file(folder: Path) -> BinaryIO:
 
 
 def _last_reason(log_file: Path) -> str:
-    """Return the reason that an engine gave last, without what it reported before."""
+    """Return the last reason in an engine's log, without the lines before it."""
     try:
         lines = log_file.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     except OSError:
@@ -114,20 +114,20 @@ def _last_reason(log_file: Path) -> str:
     return "\n".join(last).removeprefix(REASON)
 
 
-async def run_command(*words: str) -> str:
-    """Run a command that moves nothing and return what it said; raises `HilcellError`."""
+async def run_command(*arguments: str) -> str:
+    """Run a command that moves nothing and return its output; raises `HilcellError`."""
     process = await asyncio.create_subprocess_exec(
         *HILCELL,
-        *words,
+        *arguments,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
     out, err = await process.communicate()
     if process.returncode:
-        said = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
-        said = said.rpartition("error: ")[2] if said.startswith("usage: ") else said
-        raise HilcellError(said.removeprefix(REASON))
+        reason = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
+        reason = reason.rpartition("error: ")[2] if reason.startswith("usage: ") else reason
+        raise HilcellError(reason.removeprefix(REASON))
     return out.decode(errors="replace") + err.decode(errors="replace")
 
 

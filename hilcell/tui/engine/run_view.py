@@ -1,7 +1,7 @@
-"""What the screen knows at one moment: the journal so far, and what the engine last said.
+"""All that the screen knows of one run: the journal so far, and the engine's last status.
 
-The same view stands for a live run, a finished one and one left by a crash. The trap: the
-engine's words grow old; whatever shows them asks `RunView.status_age_s` how old they are.
+A live run, a finished one and one left by a crash have the same view. A status grows old:
+`RunView.status_age_s` is its age, and every line that shows it must check that.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
     from hilcell.journal.journal import Record
 
 STALE_S = 2.0
-MOST_NOTED = 2000
+MOST_RECORDS = 2000
 OVER = ("finished", "aborted", "faulted")
 
 
 class EngineState(Enum):
-    """What is known of the process at work on a run: one that was heard never starts again."""
+    """The engine of a run: one that has answered is never starting again."""
 
-    UNKNOWN = "unknown"  # nobody has looked yet
+    UNKNOWN = "unknown"  # not looked up yet
     NONE = "none"
-    STARTING = "starting"  # this screen has started it; it has not said anything yet
+    STARTING = "starting"  # this screen has started it; it has not answered yet
     ANSWERING = "answering"
-    SILENT = "silent"  # it lives, and does not answer
+    SILENT = "silent"  # it lives but does not answer
 
 
 @dataclass(slots=True)
 class RunView:
-    """All that is shown. Fed by `take` and `hear`; read by the pure functions of this package."""
+    """The data behind every screen; filled by the session, read by the functions of `tui.text`."""
 
     run: str
     log: Log = field(default_factory=Log)
@@ -58,8 +58,8 @@ class RunView:
         """Add one durable record."""
         self.log.take(record)
         self.records.append(record)
-        if len(self.records) > 2 * MOST_NOTED:
-            del self.records[:-MOST_NOTED]
+        if len(self.records) > 2 * MOST_RECORDS:
+            del self.records[:-MOST_RECORDS]
         if record.kind == "point":
             self.last = self.log.points[record.key]
             if self.step and self.last.id.kind != "control":
@@ -87,7 +87,7 @@ class RunView:
 
     @property
     def state(self) -> str:
-        """Return the state in one word, as the state block names it."""
+        """Return the key of the state in `text.run.STATES`."""
         state = self.log.states["run"]
         if self.engine is EngineState.UNKNOWN:
             return "looking"
@@ -126,12 +126,12 @@ class RunView:
 
     @property
     def stale(self) -> bool:
-        """Whether the engine's last words are too old to be shown as good."""
+        """Whether the engine's last status is too old to be shown as good."""
         return self.status is None or not self.status_age_s <= STALE_S
 
     @property
     def prompt(self) -> PromptStatus | None:
-        """Return what the operator is asked, while he is asked and the cell is known."""
+        """Return the prompt, while one is open and the cell is known."""
         if not self.live or self.status is None or self.log.plan is None:
             return None
         return self.status.prompt

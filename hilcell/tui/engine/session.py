@@ -1,4 +1,4 @@
-"""One attachment of the screen to one run: its feed, and the view that the feed fills."""
+"""A session: one run as the screen follows it, with its feed, its view and its alarms."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PATIENCE_S: dict[Command, float] = {"answer": 30.0}  # the tracker looks first
 
 
 class Session:
-    """What is known of one run, and the line to its engine where one lives."""
+    """Follows one run and sends commands to its engine."""
 
     def __init__(
         self,
@@ -43,23 +43,23 @@ class Session:
         self.latch = Latch()
         self.process = process  # the engine, where this screen has started it
         self._go_on = go_on
-        self._foreign = ""  # why the journal cannot be understood
+        self._unreadable = ""  # why the journal's records cannot be applied
         self._forecast = Forecast()
-        self._heard: datetime | None = None
+        self._status_at: datetime | None = None
         self.feed = Feed(folder, deliver, period_s)
 
-    def take(self, fresh: RunUpdate, now: datetime) -> None:
-        """Add what one look has brought."""
-        if not self._foreign:
-            self._take_records(fresh.records)
+    def take(self, update: RunUpdate, now: datetime) -> None:
+        """Apply one look of the feed."""
+        if not self._unreadable:
+            self._take_records(update.records)
         view = self.view
-        view.trouble = self._foreign or fresh.trouble
-        if fresh.status is not None:
-            view.status, self._heard = fresh.status, now
+        view.trouble = self._unreadable or update.trouble
+        if update.status is not None:
+            view.status, self._status_at = update.status, now
         before = view.engine, view.calibrated
-        view.engine, view.calibrated = self._engine(fresh.engine), fresh.calibrated
+        view.engine, view.calibrated = self._engine(update.engine), update.calibrated
         changed = (view.engine, view.calibrated) != before
-        news = changed or (fresh.records and not self._foreign)
+        news = changed or (update.records and not self._unreadable)
         if news and view.log.plan is not None:
             present = view.engine is not EngineState.NONE
             lost = not view.calibrated
@@ -81,27 +81,29 @@ class Session:
                 view.take(record)
                 self._forecast.take(record)
             if view.records:
-                _ = view.log.cell  # read here, so that every line may rely on it
+                _ = view.log.cell  # checked here, so that every line may use it
         except (HilcellError, msgspec.ValidationError) as error:
-            self._foreign = f"{view.run}: written by another version of hilcell: {error}"
+            self._unreadable = f"{view.run}: written by another version of hilcell: {error}"
             self.view = RunView(view.run)
 
     def tick(self, now: datetime) -> None:
-        """Let time pass: ages grow, the forecast counts down."""
+        """Update ages and the forecast to the time ``now``."""
         view = self.view
         view.now = now
-        view.status_age_s = (now - self._heard).total_seconds() if self._heard is not None else 0.0
+        view.status_age_s = (
+            (now - self._status_at).total_seconds() if self._status_at is not None else 0.0
+        )
         last = datetime.fromisoformat(view.records[-1].t) if view.records else now
         at = now if view.live else last
         view.elapsed_s = self._forecast.elapsed_s(at)
         view.remaining_s = self._forecast.remaining_s(at)
 
     def stop(self) -> bool:
-        """Send a stop at once, from whatever thread; return whether an engine was there to hear.
+        """Send a stop at once, from any thread; return whether an engine received it.
 
-        Where the line has just been lost, a new one is opened for it. An engine that is being
-        started hears nobody yet: its process is told, which ends it before anything moves; never
-        later, for an engine that has finished still writes its results.
+        Where the connection is lost, a new one is opened. An engine that is being started takes
+        no commands yet: its process gets SIGTERM, which ends it before anything moves. Later that
+        would be wrong: an engine that has finished still writes its results.
         """
         client = self.feed.client
         if (client is not None and client.stop()) or stop_engine(self.folder):
@@ -126,10 +128,10 @@ class Session:
         finally:
             if apart:
                 client.close()
-        self.feed.soon()
+        self.feed.look_now()
 
     def close(self, *, leave: bool) -> None:
-        """Let go of the run."""
+        """Detach from the run."""
         self.feed.close(leave=leave)
         if self.process is not None:
             self.process.poll()

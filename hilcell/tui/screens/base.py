@@ -26,11 +26,12 @@ if TYPE_CHECKING:
     from hilcell.tui.app.actions import RunActions
     from hilcell.tui.engine.open_runs import OpenRuns
     from hilcell.tui.engine.run_view import RunView
+    from hilcell.tui.engine.session import Session
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How the screen was asked for."""
+    """The options of `hilcell tui`."""
 
     runs: Path
     keymap: Keymap
@@ -49,8 +50,15 @@ class Application(Protocol):
     glyphs: Glyphs
     keymap: Keymap
     open_runs: OpenRuns
-    actions: RunActions
-    key_is_deliberate: bool  # whether the key under way came by itself, not in a burst
+    key_is_deliberate: bool  # whether the current key came by itself, not in a burst
+
+    @property
+    def actions(self) -> RunActions:
+        """Return the actions on the run that is shown."""
+
+    @property
+    def session(self) -> Session | None:
+        """Return the session of the run that is shown."""
 
     @property
     def view(self) -> RunView | None:
@@ -64,13 +72,19 @@ class Application(Protocol):
         """Whether an action does something now."""
 
     def label(self, name: str) -> str:
-        """Return what an action is called now."""
+        """Return the current label of an action."""
 
     def do(self, name: str) -> None:
         """Do an action, where it is allowed."""
 
+    def ask(self, title: str, text: str, yes: str, act: Any) -> None:
+        """Ask before an act; only a yes does it."""
+
+    def show_notice(self, text: str, *, for_now: bool = False) -> None:
+        """Show a notice on the line above the keys."""
+
     def start_task(self, work: Coroutine[Any, Any, None]) -> None:
-        """Do something that may take a while; what goes wrong is said."""
+        """Start work that may take a while; show its error as a notice."""
 
     def attach(self, folder: Path, process: Any = None) -> None:
         """Show a run in place of the one shown."""
@@ -83,7 +97,7 @@ class Application(Protocol):
 
 
 class BaseScreen(Screen[None]):
-    """A screen that is shown the view again whenever it has changed."""
+    """A screen with a state line and a key line, which shows the run's view when it changes."""
 
     footer: ClassVar[tuple[str, ...]] = ()  # actions, in the order of their weight
     fixed: ClassVar[tuple[tuple[str, str], ...]] = ()  # keys that cannot be rebound
@@ -92,12 +106,12 @@ class BaseScreen(Screen[None]):
     def __init__(self) -> None:
         super().__init__()
         self.built = asyncio.Event()  # set once every part is built
-        self._said = ""
-        self._said_at: object = None  # the moment that a notice is about
+        self._notice = ""
+        self._notice_state: object = None  # the run's state that the notice is about
 
     @property
     def is_shown(self) -> bool:
-        """Whether every part stands and the screen was not left: messages come before and after."""
+        """Whether every part is built and the screen is open: messages come before and after."""
         built = self.built.is_set() and bool(self.query("#keys"))  # parts are taken down first
         return built and self.app.is_running and self in self.app.screen_stack
 
@@ -125,7 +139,7 @@ class BaseScreen(Screen[None]):
         self.call_after_refresh(self.show_again)
 
     def on_screen_resume(self) -> None:
-        """Show what came while another screen was on top."""
+        """Show the changes since another screen was on top."""
         self.show_again()
 
     def on_descendant_focus(self) -> None:
@@ -134,14 +148,14 @@ class BaseScreen(Screen[None]):
             self.panel("keys").show(self.key_line())
 
     def show_again(self) -> None:
-        """Show the view as it is now; before this screen is built, or after it, nothing."""
+        """Show the current view, while this screen is open."""
         if self.is_shown:
             self.show(self.application.view)
 
     def show(self, view: RunView | None) -> None:
         """Show the view."""
         self.panel("keys").show(self.key_line())
-        if self._said_at is not None and self._said_at != _moment(view):
+        if self._notice_state is not None and self._notice_state != _notice_state(view):
             self.show_notice("")
         if view is not None and self.query("#banner"):
             from hilcell.tui.text import run as run_text  # reads journals: not for the first screen
@@ -152,22 +166,22 @@ class BaseScreen(Screen[None]):
             self.panel("banner").show(lines)
 
     def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
-        """Say something on the line above the keys, until the next key.
+        """Show a notice on the line above the keys, until the next key.
 
         ``for_now``: only while the run's state and its prompt stay as they are. ``over``: also
-        where something else is being said.
+        over another notice.
         """
-        if not self.is_shown or (self._said and not over):
+        if not self.is_shown or (self._notice and not over):
             return
-        self._said = text
-        self._said_at = _moment(self.application.view) if for_now else None
+        self._notice = text
+        self._notice_state = _notice_state(self.application.view) if for_now else None
         panel = self.panel("notice")
         panel.display = bool(text)
         panel.show(Content.styled(text, "$warn"))
 
     def clear_notice(self, text: str) -> None:
-        """Say no longer what is true no longer."""
-        if self._said == text:
+        """Remove a notice that is no longer true."""
+        if self._notice == text:
             self.show_notice("")
 
     def key_line(self) -> Content:
@@ -187,7 +201,7 @@ class BaseScreen(Screen[None]):
         return line
 
     def label(self, name: str) -> str:
-        """Return what an action is called now."""
+        """Return the current label of an action."""
         view = self.application.view
         if name == "pause" and view is not None:
             if not view.live:
@@ -198,8 +212,8 @@ class BaseScreen(Screen[None]):
         return BY_NAME[name].label
 
 
-def _moment(view: RunView | None) -> tuple[str, bool]:
-    """Return what a passing notice is about: the state, and whether a prompt can be answered."""
+def _notice_state(view: RunView | None) -> tuple[str, bool]:
+    """Return the state that a notice is about, and whether a prompt can be answered."""
     if view is None:
         return "", False
     return view.state, view.prompt is not None and view.prompt.ready
@@ -223,7 +237,7 @@ class Page(BaseScreen):
         yield TextPanel("keys")
 
     def body(self) -> ComposeResult:
-        """Build what stands between title and keys."""
+        """Build the parts between title and keys."""
         return iter(())
 
     def on_mount(self) -> None:
@@ -249,7 +263,7 @@ FRAME = 2  # rows of a dialog's border
 
 
 class Dialog(ModalScreen[T]):
-    """A question and, under it, what may be answered: that stays in sight where room is short."""
+    """A question and, under it, the answers, which stay in sight where room is short."""
 
     def compose(self) -> ComposeResult:
         """Build the box."""
@@ -259,7 +273,7 @@ class Dialog(ModalScreen[T]):
 
     @property
     def deliberate(self) -> bool:
-        """Whether the key under way is an answer: a scanner's Enter, or a held one, is none."""
+        """Whether the current key is an answer: Enter from a scanner, or a held one, is not."""
         return cast("Application", self.app).key_is_deliberate
 
     def show_texts(self, question: Content, answers: Content) -> None:
@@ -268,14 +282,14 @@ class Dialog(ModalScreen[T]):
         self.query_one("#answers", TextPanel).show(answers)
 
     def on_resize(self) -> None:
-        """Let the question yield to the answers."""
+        """Shorten the question where both do not fit."""
         question, answers = self.query_one("#question"), self.query_one("#answers")
         room = self.app.size.height - FRAME - answers.size.height
         question.styles.max_height = max(room, 1)
 
 
 def answer_keys(yes: str, no: str) -> Content:
-    """Return the two keys of a dialog with what they do."""
+    """Return the two keys of a dialog and their meaning."""
     return Content.assemble(
         (" Enter ", "bold $on-quiet on $quiet"),
         f" {yes}   ",
@@ -301,7 +315,7 @@ class Confirm(Dialog[str]):
         question = Content.assemble((self._title, "bold $warn"), "\n", self._text, "\n")
         self.show_texts(question, answer_keys(self._yes, "no"))
 
-    def action_reply(self, word: str) -> None:
+    def action_reply(self, answer: str) -> None:
         """Close with the answer."""
-        if word != "yes" or self.deliberate:
-            self.dismiss(word)
+        if answer != "yes" or self.deliberate:
+            self.dismiss(answer)

@@ -78,7 +78,7 @@ class HistoryPage(FilterScreen, Page):
             self.filter_rows()
 
     def filter_rows(self) -> None:
-        """Show the runs with all the words."""
+        """Show the runs that match all words."""
         from hilcell.journal.index import matches
 
         found = [run for run in self._runs if matches(run, self.filter_text)]
@@ -128,7 +128,7 @@ DIGITS = {"mm": 4, "deg": 5}
 
 
 class ComparePage(Page):
-    """Shows what `hilcell compare` says of two runs."""
+    """Shows the output of `hilcell compare` for two runs."""
 
     title_text = "Comparison"
     footer = ("stop", "quit")
@@ -138,7 +138,7 @@ class ComparePage(Page):
         self._first, self._second = first, second
 
     def body(self) -> ComposeResult:
-        """Build the words and the rows."""
+        """Build the heading and the rows."""
         yield TextPanel("comparison_text")
         yield Table(COLUMNS, empty="reading both journals ...", plain=self.application.glyphs.plain)
 
@@ -149,9 +149,9 @@ class ComparePage(Page):
 
     async def _compare(self) -> None:
         runs = str(self.application.options.runs)
-        words = ("compare", self._first, self._second, "--runs", runs, "--json")
+        command = ("compare", self._first, self._second, "--runs", runs, "--json")
         try:
-            found = msgspec.json.decode(await process.run_command(*words), type=dict[str, Any])
+            found = msgspec.json.decode(await process.run_command(*command), type=dict[str, Any])
         except HilcellError:
             if self.is_shown:
                 self.query_one(Table).empty = "nothing to compare"
@@ -173,7 +173,7 @@ def comparison_text(found: dict[str, Any]) -> Content:
 
 
 def change_row(change: dict[str, Any]) -> Row:
-    """Return one change; what lies beyond its limit stands out."""
+    """Return one change; one beyond its limit is coloured."""
     digits = DIGITS.get(change["unit"], 2)
     numbers = [
         "" if change[name] is None else f"{change[name]:{sign}.{digits}f}"

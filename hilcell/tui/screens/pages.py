@@ -43,7 +43,7 @@ class TextPage(Page):
         self.panel("text").show(self.text(view))
 
     def text(self, view: RunView | None) -> Content:
-        """Return what the page says."""
+        """Return the text of the page."""
         raise NotImplementedError
 
 
@@ -72,7 +72,7 @@ class InterlockPage(TextPage):
 
 
 class HelpPage(TextPage):
-    """What the keys do, what the lines say."""
+    """The meaning of the keys and of the lines."""
 
     title_text = "Help"
     footer = ("stop", "quit")
@@ -108,7 +108,7 @@ class FilterScreen(BaseScreen):
     filter_text = ""
 
     def filter_box(self, hint: str) -> Input:
-        """Return the filter's box, to stand under the rows."""
+        """Return the filter's text box, shown under the rows."""
         box = TextField(placeholder=hint, id="find")
         box.display = False
         return box
@@ -171,7 +171,7 @@ class LogPage(FilterScreen, Page):
             self.filter_rows()
 
     def filter_rows(self) -> None:
-        """Show the records with all the words."""
+        """Show the records that match all words."""
         words = self.filter_text.lower().split()
         wanted = [row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)]
         self.query_one(Table).show_rows(wanted)

@@ -27,7 +27,7 @@ LINES = ("banner", "identity", "step", "progress", "lamps", "interlock")
 
 @dataclass(frozen=True, slots=True)
 class PointFilter:
-    """How the points were looked at: kept when a run is opened again."""
+    """The filter and order of the points: kept when a run is opened again."""
 
     bad_only: bool = False
     worst_first: bool = False
@@ -75,7 +75,7 @@ class RunScreen(FilterScreen):
         yield TextPanel("keys")
 
     def on_mount(self) -> None:
-        """Hide what has nothing to say yet."""
+        """Hide the panels that are empty."""
         for name in ("alarm", "prompt", "notice"):
             self.panel(name).display = False
         rows = self.query_one(Table)
@@ -135,7 +135,7 @@ class RunScreen(FilterScreen):
 
     @property
     def point_filter(self) -> PointFilter:
-        """Return how the points are looked at."""
+        """Return the filter and order of the points."""
         rows = self.query(Table)
         return PointFilter(self.bad_only, self.worst_first, rows.first().key if rows else "")
 
@@ -212,7 +212,7 @@ class RunScreen(FilterScreen):
             self.query_one(Table).action_to(0)
 
     def filter_rows(self) -> None:
-        """Show the points with all the words."""
+        """Show the points that match all words."""
         self.show(self.application.view)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
@@ -223,7 +223,7 @@ class RunScreen(FilterScreen):
         )
 
     def action_show_background_run(self) -> None:
-        """Show the live run again that was left to look at this one."""
+        """Show the background run again."""
         self.application.show_background_run()
 
     def do_retake(self) -> None:

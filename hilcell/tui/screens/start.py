@@ -88,7 +88,7 @@ class StartScreen(BaseScreen):
             self.query_one(Table).show_rows([Row(name, (name, found[name])) for name in names])
 
     def request(self) -> process.RunRequest:
-        """Return what the form says."""
+        """Return the entries of the form."""
         text = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
         speed = self.query_one("#speed", Choice).value
         return process.RunRequest(
@@ -144,8 +144,8 @@ class StartScreen(BaseScreen):
 
         runs = self.application.options.runs
         run = new_run(request.procedure)
-        words = [*request.arguments(), "--runs", str(runs), "--name", run]
-        self.application.actions.start(runs / run, words)
+        arguments = [*request.arguments(), "--runs", str(runs), "--name", run]
+        self.application.actions.start(runs / run, arguments)
 
 
 class PlanSummary(Dialog[bool]):
@@ -202,7 +202,7 @@ def warning(plan: dict[str, Any]) -> Content:
 
 
 def summaries(names: list[str]) -> dict[str, str]:
-    """Return what each procedure does, in its own words."""
+    """Return the summary of each procedure."""
     from hilcell.cell.devices import load_entry
 
     found: dict[str, str] = {}

@@ -22,12 +22,12 @@ _UTF_8 = re.compile(r"utf-?8", re.IGNORECASE)
 
 
 def has_colours(environment: Mapping[str, str]) -> bool:
-    """Whether the terminal has colours, and nobody asked for none (https://no-color.org)."""
+    """Whether the terminal has colours and NO_COLOR is not set (https://no-color.org)."""
     return not environment.get("NO_COLOR") and not _is_colourless(environment)
 
 
 def has_unicode(environment: Mapping[str, str], *, coerced: bool = False) -> bool:
-    """Whether the terminal shows more than ASCII; ``coerced``: LC_CTYPE is Python's own word."""
+    """Whether the terminal shows more than ASCII; ``coerced``: Python set LC_CTYPE."""
     if _is_colourless(environment) or environment["TERM"] == _FEW_SHAPES:
         return False
     names = ("LC_ALL", "LANG") if coerced else ("LC_ALL", "LC_CTYPE", "LANG")
@@ -95,5 +95,5 @@ _PLAIN = str.maketrans(
 
 
 def to_ascii(text: str) -> str:
-    """Return ``text`` in ASCII: known shapes by their like, everything else as ``?``."""
+    """Return ``text`` in ASCII: known shapes by a similar one, all others as ``?``."""
     return text.translate(_PLAIN).encode("ascii", "replace").decode()

@@ -1,1 +1,1 @@
-"""What the screen says, as pure functions of the view."""
+"""The text of the screen, as pure functions of a `RunView`."""

@@ -40,7 +40,7 @@ def alarm_lines(
 def alarm_page(alarms: Sequence[Alarm], latch: Latch, glyphs: Glyphs) -> Content:
     """Return every alarm of the session, newest first, with what it means and what to do.
 
-    What still stands from before the run was resumed follows.
+    Unacknowledged alarms from before the run was resumed follow.
     """
     raised = {alarm.code for alarm in alarms}
     standing = {each.alarm.code: each.alarm for each in latch.standing()}
@@ -98,8 +98,8 @@ def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
     for name in LAMPS:
         device = status.devices.get(name, DeviceStatus())
         head = lamp(name, device, view, glyphs)
-        said = device.reason or device.text
-        lines.append(head.append(f"   {said}" if said else ""))
+        detail = device.reason or device.text
+        lines.append(head.append(f"   {detail}" if detail else ""))
     lines += [
         Content(""),
         Content.styled(

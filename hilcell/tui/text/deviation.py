@@ -21,7 +21,7 @@ BAD_STATES = ("out", "noisy")
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """One point's deviation; ``limit_mm`` is None where no tolerance stands for it."""
+    """One point's deviation; ``limit_mm`` is None where no tolerance applies."""
 
     key: str
     error_mm: tuple[float, float, float]
@@ -116,7 +116,7 @@ def large_digits(text: str) -> tuple[str, str, str]:
 def deviation_lines(found: Deviation | None, glyphs: Glyphs, width: int, none: str = "") -> Content:
     """Return element 6 in five rows: names, large_digits digits, and |e| against its limit.
 
-    ``none``: what is said where there is no deviation.
+    ``none``: the text where there is no deviation.
     """
     if found is None:
         return Content.styled("\n".join([f"deviation: {none}", "", "", "", ""]), "$dim")

@@ -1,4 +1,4 @@
-"""The help: what each line of the screen says, and what each key does."""
+"""The help page: the meaning of each line of the screen, and of each key."""
 
 from __future__ import annotations
 

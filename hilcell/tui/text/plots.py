@@ -32,7 +32,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """One plot: its words, its lines, and a limit to draw across, where one stands."""
+    """One plot: title, labels, lines, and a limit to draw across."""
 
     title: str
     x_label: str

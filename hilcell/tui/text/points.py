@@ -34,7 +34,7 @@ _TONES = {"out": "bad", "noisy": "warn", "waits": "info", "again": "info"}
 
 
 def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
-    """Return the columns that a table of this width shows; the first tells which points."""
+    """Return the columns that a table of this width shows; the first title names the filter."""
     columns = _WIDE_COLUMNS if width >= WIDE + 40 else _NARROW_COLUMNS
     which = " ".join(["bad only"] * bad_only + ["by |e|" if bad_only else "worst first"] * worst)
     return (replace(columns[0], title=f"point: {which}"), *columns[1:]) if which else columns
@@ -67,7 +67,7 @@ class PointRows:
 def filtered(
     points: Iterable[PointRow], wanted: str, *, bad_only: bool, worst: bool
 ) -> list[PointRow]:
-    """Return the points asked for: with all the words, bad ones, worst first."""
+    """Return the points that match all words, only bad ones and worst first where asked."""
     words = wanted.lower().split()
     rows = [
         row
@@ -83,7 +83,7 @@ def filtered(
 
 
 def _badness(row: PointRow) -> tuple[bool, float]:
-    """Raw errors come after those that a tolerance stands for: they are meant to be large."""
+    """Sort raw errors after those with a tolerance: they are expected to be large."""
     norm_mm = row.norm_mm if row.norm_mm < math.inf else math.inf  # NaN is the worst of all
     return row.deviation is not None and row.deviation.limit_mm is not None, norm_mm
 
@@ -110,7 +110,7 @@ def _triple(values: Sequence[float], digits: int) -> str:
 
 
 def point_page(view: RunView, key: str) -> Content:
-    """Return everything that the journal says of a point."""
+    """Return all that the journal holds of a point."""
     point = view.log.points.get(key)
     if point is None:
         return Content(f"{key}: the journal holds no such point")

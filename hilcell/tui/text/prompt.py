@@ -1,4 +1,4 @@
-"""The prompt in words: what to do, where the nest is, what the tracker must see, what it sees."""
+"""The operator's prompt as text: the task, the nest, the expected reading and the actual one."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def nest_map(layout: Layout, place: str, glyphs: Glyphs) -> list[Content]:
     xs = [float(xyz[0]) for xyz in where.values()]
     ys = [float(xyz[1]) for xyz in where.values()]
     for name, xyz in sorted(where.items(), key=lambda item: item[0] == place):
-        # Nests stand above one another: only the wanted one is named.
+        # Nests overlap in this view: only the wanted one is named.
         column = _scale(float(xyz[0]), xs, MAP_WIDTH - 6)
         row = MAP_HEIGHT - 1 - _scale(float(xyz[1]), ys, MAP_HEIGHT - 1)
         label = f">{name[:3]}<" if name == place else " o  "

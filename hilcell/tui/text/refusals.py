@@ -1,6 +1,6 @@
 """Why a key does nothing now, from the run's state alone; nothing where it does something.
 
-The trap: no run is shown at first, and an engine that starts or stands still takes no commands.
+At first no run is shown, and an engine that starts or does not answer takes no commands.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hilcell.tui.engine.run_view import RunView
 
 POINTS, HISTORY = "only where the points are listed", "only in the history"
-ELSEWHERE = {  # actions of certain screens: what is said on others
+ELSEWHERE = {  # actions of certain screens: the refusal on all others
     "bad": POINTS,
     "sort": POINTS,
     "retake": POINTS,

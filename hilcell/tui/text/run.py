@@ -1,4 +1,4 @@
-"""The run in words: each line of the screen as a pure function of the view and a width."""
+"""The lines of the run's screen, as pure functions of the view and a width."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def identity(view: RunView, width: int) -> Content:
     words += ["unattended" if plan.unattended else "attended"]
     left = Content("  ".join(words))
     fits = left.cell_length + len(view.run) < width
-    run = view.run if fits else f"run {view.run[-SHORT:]}"  # its last letters tell runs apart
+    run = view.run if fits else f"run {view.run[-SHORT:]}"  # its last letters differ between runs
     return justified(left, Content.styled(run, "$dim"), width)
 
 
@@ -190,7 +190,7 @@ def lamps(view: RunView, glyphs: Glyphs, width: int) -> Content:
 
 
 def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Content:
-    """Return one lamp; a stale reading is grey and says how old it is."""
+    """Return one lamp; a stale reading is grey and shows its age."""
     title = name.capitalize()
     if device.age_s is None and device.state != "lost":
         return Content.styled(f"{glyphs.stale} {title} -", "$dim")
@@ -251,7 +251,7 @@ class _Place(msgspec.Struct):
 def result(view: RunView, width: int) -> Content:
     """Return a finished run's main figures in one line, mean |e| before and after.
 
-    Where it is out of tolerance, the worst place stands first.
+    Where it is out of tolerance, the worst place comes first.
     """
     found = (view.log.end or {}).get("result", {}).get("validation", {})
     try:
@@ -265,7 +265,7 @@ def result(view: RunView, width: int) -> Content:
     for name in order:
         place = places[name]
         part = f"  {name} {place.before.mean:.3f} -> {place.chosen.mean:.3f}"
-        if len(line) + len(part) <= width:  # the first places say most
+        if len(line) + len(part) <= width:  # the first places matter most
             line += part
     return Content(line)
 
@@ -282,12 +282,12 @@ def interlocks(view: RunView, width: int) -> Content:
         return Content.styled(f"interlocks: last heard {short_age(view.status_age_s)} ago", "$dim")
     if not blocked:
         return Content.styled(f"interlocks: {_free(view)}", "$dim")
-    said = f"{blocked[0].name} blocked: {blocked[0].blocked}"
-    return Content(said).truncate(width, ellipsis=True)
+    line = f"{blocked[0].name} blocked: {blocked[0].blocked}"
+    return Content(line).truncate(width, ellipsis=True)
 
 
 def _free(view: RunView) -> str:
-    """Return what may happen where nothing is blocked; a person may stand in the cell."""
+    """Return what may move while nothing is blocked; a person may stand in the cell."""
     if view.prompt is not None:
         return "nothing is blocked; nothing moves before the answer"
     if view.at_rest:

@@ -104,7 +104,7 @@ def _plan_words(body: dict[str, Any]) -> str:
 
 
 def record_words(record: Record) -> str:
-    """Return what a record says, shortly."""
+    """Return a record as one short line."""
     body = record.body
     match record.kind:
         case "plan":

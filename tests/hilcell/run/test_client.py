@@ -14,8 +14,16 @@ from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import EngineFile, live_engine
 from hilcell.run.client import EngineClient, EngineLost, EngineSilent, order, stop_engine
 from hilcell.run.protocol import Status
-from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
-from tests.hilcell.tui.lines import LIMIT_S, nothing_left_open, short
+from tests.hilcell.tui.engine_peer import (
+    LIMIT_S,
+    SILENCE,
+    STATUS,
+    Peer,
+    nothing_left_open,
+    says,
+    short,
+    usual,
+)
 
 __all__ = ["nothing_left_open", "short"]
 

@@ -1,21 +1,25 @@
-"""An engine's control socket as the contract has it, and as it must never be."""
+"""An engine's control socket as the protocol defines it, and with faults."""
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import socket
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import msgspec
+import pytest
 
 from hilcell.journal.engine_file import EngineFile
-from tests.hilcell.tui.lines import LIMIT_S
+from hilcell.run import client
+from hilcell.tui.engine import feed as feeds
 
 STATUS: dict[str, Any] = {
     "ok": True, "run": "r", "state": "running", "calibration": "grid", "points": 3,
@@ -147,3 +151,32 @@ class PauseGate:
             self.asked.set()
             assert self.open.wait(LIMIT_S)
         return usual(words)
+
+
+PERIOD_S = 0.02
+ANSWER_S = 0.2  # instead of the seconds that an operator has
+LIMIT_S = 10.0
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for silent engines as long as a test may."""
+    monkeypatch.setattr(client, "ANSWER_S", ANSWER_S)
+    monkeypatch.setattr(feeds, "REOPEN_S", 0.5)
+
+
+@pytest.fixture(autouse=True)
+def nothing_left_open() -> Iterator[None]:
+    """Let what was leaked be found: what is left open, and what only a collection would close."""
+    before = open_sockets()
+    yield
+    assert open_sockets() <= before
+    gc.collect()
+
+
+def open_sockets() -> set[str]:
+    found = set()
+    for file in Path("/proc/self/fd").iterdir():
+        with suppress(FileNotFoundError):  # the one that lists them
+            found.add(str(file.readlink()))
+    return {target for target in found if target.startswith("socket:")}

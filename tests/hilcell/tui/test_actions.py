@@ -19,14 +19,22 @@ from hilcell.tui.screens.pages import DetailPage, HelpPage, LogPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.tui.widgets import Table
-from tests.hilcell.tui.playing import PAGES, footer, play
-from tests.hilcell.tui.scenes import HEARD, LIVE, PROMPT, fresh, status, stories
-from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
-from tests.hilcell.tui.walk import outside
+from tests.hilcell.tui.all_screens import isolated
+from tests.hilcell.tui.recording_app import (
+    PAGES,
+    RecordingApp,
+    footer,
+    press,
+    run_app,
+    settle,
+    text_of,
+    type_ahead,
+)
+from tests.hilcell.tui.sample_runs import HEARD, LIVE, PROMPT, fresh, sample_runs, status
 
-__all__ = ["outside"]
+__all__ = ["isolated"]
 
-STATES = tuple(stories())
+STATES = tuple(sample_runs())
 OVER = tuple(state for state in STATES if state not in LIVE)
 # What the space bar does: the command posted, whether it asks before, and the word in the footer.
 SPACE = {
@@ -46,7 +54,7 @@ SPACE = {
     "gone": ("resume", True, "resume"),
     "unreadable": None,
 }
-pytestmark = pytest.mark.usefixtures("outside")
+pytestmark = pytest.mark.usefixtures("isolated")
 
 
 # -- what is allowed, and what is shown ------------------------------------------------------------
@@ -70,7 +78,7 @@ def allowed(state: str) -> set[str]:
 
 @pytest.mark.parametrize("state", STATES)
 def test_the_footer_shows_what_is_allowed_and_nothing_else(state: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         wanted = allowed(state)
         assert {action.name for action in ACTIONS if app.allowed(action.name)} == wanted
         for action in ACTIONS:
@@ -80,7 +88,7 @@ def test_the_footer_shows_what_is_allowed_and_nothing_else(state: str) -> None:
         assert (f"space {space[2]}" if space else "space") in footer(app) or space is None
         assert ("space" in footer(app)) == (space is not None)
 
-    play(act, state)
+    run_app(act, state)
 
 
 # -- the space bar ---------------------------------------------------------------------------------
@@ -88,48 +96,48 @@ def test_the_footer_shows_what_is_allowed_and_nothing_else(state: str) -> None:
 
 @pytest.mark.parametrize("state", STATES)
 def test_the_space_bar_pauses_goes_on_or_resumes(state: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "space")
         space = SPACE[state]
         assert isinstance(app.screen, Confirm) == (space is not None and space[1])
         if isinstance(app.screen, Confirm):
-            assert (app.heard.asked, app.actions.engines) == ([], [])
+            assert (app.recorded.asked, app.actions.engines) == ([], [])
             await press(pilot, "n")
-            assert (app.heard.asked, app.actions.engines) == ([], [])
+            assert (app.recorded.asked, app.actions.engines) == ([], [])
             await press(pilot, "space", "y")
 
-    app = play(act, state)
+    app = run_app(act, state)
     space = SPACE[state]
     told = space is not None and space[0] != "resume"
-    assert app.heard.asked == ([(space[0], {})] if space is not None and told else [])
+    assert app.recorded.asked == ([(space[0], {})] if space is not None and told else [])
     assert bool(app.actions.engines) == (space is not None and space[0] == "resume")
-    assert app.heard.stops == 0
+    assert app.recorded.stops == 0
 
 
 def test_the_space_bar_pauses_from_every_page_that_says_so() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         for key in "eilp":
             await press(pilot, key)
             assert "space" in footer(app)
             await press(pilot, "space", "q")
 
-    assert play(act, "running").heard.asked == [("pause", {})] * 4
+    assert run_app(act, "running").recorded.asked == [("pause", {})] * 4
 
 
 @pytest.mark.parametrize("key", PAGES)
 def test_a_key_held_down_opens_its_page_once(key: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         depth = len(app.screen_stack)
         await press(pilot, *[key] * 4)
         assert len(app.screen_stack) == depth + 1
         assert isinstance(app.screen, PAGES[key])
 
-    play(act, "running")
+    run_app(act, "running")
 
 
 @pytest.mark.parametrize("key", PAGES)
 def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order(key: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, key)
         type_ahead(app, "q", "space")
         await settle(pilot)
@@ -141,71 +149,71 @@ def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order(key: str) -> None:
         await press(pilot, "enter")
         assert app.actions.engines
 
-    play(act, "fault")
+    run_app(act, "fault")
 
 
 def test_pages_turned_in_a_circle_are_not_piled_up() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         depth = len(app.screen_stack)
         await press(pilot, *["h", "question_mark", "l"] * 3)
         assert len(app.screen_stack) <= depth + len(PAGES)
         assert isinstance(app.screen, LogPage)
 
-    play(act, "running")
+    run_app(act, "running")
 
 
 def test_a_trouble_that_lasts_leaves_other_words_their_time() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         trouble = RunUpdate([], trouble="the journal is gone")
         app.show_notice("the engine ended, exit 7")
-        app.post_message(RunUpdated(app.heard, trouble))
+        app.post_message(RunUpdated(app.recorded, trouble))
         await settle(pilot)
         assert "exit 7" in text_of(app)
         await press(pilot, "w")
-        app.post_message(RunUpdated(app.heard, trouble))
+        app.post_message(RunUpdated(app.recorded, trouble))
         await settle(pilot)
         assert "the journal is gone" in text_of(app)
 
-    play(act, "gone")
+    run_app(act, "gone")
 
 
 @pytest.mark.parametrize("key", ["a", "ctrl+q", "r"])
 def test_a_question_about_a_run_ends_with_it(key: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, key)
         assert isinstance(app.screen, Confirm)
-        app.post_message(RunUpdated(app.heard, RunUpdate([], engine=EngineState.ANSWERING)))
+        app.post_message(RunUpdated(app.recorded, RunUpdate([], engine=EngineState.ANSWERING)))
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
-        app.post_message(RunUpdated(app.heard, RunUpdate([], engine=EngineState.NONE)))
+        app.post_message(RunUpdated(app.recorded, RunUpdate([], engine=EngineState.NONE)))
         await settle(pilot)
         assert isinstance(app.screen, RunScreen)
 
-    play(act, "running")
+    run_app(act, "running")
 
 
 def test_what_was_said_about_a_moment_goes_with_it() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         waiting = msgspec.structs.replace(PROMPT, ready=False, seen_mm=9.0)
         asked = msgspec.structs.replace(status("suspended"), prompt=waiting)
-        app.heard.take(
+        app.recorded.take(
             RunUpdate([], engine=EngineState.ANSWERING, status=asked),
-            app.heard.view.now or utc_now(),
+            app.recorded.view.now or utc_now(),
         )
         app._show()
         await press(pilot, "enter")
         assert "Enter works when" in text_of(app)
-        app.heard.take(RunUpdate([], engine=EngineState.ANSWERING, status=asked), utc_now())
+        app.recorded.take(RunUpdate([], engine=EngineState.ANSWERING, status=asked), utc_now())
         app._show()
         assert "Enter works when" in text_of(app)
-        app.heard.take(
+        app.recorded.take(
             RunUpdate([], engine=EngineState.ANSWERING, status=status("suspended")), utc_now()
         )
         app._show()
         await settle(pilot)
         assert "Enter works when" not in text_of(app)
 
-    play(act, "suspended")
+    run_app(act, "suspended")
 
 
 # -- stop ------------------------------------------------------------------------------------------
@@ -226,11 +234,11 @@ PLACES: dict[str, tuple[str, ...]] = {
 
 
 def test_escape_stops_from_everywhere_and_never_asks() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         home = app.screen
         for number, (place, keys) in enumerate(PLACES.items(), start=1):
             await press(pilot, *keys, "escape")
-            assert app.heard.stops == number, place
+            assert app.recorded.stops == number, place
             assert isinstance(app.screen, BaseScreen), place
             assert "STOP" in text_of(app), place
             assert app.glyphs.states["running"] in text_of(app).splitlines()[0], place
@@ -239,12 +247,12 @@ def test_escape_stops_from_everywhere_and_never_asks() -> None:
                 await settle(pilot)
             home.query_one(Table).focus()
 
-    assert play(act, "running").heard.asked == []
+    assert run_app(act, "running").recorded.asked == []
 
 
 @pytest.mark.parametrize("key", PAGES)
 def test_what_is_said_is_seen_and_spoils_no_page(key: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, key)
         before = text_of(app).splitlines()
         app.show_notice("something happened")
@@ -254,15 +262,15 @@ def test_what_is_said_is_seen_and_spoils_no_page(key: str) -> None:
         assert after[:12] == before[:12] or key == "l"  # the log follows its newest record
         assert after[-1] == before[-1]
 
-    play(act, "running", size=(80, 24))
+    run_app(act, "running", size=(80, 24))
 
 
 def test_escape_stops_over_a_prompt() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "escape")
 
-    app = play(act, "suspended")
-    assert (app.heard.stops, app.heard.asked) == (1, [])
+    app = run_app(act, "suspended")
+    assert (app.recorded.stops, app.recorded.asked) == (1, [])
 
 
 @pytest.mark.parametrize("state", STATES)
@@ -271,27 +279,27 @@ def test_a_live_run_is_stopped_at_once_and_aborted_after_a_question(state: str) 
     why = {"silent": "the engine does not answer", "looking": "the run is being read"}
     refused = why.get(state, "no run is live")
 
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "escape")
         assert isinstance(app.screen, RunScreen)
         await press(pilot, "a")
         assert isinstance(app.screen, Confirm) == heard
         if heard:
             await press(pilot, "q")
-            assert app.heard.asked == []
+            assert app.recorded.asked == []
             await press(pilot, "a", "enter")
         else:
             assert f"abort: {refused}" in text_of(app)
         await press(pilot, "question_mark", "escape")
         assert isinstance(app.screen, HelpPage if live else RunScreen)
 
-    app = play(act, state)
-    assert app.heard.stops == (2 if live else 0)
-    assert app.heard.asked == ([("abort", {})] if heard else [])
+    app = run_app(act, state)
+    assert app.recorded.stops == (2 if live else 0)
+    assert app.recorded.asked == ([("abort", {})] if heard else [])
 
 
 def test_escape_leaves_the_plan_without_a_start() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "enter")
         assert isinstance(app.screen, PlanSummary)
         await press(pilot, "escape")
@@ -299,7 +307,7 @@ def test_escape_leaves_the_plan_without_a_start() -> None:
         await press(pilot, "escape")
         assert isinstance(app.screen, StartScreen)
 
-    play(act)
+    run_app(act)
 
 
 # -- abort, detach, quit ---------------------------------------------------------------------------
@@ -308,11 +316,11 @@ def test_escape_leaves_the_plan_without_a_start() -> None:
 @pytest.mark.parametrize("key", ["ctrl+q", "ctrl+c"])
 @pytest.mark.parametrize("place", [("slash", "a"), ("ctrl+p",), ("a",)])
 def test_quitting_over_a_live_run_offers_to_detach(key: str, place: tuple[str, ...]) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, *place, key)
         assert isinstance(app.screen, Confirm)
         assert "detach" in text_of(app)
-        assert app.heard.closed == []
+        assert app.recorded.closed == []
         await press(pilot, key)  # pressed again, it still asks, and only once
         assert sum(isinstance(each, Confirm) for each in app.screen_stack) == 1
         await press(pilot, "n")
@@ -320,44 +328,44 @@ def test_quitting_over_a_live_run_offers_to_detach(key: str, place: tuple[str, .
         await press(pilot, key)
         await press(pilot, "y")
 
-    app = play(act, "running")
-    assert app.heard.closed == [True]
-    assert (app.heard.stops, app.heard.asked) == (0, [])
+    app = run_app(act, "running")
+    assert app.recorded.closed == [True]
+    assert (app.recorded.stops, app.recorded.asked) == (0, [])
     assert app.return_value == 0
 
 
 @pytest.mark.parametrize("state", ["done", "fault", "gone"])
 def test_quitting_over_a_past_run_just_quits(state: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await pilot.press("ctrl+q")
 
-    app = play(act, state)
-    assert (app.return_value, app.heard.closed) == (0, [True])
+    app = run_app(act, state)
+    assert (app.return_value, app.recorded.closed) == (0, [True])
 
 
 def test_detaching_leaves_on_purpose() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await pilot.press("d")
 
-    app = play(act, "running")
-    assert (app.return_value, app.heard.closed, app.heard.stops) == (0, [True], 0)
+    app = run_app(act, "running")
+    assert (app.return_value, app.recorded.closed, app.recorded.stops) == (0, [True], 0)
 
 
 def test_a_new_run_is_begun_over_a_past_one_only() -> None:
-    async def past(app: Stage, pilot: Pilot[int]) -> None:
+    async def past(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "n")
         assert isinstance(app.screen, StartScreen)
 
-    async def live(app: Stage, pilot: Pilot[int]) -> None:
+    async def live(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "n")
         assert isinstance(app.screen, RunScreen)
 
-    assert play(past, "done").heard.closed == [True]
-    assert play(live, "running").heard.closed == []
+    assert run_app(past, "done").recorded.closed == [True]
+    assert run_app(live, "running").recorded.closed == []
 
 
 def test_looking_at_another_run_over_a_live_one_asks() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         home = app.screen
         await press(pilot, "h", "down", "enter")
         assert "look at the other" in text_of(app)
@@ -366,7 +374,7 @@ def test_looking_at_another_run_over_a_live_one_asks() -> None:
         await press(pilot, "home", "enter")  # the run that is shown: back to it
         assert app.screen is home
 
-    assert play(act, "running").heard.closed == []
+    assert run_app(act, "running").recorded.closed == []
 
 
 # -- the prompt ------------------------------------------------------------------------------------
@@ -381,7 +389,7 @@ def asking(**more: object) -> RunUpdate:
 
 
 @pytest.mark.parametrize(
-    ("brought", "answered", "said"),
+    ("update", "answered", "said"),
     [
         (asking(), True, "press Enter"),
         (asking(ready=False), False, "Enter waits"),
@@ -392,24 +400,24 @@ def asking(**more: object) -> RunUpdate:
     ids=["ready", "too far", "nothing", "not looked", "no check"],
 )
 def test_enter_answers_a_prompt_only_when_it_is_ready(
-    brought: RunUpdate, answered: bool, said: str
+    update: RunUpdate, answered: bool, said: str
 ) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         assert said in text_of(app)
         await press(pilot, "enter")
         assert isinstance(app.screen, RunScreen)
         if not answered:
             assert "Enter works when the tracker sees the reflector" in text_of(app)
 
-    app = play(act, brought=brought, size=(80, 24))
-    assert app.heard.asked == ([("answer", {})] if answered else [])
+    app = run_app(act, update=update, size=(80, 24))
+    assert app.recorded.asked == ([("answer", {})] if answered else [])
 
 
 def test_enter_in_the_filter_answers_no_prompt() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "slash", "g", "enter")
 
-    assert play(act, "suspended").heard.asked == []
+    assert run_app(act, "suspended").recorded.asked == []
 
 
 # -- measuring again -------------------------------------------------------------------------------
@@ -417,45 +425,45 @@ def test_enter_in_the_filter_answers_no_prompt() -> None:
 
 @pytest.mark.parametrize("state", ["running", "paused", "fault", "gone"])
 def test_a_point_is_measured_anew_after_a_question(state: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "end", "r")
         assert isinstance(app.screen, Confirm)
         assert "grid/0-0-4" in text_of(app)
         await press(pilot, "n", "r", "y")
 
-    app = play(act, state)
+    app = run_app(act, state)
     if state in LIVE:
-        assert app.heard.asked == [("retake", {"key": "grid/0-0-4"})]
+        assert app.recorded.asked == [("retake", {"key": "grid/0-0-4"})]
     else:
         assert [words[-2:] for _, words in app.actions.engines] == [["--retake", "grid/0-0-4"]]
 
 
 @pytest.mark.parametrize("unattended", [True, False])
 def test_a_run_is_resumed_as_it_was_begun(unattended: bool) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        log = app.heard.view.log
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        log = app.recorded.view.log
         log.plan = msgspec.structs.replace(log.inputs, unattended=unattended)
         await press(pilot, "space", "enter")
 
-    app = play(act, "gone")
+    app = run_app(act, "gone")
     [(folder, words)] = app.actions.engines
     assert words[:4] == ["resume", folder.name, "--runs", str(folder.parent)]
     assert ("--unattended" in words) == unattended
 
 
 def test_a_point_that_may_not_be_measured_anew_says_why() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "home", "r")
         assert isinstance(app.screen, RunScreen)
         assert "world/F1: only grid, repeatability, validation" in text_of(app)
 
-    assert play(act, "running").heard.asked == []
+    assert run_app(act, "running").recorded.asked == []
 
 
 def test_a_point_is_measured_anew_from_its_own_page() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "end", "enter")
         assert isinstance(app.screen, DetailPage)
         await press(pilot, "r", "y")
 
-    assert play(act, "running").heard.asked == [("retake", {"key": "grid/0-0-4"})]
+    assert run_app(act, "running").recorded.asked == [("retake", {"key": "grid/0-0-4"})]

@@ -1,17 +1,18 @@
-"""Work run_in_thread: what it returns and raises comes back, and an end does not wait for it."""
+"""Slow work runs in threads; full garbage collections wait until nothing moves."""
 
 from __future__ import annotations
 
 import asyncio
+import gc
 import subprocess
 import sys
 import threading
 
 import pytest
 
-from hilcell.tui.engine.background import run_in_thread
+from hilcell.tui.engine.background import FULL_COLLECTION_S, NEVER, GarbageCollector, run_in_thread
 
-NEVER = """
+WAITS_FOREVER = """
 import asyncio, threading
 from hilcell.tui.engine.background import run_in_thread
 
@@ -43,7 +44,11 @@ def test_others_work_meanwhile() -> None:
 
 def test_an_end_does_not_wait_for_what_never_ends() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", NEVER], capture_output=True, text=True, timeout=30, check=False
+        [sys.executable, "-c", WAITS_FOREVER],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -63,3 +68,19 @@ def test_what_was_given_up_may_still_end() -> None:
     asyncio.run(give_up())
     go_on.set()
     assert ended.wait(10.0)
+
+
+def test_whole_collections_wait_until_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    collected: list[float] = []
+    before = gc.get_threshold()
+    collector = GarbageCollector(0.0)
+    try:
+        assert gc.get_threshold() == (*before[:2], NEVER)
+        for at_rest, now_s in ((True, 1.0), (False, 40.0), (True, 41.0), (True, 42.0)):
+            monkeypatch.setattr(gc, "collect", lambda now_s=now_s: collected.append(now_s))
+            collector.tick(at_rest=at_rest, now_s=now_s)
+        assert FULL_COLLECTION_S > 2.0
+        assert collected == [41.0]
+    finally:
+        collector.end()
+    assert gc.get_threshold() == before

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from hilcell.journal.runs import CALIBRATION
-from tests.hilcell.tui.scenes import fresh
-from tests.hilcell.tui.sgr import colours_of
+from tests.hilcell.tui.sample_runs import fresh
+from tests.hilcell.tui.terminal_colours import colours_of
 from tests.hilcell.tui.test_terminal import NAME, write
 from tests.whole.bench import sweep
 from tests.whole.terminal import Terminal

@@ -108,7 +108,7 @@ def test_the_reason_is_told_and_not_what_was_reported_before_it(tmp_path: Path) 
 
 @pytest.mark.parametrize("code", [0, 1, 3, 4])
 def test_an_end_that_the_journal_tells_is_not_told_twice(tmp_path: Path, code: int) -> None:
-    assert ended(tmp_path, code).wait_for_end() == f"the engine ended, exit {code}: without a word"
+    assert ended(tmp_path, code).wait_for_end() == f"the engine ended, exit {code}: no reason given"
     (tmp_path / "journal.sqlite").touch()
     assert ended(tmp_path, code).wait_for_end() == ""
 

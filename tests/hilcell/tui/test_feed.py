@@ -18,8 +18,18 @@ from hilcell.journal.runs import CALIBRATION
 from hilcell.tui.engine.feed import Feed, RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from tests.hilcell.report.journals import Writer
-from tests.hilcell.tui.engine_peer import SILENCE, STATUS, PauseGate, Peer, says, usual
-from tests.hilcell.tui.lines import LIMIT_S, PERIOD_S, nothing_left_open, short
+from tests.hilcell.tui.engine_peer import (
+    LIMIT_S,
+    PERIOD_S,
+    SILENCE,
+    STATUS,
+    PauseGate,
+    Peer,
+    nothing_left_open,
+    says,
+    short,
+    usual,
+)
 
 __all__ = ["nothing_left_open", "short"]
 
@@ -28,26 +38,24 @@ class Screen:
     """Takes what a feed delivers."""
 
     def __init__(self, folder: Path) -> None:
-        self.brought: list[RunUpdate] = []
+        self.update: list[RunUpdate] = []
         self._looked = 0
         self._came = threading.Condition()
         self.feed = Feed(folder, self._take, PERIOD_S)
 
     def _take(self, fresh: RunUpdate) -> None:
         with self._came:
-            self.brought.append(fresh)
+            self.update.append(fresh)
             self._came.notify_all()
 
     def until(self, true: Callable[[RunUpdate], bool]) -> RunUpdate:
         """Wait for a look that brings something, after those already returned; return it."""
         with self._came:
-            assert self._came.wait_for(
-                lambda: any(map(true, self.brought[self._looked :])), LIMIT_S
-            )
-            while not true(self.brought[self._looked]):
+            assert self._came.wait_for(lambda: any(map(true, self.update[self._looked :])), LIMIT_S)
+            while not true(self.update[self._looked]):
                 self._looked += 1
             self._looked += 1
-            return self.brought[self._looked - 1]
+            return self.update[self._looked - 1]
 
     def close(self, *, leave: bool = True) -> None:
         """End, and wait for the thread."""
@@ -209,7 +217,7 @@ def test_what_is_asked_for_is_looked_at_soon(tmp_path: Path) -> None:
         screen.feed._period_s = 60.0
         screen.feed.start()
         peer.until(lambda: len(peer.heard) == 2)
-        screen.feed.soon()
+        screen.feed.look_now()
         peer.until(lambda: len(peer.heard) == 3)
         screen.close()
 

@@ -12,8 +12,8 @@ from textual.events import Key
 from hilcell.tui.keys import load_keys
 from hilcell.tui.terminal.capabilities import ASCII
 from hilcell.tui.text.help import help_lines
-from tests.hilcell.tui.scenes import fresh
-from tests.hilcell.tui.stage import SIZE, Stage, options, settle, text_of
+from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, settle, text_of
+from tests.hilcell.tui.sample_runs import fresh
 from tests.hilcell.tui.test_terminal import NAME, write
 from tests.whole.terminal import Terminal
 
@@ -33,8 +33,8 @@ def keys_file(folder: Path, letter: str) -> Path:
 def test_a_letter_of_any_layout_acts_and_is_shown(tmp_path: Path, letter: str, sent: str) -> None:
     keymap = load_keys(keys_file(tmp_path, letter))
 
-    async def play() -> None:
-        app = Stage(options(Path("/runs"), keymap=keymap), "done")
+    async def run_app() -> None:
+        app = RecordingApp(options(Path("/runs"), keymap=keymap), "done")
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             for event in XTermParser().feed(sent.format(ord(letter), letter)):
@@ -43,7 +43,7 @@ def test_a_letter_of_any_layout_acts_and_is_shown(tmp_path: Path, letter: str, s
             await settle(pilot)
             assert "Event log" in text_of(app)
 
-    asyncio.run(play())
+    asyncio.run(run_app())
     lines = help_lines(keymap, ASCII).plain.splitlines()
     assert any(line.startswith(f"{letter} ") and "journal" in line for line in lines)
 

@@ -11,7 +11,7 @@ import pytest
 from hilcell.journal import index
 from hilcell.tui.engine import process
 from hilcell.tui.screens.run import RunScreen
-from tests.hilcell.tui.stage import Stage, options, settle
+from tests.hilcell.tui.recording_app import RecordingApp, options, settle
 
 LIMIT_S = 10.0
 
@@ -19,8 +19,8 @@ LIMIT_S = 10.0
 def leave(folder: Path, key: str, answer: threading.Event) -> str:
     """Open a page, leave it, let its answer come; return the state of the screens."""
 
-    async def play() -> str:
-        app = Stage(options(folder), "done")
+    async def run_app() -> str:
+        app = RecordingApp(options(folder), "done")
         async with app.run_test(size=(80, 24)) as pilot:
             await settle(pilot)
             await pilot.press(key)
@@ -29,7 +29,7 @@ def leave(folder: Path, key: str, answer: threading.Event) -> str:
             await settle(pilot)
             return type(app.screen).__name__
 
-    return asyncio.run(play())
+    return asyncio.run(run_app())
 
 
 def test_the_history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,8 +57,8 @@ def test_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_news_that_come_while_the_screen_is_taken_down(tmp_path: Path) -> None:
     """The parts of a screen go before the screen does; a message may come in between."""
 
-    async def play() -> None:
-        app = Stage(options(tmp_path), "done")
+    async def run_app() -> None:
+        app = RecordingApp(options(tmp_path), "done")
         async with app.run_test(size=(80, 24)) as pilot:
             await settle(pilot)
             page = app.page
@@ -66,4 +66,4 @@ def test_news_that_come_while_the_screen_is_taken_down(tmp_path: Path) -> None:
             await page.query("*").remove()
             page.show_again()
 
-    asyncio.run(play())
+    asyncio.run(run_app())

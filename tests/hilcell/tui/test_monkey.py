@@ -12,10 +12,10 @@ from textual.geometry import Size
 
 from hilcell.tui.keys import ACTIONS, RESERVED
 from hilcell.tui.screens.base import Confirm
-from tests.hilcell.tui.stage import SIZE, Stage, options, settle, type_ahead
-from tests.hilcell.tui.walk import outside
+from tests.hilcell.tui.all_screens import isolated
+from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, settle, type_ahead
 
-__all__ = ["outside"]
+__all__ = ["isolated"]
 
 BURSTS, LONGEST = 25, 4
 LEAVING = ("d", "ctrl+q", "ctrl+c")
@@ -25,7 +25,7 @@ KEYS = sorted(
 SIZES = (SIZE, (20, 5), (60, 15), (160, 40))
 
 
-class Watched(Stage):
+class Watched(RecordingApp):
     """Notes every question, so that what is asked for can be told from what was asked before."""
 
     questions = 0
@@ -36,13 +36,13 @@ class Watched(Stage):
         super().ask(title, text, yes, act)
 
 
-@pytest.mark.usefixtures("outside")
+@pytest.mark.usefixtures("isolated")
 @pytest.mark.parametrize("state", ["running", "suspended", "pausing", "done", "gone", ""])
 def test_random_keys_break_nothing(state: str) -> None:
     chance = random.Random(f"{state}")
     pressed: list[str] = []
 
-    async def play(app: Watched) -> None:
+    async def run_app(app: Watched) -> None:
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             for _ in range(BURSTS):
@@ -57,8 +57,8 @@ def test_random_keys_break_nothing(state: str) -> None:
                 assert sum(isinstance(each, Confirm) for each in app.screen_stack) <= 1
 
     app = Watched(options(Path("/runs")), state)
-    asyncio.run(play(app))
-    asked = [command for command, _ in app.heard.asked]
+    asyncio.run(run_app(app))
+    asked = [command for command, _ in app.recorded.asked]
     assert set(asked) <= {"pause", "proceed", "abort", "retake", "answer"}, pressed
     assert sum(each in ("proceed", "abort", "retake") for each in asked) <= app.questions, pressed
-    assert app.heard.stops <= pressed.count("escape")
+    assert app.recorded.stops <= pressed.count("escape")

@@ -8,17 +8,17 @@ from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.open_runs import OpenRuns
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.engine.session import utc_now
-from tests.hilcell.tui.stage import Listener
+from tests.hilcell.tui.recording_app import RecordingSession
 
 
-def session(name: str, *, live: bool) -> Listener:
-    found = Listener(Path("/runs") / name)
+def session(name: str, *, live: bool) -> RecordingSession:
+    found = RecordingSession(Path("/runs") / name)
     found.take(RunUpdate([], EngineState.ANSWERING if live else EngineState.NONE), utc_now())
     return found
 
 
-def end(listener: Listener) -> None:
-    listener.take(RunUpdate([], EngineState.NONE), utc_now())
+def end(session: RecordingSession) -> None:
+    session.take(RunUpdate([], EngineState.NONE), utc_now())
 
 
 def test_an_ended_run_that_is_left_is_let_go() -> None:

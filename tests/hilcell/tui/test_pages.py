@@ -20,13 +20,21 @@ from hilcell.tui.screens.pages import InterlockPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.tui.widgets import Choice, Table
-from tests.hilcell.tui.playing import PAGES, footer, play
-from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
-from tests.hilcell.tui.walk import PLAN, outside
+from tests.hilcell.tui.all_screens import PLAN, isolated
+from tests.hilcell.tui.recording_app import (
+    PAGES,
+    RecordingApp,
+    footer,
+    press,
+    run_app,
+    settle,
+    text_of,
+    type_ahead,
+)
 
-__all__ = ["outside"]
+__all__ = ["isolated"]
 
-pytestmark = pytest.mark.usefixtures("outside")
+pytestmark = pytest.mark.usefixtures("isolated")
 
 
 # -- rows, filters, alarms -------------------------------------------------------------------------
@@ -35,44 +43,44 @@ pytestmark = pytest.mark.usefixtures("outside")
 def test_letters_typed_into_a_filter_do_not_act() -> None:
     typed = "adnkrwbopileht q"
 
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         keys = ["space" if letter == " " else letter for letter in typed]
         await press(pilot, "slash", *keys)
         assert isinstance(app.screen, RunScreen)
         assert app.screen.query_one("#find", Input).value == typed
         assert "no such point" in text_of(app)
 
-    app = play(act, "running")
-    assert (app.heard.asked, app.heard.closed, app.theme) == ([], [], "calm")
+    app = run_app(act, "running")
+    assert (app.recorded.asked, app.recorded.closed, app.theme) == ([], [], "calm")
 
 
 @pytest.mark.parametrize("first", [(), ("h",), ("l",)])
 def test_what_is_typed_ahead_goes_where_it_was_meant_to(first: tuple[str, ...]) -> None:
     """A thin link delivers keys in bursts: an "a" meant for a filter must not abort."""
 
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, *first, "slash", "a", "d", "space", "y", "enter")
         await settle(pilot)
         assert app.screen.query_one("#find", Input).value == "ad y"
 
-    app = play(act, "running")
-    assert (app.heard.asked, app.heard.closed) == ([], [])
+    app = run_app(act, "running")
+    assert (app.recorded.asked, app.recorded.closed) == ([], [])
 
 
 def test_a_question_typed_ahead_waits_for_a_key_by_itself() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, "a", "y", "enter")
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
-        assert app.heard.asked == []
+        assert app.recorded.asked == []
         await press(pilot, "y")
 
-    assert play(act, "running").heard.asked == [("abort", {})]
+    assert run_app(act, "running").recorded.asked == [("abort", {})]
 
 
 @pytest.mark.parametrize("state", ["running", "done"])
 def test_enter_twice_in_the_palette_closes_nothing_else(state: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "ctrl+p", *"theme")
         for _ in range(50):
             await pilot.pause()
@@ -84,11 +92,11 @@ def test_enter_twice_in_the_palette_closes_nothing_else(state: str) -> None:
         assert app.theme == "daylight"
         await press(pilot, "ctrl+p", "escape")
 
-    play(act, state)
+    run_app(act, state)
 
 
 def test_one_sees_which_choice_of_the_form_takes_the_keys() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         first, second = app.screen.query(Choice)
         await press(pilot, *["tab"] * 5)
         assert app.focused is first
@@ -97,21 +105,21 @@ def test_one_sees_which_choice_of_the_form_takes_the_keys() -> None:
         assert app.focused is second
         assert first.rich_style != second.rich_style
 
-    play(act)
+    run_app(act)
 
 
 def test_letters_typed_into_the_form_do_not_act() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         app.screen.query_one("#operator", Input).focus()
         await press(pilot, *"hqtn", "space", *"ad")
         assert isinstance(app.screen, StartScreen)
         assert app.screen.query_one("#operator", Input).value == "hqtn ad"
 
-    play(act)
+    run_app(act)
 
 
 def test_a_filter_is_kept_and_an_empty_one_closes() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         rows = app.screen.query_one(Table)
         await press(pilot, "slash", *"0-0-3", "enter")
         assert [row.key for row in rows.rows] == ["grid/0-0-3"]
@@ -120,11 +128,11 @@ def test_a_filter_is_kept_and_an_empty_one_closes() -> None:
         assert len(rows.rows) == 8
         assert not app.screen.query_one("#find").display
 
-    play(act, "running")
+    run_app(act, "running")
 
 
 def test_the_worst_and_the_bad_are_found_with_a_key() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         rows = app.screen.query_one(Table)
         await press(pilot, "w")
         assert rows.key == "validate/S1100/chosen/001"  # raw errors are larger, but meant to be
@@ -139,11 +147,11 @@ def test_the_worst_and_the_bad_are_found_with_a_key() -> None:
         assert "point: " not in text_of(app)
         assert rows.rows[0].key == "world/F1"
 
-    play(act, "intolerant")
+    run_app(act, "intolerant")
 
 
 def test_an_alarm_stands_until_it_is_acknowledged() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         assert "beam broken" in text_of(app)
         await press(pilot, "k")
         assert "beam broken" not in text_of(app)
@@ -152,11 +160,11 @@ def test_an_alarm_stands_until_it_is_acknowledged() -> None:
         assert "beam broken" in text_of(app)
         assert "not acknowledged" not in text_of(app)
 
-    play(act, "fault")
+    run_app(act, "fault")
 
 
 def test_pages_open_and_close() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         for key, page in PAGES.items():
             for back in ("q", "backspace"):
                 await press(pilot, key)
@@ -164,11 +172,11 @@ def test_pages_open_and_close() -> None:
                 await press(pilot, back)
                 assert isinstance(app.screen, RunScreen)
 
-    play(act, "running")
+    run_app(act, "running")
 
 
 def test_plots_are_turned_by_arrows_and_numbers() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "p", "right")
         assert "Plot 2 of 4" in text_of(app)
         await press(pilot, "left", "left")
@@ -176,11 +184,11 @@ def test_plots_are_turned_by_arrows_and_numbers() -> None:
         await press(pilot, "3")
         assert "Plot 3 of 4" in text_of(app)
 
-    play(act, "done")
+    run_app(act, "done")
 
 
 def test_the_palette_does_what_it_names() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "ctrl+p", *"interlocks")
         assert isinstance(app.screen, CommandPalette)
         for _ in range(50):
@@ -194,11 +202,11 @@ def test_the_palette_does_what_it_names() -> None:
                 break
         assert isinstance(app.screen, InterlockPage)
 
-    play(act, "running")
+    run_app(act, "running")
 
 
 def test_the_palette_names_all_that_can_be_done_before_one_types() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "ctrl+p")
         for _ in range(50):
             await pilot.pause()
@@ -209,21 +217,21 @@ def test_the_palette_names_all_that_can_be_done_before_one_types() -> None:
             assert action in text_of(app)
         assert "new run" not in text_of(app)  # not while one is live
 
-    play(act, "running")
+    run_app(act, "running")
 
 
 def test_the_next_theme_comes_with_a_key() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "t")
         assert app.theme == "daylight"
         await press(pilot, "t", "t")
         assert app.theme == "calm"
 
-    play(act, "running")
+    run_app(act, "running")
 
 
 def test_an_enter_held_down_on_the_form_starts_nothing() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         app.push_screen(PlanSummary(RunRequest("paper", "calibrate"), PLAN))
         await settle(pilot)
         type_ahead(app, "f9", *["enter"] * 20)  # the form's own came just before
@@ -232,13 +240,13 @@ def test_an_enter_held_down_on_the_form_starts_nothing() -> None:
         await press(pilot, "enter")
         assert not isinstance(app.screen, PlanSummary)
 
-    play(act, "done")
+    run_app(act, "done")
 
 
 @pytest.mark.parametrize("size", [(80, 24), (40, 12), (24, 6)])
 @pytest.mark.parametrize("which", ["abort", "plan"])
 def test_a_question_yields_to_its_answers(size: tuple[int, int], which: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         if which == "abort":
             await press(pilot, "a")
         else:
@@ -249,7 +257,7 @@ def test_a_question_yields_to_its_answers(size: tuple[int, int], which: str) -> 
         await settle(pilot)
         assert "Enter" in text_of(app)
 
-    play(act, "running", size=size)
+    run_app(act, "running", size=size)
 
 
 # -- other keys ------------------------------------------------------------------------------------
@@ -259,22 +267,22 @@ def test_keys_from_a_file_act_in_place_of_the_usual_ones(tmp_path: Path) -> None
     file = tmp_path / "keys.toml"
     file.write_text('[keys]\nabort = "z"\npause = ["f8", "g"]\nstop = "s"\nquit = "Q"\n')
 
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         assert "z abort" in footer(app)
         assert "f8 pause" in footer(app)
         await press(pilot, "a", "space", "ctrl+q", "ctrl+c")
         assert isinstance(app.screen, RunScreen)
-        assert app.heard.asked == []
+        assert app.recorded.asked == []
         await press(pilot, "g")
-        assert app.heard.asked == [("pause", {})]
+        assert app.recorded.asked == [("pause", {})]
         await press(pilot, "z", "y")
-        assert app.heard.asked == [("pause", {}), ("abort", {})]
+        assert app.recorded.asked == [("pause", {}), ("abort", {})]
         await press(pilot, "s", "escape")
-        assert app.heard.stops == 2
+        assert app.recorded.stops == 2
         await press(pilot, "question_mark")
         assert "f8 g" in text_of(app)
 
-    play(act, "running", keymap=load_keys(file))
+    run_app(act, "running", keymap=load_keys(file))
 
 
 def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,7 +295,7 @@ def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.Mon
         go_on.wait(10.0)
         return []
 
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         monkeypatch.setattr(index, "read_index", slow)
         page = HistoryPage()
         await app.push_screen(page)
@@ -298,4 +306,4 @@ def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.Mon
         await settle(pilot)
         assert len(reads) == 1
 
-    play(act, "done")
+    run_app(act, "done")

@@ -29,12 +29,12 @@ from hilcell.tui.text.plots import (
 )
 from hilcell.tui.text.points import WIDE, PointRows, columns_for, filtered, point_page, to_row
 from tests.hilcell.report.journals import Writer
-from tests.hilcell.tui.scenes import Story, measuring, validated
+from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
 
 ROTATION_DEG = 37.0
 
 
-def log_of(story: Story) -> Log:
+def log_of(story: SampleRun) -> Log:
     return Log(story.records)
 
 

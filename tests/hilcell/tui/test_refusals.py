@@ -7,28 +7,28 @@ import pytest
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.engine.session import Session
 from hilcell.tui.text.refusals import ONE_AT_A_TIME, pause_command, refusal
-from tests.hilcell.tui.playing import RUNS
-from tests.hilcell.tui.scenes import LIVE, fresh, stories
+from tests.hilcell.tui.recording_app import RUNS
+from tests.hilcell.tui.sample_runs import LIVE, fresh, sample_runs
 
 
-def scene_of(name: str) -> RunView:
+def view_of(name: str) -> RunView:
     session = Session(RUNS / "r", lambda _: None, 1.0)
-    session.take(fresh(name), stories()[name].now)
+    session.take(fresh(name), sample_runs()[name].now)
     return session.view
 
 
 @pytest.mark.parametrize("name", ["new", "pause", "retake"])
 @pytest.mark.parametrize("state", ["aborted", "fault", "gone"])
 def test_nothing_is_started_while_a_live_run_goes_on_behind(state: str, name: str) -> None:
-    view = scene_of(state)
+    view = view_of(state)
     assert refusal(name, view, background=True, unacknowledged=False) == ONE_AT_A_TIME
     assert refusal(name, view, background=False, unacknowledged=False) == ""
 
 
 @pytest.mark.parametrize("name", ["stop", "detach"])
-@pytest.mark.parametrize("state", stories())
+@pytest.mark.parametrize("state", sample_runs())
 def test_what_goes_on_behind_can_be_stopped_and_left(state: str, name: str) -> None:
-    view = scene_of(state)
+    view = view_of(state)
     assert refusal(name, view, background=True, unacknowledged=False) == ""
     assert (refusal(name, view, background=False, unacknowledged=False) == "") == (state in LIVE)
 
@@ -52,4 +52,4 @@ def test_without_a_run_there_is_nothing_to_act_on() -> None:
     ],
 )
 def test_the_space_bar_says_why_it_does_nothing(state: str, why: str) -> None:
-    assert refusal("pause", scene_of(state), background=False, unacknowledged=False) == why
+    assert refusal("pause", view_of(state), background=False, unacknowledged=False) == why

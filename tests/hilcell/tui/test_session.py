@@ -16,8 +16,15 @@ from hilcell.errors import HilcellError
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.engine.session import Session, utc_now
-from tests.hilcell.tui.engine_peer import Peer, usual
-from tests.hilcell.tui.lines import ANSWER_S, LIMIT_S, PERIOD_S, nothing_left_open, short
+from tests.hilcell.tui.engine_peer import (
+    ANSWER_S,
+    LIMIT_S,
+    PERIOD_S,
+    Peer,
+    nothing_left_open,
+    short,
+    usual,
+)
 
 __all__ = ["nothing_left_open", "short"]
 

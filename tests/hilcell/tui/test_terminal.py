@@ -20,8 +20,8 @@ from hilcell.journal.runs import JOURNAL
 from hilcell.run.protocol import Status
 from hilcell.tui.engine.run_view import EngineState
 from tests.hilcell.tui.engine_peer import STATUS, Peer, says
-from tests.hilcell.tui.hostile import NASTY, poisoned
-from tests.hilcell.tui.scenes import fresh, status, stories
+from tests.hilcell.tui.sample_runs import fresh, sample_runs, status
+from tests.hilcell.tui.untrusted_text import NASTY, poisoned
 from tests.whole.terminal import Terminal
 
 NAME = "20260304-080000-calibrate-ab12"
@@ -54,7 +54,7 @@ def told(found: Status | None) -> dict[str, object]:
 @contextmanager
 def live(folder: Path, name: str) -> Iterator[tuple[Terminal, Peer]]:
     """Show a live run of a state."""
-    write(folder, stories()[name].records)
+    write(folder, sample_runs()[name].records)
     with (
         Peer(folder, lambda _: says(told(status(name)))) as peer,
         Terminal(["tui", folder.name, "--runs", str(folder.parent)]) as terminal,
@@ -114,7 +114,7 @@ def test_no_hostile_byte_reaches_the_terminal(tmp_path: Path, state: str) -> Non
 
 def test_a_run_whose_name_is_hostile_is_shown_by_it(tmp_path: Path) -> None:
     folder = tmp_path / "r\x1b[31mPWNED\x9b[@click=app.quit][nope]\u202e"
-    write(folder, stories()["done"].records)
+    write(folder, sample_runs()["done"].records)
     with Terminal(["tui", "last", "--runs", str(tmp_path)], columns=200) as terminal:
         terminal.shows("DONE")
         terminal.press("h")
@@ -161,7 +161,7 @@ def look_at_another(terminal: Terminal) -> None:
 
 
 def test_esc_stops_the_live_run_from_which_one_looked_at_another(tmp_path: Path) -> None:
-    write(tmp_path / "20260303-080000-calibrate-cd34", stories()["done"].records)
+    write(tmp_path / "20260303-080000-calibrate-cd34", sample_runs()["done"].records)
     with live(tmp_path / NAME, "running") as (terminal, peer):
         look_at_another(terminal)
         terminal.shows("HISTORIC")
@@ -177,7 +177,7 @@ def test_esc_stops_the_live_run_from_which_one_looked_at_another(tmp_path: Path)
 
 
 def test_nothing_is_said_of_a_run_behind_whose_engine_has_ended(tmp_path: Path) -> None:
-    write(tmp_path / "20260303-080000-calibrate-cd34", stories()["done"].records)
+    write(tmp_path / "20260303-080000-calibrate-cd34", sample_runs()["done"].records)
     with live(tmp_path / NAME, "running") as (terminal, peer):
         look_at_another(terminal)
         terminal.shows("behind: RUNNING")
@@ -190,7 +190,7 @@ def test_nothing_is_said_of_a_run_behind_whose_engine_has_ended(tmp_path: Path) 
 
 @pytest.mark.parametrize("key", [CTRL_C, CTRL_Q])
 def test_leaving_with_a_live_run_behind_asks(tmp_path: Path, key: str) -> None:
-    write(tmp_path / "20260303-080000-calibrate-cd34", stories()["done"].records)
+    write(tmp_path / "20260303-080000-calibrate-cd34", sample_runs()["done"].records)
     with live(tmp_path / NAME, "running") as (terminal, peer):
         look_at_another(terminal)
         terminal.shows("behind: RUNNING")

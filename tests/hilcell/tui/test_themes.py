@@ -1,4 +1,4 @@
-"""Colours: read on what they stand on, told apart by every eye, and never alone."""
+"""Themes: contrast (WCAG 2.2), colour blindness (Machado, Oliveira and Fernandes 2009), states."""
 
 from __future__ import annotations
 
@@ -6,20 +6,66 @@ import asyncio
 from itertools import combinations
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.segment import Segment
 
 from hilcell.commands.cli import _parser
+from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, Glyphs
 from hilcell.tui.terminal.themes import NAMES, PALETTES, TONES, Palette
 from hilcell.tui.text.run import STATES
-from tests.hilcell.tui.eyes import MATRICES, contrast, distance
-from tests.hilcell.tui.scenes import stories
-from tests.hilcell.tui.stage import SIZE, Stage, options, unpainted
-from tests.hilcell.tui.walk import form_of, outside, screens_of
+from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
+from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, unpainted
+from tests.hilcell.tui.sample_runs import sample_runs
 
-__all__ = ["outside", "unpainted"]
+MATRICES = {
+    "protanopia": np.array(
+        [
+            [0.152286, 1.052583, -0.204868],
+            [0.114503, 0.786281, 0.099216],
+            [-0.003882, -0.048116, 1.051998],
+        ]
+    ),
+    "deuteranopia": np.array(
+        [
+            [0.367322, 0.860646, -0.227968],
+            [0.280085, 0.672501, 0.047413],
+            [-0.011820, 0.042940, 0.968881],
+        ]
+    ),
+}
+_TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+_WHITE = np.array([0.9505, 1.0, 1.089])
+
+
+def linear(colour: str) -> Array:
+    """Return ``#rrggbb`` as linear RGB (3,)."""
+    coded = np.array([int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)])
+    found: Array = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    return found
+
+
+def contrast(one: str, other: str) -> float:
+    """Return the contrast ratio of two colours, 1 to 21."""
+    low, high = sorted(float(_TO_XYZ[1] @ linear(each)) for each in (one, other))
+    return (high + 0.05) / (low + 0.05)
+
+
+def distance(one: str, other: str, eyes: str) -> float:
+    """Return how far apart two colours are (CIE76) for eyes of a kind."""
+    return float(np.linalg.norm(_lab(one, eyes) - _lab(other, eyes)))
+
+
+def _lab(colour: str, eyes: str) -> Array:
+    seen = np.clip(MATRICES[eyes] @ linear(colour), 0.0, 1.0)
+    share = _TO_XYZ @ seen / _WHITE
+    f = np.where(share > 0.008856, np.cbrt(share), 7.787 * share + 16 / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+__all__ = ["isolated", "unpainted"]
 
 LEAST = 4.5  # WCAG 2.2, success criterion 1.4.3
 FRAME = " ▔▁"  # drawn, not read
@@ -61,7 +107,7 @@ def test_the_formula_is_the_standards() -> None:
     assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.005)
 
 
-def hard_to_read(app: Stage) -> str:
+def hard_to_read(app: RecordingApp) -> str:
     """Return what is printed with too little contrast, as the terminal gets it."""
     found = [
         f"{segment.text!r}: {ratio:.2f}"
@@ -80,17 +126,17 @@ def contrast_of(segment: Segment) -> float:
     return contrast(style.color.get_truecolor().hex, style.bgcolor.get_truecolor().hex)
 
 
-@pytest.mark.usefixtures("outside", "unpainted")
+@pytest.mark.usefixtures("isolated", "unpainted")
 @pytest.mark.parametrize("theme", NAMES)
 def test_every_letter_on_every_screen_is_read(theme: str) -> None:
-    async def play(state: str) -> dict[str, str]:
-        app = Stage(options(Path("/runs"), theme=theme), state)
+    async def run_app(state: str) -> dict[str, str]:
+        app = RecordingApp(options(Path("/runs"), theme=theme), state)
         async with app.run_test(size=SIZE) as pilot:
             walk = screens_of if state else form_of
             return await walk(app, pilot, hard_to_read)
 
     for state in ("intolerant", ""):
-        problems = {name: text for name, text in asyncio.run(play(state)).items() if text}
+        problems = {name: text for name, text in asyncio.run(run_app(state)).items() if text}
         assert not problems, problems
 
 
@@ -106,14 +152,14 @@ def test_the_command_offers_every_theme_and_no_other() -> None:
 def test_each_state_has_a_word_and_a_shape_of_its_own(glyphs: Glyphs) -> None:
     words = [word for word, _ in STATES.values()]
     shapes = [glyphs.states[key].lower() for key in STATES]
-    assert set(glyphs.states) == set(STATES) == set(stories())
+    assert set(glyphs.states) == set(STATES) == set(sample_runs())
     assert len(set(words)) == len(words)
     assert len(set(shapes)) == len(shapes)
     assert all(tone in TONES for _, tone in STATES.values())
 
 
 def test_every_state_of_a_run_can_be_shown() -> None:
-    for name, story in stories().items():
+    for name, story in sample_runs().items():
         view = RunView("r")
         for record in story.records:
             view.take(record)

@@ -18,13 +18,20 @@ from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens import start
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
-from tests.hilcell.tui import hostile
-from tests.hilcell.tui.hostile import MARK, NASTY, dangerous, poisoned
-from tests.hilcell.tui.scenes import LIVE, fresh, status
-from tests.hilcell.tui.stage import SIZE, Stage, options, press, settle, text_of, unpainted
-from tests.hilcell.tui.walk import COMPARISON, PLAN, outside, screens_of
+from tests.hilcell.tui.all_screens import COMPARISON, PLAN, isolated, screens_of
+from tests.hilcell.tui.recording_app import (
+    SIZE,
+    RecordingApp,
+    options,
+    press,
+    settle,
+    text_of,
+    unpainted,
+)
+from tests.hilcell.tui.sample_runs import LIVE, fresh, status
+from tests.hilcell.tui.untrusted_text import MARK, NASTY, dangerous, poisoned, runs
 
-__all__ = ["outside", "unpainted"]
+__all__ = ["isolated", "unpainted"]
 
 RUNS = Path("/runs")
 STATES = ("suspended", "fault")
@@ -46,9 +53,9 @@ by_some = pytest.mark.parametrize("text", [NASTY[name] for name in SOME], ids=SO
 
 @pytest.fixture(autouse=True)
 def poisoned_outside(
-    outside: None, unpainted: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    isolated: None, unpainted: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Let every question outside the screen answer with the hostile text."""
+    """Let every answer from outside the screen be the hostile text."""
     text = request.node.callspec.params.get("text", "") if hasattr(request.node, "callspec") else ""
 
     async def run_command(*words: str) -> str:
@@ -62,7 +69,7 @@ def poisoned_outside(
 
     monkeypatch.setattr(process, "run_command", run_command)
     monkeypatch.setattr(process, "dry_run", dry_run)
-    monkeypatch.setattr("hilcell.journal.index.read_index", lambda _: hostile.runs(text))
+    monkeypatch.setattr("hilcell.journal.index.read_index", lambda _: runs(text))
     monkeypatch.setattr(start, "summaries", lambda names: dict.fromkeys(names, text))
 
 
@@ -80,28 +87,28 @@ def _poison(value: Any, text: str) -> Any:
 def test_every_screen_shows_hostile_words_and_does_nothing_by_them(text: str) -> None:
     state = STATES[len(text) % len(STATES)]
 
-    async def play() -> dict[str, str]:
-        app = Stage(options(RUNS), state, poisoned(state, text))
+    async def run_app() -> dict[str, str]:
+        app = RecordingApp(options(RUNS), state, poisoned(state, text))
         async with app.run_test(size=SIZE) as pilot:
             seen = await screens_of(app, pilot)
             assert app.is_running
-        assert (app.heard.stops, app.actions.engines) == (0, [])
-        assert {command for command, _ in app.heard.asked} <= {"answer"}
+        assert (app.recorded.stops, app.actions.engines) == (0, [])
+        assert {command for command, _ in app.recorded.asked} <= {"answer"}
         return seen
 
-    for name, shown in asyncio.run(play()).items():
+    for name, shown in asyncio.run(run_app()).items():
         assert not dangerous(shown), f"{name}: {dangerous(shown)!r}\n{shown}"
 
 
 @by_text
 def test_what_a_prompt_needs_stays_in_sight(text: str) -> None:
-    async def play() -> str:
-        app = Stage(options(RUNS), "suspended", poisoned("suspended", text))
+    async def run_app() -> str:
+        app = RecordingApp(options(RUNS), "suspended", poisoned("suspended", text))
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             return text_of(app)
 
-    shown = asyncio.run(play())
+    shown = asyncio.run(run_app())
     assert "expected reading: x 4007.5" in shown, shown
     assert "press Enter" in shown
     assert "◆ ASKS YOU" in shown.splitlines()[0]
@@ -110,30 +117,30 @@ def test_what_a_prompt_needs_stays_in_sight(text: str) -> None:
 
 @pytest.mark.parametrize("text", [NASTY["an action"], NASTY["closing markup"], NASTY["a style"]])
 def test_markup_is_shown_as_it_was_written(text: str) -> None:
-    async def play() -> dict[str, str]:
-        app = Stage(options(RUNS), "done", poisoned("done", text))
+    async def run_app() -> dict[str, str]:
+        app = RecordingApp(options(RUNS), "done", poisoned("done", text))
         async with app.run_test(size=(240, 40)) as pilot:
             return await screens_of(app, pilot)
 
-    seen = asyncio.run(play())
+    seen = asyncio.run(run_app())
     for name in ("run", "log", "history", "point", "report"):
         assert text in seen[name], seen[name]
 
 
 @by_some
 def test_the_ascii_screen_stays_ascii(text: str) -> None:
-    async def play() -> dict[str, str]:
-        app = Stage(options(RUNS, ascii_only=True), "suspended", poisoned("suspended", text))
+    async def run_app() -> dict[str, str]:
+        app = RecordingApp(options(RUNS, ascii_only=True), "suspended", poisoned("suspended", text))
         async with app.run_test(size=SIZE) as pilot:
             return await screens_of(app, pilot)
 
-    for name, shown in asyncio.run(play()).items():
+    for name, shown in asyncio.run(run_app()).items():
         assert shown.isascii(), f"{name}\n{shown}"
 
 
 def test_hostile_words_may_be_pasted_into_every_filter() -> None:
-    async def play() -> None:
-        app = Stage(options(RUNS), "running")
+    async def run_app() -> None:
+        app = RecordingApp(options(RUNS), "running")
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             for keys in (("slash",), ("l", "slash"), ("h", "slash"), ("ctrl+p",)):
@@ -145,14 +152,14 @@ def test_hostile_words_may_be_pasted_into_every_filter() -> None:
                     assert not dangerous(text_of(app)), text_of(app)
                 if not isinstance(app.screen, RunScreen):
                     app.pop_screen()
-        assert (app.heard.stops, app.heard.asked) == (0, [])
+        assert (app.recorded.stops, app.recorded.asked) == (0, [])
 
-    asyncio.run(play())
+    asyncio.run(run_app())
 
 
 def test_hostile_words_may_be_pasted_into_the_form() -> None:
-    async def play() -> None:
-        app = Stage(options(RUNS))
+    async def run_app() -> None:
+        app = RecordingApp(options(RUNS))
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             for text in (NASTY[name] for name in PASTED):
@@ -167,7 +174,7 @@ def test_hostile_words_may_be_pasted_into_the_form() -> None:
                 assert not dangerous(text_of(app)), text_of(app)
                 await press(pilot, "q")
 
-    asyncio.run(play())
+    asyncio.run(run_app())
 
 
 @by_some
@@ -178,8 +185,8 @@ def test_refusals_are_said_without_harm(text: str, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(process, "run_command", refuse)
     monkeypatch.setattr(process, "dry_run", refuse)
 
-    async def play() -> None:
-        app = Stage(options(RUNS), "done")
+    async def run_app() -> None:
+        app = RecordingApp(options(RUNS), "done")
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             for keys in (("o",), ("h", "x", "down", "x", "c")):
@@ -187,14 +194,14 @@ def test_refusals_are_said_without_harm(text: str, monkeypatch: pytest.MonkeyPat
                 assert "refused:" in text_of(app)
                 assert not dangerous(text_of(app)), text_of(app)
                 await press(pilot, "q")
-        form = Stage(options(RUNS))
+        form = RecordingApp(options(RUNS))
         async with form.run_test(size=SIZE) as pilot:
             await settle(pilot)
             await press(pilot, "enter")
             assert "refused:" in text_of(form)
             assert not dangerous(text_of(form)), text_of(form)
 
-    asyncio.run(play())
+    asyncio.run(run_app())
 
 
 @pytest.mark.parametrize("part", ["cell", "point", "kind", "no plan"])
@@ -214,25 +221,25 @@ def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -
         msgspec.structs.replace(r, body=bodies[r.seq]) for r in found.records if r.seq in bodies
     ]
 
-    async def play() -> str:
-        app = Stage(options(RUNS), brought=RunUpdate(records))
+    async def run_app() -> str:
+        app = RecordingApp(options(RUNS), update=RunUpdate(records))
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             await press(pilot, "e", "q", "w", "b", "enter", "question_mark", "q")
-            app.show_notice(app.heard.view.trouble)
+            app.show_notice(app.recorded.view.trouble)
             await settle(pilot)
             return text_of(app)
 
-    shown = asyncio.run(play())
+    shown = asyncio.run(run_app())
     assert "another version of hilcell" in shown
     assert not dangerous(shown)
 
 
 @pytest.mark.parametrize("state", sorted(LIVE))
 def test_an_engine_whose_journal_cannot_be_read_yet_breaks_nothing(state: str) -> None:
-    async def play() -> str:
-        app = Stage(
-            options(RUNS), brought=RunUpdate([], engine=EngineState.ANSWERING, status=status(state))
+    async def run_app() -> str:
+        app = RecordingApp(
+            options(RUNS), update=RunUpdate([], engine=EngineState.ANSWERING, status=status(state))
         )
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
@@ -242,4 +249,4 @@ def test_an_engine_whose_journal_cannot_be_read_yet_breaks_nothing(state: str) -
             await press(pilot, "escape")
             return text_of(app)
 
-    assert "STOP sent" in asyncio.run(play())
+    assert "STOP sent" in asyncio.run(run_app())

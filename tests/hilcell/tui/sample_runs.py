@@ -40,7 +40,7 @@ FAULT = {
 FAULT_TEXT = "Tracker: measure grid/1-0-0: beam broken, wanted a reflector; clear the beam, resume"
 
 
-class Story:
+class SampleRun:
     """Writes records one second apart."""
 
     def __init__(self) -> None:
@@ -51,23 +51,25 @@ class Story:
         """Return the moment of the last record."""
         return BEGAN + timedelta(seconds=len(self.records))
 
-    def add(self, kind: Kind, key: str = "", **body: Any) -> Story:
+    def add(self, kind: Kind, key: str = "", **body: Any) -> SampleRun:
         """Write one record."""
         moment = self.now.isoformat(timespec="milliseconds")
         self.records.append(Record(len(self.records) + 1, moment, kind, key, body))
         return self
 
-    def state(self, to: str, **more: Any) -> Story:
+    def state(self, to: str, **more: Any) -> SampleRun:
         """Take the run to a state."""
         return self.add("state", machine="run", to=to, **more)
 
-    def step(self, number: int) -> Story:
+    def step(self, number: int) -> SampleRun:
         """Begin a step."""
         return self.add(
             "event", what="step", name=STEPS[number - 1][0], number=number, of=len(STEPS)
         )
 
-    def point(self, id: PointId, nominal: Any = None, off: Any = (0, 0, 0), **more: Any) -> Story:
+    def point(
+        self, id: PointId, nominal: Any = None, off: Any = (0, 0, 0), **more: Any
+    ) -> SampleRun:
         """Measure a point ``off`` its nominal."""
         at = nominal or (1000.0, 200.0, 300.0)
         body = {
@@ -94,12 +96,12 @@ def _plan() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def begun() -> Story:
+def begun() -> SampleRun:
     """Return a run whose devices are being connected."""
-    return Story().add("plan", **_plan()).state("checking")
+    return SampleRun().add("plan", **_plan()).state("checking")
 
 
-def measuring(points: int = 5) -> Story:
+def measuring(points: int = 5) -> SampleRun:
     """Return a run on its grid."""
     story = begun().add("event", what="connected", devices=[]).state("running")
     story.step(1).step(2)
@@ -118,7 +120,7 @@ def measuring(points: int = 5) -> Story:
     return story
 
 
-def validated(*, worst_mm: float = 0.1) -> Story:
+def validated(*, worst_mm: float = 0.1) -> SampleRun:
     """Return a run that has measured everything; the last point is the worst."""
     story = measuring(8).step(6).add("verdict", "fit", holds=True, method="trilinear").step(7)
     for how, size in (("before", 1.2), ("idw", 0.2), ("chosen", 0.1)):
@@ -145,11 +147,11 @@ RESULT = {
 }
 
 
-def stories() -> dict[str, Story]:
+def sample_runs() -> dict[str, SampleRun]:
     """Return a run in every state that the screen can be shown."""
     return {
-        "looking": Story(),
-        "idle": Story(),
+        "looking": SampleRun(),
+        "idle": SampleRun(),
         "checking": begun(),
         "running": measuring(),
         "pausing": measuring(),
@@ -167,7 +169,7 @@ def stories() -> dict[str, Story]:
             "end", state="faulted", exit=3, result={}, reason=FAULT_TEXT),
         "silent": measuring(),
         "gone": measuring(),
-        "unreadable": Story(),
+        "unreadable": SampleRun(),
     }  # fmt: skip
 
 
@@ -191,7 +193,7 @@ def fresh(name: str) -> RunUpdate:
     engine = EngineState.ANSWERING if name in HEARD else unheard.get(name, EngineState.NONE)
     told = status(name) if engine in (EngineState.ANSWERING, EngineState.SILENT) else None
     trouble = "journal: damaged or not a journal" if name == "unreadable" else ""
-    return RunUpdate(stories()[name].records, engine, told, trouble)
+    return RunUpdate(sample_runs()[name].records, engine, told, trouble)
 
 
 def status(name: str) -> Status:

@@ -1,8 +1,9 @@
-"""The application on a stage: a terminal of any size, an engine that only listens."""
+"""The application in a test: a terminal of any size, a session that only records commands."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from datetime import datetime
 from itertools import count
@@ -18,16 +19,25 @@ from textual.pilot import Pilot
 from textual.screen import Screen
 from textual.worker import WorkerCancelled
 
-from hilcell.tui.app.actions import Host, RunActions
+from hilcell.tui.app.actions import RunActions
 from hilcell.tui.app.app import HilcellApp
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.session import Session
 from hilcell.tui.keys import ACTIONS, Keymap
-from hilcell.tui.screens.base import Options
+from hilcell.tui.screens.base import Application, BaseScreen, Options
+from hilcell.tui.screens.history import HistoryPage
+from hilcell.tui.screens.pages import (
+    AlarmPage,
+    HelpPage,
+    InterlockPage,
+    LogPage,
+    PlotPage,
+    ReportPage,
+)
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
-from tests.hilcell.tui.scenes import BEGAN, RUN, fresh, stories
+from tests.hilcell.tui.sample_runs import BEGAN, RUN, fresh, sample_runs
 
 DEFAULT_KEYS = {action.name: action.keys for action in ACTIONS}
 SIZE = (80, 24)
@@ -36,7 +46,7 @@ BURSTS = count(1)  # each comes at a second of its own
 LETTERS = {"space": " ", "slash": "/", "question_mark": "?"}
 
 
-class Listener(Session):
+class RecordingSession(Session):
     """A session whose commands are written down; its stop and its end, too."""
 
     def __init__(self, folder: Path) -> None:
@@ -60,11 +70,11 @@ class Listener(Session):
         super().close(leave=leave)
 
 
-class Unstarted(RunActions):
+class RecordingActions(RunActions):
     """Writes down what an engine would have been started with."""
 
-    def __init__(self, host: Host) -> None:
-        super().__init__(host)
+    def __init__(self, application: Application) -> None:
+        super().__init__(application)
         self.engines: list[tuple[Path, list[str]]] = []
 
     def start(self, folder: Path, words: list[str]) -> None:
@@ -72,27 +82,27 @@ class Unstarted(RunActions):
         self.engines.append((folder, words))
 
 
-class Stage(HilcellApp):
+class RecordingApp(HilcellApp):
     """Opens a made-up run in place of looking for one; without a run, the form."""
 
-    def __init__(self, options: Options, name: str = "", brought: RunUpdate | None = None) -> None:
+    def __init__(self, options: Options, name: str = "", update: RunUpdate | None = None) -> None:
         super().__init__(options)
-        self.heard = Listener(options.runs / (options.run or RUN))
-        self.story, self.brought = name, brought
-        self.actions: Unstarted = Unstarted(self)
+        self.recorded = RecordingSession(options.runs / (options.run or RUN))
+        self.story, self.update = name, update
+        self.actions: RecordingActions = RecordingActions(self)
 
     async def _open(self) -> None:
         while len(self.screen_stack) > 1:
             self.pop_screen()
-        if not self.story and self.brought is None:
+        if not self.story and self.update is None:
             self.push_screen(StartScreen())
             return
-        self.open_runs.show(self.heard)
-        self.heard.take(self.brought or fresh(self.story), self._now())
+        self.open_runs.show(self.recorded)
+        self.recorded.take(self.update or fresh(self.story), self._now())
         self.push_screen(RunScreen())
 
     def _now(self) -> datetime:
-        return stories()[self.story].now if self.story else BEGAN
+        return sample_runs()[self.story].now if self.story else BEGAN
 
     def _tick(self) -> None:
         """Time stands still on this stage."""
@@ -161,3 +171,42 @@ def text_of(app: HilcellApp) -> str:
     strips = app.screen._compositor.render_strips()
     lines = ["".join(segment.text for segment in strip).rstrip() for strip in strips]
     return "\n".join(lines) + "\n"
+
+
+RUNS = Path("/runs")
+ROOMY = (240, 30)  # a footer that holds every key
+PAGES: dict[str, type[BaseScreen]] = {
+    "e": AlarmPage,
+    "i": InterlockPage,
+    "l": LogPage,
+    "p": PlotPage,
+    "question_mark": HelpPage,
+    "h": HistoryPage,
+    "o": ReportPage,
+}
+
+Act = Callable[[RecordingApp, Pilot[int]], Awaitable[None]]
+
+
+def run_app(
+    act: Act,
+    state: str = "",
+    *,
+    update: RunUpdate | None = None,
+    keymap: Keymap | None = None,
+    size: tuple[int, int] = ROOMY,
+) -> RecordingApp:
+    """Put a state on the stage, do something there, and return what is left of it."""
+    app = RecordingApp(options(RUNS, keymap=keymap), state, update)
+
+    async def run() -> None:
+        async with app.run_test(size=size) as pilot:
+            await settle(pilot)
+            await act(app, pilot)
+
+    asyncio.run(run())
+    return app
+
+
+def footer(app: RecordingApp) -> str:
+    return text_of(app).splitlines()[-1]

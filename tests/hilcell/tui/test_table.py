@@ -58,7 +58,7 @@ class TableApp(App[None]):
 Act = Callable[[TableApp, Pilot[None]], Awaitable[None]]
 
 
-def play(act: Act, table: TableApp | None = None) -> TableApp:
+def run_app(act: Act, table: TableApp | None = None) -> TableApp:
     app = table or TableApp()
 
     async def run() -> None:
@@ -85,7 +85,7 @@ def test_ten_thousand_rows_are_paged_to_their_end() -> None:
         await pilot.press("home", "up")
         assert app.rows.cursor == 0
 
-    play(act)
+    run_app(act)
 
 
 def test_a_row_costs_nothing_out_of_sight() -> None:
@@ -100,7 +100,7 @@ def test_a_row_costs_nothing_out_of_sight() -> None:
         few_s, many_s = (min(cost_s(count) for _ in range(5)) for count in (HEIGHT, MANY))
         assert many_s < 20 * few_s
 
-    play(act)
+    run_app(act)
 
 
 def test_the_cursor_stays_on_its_row_when_rows_come_before_it() -> None:
@@ -113,7 +113,7 @@ def test_the_cursor_stays_on_its_row_when_rows_come_before_it() -> None:
         await pilot.pause()
         assert any(line.startswith(">run 52") for line in app.seen())
 
-    play(act)
+    run_app(act)
 
 
 def test_the_cursor_stays_near_when_its_row_goes() -> None:
@@ -130,7 +130,7 @@ def test_the_cursor_stays_near_when_its_row_goes() -> None:
         app.rows.show_rows(rows_of(3))
         assert app.rows.key == "k0"
 
-    play(act)
+    run_app(act)
 
 
 def test_following_keeps_to_the_end_until_one_looks_back() -> None:
@@ -147,7 +147,7 @@ def test_following_keeps_to_the_end_until_one_looks_back() -> None:
         await pilot.pause()
         assert app.seen()[-1].startswith(">run 79")
 
-    play(act, TableApp(follow=True))
+    run_app(act, TableApp(follow=True))
 
 
 def test_it_says_what_is_chosen_and_where_the_cursor_is() -> None:
@@ -156,7 +156,7 @@ def test_it_says_what_is_chosen_and_where_the_cursor_is() -> None:
         await pilot.press("down", "enter", "down")
         await pilot.pause()
 
-    app = play(act)
+    app = run_app(act)
     assert (app.chosen, app.moved) == (["k1"], ["k1", "k2"])
 
 
@@ -191,4 +191,4 @@ def test_cells_are_plain_text_and_stay_in_their_columns(text: str, plain: bool) 
         assert cell_len(before) == 1 + 10 + 1 + 4
         await pilot.press("enter")
 
-    assert play(act, TableApp(plain=plain)).chosen == [text]
+    assert run_app(act, TableApp(plain=plain)).chosen == [text]

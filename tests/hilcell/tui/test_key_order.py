@@ -11,25 +11,31 @@ from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.tui.widgets import Choice, Table
-from tests.hilcell.tui.playing import play
-from tests.hilcell.tui.stage import Stage, press, settle, text_of, type_ahead
-from tests.hilcell.tui.walk import PLAN, outside
+from tests.hilcell.tui.all_screens import PLAN, isolated
+from tests.hilcell.tui.recording_app import (
+    RecordingApp,
+    press,
+    run_app,
+    settle,
+    text_of,
+    type_ahead,
+)
 
-__all__ = ["PLAN", "outside"]
+__all__ = ["PLAN", "isolated"]
 
-pytestmark = pytest.mark.usefixtures("outside")
+pytestmark = pytest.mark.usefixtures("isolated")
 
 
 def keys(text: str) -> list[str]:
     return ["space" if letter == " " else letter for letter in text]
 
 
-def values(app: Stage) -> dict[str, str]:
+def values(app: RecordingApp) -> dict[str, str]:
     return {str(box.id): box.value for box in app.screen.query(Input)}
 
 
 def test_text_goes_into_the_field_that_a_tab_before_it_chose() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, "tab", "tab", *keys("Harold Smith"), "tab", *keys("Job 7"), "down", "2")
         await settle(pilot)
         assert isinstance(app.screen, StartScreen)
@@ -37,30 +43,30 @@ def test_text_goes_into_the_field_that_a_tab_before_it_chose() -> None:
             "seed": "2"
         }
 
-    play(act)
+    run_app(act)
 
 
 def test_a_field_is_edited_in_the_order_typed() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, "tab", "ctrl+u", *"replax", "backspace", "y", "home", "x", "delete")
         type_ahead(app, "tab", "shift+tab", "end", "2")
         await settle(pilot)
         assert values(app)["cell"] == "xeplay2"
 
-    play(act)
+    run_app(act)
 
 
 def test_an_enter_checks_what_was_typed_before_it() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, "tab", "tab", *keys("Ann"), "tab", *keys("Job 7"), "enter")
         await settle(pilot)
         assert "job Job 7, operator Ann" in text_of(app)
 
-    play(act)
+    run_app(act)
 
 
 def test_a_second_code_from_a_scanner_starts_nothing() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, "tab", "tab", "tab", *keys("JOB-7"), "enter")
         await settle(pilot)
         assert isinstance(app.screen, PlanSummary)
@@ -69,33 +75,33 @@ def test_a_second_code_from_a_scanner_starts_nothing() -> None:
         assert isinstance(app.screen, PlanSummary)
         assert "job JOB-7" in text_of(app)
 
-    play(act)
+    run_app(act)
 
 
 def test_a_detach_in_a_burst_asks() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, "w", "d")
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
         assert "detach" in text_of(app)
 
-    assert play(act, "running").detached == []
+    assert run_app(act, "running").detached == []
 
 
 def test_an_enter_in_a_burst_is_no_answer_to_a_prompt() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, "w", "enter")
         await settle(pilot)
         assert "press it by itself" in text_of(app)
-        assert app.heard.asked == []
+        assert app.recorded.asked == []
         await press(pilot, "enter")
 
-    assert play(act, "suspended").heard.asked == [("answer", {})]
+    assert run_app(act, "suspended").recorded.asked == [("answer", {})]
 
 
 @pytest.mark.parametrize("state", ["paused", "fault", "running"])
 def test_a_scanned_code_moves_nothing_and_leaves_nothing(state: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         for code in (" \ny", "r\n", "d"):
             type_ahead(app, "f9", *["enter" if key == "\n" else key for key in keys(code)])
             await settle(pilot)
@@ -103,24 +109,24 @@ def test_a_scanned_code_moves_nothing_and_leaves_nothing(state: str) -> None:
                 await press(pilot, "q")
         assert app.detached == []
 
-    app = play(act, state)
+    app = run_app(act, state)
     assert app.actions.engines == []
-    assert [word for word, _ in app.heard.asked if word != "pause"] == []
+    assert [word for word, _ in app.recorded.asked if word != "pause"] == []
 
 
 def test_choices_and_rows_follow_the_keys_before_them() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         before = app.screen.query_one(Table).key
         type_ahead(app, "down", *["tab"] * 5, "space", "down", "right", "right", "tab", "up")
         await settle(pilot)
         assert [each.index for each in app.screen.query(Choice)] == [1, 2]
         assert app.screen.query_one(Table).key == before  # down, and up again
 
-    play(act)
+    run_app(act)
 
 
 def test_the_point_under_the_cursor_is_the_one_acted_upon() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         rows = app.screen.query_one(Table)
         type_ahead(app, "end", "up", "r")
         await settle(pilot)
@@ -135,26 +141,26 @@ def test_the_point_under_the_cursor_is_the_one_acted_upon() -> None:
         assert isinstance(app.screen, Confirm)
         assert rows.rows[-1].key in text_of(app)
 
-    play(act, "running")
+    run_app(act, "running")
 
 
 def test_the_run_under_the_cursor_is_the_one_marked() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "h")
         type_ahead(app, "x", "down", "down", "x", "up", "x", "x")
         await settle(pilot)
         marks = [row.cells[0] for row in app.screen.query_one(Table).rows]
         assert marks == ["", "", "*", ""]  # of three the first went, the third was taken back
 
-    play(act)
+    run_app(act)
 
 
 def test_a_filter_ends_with_its_enter() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, "slash", *"grad", "backspace", "backspace", *"id", "enter", "end", "r")
         await settle(pilot)
         assert app.screen_stack[-2].query_one(Input).value == "grid"
         assert isinstance(app.screen_stack[-2], RunScreen)
         assert app.screen_stack[-2].query_one(Table).key in text_of(app)
 
-    play(act, "running")
+    run_app(act, "running")

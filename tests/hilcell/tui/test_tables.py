@@ -19,8 +19,8 @@ from hilcell.tui.text.tables import (
     record_row,
     record_words,
 )
-from tests.hilcell.tui.scenes import stories
-from tests.hilcell.tui.walk import RUNS
+from tests.hilcell.tui.all_screens import RUNS
+from tests.hilcell.tui.sample_runs import sample_runs
 
 T = "2026-03-04T08:00:01.250+00:00"
 TOLD: list[tuple[Kind, str, dict[str, Any], str]] = [
@@ -69,9 +69,9 @@ def test_a_row_tells_number_time_and_kind() -> None:
     assert row.tone == "bad"
 
 
-@pytest.mark.parametrize("name", stories())
+@pytest.mark.parametrize("name", sample_runs())
 def test_the_records_of_every_run_are_one_line_each(name: str) -> None:
-    for record in stories()[name].records:
+    for record in sample_runs()[name].records:
         assert "\n" not in record_words(record)
 
 

@@ -16,8 +16,8 @@ from hilcell.tui.screens import start
 from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from tests.hilcell.tui.scenes import RUN, STEPS
-from tests.hilcell.tui.stage import Stage, press, settle, text_of
+from tests.hilcell.tui.recording_app import RecordingApp, press, settle, text_of
+from tests.hilcell.tui.sample_runs import RUN, STEPS
 
 PAGES = {
     "alarms": "e",
@@ -74,7 +74,7 @@ SAID = {
     "compare": msgspec.json.encode(COMPARISON).decode(),
 }
 
-Look = Callable[[Stage], str]
+Look = Callable[[RecordingApp], str]
 
 
 class _Entry:
@@ -93,8 +93,8 @@ class _Ended:
 
 
 @pytest.fixture
-def outside(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let nothing outside the screen be asked: no process, no index, no browser."""
+def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace everything outside the screen: processes, the index, the browser."""
 
     async def run_command(*words: str) -> str:
         return SAID[words[0]]
@@ -112,7 +112,7 @@ def outside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
 
 
-async def screens_of(app: Stage, pilot: Pilot[int], look: Look = text_of) -> dict[str, str]:
+async def screens_of(app: RecordingApp, pilot: Pilot[int], look: Look = text_of) -> dict[str, str]:
     """Return what every screen shows, or whatever ``look`` sees, by the screens' names."""
     await settle(pilot)
     home = app.screen
@@ -131,7 +131,7 @@ async def screens_of(app: Stage, pilot: Pilot[int], look: Look = text_of) -> dic
     return seen
 
 
-async def _plots(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _plots(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
     seen, home = {}, app.screen
     await press(pilot, "p")
     if app.screen is not home:
@@ -142,7 +142,7 @@ async def _plots(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
     return seen
 
 
-async def _history(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _history(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
     await press(pilot, "h")
     seen = {"history": look(app)}
     await press(pilot, "x", "down", "x", "c")
@@ -151,7 +151,7 @@ async def _history(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
     return seen
 
 
-async def _questions(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _questions(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
     seen = {}
     for name, key in QUESTIONS.items():
         if name == "quit" and not app.live:
@@ -163,7 +163,7 @@ async def _questions(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str
     return seen
 
 
-async def _point(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _point(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
     seen = {}
     await press(pilot, "enter")
     if isinstance(app.screen, DetailPage):
@@ -172,7 +172,7 @@ async def _point(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
     return seen
 
 
-async def _palette(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _palette(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
     await press(pilot, "ctrl+p", *"alarm")
     await settle(pilot)
     assert isinstance(app.screen, CommandPalette)
@@ -182,7 +182,7 @@ async def _palette(app: Stage, pilot: Pilot[int], look: Look) -> dict[str, str]:
     return seen
 
 
-async def form_of(app: Stage, pilot: Pilot[int], look: Look = text_of) -> dict[str, str]:
+async def form_of(app: RecordingApp, pilot: Pilot[int], look: Look = text_of) -> dict[str, str]:
     """Return what the form for a new run shows, and the summary of its plan."""
     await settle(pilot)
     assert isinstance(app.screen, StartScreen)

@@ -10,7 +10,7 @@ from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.run.protocol import Status
 from hilcell.tui.engine.feed import RunUpdate
-from tests.hilcell.tui.scenes import PROMPT, fresh
+from tests.hilcell.tui.sample_runs import PROMPT, fresh
 
 MARK = "PWNED"  # in every payload, to be searched for behind what must not be before it
 NASTY = {

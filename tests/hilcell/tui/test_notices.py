@@ -9,22 +9,21 @@ from hilcell.tui.app.app import RunUpdated
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens.run import RunScreen
-from tests.hilcell.tui.playing import play
-from tests.hilcell.tui.scenes import status
-from tests.hilcell.tui.stage import Stage, press, settle, text_of
-from tests.hilcell.tui.walk import outside
+from tests.hilcell.tui.all_screens import isolated
+from tests.hilcell.tui.recording_app import RecordingApp, press, run_app, settle, text_of
+from tests.hilcell.tui.sample_runs import status
 
-__all__ = ["outside"]
+__all__ = ["isolated"]
 
-pytestmark = pytest.mark.usefixtures("outside")
+pytestmark = pytest.mark.usefixtures("isolated")
 
 
 def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "space")
         assert isinstance(app.screen, RunScreen)
         assert "the run is over" in text_of(app)
-        app.post_message(RunUpdated(app.heard, RunUpdate([], calibrated=False)))
+        app.post_message(RunUpdated(app.recorded, RunUpdate([], calibrated=False)))
         await settle(pilot)
         assert "HC-J11  Calibration without a file" in text_of(app)
         assert "space resume" in text_of(app)
@@ -33,70 +32,70 @@ def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
         assert app.actions.engines == []
         await press(pilot, "enter")
 
-    assert len(play(act, "done").actions.engines) == 1
+    assert len(run_app(act, "done").actions.engines) == 1
 
 
 @pytest.mark.parametrize("over", ["a", "ctrl+p"])
 def test_what_comes_in_is_shown_under_a_question_and_under_the_palette(over: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, over)
         for engine, word in ((EngineState.SILENT, "NO ANSWER"), (EngineState.ANSWERING, "PAUSED")):
-            app.post_message(RunUpdated(app.heard, RunUpdate([], engine, status("paused"))))
+            app.post_message(RunUpdated(app.recorded, RunUpdate([], engine, status("paused"))))
             await settle(pilot)
             assert word in text_of(app)
 
-    play(act, "paused")
+    run_app(act, "paused")
 
 
 def test_a_calibration_that_has_its_file_again_is_told() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         for calibrated in (False, True):
-            app.post_message(RunUpdated(app.heard, RunUpdate([], calibrated=calibrated)))
+            app.post_message(RunUpdated(app.recorded, RunUpdate([], calibrated=calibrated)))
             await settle(pilot)
         assert "the calibration has its file" in text_of(app)
         assert "HC-J11" not in text_of(app)
 
-    play(act, "done")
+    run_app(act, "done")
 
 
 def test_what_could_not_be_read_is_told_only_as_long_as_it_cannot() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
-        app.post_message(RunUpdated(app.heard, RunUpdate([], trouble="journal: cannot be read")))
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        app.post_message(RunUpdated(app.recorded, RunUpdate([], trouble="journal: cannot be read")))
         await settle(pilot)
         assert "cannot be read" in text_of(app)
-        app.post_message(RunUpdated(app.heard, RunUpdate([])))
+        app.post_message(RunUpdated(app.recorded, RunUpdate([])))
         await settle(pilot)
         assert "cannot be read" not in text_of(app)
 
-    play(act, "done")
+    run_app(act, "done")
 
 
 @pytest.mark.parametrize("state", ["done", "gone"])
 def test_a_stop_where_nothing_runs_says_so(state: str) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "escape")
         assert "nothing runs here; if anything moves, use the E-stop" in text_of(app)
 
-    assert play(act, state).heard.stops == 0
+    assert run_app(act, state).recorded.stops == 0
 
 
 @pytest.mark.parametrize("keys", [("ctrl+p",), ("backspace",), ("x", "backspace", "backspace")])
 def test_the_palette_says_how_to_go_back_and_does(keys: tuple[str, ...]) -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "ctrl+p")
         assert "^p or Backspace: back   Esc: STOP" in text_of(app)
         await press(pilot, *keys)
         assert isinstance(app.screen, RunScreen)
 
-    assert play(act, "running").heard.stops == 0
+    assert run_app(act, "running").recorded.stops == 0
 
 
 def test_in_a_text_box_only_its_own_keys_are_shown() -> None:
-    async def act(app: Stage, pilot: Pilot[int]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "slash")
         keys = text_of(app).splitlines()[-1]
         assert keys.split("  ") == ["Enter to the rows", "Esc STOP", "^q quit"]
         await press(pilot, "tab")
         assert "space pause" in text_of(app).splitlines()[-1]
 
-    play(act, "running")
+    run_app(act, "running")

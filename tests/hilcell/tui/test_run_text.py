@@ -24,16 +24,16 @@ from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import alarm_lines, alarm_page
 from hilcell.tui.text.deviation import Deviation, deviation_lines, large_digits, tolerance_line
 from hilcell.tui.text.prompt import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, tracker_text
-from tests.hilcell.tui.scenes import BEGAN, PROMPT, fresh, measuring, stories
-from tests.hilcell.tui.stage import DEFAULT_KEYS, Listener
+from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingSession
+from tests.hilcell.tui.sample_runs import BEGAN, PROMPT, fresh, measuring, sample_runs
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 
 
-def scene_of(name: str) -> RunView:
+def view_of(name: str) -> RunView:
     """Return the view of a made-up run."""
-    session = Listener(Path("/runs/made-up"))
-    session.take(fresh(name), stories()[name].now)
+    session = RecordingSession(Path("/runs/made-up"))
+    session.take(fresh(name), sample_runs()[name].now)
     return session.view
 
 
@@ -87,13 +87,13 @@ def test_ages_are_short(seconds: float) -> None:
     ],
 )
 def test_lamps(device: DeviceStatus, wanted: str, good: bool) -> None:
-    lamp = run_text.lamp("rail", device, scene_of("running"), UNICODE)
+    lamp = run_text.lamp("rail", device, view_of("running"), UNICODE)
     assert lamp.plain == wanted
     assert any("good" in str(span.style) for span in lamp.spans) == good
 
 
 def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
-    view = scene_of("running")
+    view = view_of("running")
     view.status_age_s = 2.1
     for device in (DeviceStatus("fresh", 0.2), DeviceStatus("moving", 0.2)):
         lamp = run_text.lamp("rail", device, view, UNICODE)
@@ -104,17 +104,17 @@ def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
 
 
 def test_a_past_run_has_no_lamps() -> None:
-    assert run_text.lamps(scene_of("done"), UNICODE, 80).plain.count(" -") == len(run_text.LAMPS)
+    assert run_text.lamps(view_of("done"), UNICODE, 80).plain.count(" -") == len(run_text.LAMPS)
 
 
 # -- lines -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", stories())
+@pytest.mark.parametrize("name", sample_runs())
 @settings(max_examples=20)
 @given(width=st.integers(20, 200))
 def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
-    view = scene_of(name)
+    view = view_of(name)
     lines = [run_text.progress(view, UNICODE, width), run_text.interlocks(view, width)]
     if width >= 80:
         lines += [
@@ -127,48 +127,48 @@ def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
         assert line.cell_length <= max(width, 40), line.plain
 
 
-@pytest.mark.parametrize("name", stories())
+@pytest.mark.parametrize("name", sample_runs())
 def test_the_banner_names_the_state_and_says_what_the_stop_is_not(name: str) -> None:
-    line = run_text.banner(scene_of(name), UNICODE, 80).plain
+    line = run_text.banner(view_of(name), UNICODE, 80).plain
     assert f"{UNICODE.states[name]} {run_text.STATES[name][0]}" in line
     assert ("LIVE" in line) + ("HISTORIC" in line) == (name != "looking")
     assert ("use the E-stop" if name == "silent" else run_text.NOT_E_STOP) in line
     assert ("SIMULATION" in line) == (name not in ("looking", "idle", "unreadable"))
 
 
-@pytest.mark.parametrize("name", stories())
+@pytest.mark.parametrize("name", sample_runs())
 @pytest.mark.parametrize("background", ["running", "suspended", "silent"])
 def test_a_run_behind_is_told_of_in_every_state(name: str, background: str) -> None:
     for width in (80, 120):
-        line = run_text.banner(scene_of(name), UNICODE, width, scene_of(background)).plain
+        line = run_text.banner(view_of(name), UNICODE, width, view_of(background)).plain
         assert f"behind: {run_text.STATES[background][0]}" in line
         assert ("use the E-stop" if background == "silent" else "Esc stops") in line
-    assert len(run_text.banner(scene_of(name), UNICODE, 40, scene_of(background)).plain) <= 60
+    assert len(run_text.banner(view_of(name), UNICODE, 40, view_of(background)).plain) <= 60
 
 
 def test_the_end_of_a_run_behind_names_its_worst_alarm() -> None:
-    told = run_text.end_text(scene_of("fault"))
+    told = run_text.end_text(view_of("fault"))
     assert told.endswith("made-up, has ended: FAULT: HC-T99 Tracker fault")
-    assert run_text.end_text(scene_of("done")).endswith("has ended: DONE")
+    assert run_text.end_text(view_of("done")).endswith("has ended: DONE")
 
 
 def test_a_real_run_is_not_called_a_simulation() -> None:
-    view = scene_of("running")
+    view = view_of("running")
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, simulated=False)
     assert "SIMULATION" not in run_text.banner(view, UNICODE, 80).plain
 
 
 def test_the_step_is_told_with_its_count_and_the_next() -> None:
-    line = run_text.step(scene_of("running"), 80).plain
+    line = run_text.step(view_of("running"), 80).plain
     assert line.startswith("step 5/7 robot-grid: 5/8, last grid/0-0-4 at S1100")
     assert line.endswith("next: fit")
-    assert "next" not in run_text.step(scene_of("done"), 80).plain
-    assert run_text.step(scene_of("checking"), 80).plain == "step: none yet"
+    assert "next" not in run_text.step(view_of("done"), 80).plain
+    assert run_text.step(view_of("checking"), 80).plain == "step: none yet"
 
 
 def test_a_long_job_leaves_room_for_operator_and_run() -> None:
-    view = scene_of("running")
+    view = view_of("running")
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, job="J" * 500, operator="Ann" * 50)
     line = run_text.identity(view, 100).plain
@@ -178,11 +178,11 @@ def test_a_long_job_leaves_room_for_operator_and_run() -> None:
 
 
 def test_a_journal_that_cannot_be_read_says_why() -> None:
-    assert run_text.identity(scene_of("unreadable"), 80).plain.endswith("damaged or not a journal")
+    assert run_text.identity(view_of("unreadable"), 80).plain.endswith("damaged or not a journal")
 
 
 def test_the_newest_deviation_stays_while_points_without_one_are_measured() -> None:
-    view = scene_of("running")
+    view = view_of("running")
     story = measuring().point(PointId("control", nest="F1"), commanded_deg=None)
     view.take(story.records[-1])
     assert view.last is not None
@@ -192,7 +192,7 @@ def test_the_newest_deviation_stays_while_points_without_one_are_measured() -> N
 
 @pytest.mark.parametrize("remaining_s", [None, 0.0, 30.0, 1e9])
 def test_the_bar_is_as_long_as_the_share(remaining_s: float | None) -> None:
-    view = scene_of("running")
+    view = view_of("running")
     view.elapsed_s, view.remaining_s = 10.0, remaining_s
     share = run_text.share_done(view)
     assert 0.0 <= share <= 1.0
@@ -203,15 +203,13 @@ def test_the_bar_is_as_long_as_the_share(remaining_s: float | None) -> None:
 
 
 def test_a_run_that_is_over_is_done() -> None:
-    assert (
-        run_text.share_done(scene_of("done")) == run_text.share_done(scene_of("intolerant")) == 1.0
-    )
-    assert run_text.share_done(scene_of("fault")) < 1.0
-    assert run_text.share_done(scene_of("idle")) == 0.0
+    assert run_text.share_done(view_of("done")) == run_text.share_done(view_of("intolerant")) == 1.0
+    assert run_text.share_done(view_of("fault")) < 1.0
+    assert run_text.share_done(view_of("idle")) == 0.0
 
 
 def test_interlocks_name_the_first_that_is_blocked() -> None:
-    view = scene_of("running")
+    view = view_of("running")
     assert "rail move blocked: robot not at safe pose" in run_text.interlocks(view, 80).plain
     assert view.status is not None
     view.status_age_s = 9.0
@@ -221,7 +219,7 @@ def test_interlocks_name_the_first_that_is_blocked() -> None:
 
 
 def test_a_finished_run_says_its_figures_there() -> None:
-    line = run_text.interlocks(scene_of("done"), 80).plain
+    line = run_text.interlocks(view_of("done"), 80).plain
     assert line == "in tolerance: mean |e| mm  S1100 1.200 -> 0.110"
 
 
@@ -237,7 +235,7 @@ def test_a_finished_run_says_its_figures_there() -> None:
     ],
 )
 def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) -> None:
-    view = scene_of("done")
+    view = view_of("done")
     view.log.end = {"state": "finished", "exit": 0, "result": result}
     assert run_text.result(view, 80).plain == ""
 
@@ -249,14 +247,14 @@ def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) 
     ("drift_k", "warns"), [(0.0, False), (2.0, False), (2.1, True), (-2.1, True), (math.nan, True)]
 )
 def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
-    view = scene_of("running")
+    view = view_of("running")
     assert view.last is not None
     view.last = msgspec.structs.replace(view.last, temperature_c=22.5 + drift_k)
     assert run_text.air(view, UNICODE).plain.startswith("! ") == warns
 
 
 def test_a_tracker_without_a_weather_station_is_said_in_words() -> None:
-    view = scene_of("running")
+    view = view_of("running")
     assert view.last is not None
     view.last = msgspec.structs.replace(view.last, temperature_c=None)
     assert run_text.air(view, UNICODE).plain == "air not measured"
@@ -320,7 +318,7 @@ def test_what_is_no_number_can_be_shown(text: str) -> None:
 
 
 def test_the_prompt_says_what_is_expected_and_seen() -> None:
-    view = scene_of("suspended")
+    view = view_of("suspended")
     text = prompt_lines(PROMPT, view, UNICODE, 76).plain
     assert "expected reading: x 4007.5  y -238.7  z -480.3 mm" in text
     assert "reflector 1.24 mm from there, limit 5.0 (0.3 s ago); press Enter" in text
@@ -328,7 +326,7 @@ def test_the_prompt_says_what_is_expected_and_seen() -> None:
 
 
 def test_a_prompt_is_not_ready_when_the_engine_has_gone_silent() -> None:
-    view = scene_of("suspended")
+    view = view_of("suspended")
     view.status_age_s = 60.0
     assert "Enter does not work" in tracker_text(PROMPT, view).plain
 
@@ -384,7 +382,7 @@ def test_deviations_are_values() -> None:
 
 def test_what_stands_from_before_a_resume_is_on_the_page_of_alarms() -> None:
     latch = Latch()
-    faulted = Listener(Path("/runs/r"))
+    faulted = RecordingSession(Path("/runs/r"))
     faulted.take(fresh("fault"), BEGAN)
     (alarm,) = faulted.view.alarms
     latch.take([alarm])
@@ -397,7 +395,7 @@ def test_what_stands_from_before_a_resume_is_on_the_page_of_alarms() -> None:
 
 def test_a_long_advice_is_told_in_two_rows() -> None:
     latch = Latch()
-    faulted = Listener(Path("/runs/r"))
+    faulted = RecordingSession(Path("/runs/r"))
     faulted.take(fresh("fault"), BEGAN)
     (alarm,) = faulted.view.alarms
     advice = "Look at every nest, measure the floor again, and start a new run where one has moved."
@@ -412,10 +410,10 @@ def test_a_long_advice_is_told_in_two_rows() -> None:
 
 def test_a_start_that_was_refused_has_lost_no_engine() -> None:
     view = RunView("r")
-    for record in stories()["idle"].records:
+    for record in sample_runs()["idle"].records:
         view.take(record)
     assert (view.log.plan, view.state) == (None, "idle")
-    plan, *_ = stories()["running"].records
+    plan, *_ = sample_runs()["running"].records
     view.take(plan)
     assert view.state == "gone"
     end = {"state": "idle", "exit": 6, "reason": "the cell is in use", "result": {}}
