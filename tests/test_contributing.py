@@ -16,6 +16,11 @@ from hilcell.alarms.catalogue import Entry
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
 from hilcell.ports import Air, NoReading, Tracker
+from hilcell.report import tables
+from hilcell.report.columns import Column
+from hilcell.report.html import report_html
+from tests.hilcell.report.journals import validated_run
+from tests.hilcell.report.pages import Page
 from tests.hilcell.run.bed import Bed
 
 TEXT = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text("utf-8")
@@ -85,3 +90,14 @@ def test_the_alarm_is_listed_and_raised() -> None:
             BLOCKS["drivers/tracker_lines.py, in measure"], {"NoReading": NoReading, "percent": 7.0}
         )
     assert raised.value.code == entry.code
+
+
+def test_the_report_column_shows_its_header_and_value(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = eval(BLOCKS["hilcell/report/tables.py, in STATIONS"], {"Column": Column})
+    monkeypatch.setattr(tables, "STATIONS", (*tables.STATIONS, *made))
+    run = validated_run(tmp_path / "r")
+    run.frame("station.S1100", strip_mm=1100.01, rms_mm=0.02, tool_uncertainty_mm=0.03)
+    (row,) = Page(report_html(run.facts())).table("Stations")
+    assert row["strip off mm"] == "+0.010"

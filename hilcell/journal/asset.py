@@ -24,7 +24,7 @@ class Asset(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def text(self) -> str:
-        """Return it in words: ``Leica AT960, emScon 3.8, serial 4711``."""
+        """Return it in words: model and serial number."""
         return f"{self.model}, serial {self.serial}"
 
 
