@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from hilcell.commands.output import print_message
@@ -24,7 +25,9 @@ def tui(args: argparse.Namespace) -> int:
         )
     keymap = load_keys(Path(args.keys) if args.keys else None)
     glyphs = ASCII if args.ascii or not _has_unicode() else UNICODE
-    _say_to_textual(args.colors)
+    variables = textual_environment(args.colors, os.environ)
+    os.environ.pop("NO_COLOR", None)
+    os.environ.update(variables)
     from hilcell.tui.app.app import HilcellApp
     from hilcell.tui.screens.base import Options
 
@@ -58,15 +61,18 @@ def tui(args: argparse.Namespace) -> int:
     return 0
 
 
-def _say_to_textual(colours: str) -> None:
-    """Set what Textual reads when it is imported, and NO_COLOR, which its applications read."""
-    if colours == "auto" and not has_colours(os.environ):
+def textual_environment(colours: str, environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables that Textual reads when it is imported.
+
+    ``environment`` must lose its own NO_COLOR: Textual obeys even an empty one.
+    """
+    if colours == "auto" and not has_colours(environment):
         colours = "none"
-    os.environ["TEXTUAL_COLOR_SYSTEM"] = COLOURS.get(colours, colours)
-    os.environ["TEXTUAL_ANIMATIONS"] = "none"
-    os.environ.pop("NO_COLOR", None)  # even empty it is obeyed, even against an option
-    if colours == "none":
-        os.environ["NO_COLOR"] = "1"
+    found = {
+        "TEXTUAL_COLOR_SYSTEM": COLOURS.get(colours, colours),
+        "TEXTUAL_ANIMATIONS": "none",
+    }
+    return found | ({"NO_COLOR": "1"} if colours == "none" else {})
 
 
 def _has_unicode() -> bool:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from itertools import product
 
 import pytest
 
+from hilcell.commands.tui import textual_environment
 from hilcell.tui.terminal.capabilities import has_colours, has_unicode
 
 XTERM = {"TERM": "xterm-256color"}
@@ -110,3 +112,19 @@ def test_a_fresh_python_says_what_its_shell_said(locale: dict[str, str], shapes:
         [sys.executable, "-c", SAID], env=XTERM | locale, capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == str(shapes)
+
+
+TERMS = ("linux", "screen", "xterm", "vt100", "dumb")
+COLOURS = ("16", "256", "truecolor", "none", "auto")
+SYSTEMS = {"16": "standard", "none": "truecolor"}
+
+
+@pytest.mark.parametrize(("colours", "term"), list(product(COLOURS, TERMS)))
+def test_an_option_for_colours_outweighs_the_environment(colours: str, term: str) -> None:
+    for no_color in ("", "1"):
+        found = textual_environment(colours, {"TERM": term, "NO_COLOR": no_color})
+        without = no_color == "1" or term in ("vt100", "dumb")
+        chosen = "none" if colours == "auto" and without else colours
+        assert found["TEXTUAL_COLOR_SYSTEM"] == SYSTEMS.get(chosen, chosen)
+        assert found.get("NO_COLOR") == ("1" if chosen == "none" else None)
+        assert found["TEXTUAL_ANIMATIONS"] == "none"
