@@ -17,7 +17,7 @@ from tests.hilcell.tui.sample_runs import fresh
 from tests.hilcell.tui.test_terminal import NAME, write
 from tests.whole.terminal import Terminal
 
-LETTERS = ("д", "Д", "λ", "é", "ß", "ñ", "字", "<", "[", "|", "#", "€", ",", "\\", "1")
+LETTERS = ("Д", "é", "字", "[", ",", "\\")
 KITTY = "\x1b[{0};;{0}u"
 
 
@@ -33,7 +33,7 @@ def keys_file(folder: Path, letter: str) -> Path:
 def test_a_letter_of_any_layout_acts_and_is_shown(tmp_path: Path, letter: str, sent: str) -> None:
     keymap = load_keys(keys_file(tmp_path, letter))
 
-    async def run_app() -> None:
+    async def press_letter() -> None:
         app = RecordingApp(options(Path("/runs"), keymap=keymap), "done")
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
@@ -43,12 +43,12 @@ def test_a_letter_of_any_layout_acts_and_is_shown(tmp_path: Path, letter: str, s
             await settle(pilot)
             assert "Event log" in text_of(app)
 
-    asyncio.run(run_app())
+    asyncio.run(press_letter())
     lines = help_lines(keymap, ASCII).plain.splitlines()
     assert any(line.startswith(f"{letter} ") and "journal" in line for line in lines)
 
 
-@pytest.mark.parametrize("letter", ["д", "é", "Ω", "["])
+@pytest.mark.parametrize("letter", ["д", "["])
 def test_such_a_key_in_a_real_terminal(tmp_path: Path, letter: str) -> None:
     write(tmp_path / "runs" / NAME, fresh("done").records)
     words = ["tui", "last", "--runs", str(tmp_path / "runs")]

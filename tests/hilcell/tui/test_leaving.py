@@ -19,7 +19,7 @@ LIMIT_S = 10.0
 def leave(folder: Path, key: str, answer: threading.Event) -> str:
     """Open a page, leave it, let its answer come; return the state of the screens."""
 
-    async def run_app() -> str:
+    async def leave_early() -> str:
         app = RecordingApp(options(folder), "done")
         async with app.run_test(size=(80, 24)) as pilot:
             await settle(pilot)
@@ -29,7 +29,7 @@ def leave(folder: Path, key: str, answer: threading.Event) -> str:
             await settle(pilot)
             return type(app.screen).__name__
 
-    return asyncio.run(run_app())
+    return asyncio.run(leave_early())
 
 
 def test_the_history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,7 +57,7 @@ def test_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_news_that_come_while_the_screen_is_taken_down(tmp_path: Path) -> None:
     """The parts of a screen go before the screen does; a message may come in between."""
 
-    async def run_app() -> None:
+    async def leave_early() -> None:
         app = RecordingApp(options(tmp_path), "done")
         async with app.run_test(size=(80, 24)) as pilot:
             await settle(pilot)
@@ -66,4 +66,4 @@ def test_news_that_come_while_the_screen_is_taken_down(tmp_path: Path) -> None:
             await page.query("*").remove()
             page.show_again()
 
-    asyncio.run(run_app())
+    asyncio.run(leave_early())

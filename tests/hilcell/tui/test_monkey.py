@@ -42,7 +42,7 @@ def test_random_keys_break_nothing(state: str) -> None:
     chance = random.Random(f"{state}")
     pressed: list[str] = []
 
-    async def run_app(app: Watched) -> None:
+    async def press_at_random(app: Watched) -> None:
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             for _ in range(BURSTS):
@@ -57,7 +57,7 @@ def test_random_keys_break_nothing(state: str) -> None:
                 assert sum(isinstance(each, Confirm) for each in app.screen_stack) <= 1
 
     app = Watched(options(Path("/runs")), state)
-    asyncio.run(run_app(app))
+    asyncio.run(press_at_random(app))
     asked = [command for command, _ in app.recorded.asked]
     assert set(asked) <= {"pause", "proceed", "abort", "retake", "answer"}, pressed
     assert sum(each in ("proceed", "abort", "retake") for each in asked) <= app.questions, pressed
