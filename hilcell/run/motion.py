@@ -1,0 +1,122 @@
+"""Motions of slide and robot: each passes the interlocks with readings taken for it."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from hilcell.cell.file import Station
+from hilcell.ports import Array, RailReading, RobotReading
+from hilcell.run.fresh_readings import fresh
+from hilcell.run.interlocks import (
+    check_joint_limits,
+    check_strip,
+    rail_may_move,
+    robot_may_move,
+)
+from hilcell.run.run_context import RunContext
+from hilcell.run.strip_loop import approach_station
+
+
+class Motion:
+    """Moves one of both at a time. ``held`` is the station at which the slide is held."""
+
+    def __init__(self, run: RunContext) -> None:
+        self._run = run
+        self.held: Station | None = None
+
+    # -- the rail -----------------------------------------------------------------------------
+
+    def home_rail(self) -> None:
+        """Find the drive's reference; the robot goes to its safe pose first."""
+        self._prepare_rail("rail.home", {})
+        self._run.devices.rail.home()
+        self._run.devices.rail.hold()
+
+    def rail_to(self, position_mm: float) -> None:
+        """Move by the drive alone, without the strip, and hold."""
+        self._prepare_rail("rail.move", {"position_mm": position_mm})
+        self._run.devices.rail.move_to(position_mm)
+        self._run.devices.rail.settle()
+        self._hold_rail()
+
+    def hold_station(self, station: Station, *, again: bool = False) -> None:
+        """Bring the slide to ``station`` by the strip and hold it there.
+
+        A slide that a resumed run finds at the station, by the strip, stays there.
+        """
+        if self.held == station and not again:
+            return
+        if not again and self._stands_at(station):
+            self.held = station
+            self._run.event("station found held", station=station.name)
+            return
+        self._prepare_rail("rail.approach", {"station": station.name})
+        approach = approach_station(self._run.devices.rail, self._run.cell.rail, station)
+        self._hold_rail()
+        reading = self._run.devices.rail.read()
+        check_strip(self._run.cell, reading, station, "hold")
+        self.held = station
+        self._run.event(
+            "station held",
+            station=station.name,
+            tries=approach.tries,
+            strip_mm=reading.strip_mm,
+            rail_mm=reading.position_mm,
+        )
+
+    def _stands_at(self, station: Station) -> bool:
+        held = [r.body["station"] for r in self._run.log.events if r.body["what"] == "station held"]
+        if self._run.log.session < 2 or not held or held[-1] != station.name:
+            return False
+        reading = self._run.devices.rail.read()
+        off_mm = abs(reading.strip_mm - station.strip_mm)
+        at_rest = reading.still and not reading.powered
+        return at_rest and off_mm <= self._run.cell.rail.strip_tolerance_mm
+
+    def rail_referenced(self) -> bool:
+        """Whether drive and absolute strip agree, which proves the drive's reference."""
+        reading = self._run.devices.rail.read()
+        return abs(reading.position_mm - reading.strip_mm) <= self._run.cell.rail.slip_limit_mm
+
+    def _prepare_rail(self, action: str, facts: dict[str, object]) -> None:
+        self._run.checkpoint()
+        self.held = None
+        parked = self.park_robot()  # read at rest, after its motion ended
+        robot = fresh(self._run.devices.robot.read, self._run.cell.settle.reading_age_s, parked)
+        rail_may_move(self._run.cell, robot, time.monotonic())
+        self._run.intend("", action, **facts)
+
+    def _fresh_rail(self) -> RailReading:
+        return fresh(self._run.devices.rail.read, self._run.cell.settle.reading_age_s)
+
+    def _hold_rail(self) -> None:
+        self._run.devices.rail.hold()
+        self._run.clock.wait(self._run.cell.settle.rail_s)
+
+    # -- the robot ----------------------------------------------------------------------------
+
+    def park_robot(self) -> RobotReading:
+        """Bring the robot to its safe pose unless it is there; return its reading there."""
+        safe_rad = np.radians(self._run.cell.robot.safe_deg)
+        now = self._run.devices.robot.read()
+        if bool(np.all(np.abs(now.joints_rad - safe_rad) < 1e-4)):
+            return now
+        robot_may_move(self._run.cell, self._fresh_rail(), None, time.monotonic())
+        self._run.intend("", "robot.park")
+        return self._run.devices.robot.move_to(safe_rad, self._run.cell.robot.speed_percent)
+
+    def robot_to(self, joints_rad: Array, what: str) -> RobotReading:
+        """Go to joints (6,), every axis from below, and settle.
+
+        Coming from one side on every axis takes the joints' backlash out of the error.
+        """
+        check_joint_limits(self._run.cell, joints_rad, what)
+        robot_may_move(self._run.cell, self._fresh_rail(), self.held, time.monotonic())
+        self._run.intend(what, "robot.move", joints_deg=np.degrees(joints_rad))
+        before = joints_rad - np.radians(self._run.cell.robot.approach_deg)
+        self._run.devices.robot.move_to(before, self._run.cell.robot.speed_percent)
+        reading = self._run.devices.robot.move_to(joints_rad, self._run.cell.robot.speed_percent)
+        self._run.clock.wait(self._run.cell.settle.robot_s)
+        return reading

@@ -1,0 +1,79 @@
+"""A run as its parts share it: cell, devices, clock, log, and the journal that keeps its facts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from hilcell.calibration.frames import Frames
+from hilcell.cell.devices import Devices
+from hilcell.cell.file import Cell
+from hilcell.journal.journal import Journal
+from hilcell.journal.log import Log, Point
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array, Clock
+from hilcell.run.states import CALIBRATION, StateMachine
+
+
+class RunContext:
+    """Used by the worker thread alone. ``checkpoint`` pauses the run where it was asked to."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        devices: Devices,
+        clock: Clock,
+        journal: Journal,
+        log: Log,
+        checkpoint: Callable[[], None],
+    ) -> None:
+        self.cell, self.devices, self.clock = cell, devices, clock
+        self.log, self.frames = log, Frames(cell, log)
+        self.checkpoint = checkpoint
+        self._journal = journal
+        self._calibration = StateMachine(
+            CALIBRATION, log.states["calibration"], lambda body: journal.append("state", "", body)
+        )
+
+    def reached(self, state: str) -> bool:
+        """Whether the journal proves this state of the calibration, or a later one."""
+        order = CALIBRATION.states
+        return order.index(self._calibration.state) >= order.index(state)
+
+    def reach(self, trigger: str) -> None:
+        """Take a step of the calibration machine, unless the journal proves that it was taken."""
+        target = next(row[2] for row in CALIBRATION.rows if row[0] == trigger)
+        if not self.reached(target):
+            self._calibration.fire(trigger)
+
+    def event(self, what: str, **facts: object) -> None:
+        """Journal something worth knowing."""
+        self._journal.append("event", "", {"what": what} | facts)
+
+    def intend(self, key: str, action: str, **facts: object) -> None:
+        """Journal what is about to be done."""
+        self._journal.append("intent", key, {"action": action} | facts)
+
+    def frame(self, key: str, matrix: Array, **facts: object) -> None:
+        """Journal a frame as a homogeneous matrix (4, 4)."""
+        self._journal.append("frame", key, {"matrix": matrix} | facts)
+
+    def verdict(self, key: str, *, holds: bool, **facts: object) -> None:
+        """Journal a judgement; a verdict that does not hold makes the run's exit code 1."""
+        self._journal.append("verdict", key, {"holds": holds} | facts)
+
+    @property
+    def seed(self) -> int:
+        """Return the run's seed, from which random targets are drawn."""
+        return self.log.inputs.seed
+
+    @property
+    def folder(self) -> Path:
+        """Return the run's folder."""
+        return self._journal.path.parent
+
+    def point(self, id: PointId, **facts: object) -> Point:
+        """Journal a point and return it."""
+        head = {"id": id, "group": id.group, "session": self.log.session}
+        self._journal.append("point", id.key, head | facts)
+        return self.log.point(id)
