@@ -1,4 +1,4 @@
-"""What must hold in a calibration file before a single target is corrected by it.
+"""Checks of a calibration file before a single target is corrected by it.
 
 A damaged number still reads as a number; a frame that stretches, or a pitch that does
 not fit its grid, moves every target and looks sound.

@@ -1,4 +1,4 @@
-"""The calibration file: what a finished calibration is for others, one JSON schema with a version.
+"""The calibration file: a finished calibration for others, one JSON schema with a version.
 
 All lengths mm, frames as homogeneous matrices; the errors of the grid stand in {B}, so that they
 hold at every station. One changed digit corrects every target wrongly, so the file is sealed, and

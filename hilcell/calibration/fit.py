@@ -37,7 +37,7 @@ class FitError(HilcellError):
 
 
 class FitResult(TypedDict):
-    """What ``fit --json`` prints; ``train`` and ``test`` count rows.
+    """The output of ``fit --json``; ``train`` and ``test`` count rows.
 
     ``methods`` has the figures of what each leaves, distances of predicted from measured positions.
     """

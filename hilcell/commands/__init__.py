@@ -1,1 +1,1 @@
-"""What each command does; imported only when it is called."""
+"""One module for each group of commands; imported only when it is called."""

@@ -154,7 +154,7 @@ def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         commands,
         "compare",
         "commands.compare:compare",
-        "compare two runs of a cell: what has drifted",
+        "compare two runs of a cell: the drift between them",
     )
     compare.add_argument("first", metavar="RUN", help="the earlier run")
     compare.add_argument("second", metavar="RUN", help="the later run")

@@ -1,4 +1,4 @@
-"""``compare``: what drifted between two runs of one cell."""
+"""``compare``: the drift between two runs of one cell."""
 
 from __future__ import annotations
 

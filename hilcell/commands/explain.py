@@ -1,4 +1,4 @@
-"""``explain``: what an alarm's code means, and what to do about it."""
+"""``explain``: the meaning of an alarm's code, and the steps to take."""
 
 from __future__ import annotations
 

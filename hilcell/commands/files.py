@@ -61,8 +61,8 @@ def compensate(args: argparse.Namespace) -> int:
     print_message(f"{count} targets corrected for {args.station} into {written}")
     if calibration.provenance.simulated:
         print_message(
-            f"hilcell: SIMULATED: run {calibration.provenance.run} measured no real robot; what "
-            "was written is for trying out, not for a machine"
+            f"hilcell: SIMULATED: run {calibration.provenance.run} measured no real robot; the "
+            "output is for trying out, not for a machine"
         )
     return 0
 

@@ -1,4 +1,4 @@
-"""``report`` and ``export``: what a run found, as one page or as tables."""
+"""``report`` and ``export``: the results of a run, as one page or as tables."""
 
 from __future__ import annotations
 

@@ -210,7 +210,7 @@ def _run(
     folder: Path,
     args: argparse.Namespace,
 ) -> tuple[int, Exception | None]:
-    """Bring up devices and perform; what fails before the runner lives is journalled here."""
+    """Bring up devices and perform; failures before the runner lives are journalled here."""
     inputs, stop = log.inputs, threading.Event()
     sys.setswitchinterval(SWITCH_S)
     try:

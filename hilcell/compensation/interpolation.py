@@ -188,7 +188,7 @@ def _wide_cells(model: type[Interpolation], measured: MeasuredGrid) -> tuple[Int
 
 
 def _residual_mm2(model: type[Interpolation], measured: MeasuredGrid) -> Array:
-    """Return the covariance R (3, 3): what the vertices left out miss beyond their readings."""
+    """Return the covariance R (3, 3) of left-out vertices' misses beyond their readings."""
     own = measured.covariance_mm2
     if not np.isfinite(own).all():
         return np.full((3, 3), np.nan)

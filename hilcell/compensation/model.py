@@ -1,4 +1,4 @@
-"""What a model of position errors is: targets in, predicted errors and their covariance out.
+"""A model of position errors: targets in, predicted errors and their covariance out.
 
 A model is one module with one class, registered under its name in `hilcell.compensation.choice`;
 nothing else in the core names it.

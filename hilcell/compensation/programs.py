@@ -1,9 +1,9 @@
 """Robot programs on disk: which format reads one, and where the corrected one is written.
 
-A format is a function that reads a file, and those that go with it, into a `Program`. The entry
-point group ``hilcell.programs`` names it by the file's suffix, in lower case without its dot:
-``src = "package.module:load_program"``. It raises `SettingsError` with everything, by file and
-line, that cannot be corrected safely.
+A format is a function that reads a file, and those that belong to it, into a `Program`. The entry
+point group ``hilcell.programs`` names it by the file's suffix, in lower case without its dot: ``src
+= "package.module:load_program"``. It raises `SettingsError` with everything, by file and line, that
+cannot be corrected safely.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Program(Protocol):
 
     @property
     def notes(self) -> list[str]:
-        """Return what the user should know: what was left unchanged, in which base targets are."""
+        """Return notes for the user: the parts left unchanged, the base that targets are in."""
 
     @property
     def suffixes(self) -> Sequence[str]:

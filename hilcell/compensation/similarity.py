@@ -1,9 +1,9 @@
 """How alike the position errors of two poses are (section 3.2, eq 8), and over which distance.
 
-The errors are smooth functions of the joints, so similarity falls with the distance of joints.
-Its traps: eq 8's infinity for equal errors is a definition and no weight, and one nearly equal
-pair rules a mean of similarities: means are taken of the differences. And the distance of tool
-points stands for that of joints only at one fixed orientation and configuration.
+The errors are smooth functions of the joints, so similarity falls with the distance of joints. Eq
+8's infinity for equal errors is a definition and no weight, and one nearly equal pair rules a mean
+of similarities: means are taken of the differences. And the distance of tool points stands for that
+of joints only at one fixed orientation and configuration.
 """
 
 from __future__ import annotations
