@@ -8,6 +8,8 @@ from drivers.tcp import Alarms
 from hilcell.ports import DeviceError, DeviceRefused, NoReading
 
 DEVICE = "Tracker"
+ACT = "look at the tracker, then resume"
+ACTS = {"HC-T11": "clear the beam or seat the reflector, then resume"}
 ALARMS = Alarms(unreachable="HC-T01", lost="HC-T02")
 
 
@@ -28,12 +30,13 @@ def refused(
 def failed(command: Command, status: int) -> DeviceError:
     """Return the error of a refused command."""
     kind = NoReading if status in emscon.RECOVERABLE else DeviceError
+    code = emscon.alarm(status)
     return kind(
-        emscon.alarm(status),
+        code,
         DEVICE,
         spoken(command),
         emscon.status_text(status),
-        act="look at the tracker, resume",
+        act=ACTS.get(code, ACT),
         fields={"status": status},
     )
 

@@ -138,6 +138,6 @@ def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
         cause.operation,
         cause.found,
         wanted=cause.wanted,
-        act="clear the beam or seat the reflector, resume",
+        act=cause.act or "clear the beam or seat the reflector, then resume",
         fields=cause.fields,
     )

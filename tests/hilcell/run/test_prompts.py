@@ -8,6 +8,7 @@ import pytest
 
 import hilcell.run.runner as runner_module
 from hilcell.ports import DeviceError, NoReading
+from hilcell.run.prompts import Prompt, unanswered
 from tests.hilcell.run.bed import Bed, Live, broken_beam, until
 from tests.hilcell.run.rig import Points, hang, procedure
 
@@ -21,6 +22,21 @@ def bed(tmp_path: Path) -> Bed:
 
 def blocked() -> None:
     raise NoReading("HC-T10", "Tracker", "measure", "the beam broke", act="clear the line of sight")
+
+
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [
+        ("check the cable", "; check the cable"),
+        ("", "; clear the beam or seat the reflector, then resume"),
+    ],
+)
+def test_a_run_that_nobody_attends_ends_with_the_driver_s_advice(act: str, said: str) -> None:
+    prompt = Prompt(
+        title="", text="", place="F1", expected_mm=(0, 0, 0), limit_mm=1, reason="garbled"
+    )
+    cause = NoReading("HC-T10", "Tracker", "measure F1", "garbled", act=act)
+    assert str(unanswered(prompt, cause)).endswith(said)
 
 
 def clear() -> None:
