@@ -125,6 +125,10 @@ def driver_options(
         for key, value in shared.options.items()
         if key in stated
     ]
+    if foreign := ", ".join(key for key in addresses if key not in wanted):
+        found = f"the simulated {table} listens at {foreign}, unknown to driver {shared.driver!r}"
+        act = "name a simulator that speaks its protocol, or delete [simulation]"
+        raise SettingsError(table, [f"{found}; {act}"])
     own = {key: value for key, value in shared.options.items() if key not in stated}
     values = {name: value for name, value in stated.items() if name in wanted}
     try:

@@ -35,6 +35,11 @@ def test_a_simulator_says_where_its_devices_listen() -> None:
     assert (getattr(options, "host"), getattr(options, "port")) == ("::1", 5)  # noqa: B009
 
 
+def test_a_simulated_device_of_another_protocol_is_named() -> None:
+    with pytest.raises(SettingsError, match="robot listens at channel, unknown to driver"):
+        driver_options(load_cell("paper"), "robot", "robots", {"channel": "/dev/pts/1"})
+
+
 @pytest.mark.parametrize(
     ("key", "value", "found"),
     [
