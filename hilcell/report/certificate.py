@@ -30,6 +30,7 @@ class Item:
 def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
     """Return the items in the standard's order."""
     inputs, cell = facts.inputs, facts.cell
+    measured_air = bool(facts.log.temperatures_c())
     return [
         Item("7.8.2.1 a", "Title", title(facts)),
         Item("7.8.2.1 b, c", "Laboratory, place of the calibration"),
@@ -46,18 +47,20 @@ def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
         Item("7.8.2.1 j", "Date of issue"),
         Item("7.5.1", "Measured by", inputs.operator),
         Item("7.8.2.1 o", "Authorised by (name, signature)"),
-        Item("7.8.2.1 m", "Results and units", "the tables of this report; lengths mm, angles °, "
-             "temperatures °C"),
+        Item("7.8.2.1 m", "Results and units", "the tables of this report; lengths mm, angles °"
+             + (", temperatures °C" if measured_air else "")),
         Item("7.8.2.1 n", "Deviations from the method"),
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget)),
         Item("7.8.4.1 b", "Conditions", _conditions(facts)),
         Item("7.8.4.1 c", "Measured with", _measured_with(facts)),
-        Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector, thermometer"),
+        Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
+             + (", thermometer" if measured_air else "")),
         Item("7.8.4.1 d", "Before and after adjustment", "both are reported: “before” is the robot "
              "commanded by its nominal kinematics, “after” the same robot with corrected targets"),
         Item("7.8.6.2", "Conformity, decision rule", _conformity(facts)),
         Item("7.8.2.1 l", "Validity", "the results relate only to the item calibrated, in the "
-             "volume, orientation and temperatures stated here"),
+             + ("volume, orientation and temperatures stated here" if measured_air else
+                "volume and orientation stated here; no temperature was measured")),
     ]  # fmt: skip
 
 

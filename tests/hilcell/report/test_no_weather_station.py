@@ -28,6 +28,9 @@ def test_the_report_says_so(facts: Facts) -> None:
     page = Page(report_html(facts))
     assert "air not measured: the tracker has no weather station" in page.text
     assert "Air at the tracker" not in page.text
+    assert "volume and orientation stated here; no temperature was measured" in page.text
+    assert "thermometer" not in page.text
+    assert "°C" not in page.text
     assert "nan" not in page.text.lower().split()
 
 
