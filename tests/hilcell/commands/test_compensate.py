@@ -36,8 +36,8 @@ def test_a_corrected_list_arrives(desk: Workplace, capsys: pytest.CaptureFixture
     assert names == ["H1", "H2"]
     assert np.abs(command[:, :3] - TARGETS[:, :3]).max() > 0.3
     np.testing.assert_allclose(arrived_mm(command[:, :3]), TARGETS[:, :3], atol=2e-3)
-    told = capsys.readouterr()
-    assert (told.out, told.err) == (
+    reported = capsys.readouterr()
+    assert (reported.out, reported.err) == (
         "", f"2 targets corrected for S1100 into {desk.out}\n"
     )  # fmt: skip
 
@@ -96,14 +96,14 @@ def test_nominal_targets_are_not_replaced(desk: Workplace) -> None:
 
 
 @pytest.mark.parametrize("where", [".", "/", "n" * 300, "nowhere/out", "file/out"])
-def test_places_that_cannot_be_written_are_told_in_one_line(
+def test_places_that_cannot_be_written_are_reported_in_one_line(
     desk: Workplace, capsys: pytest.CaptureFixture[str], where: str
 ) -> None:
     (desk.folder / "file").write_text("")
     before = desk.files
     assert desk.compensate(out=desk.folder / where) == 2
-    (told,) = capsys.readouterr().err.splitlines()
-    assert ("is a folder" in told) == (where in "./")
+    (reported,) = capsys.readouterr().err.splitlines()
+    assert ("is a folder" in reported) == (where in "./")
     assert desk.files == before
 
 

@@ -45,13 +45,13 @@ def test_no_command_repeats_what_a_terminal_obeys(
     places = {"FILE": str(tmp_path / "file"), "FOLDER": str(runs / name)}
     arguments = [places.get(word, word) for word in words.split()]
     assert main([*arguments, "--runs", str(runs)]) == code
-    printed, told = capfdbinary.readouterr()
-    assert b"Traceback" not in told
-    for text in (printed, told):
+    printed, reported = capfdbinary.readouterr()
+    assert b"Traceback" not in reported
+    for text in (printed, reported):
         assert b"\x1b" not in text
         assert b"\xff" not in text
     if "--json" not in words:  # there it is data, which nobody shows as it comes
-        assert not {"\x9b", "\x07", "\u202e"} & {*(printed + told).decode()}
+        assert not {"\x9b", "\x07", "\u202e"} & {*(printed + reported).decode()}
     elif "export" not in words:
         assert json.loads(printed.splitlines()[-1])
 

@@ -191,9 +191,9 @@ def fresh(name: str) -> RunUpdate:
     """Return what one look at a run in a state brings."""
     unheard = {"silent": EngineState.SILENT, "looking": EngineState.UNKNOWN}
     engine = EngineState.ANSWERING if name in HEARD else unheard.get(name, EngineState.NONE)
-    told = status(name) if engine in (EngineState.ANSWERING, EngineState.SILENT) else None
+    reported = status(name) if engine in (EngineState.ANSWERING, EngineState.SILENT) else None
     trouble = "journal: damaged or not a journal" if name == "unreadable" else ""
-    return RunUpdate(sample_runs()[name].records, engine, told, trouble)
+    return RunUpdate(sample_runs()[name].records, engine, reported, trouble)
 
 
 def status(name: str) -> Status:

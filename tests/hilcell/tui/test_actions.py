@@ -108,8 +108,8 @@ def test_the_space_bar_pauses_goes_on_or_resumes(state: str) -> None:
 
     app = run_app(act, state)
     space = SPACE[state]
-    told = space is not None and space[0] != "resume"
-    assert app.recorded.asked == ([(space[0], {})] if space is not None and told else [])
+    reported = space is not None and space[0] != "resume"
+    assert app.recorded.asked == ([(space[0], {})] if space is not None and reported else [])
     assert bool(app.actions.engines) == (space is not None and space[0] == "resume")
     assert app.recorded.stops == 0
 
@@ -162,7 +162,7 @@ def test_pages_turned_in_a_circle_are_not_piled_up() -> None:
     run_app(act, "running")
 
 
-def test_a_trouble_that_lasts_leaves_other_words_their_time() -> None:
+def test_a_lasting_trouble_does_not_replace_other_notices() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         trouble = RunUpdate([], trouble="the journal is gone")
         app.show_notice("the engine ended, exit 7")
@@ -192,7 +192,7 @@ def test_a_question_about_a_run_ends_with_it(key: str) -> None:
     run_app(act, "running")
 
 
-def test_what_was_said_about_a_moment_goes_with_it() -> None:
+def test_a_notice_about_a_state_ends_with_it() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         waiting = msgspec.structs.replace(PROMPT, ready=False, seen_mm=9.0)
         asked = msgspec.structs.replace(status("suspended"), prompt=waiting)
@@ -251,7 +251,7 @@ def test_escape_stops_from_everywhere_and_never_asks() -> None:
 
 
 @pytest.mark.parametrize("key", PAGES)
-def test_what_is_said_is_seen_and_spoils_no_page(key: str) -> None:
+def test_a_notice_is_seen_on_every_page(key: str) -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, key)
         before = text_of(app).splitlines()
@@ -424,7 +424,7 @@ def test_enter_in_the_filter_answers_no_prompt() -> None:
 
 
 @pytest.mark.parametrize("state", ["running", "paused", "fault", "gone"])
-def test_a_point_is_measured_anew_after_a_question(state: str) -> None:
+def test_a_point_is_re_measured_after_a_question(state: str) -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "end", "r")
         assert isinstance(app.screen, Confirm)
@@ -451,7 +451,7 @@ def test_a_run_is_resumed_as_it_was_begun(unattended: bool) -> None:
     assert ("--unattended" in words) == unattended
 
 
-def test_a_point_that_may_not_be_measured_anew_says_why() -> None:
+def test_a_point_that_may_not_be_re_measured_says_why() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "home", "r")
         assert isinstance(app.screen, RunScreen)
@@ -460,7 +460,7 @@ def test_a_point_that_may_not_be_measured_anew_says_why() -> None:
     assert run_app(act, "running").recorded.asked == []
 
 
-def test_a_point_is_measured_anew_from_its_own_page() -> None:
+def test_a_point_is_re_measured_from_its_own_page() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "end", "enter")
         assert isinstance(app.screen, DetailPage)

@@ -107,7 +107,7 @@ SAID = (
         ({"LANG": "C", "PYTHONCOERCECLOCALE": "0"}, False),
     ],
 )
-def test_a_fresh_python_says_what_its_shell_said(locale: dict[str, str], shapes: bool) -> None:
+def test_a_new_python_keeps_the_locale_of_its_shell(locale: dict[str, str], shapes: bool) -> None:
     done = subprocess.run(
         [sys.executable, "-c", SAID], env=XTERM | locale, capture_output=True, text=True, check=True
     )

@@ -24,7 +24,7 @@ def unseen(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, "none")
 
 
-def test_a_defect_of_the_screen_is_told_and_is_no_success(
+def test_a_defect_of_the_screen_is_reported_and_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     async def broken(_: HilcellApp) -> None:
@@ -33,29 +33,29 @@ def test_a_defect_of_the_screen_is_told_and_is_no_success(
     monkeypatch.setattr(HilcellApp, "_open", broken)
     unseen(monkeypatch)
     assert main(["tui", "--runs", str(tmp_path)]) == 5
-    told = capsys.readouterr().err
-    assert DEFECT in told
-    assert "`hilcell tui last` shows it again" in told.replace("\n", " ")
+    reported = capsys.readouterr().err
+    assert DEFECT in reported
+    assert "`hilcell tui last` shows it again" in reported.replace("\n", " ")
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "told"),
+    ("words", "code", "reported"),
     [
         (["nope"], 2, "run 'nope' is not in"),
         (["--runs", __file__], 7, "cannot be used: Not a directory"),
     ],
 )
-def test_what_cannot_be_opened_is_told_in_the_shell(
+def test_a_run_that_cannot_be_opened_is_reported_in_the_shell(
     words: list[str],
     code: int,
-    told: str,
+    reported: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     unseen(monkeypatch)
     assert main(["tui", "--runs", str(tmp_path), *words]) == code
-    assert told in capsys.readouterr().err
+    assert reported in capsys.readouterr().err
 
 
 def test_a_screen_that_is_left_is_a_success(

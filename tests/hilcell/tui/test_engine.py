@@ -67,12 +67,12 @@ def test_a_value_that_is_refused_comes_without_the_usage_of_a_command() -> None:
     assert "\n" not in str(refused.value)
 
 
-def test_what_a_command_says_in_its_last_breath_is_kept(tmp_path: Path) -> None:
+def test_the_error_of_a_command_is_kept(tmp_path: Path) -> None:
     with pytest.raises(HilcellError, match="not in"):
         asyncio.run(run_command("show", "none", "--runs", str(tmp_path)))
 
 
-def test_an_engine_says_its_last_words_to_a_file_of_its_own(tmp_path: Path) -> None:
+def test_each_engine_has_a_log_file_of_its_own(tmp_path: Path) -> None:
     words = ["run", "nothing", "--runs", str(tmp_path)]
     first, second = (process.start_engine(tmp_path, "r", words) for _ in range(2))
     assert "'nothing' is not installed" in first.wait_for_end()
@@ -87,7 +87,7 @@ def ended(folder: Path, code: int) -> StartedEngine:
 
 
 @pytest.mark.parametrize("code", [2, 5, 6, 7])
-def test_an_end_that_no_journal_tells_is_told(tmp_path: Path, code: int) -> None:
+def test_an_end_outside_the_journal_is_reported(tmp_path: Path, code: int) -> None:
     (tmp_path / "journal.sqlite").touch()
     assert (
         ended(tmp_path, code).wait_for_end()
@@ -95,25 +95,25 @@ def test_an_end_that_no_journal_tells_is_told(tmp_path: Path, code: int) -> None
     )
     said = tmp_path / "engine-1.log"
     said.write_text("".join(f"line {number}\n" for number in range(100)))
-    told = ended(tmp_path, code).wait_for_end()
-    assert told.endswith("line 98\nline 99")
-    assert len(told.splitlines()) == 7
+    reported = ended(tmp_path, code).wait_for_end()
+    assert reported.endswith("line 98\nline 99")
+    assert len(reported.splitlines()) == 7
 
 
-def test_the_reason_is_told_and_not_what_was_reported_before_it(tmp_path: Path) -> None:
+def test_only_the_last_reason_is_reported(tmp_path: Path) -> None:
     said = tmp_path / "engine-1.log"
     said.write_text("connected\nhilcell: a notice\n25/1035 points\nhilcell: locked\nby a run\n")
     assert ended(tmp_path, 6).wait_for_end() == "the engine ended, exit 6: locked\nby a run"
 
 
 @pytest.mark.parametrize("code", [0, 1, 3, 4])
-def test_an_end_that_the_journal_tells_is_not_told_twice(tmp_path: Path, code: int) -> None:
+def test_an_end_in_the_journal_is_not_reported_twice(tmp_path: Path, code: int) -> None:
     assert ended(tmp_path, code).wait_for_end() == f"the engine ended, exit {code}: no reason given"
     (tmp_path / "journal.sqlite").touch()
     assert ended(tmp_path, code).wait_for_end() == ""
 
 
-def test_no_room_for_an_engine_is_told(tmp_path: Path) -> None:
+def test_an_engine_that_cannot_be_started_is_reported(tmp_path: Path) -> None:
     (tmp_path / "runs").touch()
     with pytest.raises(HilcellError, match=r"no engine was started: .*Not a directory"):
         process.start_engine(tmp_path / "runs", "r", [])

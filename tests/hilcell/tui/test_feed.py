@@ -146,9 +146,7 @@ def test_a_line_that_ends_is_opened_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("answer", [SILENCE, b"garbage\n", None], ids=["silence", "garbage", "end"])
-def test_an_engine_gone_mad_is_asked_anew_until_it_is_well(
-    tmp_path: Path, answer: bytes | None
-) -> None:
+def test_an_engine_with_bad_answers_is_asked_again(tmp_path: Path, answer: bytes | None) -> None:
     mad = threading.Event()
 
     def sometimes(words: dict[str, str]) -> bytes | None:
@@ -168,7 +166,7 @@ def test_an_engine_gone_mad_is_asked_anew_until_it_is_well(
 
 
 @pytest.mark.parametrize(
-    "told",
+    "reported",
     [
         {"ok": False, "error": "no"},
         {"ok": True},
@@ -178,12 +176,12 @@ def test_an_engine_gone_mad_is_asked_anew_until_it_is_well(
     ],
 )
 def test_a_status_that_makes_no_sense_leaves_the_last_to_grow_stale(
-    tmp_path: Path, told: dict[str, object]
+    tmp_path: Path, reported: dict[str, object]
 ) -> None:
     odd = threading.Event()
 
     def answer(words: dict[str, str]) -> bytes:
-        return says(told) if odd.is_set() else usual(words)
+        return says(reported) if odd.is_set() else usual(words)
 
     with Peer(tmp_path, answer):
         screen = Screen(tmp_path)
@@ -244,7 +242,7 @@ print(looks.get(timeout=10).trouble, looks.get(timeout=10).trouble, sep="\\n")
 """
 
 
-def test_a_folder_that_must_not_be_looked_into_is_told_at_each_look() -> None:
+def test_a_folder_without_permission_is_reported_at_each_look() -> None:
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0)
         done = subprocess.run(
@@ -266,7 +264,7 @@ def test_it_tells_whether_a_calibration_has_its_file(tmp_path: Path, written: bo
     screen.close()
 
 
-def test_a_journal_that_is_damaged_is_told(tmp_path: Path) -> None:
+def test_a_damaged_journal_is_reported(tmp_path: Path) -> None:
     (tmp_path / "journal.sqlite").write_bytes(b"no journal at all, but long enough to be one")
     screen = Screen(tmp_path)
     screen.feed.start()

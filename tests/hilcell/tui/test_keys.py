@@ -152,7 +152,7 @@ def test_escape_stops_whatever_the_file_says(tmp_path: Path) -> None:
         (b"[keys]\nlog = '\xff'", "cannot be read as TOML"),
     ],
 )
-def test_what_is_refused_says_what_is_wrong(tmp_path: Path, text: str | bytes, wanted: str) -> None:
+def test_a_refusal_names_the_problem(tmp_path: Path, text: str | bytes, wanted: str) -> None:
     assert wanted in problems_of(tmp_path, text)
 
 
@@ -165,11 +165,11 @@ def test_a_file_that_was_named_must_be_there(tmp_path: Path) -> None:
         load_keys(tmp_path / "none.toml")
 
 
-def test_all_problems_are_told_at_once(tmp_path: Path) -> None:
+def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     text = '[keys]\nlog = "h"\nhistori = "H"\nplots = "f1"\nreport = "q"\n[other]\n'
-    told = problems_of(tmp_path, text)
+    reported = problems_of(tmp_path, text)
     for part in ("means log and history", "histori", "function keys", "of report", "other:"):
-        assert part in told
+        assert part in reported
 
 
 def bound(keys: list[str]) -> Keymap:
@@ -189,15 +189,15 @@ def test_any_key_used_twice_is_refused(chance: random.Random) -> None:
     keymap = bound(keys)
     one, other = chance.sample(REBOUND, 2)
     keymap[one] = (*keymap[one], *keymap[other])
-    (told,) = conflicts(keymap)
-    assert one in told
-    assert other in told
-    assert repr(shown(keymap[other][0])) in told
+    (reported,) = conflicts(keymap)
+    assert one in reported
+    assert other in reported
+    assert repr(shown(keymap[other][0])) in reported
 
 
 @pytest.mark.parametrize("key", RESERVED)
 def test_fixed_keys_cannot_be_taken(key: str) -> None:
-    assert any("fixed meaning" in told for told in conflicts({"log": (key,)}))
+    assert any("fixed meaning" in reported for reported in conflicts({"log": (key,)}))
 
 
 def test_named_keys_are_named_as_the_terminal_library_names_them() -> None:

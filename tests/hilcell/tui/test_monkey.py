@@ -26,7 +26,7 @@ SIZES = (SIZE, (20, 5), (60, 15), (160, 40))
 
 
 class Watched(RecordingApp):
-    """Notes every question, so that what is asked for can be told from what was asked before."""
+    """Counts every question."""
 
     questions = 0
 

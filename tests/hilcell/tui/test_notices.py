@@ -36,7 +36,7 @@ def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
 
 
 @pytest.mark.parametrize("over", ["a", "ctrl+p"])
-def test_what_comes_in_is_shown_under_a_question_and_under_the_palette(over: str) -> None:
+def test_updates_are_shown_under_a_question_and_under_the_palette(over: str) -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, over)
         for engine, word in ((EngineState.SILENT, "NO ANSWER"), (EngineState.ANSWERING, "PAUSED")):
@@ -47,7 +47,7 @@ def test_what_comes_in_is_shown_under_a_question_and_under_the_palette(over: str
     run_app(act, "paused")
 
 
-def test_a_calibration_that_has_its_file_again_is_told() -> None:
+def test_a_calibration_saved_later_is_reported() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         for calibrated in (False, True):
             app.post_message(RunUpdated(app.recorded, RunUpdate([], calibrated=calibrated)))
@@ -58,7 +58,7 @@ def test_a_calibration_that_has_its_file_again_is_told() -> None:
     run_app(act, "done")
 
 
-def test_what_could_not_be_read_is_told_only_as_long_as_it_cannot() -> None:
+def test_an_unreadable_journal_is_reported_while_it_is_unreadable() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         app.post_message(RunUpdated(app.recorded, RunUpdate([], trouble="journal: cannot be read")))
         await settle(pilot)

@@ -51,5 +51,5 @@ def test_without_a_run_there_is_nothing_to_act_on() -> None:
         ("intolerant", "the run is over"),
     ],
 )
-def test_the_space_bar_says_why_it_does_nothing(state: str, why: str) -> None:
+def test_a_refused_space_bar_gives_the_reason(state: str, why: str) -> None:
     assert refusal("pause", view_of(state), background=False, unacknowledged=False) == why

@@ -50,7 +50,7 @@ def test_durations(seconds: float, wanted: str) -> None:
 
 
 @pytest.mark.parametrize("seconds", [math.nan, math.inf, -math.inf])
-def test_a_duration_that_is_no_number_is_said_so(seconds: float) -> None:
+def test_a_duration_that_is_no_number_is_shown_as_dashes(seconds: float) -> None:
     assert run_text.duration(seconds) == "-:--"
 
 
@@ -128,7 +128,7 @@ def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
 
 
 @pytest.mark.parametrize("name", sample_runs())
-def test_the_banner_names_the_state_and_says_what_the_stop_is_not(name: str) -> None:
+def test_the_banner_shows_the_state_and_the_warning_of_the_stop(name: str) -> None:
     line = run_text.banner(view_of(name), UNICODE, 80).plain
     assert f"{UNICODE.states[name]} {run_text.STATES[name][0]}" in line
     assert ("LIVE" in line) + ("HISTORIC" in line) == (name != "looking")
@@ -138,7 +138,7 @@ def test_the_banner_names_the_state_and_says_what_the_stop_is_not(name: str) -> 
 
 @pytest.mark.parametrize("name", sample_runs())
 @pytest.mark.parametrize("background", ["running", "suspended", "silent"])
-def test_a_run_behind_is_told_of_in_every_state(name: str, background: str) -> None:
+def test_a_background_run_is_shown_in_every_state(name: str, background: str) -> None:
     for width in (80, 120):
         line = run_text.banner(view_of(name), UNICODE, width, view_of(background)).plain
         assert f"behind: {run_text.STATES[background][0]}" in line
@@ -147,8 +147,8 @@ def test_a_run_behind_is_told_of_in_every_state(name: str, background: str) -> N
 
 
 def test_the_end_of_a_run_behind_names_its_worst_alarm() -> None:
-    told = run_text.end_text(view_of("fault"))
-    assert told.endswith("made-up, has ended: FAULT: HC-T99 Tracker fault")
+    reported = run_text.end_text(view_of("fault"))
+    assert reported.endswith("made-up, has ended: FAULT: HC-T99 Tracker fault")
     assert run_text.end_text(view_of("done")).endswith("has ended: DONE")
 
 
@@ -159,7 +159,7 @@ def test_a_real_run_is_not_called_a_simulation() -> None:
     assert "SIMULATION" not in run_text.banner(view, UNICODE, 80).plain
 
 
-def test_the_step_is_told_with_its_count_and_the_next() -> None:
+def test_the_step_is_shown_with_its_count_and_the_next() -> None:
     line = run_text.step(view_of("running"), 80).plain
     assert line.startswith("step 5/7 robot-grid: 5/8, last grid/0-0-4 at S1100")
     assert line.endswith("next: fit")
@@ -253,7 +253,7 @@ def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
     assert run_text.air(view, UNICODE).plain.startswith("! ") == warns
 
 
-def test_a_tracker_without_a_weather_station_is_said_in_words() -> None:
+def test_a_tracker_without_a_weather_station_is_reported() -> None:
     view = view_of("running")
     assert view.last is not None
     view.last = msgspec.structs.replace(view.last, temperature_c=None)
@@ -317,7 +317,7 @@ def test_what_is_no_number_can_be_shown(text: str) -> None:
 # -- prompts ---------------------------------------------------------------------------------------
 
 
-def test_the_prompt_says_what_is_expected_and_seen() -> None:
+def test_the_prompt_shows_the_expected_and_the_actual_reading() -> None:
     view = view_of("suspended")
     text = prompt_lines(PROMPT, view, UNICODE, 76).plain
     assert "expected reading: x 4007.5  y -238.7  z -480.3 mm" in text
@@ -393,7 +393,7 @@ def test_what_stands_from_before_a_resume_is_on_the_page_of_alarms() -> None:
     assert alarm_page([], latch, UNICODE).plain == "No alarm was raised in this run."
 
 
-def test_a_long_advice_is_told_in_two_rows() -> None:
+def test_a_long_advice_takes_two_rows() -> None:
     latch = Latch()
     faulted = RecordingSession(Path("/runs/r"))
     faulted.take(fresh("fault"), BEGAN)

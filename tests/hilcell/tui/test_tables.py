@@ -58,7 +58,7 @@ def test_no_kind_is_left_out() -> None:
 
 @pytest.mark.parametrize("kind", get_args(Kind))
 @given(body=st.dictionaries(st.text(), st.none() | st.floats() | st.text() | st.lists(st.text())))
-def test_any_body_can_be_told(kind: Kind, body: dict[str, Any]) -> None:
+def test_any_record_becomes_one_line(kind: Kind, body: dict[str, Any]) -> None:
     row = record_row(Record(1, T, kind, "key", body))
     assert len(row.cells) == len(COLUMNS)
 
@@ -92,8 +92,8 @@ def test_what_is_marked_is_seen() -> None:
 
 
 def test_the_history_tells_how_a_run_ended() -> None:
-    told = [history_row(run, (), 200).cells[3] for run in RUNS]
-    assert told == ["finished", "out of tolerance", "engine gone", "unreadable"]
+    reported = [history_row(run, (), 200).cells[3] for run in RUNS]
+    assert reported == ["finished", "out of tolerance", "engine gone", "unreadable"]
     assert [history_row(run, (), 200).tone for run in RUNS[:2]] == ["", "bad"]
 
 

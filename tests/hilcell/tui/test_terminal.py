@@ -45,7 +45,7 @@ def write(folder: Path, records: list[Record]) -> None:
     journal.close()
 
 
-def told(found: Status | None) -> dict[str, object]:
+def reported(found: Status | None) -> dict[str, object]:
     """Return what an engine in such a state says."""
     facts: dict[str, object] = msgspec.to_builtins(found)
     return STATUS | facts
@@ -56,7 +56,7 @@ def live(folder: Path, name: str) -> Iterator[tuple[Terminal, Peer]]:
     """Show a live run of a state."""
     write(folder, sample_runs()[name].records)
     with (
-        Peer(folder, lambda _: says(told(status(name)))) as peer,
+        Peer(folder, lambda _: says(reported(status(name)))) as peer,
         Terminal(["tui", folder.name, "--runs", str(folder.parent)]) as terminal,
     ):
         terminal.shows("LIVE")
@@ -97,7 +97,7 @@ def test_no_hostile_byte_reaches_the_terminal(tmp_path: Path, state: str) -> Non
     named = os.fsencode(tmp_path / "runs") + b"/r\x1b[31mPWNED\xc2\x9b\x07\xe2\x80\xae\xff\xfe"
     write(Path(os.fsdecode(named)), fresh("done").records)
     words = ["tui", NAME, "--runs", str(folder.parent)]
-    with Peer(folder, lambda _: says(told(found.status))) as peer, Terminal(words) as terminal:
+    with Peer(folder, lambda _: says(reported(found.status))) as peer, Terminal(words) as terminal:
         if found.engine is EngineState.NONE:
             peer.hang_up()
             (folder / "engine.json").unlink()
@@ -170,13 +170,13 @@ def test_esc_stops_the_live_run_from_which_one_looked_at_another(tmp_path: Path)
         terminal.press(ESC)
         peer.until_stops(stops)
         terminal.shows("STOP sent")
-        assert "leave" not in peer.commands  # were this screen lost, the engine would be told
+        assert "leave" not in peer.commands  # a lost screen would be reported
         terminal.press("q")
         terminal.shows("LIVE")
         terminal.press(ENTER)
 
 
-def test_nothing_is_said_of_a_run_behind_whose_engine_has_ended(tmp_path: Path) -> None:
+def test_a_background_run_that_ends_is_reported(tmp_path: Path) -> None:
     write(tmp_path / "20260303-080000-calibrate-cd34", sample_runs()["done"].records)
     with live(tmp_path / NAME, "running") as (terminal, peer):
         look_at_another(terminal)
@@ -224,7 +224,7 @@ def test_arrows_and_other_sequences_do_not_stop(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("key", [CTRL_C, CTRL_Q])
-def test_leaving_a_live_run_asks_and_says_so_to_the_engine(tmp_path: Path, key: str) -> None:
+def test_leaving_a_live_run_asks_and_is_reported_to_the_engine(tmp_path: Path, key: str) -> None:
     with live(tmp_path / NAME, "running") as (terminal, peer):
         terminal.press(key)
         terminal.shows("A run is live.")
@@ -236,7 +236,7 @@ def test_leaving_a_live_run_asks_and_says_so_to_the_engine(tmp_path: Path, key: 
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGHUP, signal.SIGTERM])
-def test_a_screen_that_is_lost_says_no_farewell(tmp_path: Path, how: signal.Signals) -> None:
+def test_a_lost_screen_sends_no_leave(tmp_path: Path, how: signal.Signals) -> None:
     with live(tmp_path / NAME, "running") as (terminal, peer):
         os.kill(terminal.pid, how)
         peer.until(lambda: peer.open == 0)

@@ -178,7 +178,7 @@ def test_hostile_words_may_be_pasted_into_the_form() -> None:
 
 
 @by_some
-def test_refusals_are_said_without_harm(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refusals_are_cleaned(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     async def refuse(*_: object) -> str:
         raise HilcellError(f"refused: {text}")
 
