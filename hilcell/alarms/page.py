@@ -41,8 +41,13 @@ def page() -> str:
     parts = [HEAD]
     for letter, title in CHAPTERS.items():
         entries = [entry for entry in catalogue().values() if entry.code.startswith(f"HC-{letter}")]
-        parts += [f"## {title}\n", *map(_section, sorted(entries, key=lambda each: each.code))]
-    return "\n".join(parts)
+        parts += _chapter(title, entries)
+    others = [entry for entry in catalogue().values() if not entry.code.startswith("HC-")]
+    return "\n".join(parts + (_chapter("Other makes", others) if others else []))
+
+
+def _chapter(title: str, entries: list[Entry]) -> list[str]:
+    return [f"## {title}\n", *map(_section, sorted(entries, key=lambda each: each.code))]
 
 
 def _section(entry: Entry) -> str:

@@ -11,12 +11,24 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.alarms.catalogue import SEVERITIES, CatalogueError, Entry, catalogue, packages
+from hilcell.alarms.catalogue import SEVERITIES, CatalogueError, Entry, catalogue, entries_of
 from hilcell.alarms.page import page
+from tests.hilcell.alarms.rooms import packages_of_hilcell
 
 catalogue_module = importlib.import_module("hilcell.alarms.catalogue")
 ROOT = Path(__file__).parents[3]
-ENTRIES = [*catalogue().values()]
+PACKAGES = packages_of_hilcell()
+ENTRIES = [entry for package in PACKAGES for entry in entries_of(package)]
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """Leave out the catalogues of other makes that are installed beside hilcell."""
+    installed = [*PACKAGES]
+    monkeypatch.setattr(catalogue_module, "packages", lambda: installed)
+    catalogue.cache_clear()
+    yield installed
+    catalogue.cache_clear()
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.code)
@@ -38,7 +50,7 @@ def test_titles_are_unique() -> None:
 def test_no_key_of_the_files_is_misspelt() -> None:
     """A key that nobody reads would pass silently."""
     known = {"code", "severity", "title", "means", "do", "then", "passes", "verdict"}
-    files = [file for package in packages() for file in resources.files(package).iterdir()]
+    files = [file for package in PACKAGES for file in resources.files(package).iterdir()]
     pages = [tomllib.loads(f.read_text("utf-8")) for f in files if f.name.endswith(".toml")]
     assert len(pages) >= 9
     for each in pages:
@@ -56,16 +68,13 @@ do = ["Look."]
 
 
 @pytest.fixture
-def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, installed: list[str]) -> Path:
     """Return the folder of a plant's own catalogue, installed beside the others."""
     folder = tmp_path / "plant_alarms"
     folder.mkdir()
     monkeypatch.syspath_prepend(tmp_path)
-    known = packages()
-    monkeypatch.setattr(catalogue_module, "packages", lambda: [*known, "plant_alarms"])
-    catalogue.cache_clear()
-    yield folder
-    catalogue.cache_clear()
+    installed.append("plant_alarms")
+    return folder
 
 
 def test_a_second_make_brings_its_own_entries(plant: Path) -> None:
@@ -73,6 +82,12 @@ def test_a_second_make_brings_its_own_entries(plant: Path) -> None:
     assert catalogue()["HC-T70"].title == "Other make"
     assert len(catalogue()) == len(ENTRIES) + 1
     assert "### HC-T70 Other make" in page()
+    assert "Other makes" not in page()
+
+
+def test_codes_of_another_form_are_a_chapter_of_the_page(plant: Path) -> None:
+    (plant / "tracker.toml").write_text(ROW.format("LINE-7"))
+    assert "## Other makes\n\n### LINE-7 Other make\n" in page()
 
 
 def test_a_code_is_nobody_s_twice(plant: Path) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from drivers import emcy, emscon
-from hilcell.alarms.catalogue import Entry, catalogue, entries_of, entry_of, packages
+from hilcell.alarms.catalogue import Entry, catalogue, entries_of, entry_of
+from tests.hilcell.alarms.rooms import packages_of_hilcell
 
 ROOT = Path(__file__).parents[3]
 ROOMS = ("hilcell", "drivers", "procedures", "fakes")
@@ -34,7 +35,7 @@ def named(room: str) -> set[str]:
 
 
 def test_the_rooms_are_all_that_have_entries() -> None:
-    assert {f"{room}.alarms" for room in ROOMS} == set(packages())
+    assert {f"{room}.alarms" for room in ROOMS} == set(packages_of_hilcell())
 
 
 @pytest.mark.parametrize("room", ROOMS)
