@@ -111,6 +111,8 @@ def test_the_right_sign_holds(bench: Any) -> None:
         "sign_before",
         "sign_corrected",
     ]
+    after_grid = [*bench.log.points.values()][-5:]
+    assert [point.group for point in after_grid[:3]] == ["control"] * 3
 
 
 def test_the_wrong_sign_doubles_the_error_and_fails(bench: Any) -> None:

@@ -2,13 +2,15 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
+from procedures.station_frames import StationFrames
 from procedures.world_frame import CONTROL_LIMIT_MM, WorldFrame, check_distances
-from tests.hilcell.run.bed import CELL, Bed
+from tests.hilcell.run.bed import CELL, PLAN, Bed
 from tests.hilcell.run.rig import Points, procedure
 
 NESTS_MM = np.array([nest.xyz_mm for nest in CELL.layout.floor])
@@ -46,3 +48,25 @@ def test_a_tracker_that_was_bumped_ends_the_run(tmp_path: Path, share: float, co
     end = bed.log().end
     assert end is not None
     assert end.get("error", {}).get("code", "") == code
+
+
+def test_control_points_come_before_the_slide_s_nests_at_every_station(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(PLAN, "cell", msgspec.to_builtins(CELL))
+    bed = Bed(tmp_path)
+
+    def act(session: CellSession, number: int) -> None:
+        session.reach("reference")
+        WorldFrame().perform(session)
+        reference = CELL.station_named(CELL.grid.station)
+        session.frame("base", CELL.layout.nominal_base(reference.rail_mm))
+        for trigger in ("hold_station", "frame_base", "measure_grid"):
+            session.reach(trigger)
+        StationFrames().perform(session)
+
+    assert bed.run(procedure(Points(1, act))) == 0, bed.log().fault
+    points = [*bed.log().points.values()]
+    for station in CELL.station:
+        at = next(n for n, point in enumerate(points) if point.station == station.name)
+        assert [point.group for point in points[at - 3 : at]] == ["control"] * 3

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, RailReading, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
@@ -39,14 +40,15 @@ def fault_of(bed: Bed, act: Callable[[CellSession, int], None]) -> str:
     return str(end.get("error", {}).get("code", ""))
 
 
+@pytest.mark.parametrize("late_s", [10.0, np.nan])
 def test_an_answer_to_an_earlier_request_is_refused(
-    bed: Bed, monkeypatch: pytest.MonkeyPatch
+    bed: Bed, monkeypatch: pytest.MonkeyPatch, late_s: float
 ) -> None:
     measure = bed.tracker.measure
 
     def replayed(near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         reading = measure(near_mm, reflector, samples)
-        return replace(reading, taken_s=reading.taken_s - 10.0)
+        return replace(reading, taken_s=reading.taken_s - late_s)
 
     monkeypatch.setattr(bed.tracker, "measure", replayed)
     assert fault_of(bed, nothing) == "HC-T31"
@@ -143,3 +145,60 @@ def test_a_robot_that_is_not_parked_is_parked(bed: Bed, off_deg: float, moves: i
     assert fault_of(bed, park) == ""
     assert bed.robot.moves == moves
     np.testing.assert_allclose(np.degrees(bed.robot.joints_rad), CELL.robot.safe_deg)
+
+
+def test_the_rail_stays_where_the_robot_does_not_park(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The interlock judges the robot's reading, not that it was told to park."""
+    bed.robot.joints_rad = HOME_RAD
+    monkeypatch.setattr(bed.robot, "move_to", lambda *_: bed.robot.read())
+    assert fault_of(bed, lambda session, number: session.rail_to(500.0)) == "HC-B32"
+    assert bed.rail.position_mm == 1100.0
+    assert not bed.rail.powered
+
+
+def test_joints_beyond_a_limit_are_never_commanded(bed: Bed) -> None:
+    far_rad = HOME_RAD + np.radians([0, 0, 0, 0, 0, 400.0])
+
+    def go(session: CellSession, number: int) -> None:
+        session.robot_to(far_rad, "a point")
+
+    assert fault_of(bed, go) == "HC-B33"
+    assert bed.robot.moves == 0
+
+
+def test_a_slide_that_slips_when_its_brake_closes_is_not_held(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hold = bed.rail.hold
+
+    def slip() -> None:
+        bed.rail.position_mm += 0.05
+        hold()
+
+    monkeypatch.setattr(bed.rail, "hold", slip)
+    assert fault_of(bed, lambda session, number: session.hold_station(S1100)) == "HC-S05"
+
+
+def test_what_has_moved_settles_before_it_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settles = {"settle.robot_s": "0.5", "settle.rail_s": "1.5"}
+    bed = Bed(tmp_path, cell=load_cell("paper", settles))
+    done: list[object] = []
+    move = bed.robot.move_to
+
+    def moved(joints_rad: Array, speed_percent: float) -> RobotReading:
+        done.append("move")
+        return move(joints_rad, speed_percent)
+
+    def act(session: CellSession, number: int) -> None:
+        monkeypatch.setattr(session.clock, "wait", done.append)
+        session.hold_station(S1100)
+        flange(session, number)
+
+    monkeypatch.setattr(bed.robot, "move_to", moved)
+    bed.tracker.answer = lambda: done.append("measure")
+    assert fault_of(bed, act) == ""
+    assert done == [1.5, "move", "move", 0.5, "measure", "measure"]
