@@ -11,7 +11,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, RailReading, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
-from tests.hilcell.run.bed import CELL, Bed
+from tests.hilcell.run.bed import CELL, Bed, broken_beam
 from tests.hilcell.run.rig import Points, procedure
 
 HOME_RAD = np.radians(CELL.robot.home_deg)
@@ -179,6 +179,7 @@ def test_a_slide_that_slips_when_its_brake_closes_is_not_held(
 
     monkeypatch.setattr(bed.rail, "hold", slip)
     assert fault_of(bed, lambda session, number: session.hold_station(S1100)) == "HC-S05"
+    assert not bed.events("station held")
 
 
 def test_what_has_moved_settles_before_it_is_measured(
@@ -202,3 +203,24 @@ def test_what_has_moved_settles_before_it_is_measured(
     bed.tracker.answer = lambda: done.append("measure")
     assert fault_of(bed, act) == ""
     assert done == [1.5, "move", "move", 0.5, "measure", "measure"]
+
+
+def test_the_robot_does_not_park_while_the_rail_has_power(bed: Bed) -> None:
+    bed.robot.joints_rad, bed.rail.powered = HOME_RAD, True
+    assert fault_of(bed, lambda session, number: session.park_robot()) == "HC-R42"
+    assert bed.robot.moves == 0
+
+
+@pytest.mark.parametrize(("moved_mm", "found"), [(0.0, 1), (0.5, 0), (-0.5, 0)])
+def test_a_resumed_run_proves_its_station_by_the_strip(
+    bed: Bed, moved_mm: float, found: int
+) -> None:
+    def hold(session: CellSession, number: int) -> None:
+        session.hold_station(S1100)
+
+    bed.tracker.answer = broken_beam(3)
+    assert fault_of(bed, hold) == "HC-T10"
+    bed.rail.position_mm += moved_mm
+    assert fault_of(bed, hold) == ""
+    assert len(bed.events("station found held")) == found
+    assert len(bed.events("station held")) == 2 - found
