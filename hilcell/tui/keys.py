@@ -1,4 +1,4 @@
-"""What the keys do: one table of actions, rebound by a TOML file, checked for conflicts.
+"""The keys: one table of actions, rebound by a TOML file, checked for conflicts.
 
     # ~/.config/hilcell/keys.toml
     [keys]

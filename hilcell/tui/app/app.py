@@ -234,7 +234,7 @@ class HilcellApp(App[int]):
         was_live, was_lost, trouble = view.live, view.calibration_lost, view.trouble
         session.take(message.update, utc_now())
         if session is self.session and was_live and not self.live:
-            self._close_questions()  # they were about a run that goes on
+            self._close_questions()  # they were about a live run
         self._show()
         if (ended := self.open_runs.close_ended()) is not None:
             from hilcell.tui.text.run import end_text

@@ -1,4 +1,4 @@
-"""Which screen opens: the first one, the run to show first, a page for each action, the palette."""
+"""Navigation: the first screen, the run to show first, the page of each action, the palette."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Palette(CommandPalette):
 
 
 class ActionProvider(Provider):
-    """What can be done now."""
+    """Provides the palette with the actions allowed now."""
 
     async def discover(self) -> Hits:
         """Yield every allowed action; the stop last, for it has a key that needs no palette."""

@@ -61,7 +61,7 @@ class AlarmPage(TextPage):
 
 
 class InterlockPage(TextPage):
-    """What may move now, why not, and what was last read."""
+    """The interlocks: each condition of motion, and the last reading of each device."""
 
     title_text = "Interlocks: what must be true before anything moves"
     footer = ("stop", "pause", "quit")

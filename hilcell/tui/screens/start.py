@@ -149,7 +149,7 @@ class StartScreen(BaseScreen):
 
 
 class PlanSummary(Dialog[bool]):
-    """What will be done and how long it takes; Enter starts, q goes back."""
+    """The plan with its steps and its duration; Enter starts, q goes back."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter,y", "reply(True)", show=False, priority=True),

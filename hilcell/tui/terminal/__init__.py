@@ -1,1 +1,1 @@
-"""What the terminal at hand can show."""
+"""The terminal: its capabilities, its driver, the themes."""

@@ -1,4 +1,4 @@
-"""What the terminal can show, judged by its environment, and the glyphs for it.
+"""The capabilities of the terminal, judged by its environment, and the glyphs for it.
 
 A locale that is named and is not UTF-8 means ASCII: a glyph that a terminal cannot show breaks the
 lines of 80 columns. No named locale, as in containers and over bare SSH, counts as UTF-8, which

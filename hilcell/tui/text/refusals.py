@@ -1,4 +1,4 @@
-"""Why a key does nothing now, from the run's state alone; nothing where it does something.
+"""The reasons why an action is refused now, from the run's state alone; empty where it is not.
 
 At first no run is shown, and an engine that starts or does not answer takes no commands.
 """
