@@ -63,11 +63,11 @@ class Measuring:
                 try:
                     return self._reading(key, near_mm, samples)
                 except NoReading as error:
-                    cause, reason = error.of_point(key), error.summary
+                    failed, cause = error, error.of_point(key)
                     facts = {"reason": str(error), "error": cause.facts()}
                     self._run.event("no reading", key=key, tries=tries, **facts)
             limit_mm = self._run.cell.tracker.find_radius_mm
-            prompt = beam_prompt(self._run.cell, key, place, near_mm, limit_mm, reason)
+            prompt = beam_prompt(self._run.cell, key, place, near_mm, limit_mm, failed)
             self._ask(prompt, lambda: self.look(key, near_mm), cause)
 
     def _reading(self, key: str, near_mm: Array, samples: int) -> TrackerReading:

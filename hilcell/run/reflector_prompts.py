@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hilcell.cell.file import Cell
-from hilcell.ports import Array
+from hilcell.ports import Array, NoReading
 from hilcell.run.prompts import Prompt
 
 FLANGE = "flange"
@@ -37,16 +37,20 @@ def seat_prompt(cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: f
 
 
 def beam_prompt(
-    cell: Cell, key: str, place: str, near_mm: Array, limit_mm: float, reason: str
+    cell: Cell, key: str, place: str, near_mm: Array, limit_mm: float, error: NoReading
 ) -> Prompt:
-    """Return what is asked when the tracker gives no good reading of a reflector."""
+    """Return what is asked when the tracker gives no good reading of a reflector.
+
+    The error's own advice goes first: a driver knows best, and not every cause is in the beam.
+    """
     x, y, z = (round(float(value), 3) for value in near_mm)
+    advice = f"{error.act[:1].upper()}{error.act[1:]}. " if error.act else ""
     return Prompt(
-        title=f"Clear the beam to {place}",
-        text=f"No good reading of {where(cell, place)}: {reason}. Clear the line of sight, clean "
-        "the reflector, see that it sits well.",
+        title=f"No good reading of {place}",
+        text=f"{error.summary}, at {where(cell, place)}. {advice}See that nothing is in the line "
+        "of sight, and that the reflector is clean and sits well.",
         place=place,
         expected_mm=(x, y, z),
         limit_mm=limit_mm,
-        reason=f"{key}: {reason}",
+        reason=f"{key}: {error.summary}",
     )

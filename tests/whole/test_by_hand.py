@@ -183,7 +183,7 @@ def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
     engine.until(lambda event: event["kind"] == "point" and event["group"] == "base")
     operator.seat("")
     prompt = operator.prompt("flange")
-    assert prompt.title == "Clear the beam to flange"
+    assert prompt.title == "No good reading of flange"
     assert command("resume", "hand", "--runs", tmp_path).returncode == 0
     engine.until(lambda event: event.get("what") == "answer refused")
     assert operator.status().state == "suspended"

@@ -47,7 +47,7 @@ def test_a_lasting_break_asks_and_goes_on_when_the_reflector_is_seen(bed: Bed) -
     with Live(bed, procedure(Points(1))) as live:
         live.until("state", "suspended")
         prompt = live.status("prompt")
-        assert prompt["title"] == "Clear the beam to F1"
+        assert prompt["title"] == "No good reading of F1"
         assert "nest F1 on the floor, x 0, y 0, z 0 mm in {W}" in prompt["text"]
         assert prompt["text"].casefold().count("clear the line of sight") == 1
         assert prompt["place"] == "F1"
@@ -72,7 +72,7 @@ def test_a_lasting_break_asks_and_goes_on_when_the_reflector_is_seen(bed: Bed) -
     assert suspended["error"]["code"] == "HC-T10"
     assert suspended["error"]["operation"] == "measure p/0"
     assert suspended["prompt"]["place"] == "F1"
-    assert suspended["prompt"]["title"] == "Clear the beam to F1"
+    assert suspended["prompt"]["title"] == "No good reading of F1"
     assert len(bed.events("answer refused")) == 1
 
 

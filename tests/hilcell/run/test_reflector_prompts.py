@@ -7,8 +7,9 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
+from hilcell.ports import NoReading
 from hilcell.run.cell_session import FLANGE, CellSession
-from hilcell.run.reflector_prompts import seat_prompt, where
+from hilcell.run.reflector_prompts import beam_prompt, seat_prompt, where
 from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 
@@ -44,6 +45,17 @@ def test_the_prompt_says_from_where_to_where() -> None:
     assert prompt.expected_mm == (1.0, 2.0, 3.0)
     assert prompt.reason == "flange is to be measured, the reflector is F3"
     assert "Take the reflector and seat it" in seat_prompt(BY_HAND, "F1", "", np.zeros(3), 5.0).text
+
+
+@pytest.mark.parametrize(
+    ("act", "said"), [("check the cable", "in {W}. Check the cable. See"), ("", "in {W}. See")]
+)
+def test_a_prompt_gives_the_driver_s_advice(act: str, said: str) -> None:
+    error = NoReading("HC-T02", "Tracker", "measure", "garbled", act=act)
+    prompt = beam_prompt(BY_HAND, "world/F2", "F2", np.zeros(3), 5.0, error)
+    assert prompt.title == "No good reading of F2"
+    assert prompt.text.startswith("Tracker: measure: garbled, at nest F2 on the floor")
+    assert said in prompt.text
 
 
 def test_it_is_asked_for_once_a_place_and_where_it_rode_to(bed: Bed) -> None:
