@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("hilcell", "drivers", "procedures", "fakes", "tests", "benchmarks")
 MODULES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
 
-LATER = ("journal", "run", "tui")
+LATER = ("journal", "run")
 PROSE = [
     path
     for room in ("hilcell", "drivers", "procedures", "fakes", "docs")

@@ -1,9 +1,9 @@
 """The samples of a stream: a file of their own beside the journal, and one record in it.
 
 180 000 samples are not 180 000 commits. So a sweep's samples are appended to a file, made durable
-when the stream has ended, and only then is the file's digest journalled. The trap: a file without
-its record is nothing. It is left over from a kill; the next stream removes what was not finished,
-and nobody reads a file but by its record.
+when the stream has ended, and only then is the file's digest journalled. A file without its record
+is left over from a kill: the next stream removes unfinished ones, and files are read by their
+records only.
 
 The file is a row of arrays in numpy's .npy format (version 1.0), each of dtype `SAMPLES` or
 `JOINTS`, in the order in which they came; times are the cell's clock's, but for ``device_s``.
@@ -40,7 +40,7 @@ Rows = NDArray[np.void]
 
 
 class StreamRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """What the journal says of a stream; ``file`` is in the run's folder of streams."""
+    """The journal's record of a stream; ``file`` is in the run's folder of streams."""
 
     key: str
     file: str

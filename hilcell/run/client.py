@@ -188,7 +188,7 @@ def _missing(folder: Path) -> str:
     try:
         is_there(folder / ENGINE)
     except OSError as error:
-        return f"whether its engine is running cannot be told: {error.strerror}"
+        return f"its engine may be running: {ENGINE} cannot be read: {error.strerror}"
     return "no engine is running; `hilcell show` tells how it ended"
 
 

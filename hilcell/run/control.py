@@ -26,7 +26,7 @@ from hilcell.writing import NotWritten, write_whole
 
 
 class Engine(Protocol):
-    """What the control channel serves; every method may come from any thread."""
+    """The engine as the control channel serves it; every method may come from any thread."""
 
     def stop(self) -> None:
         """Stop everything now."""

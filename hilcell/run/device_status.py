@@ -1,7 +1,7 @@
-"""What each device last said, how long ago, and whether it moves: for display, never for motion.
+"""The last reading of each device, its age, and whether it moves: for display, never for motion.
 
-The ports of a run are wrapped here, so that no device is asked a second time for the display.
-The trap: a displayed reading is not an interlock. It may be old; motions take their own.
+The ports of a run are wrapped here, so that no device is asked a second time for the display. A
+displayed reading is no interlock. It may be old; motions take their own.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ REFRESH_S = 0.5
 
 
 class DeviceMonitor:
-    """What is known of one device: written by the worker alone, read by any thread."""
+    """The known state of one device: written by the worker alone, read by any thread."""
 
     def __init__(self) -> None:
         self.moving = False

@@ -1,7 +1,7 @@
 """Readings that are young enough to move by, also on a PC that is busy now and then.
 
-The trap: a PC that did not run between a reading and its use has an old reading and a device that
-is well. So it reads again; the interlocks judge the age of what is returned all the same.
+A PC that did not run between a reading and its use has an old reading and a device that is well. So
+it reads again; the interlocks judge the age of the new reading all the same.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What must be true before anything moves or is measured; pure checks on fresh readings.
+"""Conditions before anything moves or is measured; pure checks on fresh readings.
 
 Each check raises `Blocked` with the reason in words; NaN never passes. hilcell is not a safety
 function: these interlocks protect the measurement and the machine's peace, not people.
@@ -152,7 +152,7 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What a face knows of the cell: last readings, what moves now, the station that is held."""
+    """The cell as displayed: last readings, devices that move now, the station that is held."""
 
     rail: RailReading | None
     robot: RobotReading | None

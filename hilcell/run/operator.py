@@ -39,7 +39,7 @@ class Operator:
     def _expected(self, place: str, nominal_mm: Array, strip_mm: float) -> tuple[Array, float]:
         """Return where a seated reflector (3,) will be, tracker's frame, and within which distance.
 
-        Where it sat before tells that best; what rides on the slide has moved along the rail since.
+        Its last position, shifted by the slide's motion where it rides on the slide, is used first.
         """
         layout = self._run.cell.layout
         if place in self._run.log.sights:

@@ -1,4 +1,4 @@
-"""What a procedure is: its words, its plan before anything moves, its acts and its result."""
+"""A procedure: its words, its plan before anything moves, its acts and its result."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hilcell.run.cell_session import CellSession
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Measurements alike in a row, how many and how long in all; none: what leads to the next."""
+    """Measurements alike in a row, how many and how long in all; none: the way to the next."""
 
     kind: str
     measured: int  # with those of control points, which no plan counts as points
@@ -24,7 +24,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step of a plan: what is done, how many points it yields, how long it takes."""
+    """One step of a plan: its act, how many points it yields, how long it takes."""
 
     name: str
     points: int
@@ -34,7 +34,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a run will do. Building it has checked reach, limits and sight of every target."""
+    """The steps of a run. Building it has checked reach, limits and sight of every target."""
 
     steps: list[Step]
 
@@ -50,7 +50,7 @@ class Plan:
 
 
 class Part(Protocol):
-    """One act of a procedure: what it needs, moves, measures and yields, and how it is done."""
+    """One act of a procedure: its needs, motions, measurements and yield, and how it is done."""
 
     name: str
     needs: str

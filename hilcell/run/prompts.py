@@ -1,8 +1,7 @@
 """One question to the operator at a time, and the look that proves his answer.
 
 An answer counts only when a look that began after it finds the reflector where it is asked for:
-what was seen before the answer proves nothing (fault 72). Looks are the worker's, answers come
-from any thread.
+earlier looks prove nothing (fault 72). Looks are the worker's, answers come from any thread.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ NOTHING_ASKED = "nothing is asked now"
 
 
 class Prompt(msgspec.Struct, frozen=True, kw_only=True):
-    """What is asked: ``expected_mm`` in the tracker's frame, seen within ``limit_mm`` of it."""
+    """The question: ``expected_mm`` in the tracker's frame, seen within ``limit_mm`` of it."""
 
     title: str
     text: str
@@ -34,7 +33,7 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What the tracker saw: how far from the expected place, or why it saw nothing."""
+    """A look of the tracker: how far from the expected place, or why it saw nothing."""
 
     seen_mm: float | None
     reason: str

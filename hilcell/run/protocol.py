@@ -25,7 +25,7 @@ TIMELESS = ("stop", "status", "attend", "leave")  # the others are orders, and g
 
 
 class Request(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a client asks: ``key`` names the point of a ``retake``.
+    """A client's request: ``key`` names the point of a ``retake``.
 
     ``before`` is until when an order holds, in seconds of CLOCK_MONOTONIC, which is one clock for
     all processes of a machine; an order without it holds for ever.
@@ -59,7 +59,7 @@ class Request(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class DeviceStatus(msgspec.Struct, frozen=True):
-    """What a device last said, and how long ago; ``reason`` is why it is lost."""
+    """A device's last reading and its age; ``reason`` is why it is lost."""
 
     state: str = "unknown"  # or fresh, moving, lost
     age_s: float | None = None
@@ -75,7 +75,7 @@ class Interlock(msgspec.Struct, frozen=True):
 
 
 class PromptStatus(msgspec.Struct, frozen=True):
-    """What the operator is asked to do, and what the tracker sees of it (tracker's frame)."""
+    """The question to the operator, and the tracker's look at it (tracker's frame)."""
 
     title: str
     text: str
@@ -89,7 +89,7 @@ class PromptStatus(msgspec.Struct, frozen=True):
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True):
-    """The state of a run: what every answer carries that is no refusal."""
+    """The state of a run; every answer carries it that is no refusal."""
 
     run: str = ""
     state: str

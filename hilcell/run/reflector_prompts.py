@@ -1,4 +1,4 @@
-"""What the operator is asked when the tracker sees no reflector: where it belongs, in words."""
+"""Questions to the operator when the tracker sees no reflector: where it belongs, in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What signals mean to a run: before it lives they end it, then they are commands."""
+"""Signals to a run: before it lives they end it, then they are commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The safe stop: every device gets its stop frame at once, whatever the rest of the engine does.
+"""The safe stop: every device gets its stop frame at once, in any state of the engine.
 
 Threads that send it wait ready from the start of a run; the thread that asks for the stop wakes
 them and lends a hand, so the order in which they get the processor does not matter. The trap: a

@@ -1,8 +1,8 @@
 """A slow sweep of one axis with the tracker streaming: guarded, recorded, once in a run's life.
 
-The trap: tracker and robot have no clock in common. So samples keep the tracker's own time and the
-window of the cell's clock in which they arrived, joints the cell's clock before and after they
-were asked for; the reader of the stream pairs them.
+Tracker and robot have no clock in common. So samples keep the tracker's own time and the window of
+the cell's clock in which they arrived, joints the cell's clock before and after they were asked
+for; the reader of the stream pairs them.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ ACTIONS = (
     Action("report", ("o",), "report", "write the report and show its figures"),
     Action("history", ("h",), "history", "earlier runs; two can be compared"),
     Action("mark", ("x",), "mark", "in the history: mark a run to be compared"),
-    Action("compare", ("c",), "compare two", "in the history: what has drifted between two runs"),
+    Action("compare", ("c",), "compare two", "in the history: the drift between two runs"),
     Action("new", ("n",), "new run", "choose cell and procedure and start a run"),
     Action("detach", ("d",), "detach", "leave the screen; the run goes on"),
     Action("theme", ("t",), "theme", "the next theme"),

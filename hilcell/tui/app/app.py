@@ -1,8 +1,8 @@
 """The screen as an application: it holds one attachment to a run and passes keys on as commands.
 
-What is allowed comes from the run's state machine; what is shown comes from the journal. The
-engine is another process: closing this one stops nothing by surprise. What reads journals is
-imported after the first screen is painted.
+The run's state machine says which actions are allowed; the journal gives all that is shown. The
+engine is another process: closing this one stops nothing by surprise. Modules that read journals
+are imported after the first screen is painted.
 """
 
 from __future__ import annotations

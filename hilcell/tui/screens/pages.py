@@ -48,7 +48,7 @@ class TextPage(Page):
 
 
 class AlarmPage(TextPage):
-    """Every alarm: what it means, where, what to do."""
+    """Every alarm: its meaning, its place, the steps to take."""
 
     title_text = "Alarms"
     footer = ("stop", "acknowledge", "pause", "quit")
@@ -63,7 +63,7 @@ class AlarmPage(TextPage):
 class InterlockPage(TextPage):
     """The interlocks: each condition of motion, and the last reading of each device."""
 
-    title_text = "Interlocks: what must be true before anything moves"
+    title_text = "Interlocks: conditions before anything moves"
     footer = ("stop", "pause", "quit")
 
     def text(self, view: RunView | None) -> Content:
@@ -121,7 +121,7 @@ class FilterScreen(BaseScreen):
         """Open the filter."""
         box = self.query_one("#find", Input)
         box.display = True
-        self.set_focus(box)  # at once: what is typed ahead belongs into it
+        self.set_focus(box)  # at once: keys typed ahead belong into it
 
     def on_input_changed(self, message: Input.Changed) -> None:
         """Filter as one types."""

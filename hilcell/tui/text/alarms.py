@@ -13,7 +13,7 @@ from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import LAMPS, lamp
 
-MOST_ROWS, SPARE = 2, 12  # of a part; what breaking lines at words may cost
+MOST_ROWS, SPARE = 2, 12  # of a part; the cost of breaking lines at words
 _TONES = {"fault": "bad", "warning": "warn", "notice": "info"}
 
 
