@@ -93,6 +93,7 @@ def test_points_are_selected_by_fields() -> None:
         (log.select("repeatability", place=2), ["repeatability/2/009"]),
         (log.select("repeat"), ["repeat/plain/random/000+", "repeat/strip/one_side/014-"]),
         (log.select("repeat", way="random"), ["repeat/plain/random/000+"]),
+        (log.select("repeat", how="strip"), ["repeat/strip/one_side/014-"]),
         (log.select("validate", "S300", how="idw"), []),
     ):
         assert [point.key for point in found] == wanted
