@@ -1,12 +1,13 @@
 """Nests that are swapped, units that are wrong, a tracker that was bumped: all are refused."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
-from hilcell.ports import Array, DeviceError
+from hilcell.ports import Array, DeviceError, TrackerReading
 from hilcell.run.cell_session import CellSession
 from procedures.station_frames import StationFrames
 from procedures.world_frame import CONTROL_LIMIT_MM, WorldFrame, check_distances
@@ -29,6 +30,26 @@ def test_other_distances_are_refused(measured_mm: Array) -> None:
     with pytest.raises(DeviceError) as raised:
         check_distances(CELL, measured_mm)
     assert raised.value.code == "HC-T32"
+
+
+def test_no_world_is_framed_by_nests_that_stand_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bed = Bed(tmp_path)
+    measure = bed.tracker.measure
+
+    def stretched(near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        reading = measure(near_mm, reflector, samples)
+        return replace(reading, xyz_mm=1.01 * reading.xyz_mm)
+
+    def act(session: CellSession, number: int) -> None:
+        session.reach("reference")
+        WorldFrame().perform(session)
+
+    monkeypatch.setattr(bed.tracker, "measure", stretched)
+    bed.run(procedure(Points(1, act)))
+    assert (bed.log().end or {})["error"]["code"] == "HC-T32"
+    assert not bed.log().frames
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import stat
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +43,23 @@ def test_what_was_taken_is_read_back(
     assert data.window_s[[0, 7, 8, 28]].tolist() == [[0, 0.5], [0, 0.5], [8, 8.5], [9, 9.5]]
     np.testing.assert_array_equal(data.joints_rad[:, 0], [0.0, 8.0, 9.0])
     assert data.asked_s.tolist() == [[0, 0.25], [8, 8.25], [9, 9.25]]
+
+
+def test_a_stream_is_on_the_disk_before_it_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its samples first, then its name: the journal's record of it must survive a loss of power."""
+    synced: list[str] = []
+    sync = os.fsync
+
+    def seen(file: int) -> None:
+        names = sorted(path.suffix for path in (tmp_path / FOLDER).iterdir())
+        synced.append(f"{'folder' if stat.S_ISDIR(os.fstat(file).st_mode) else 'file'} {names[0]}")
+        sync(file)
+
+    monkeypatch.setattr(os, "fsync", seen)
+    record = written(tmp_path, 3)
+    assert synced == ["file .part", f"folder {Path(record.file).suffix}"]
 
 
 def test_the_longest_gap_is_told(tmp_path: Path) -> None:
