@@ -87,7 +87,7 @@ def _robot_serial(facts: Facts) -> str:
 def _measured_with(facts: Facts) -> str:
     """Return the tracker and the strip that measured, by their serial numbers."""
     kinds = ("tracker", "strip")
-    found = [f"{each.kind} {each.text}" for each in facts.log.assets if each.kind in kinds]
+    found = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
     return "; ".join(found)
 
 

@@ -91,6 +91,7 @@ def test_points_are_selected_by_fields() -> None:
         (log.select("frames", "S300", axis=1), ["frames/S300/axis1/000"]),
         (log.select("frames", axis=6), []),
         (log.select("repeatability", place=2), ["repeatability/2/009"]),
+        (log.select("repeatability", place=1), []),
         (log.select("repeat"), ["repeat/plain/random/000+", "repeat/strip/one_side/014-"]),
         (log.select("repeat", way="random"), ["repeat/plain/random/000+"]),
         (log.select("repeat", how="strip"), ["repeat/strip/one_side/014-"]),

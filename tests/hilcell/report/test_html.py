@@ -54,7 +54,7 @@ def test_the_tracker_is_named_by_its_serial_number(tmp_path: Path) -> None:
              "firmware": "emScon 3.8"}  # fmt: skip
     writer = Writer(tmp_path / "r").began([entry])
     text = page_of(writer.facts()).text
-    assert "tracker Leica AT960, emScon 3.8, serial 750123" in text
+    assert "Leica AT960, emScon 3.8, serial 750123 (tracker)" in text
     assert "firmware" in text
 
 
