@@ -31,9 +31,9 @@ from drivers import emscon
 from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, Nest, load_cell
 from hilcell.journal.engine_file import EngineFile
-from hilcell.journal.journal import Journal
 from hilcell.journal.log import Log, PlanRecord
 from hilcell.journal.point_id import PointId
+from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL
 from hilcell.ports import SimulatedCell
 from hilcell.run.cell_session import CellSession
@@ -119,14 +119,12 @@ def engine() -> None:
 def cycle(cell: Cell, simulated: SimulatedCell, place: Place, folder: Path, phase: str) -> int:
     stop = threading.Event()
     clock = simulated.clock(stop)
-    journal, log = Journal(folder / JOURNAL, folder.name, create=True), Log()
-    journal.listen(log.take)
+    journal = RunJournal(folder / JOURNAL, folder.name, create=True)
     journal.append("plan", "", msgspec.to_builtins(plan_of(cell, phase)))
     runner = Runner(
         cell,
         Procedure(phase, "", (Phase(phase),), lambda result: ([], [])),
         journal,
-        log,
         devices=build_devices(cell, place.addresses, clock),
         clock=clock,
         stop=stop,

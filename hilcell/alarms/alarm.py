@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 DRIFT_LIMIT_K = 2.0
 MANY_APPROACHES = 0.5  # of those that the cell file allows
 STRAYED = 0.5  # of rail.slip_limit_mm: drive against strip, from one hold to the next
-OVER = ("aborted", "faulted", "finished")
 REFUSED_EXITS = (2, 3, 5, 6, 7)
 PROBLEMS = {"safe stop": "HC-C02", "closed": "HC-C03"}
 REFUSALS = {"answer refused": "HC-C09", "retake refused": "HC-C14"}
@@ -66,13 +65,12 @@ def alarms_of(
     """
     if log.plan is None:
         return []
-    began = max((r.seq for r in log.life if r.body["to"] == "checking"), default=0)
-    session = [record for record in log.events if record.seq > began]
+    session = [record for record in log.events if record.seq > log.began]
     moments = [*_temperature(log), *_verdicts(log), *_events(log, session), *_strip(log, session)]
     moments += _end(log, session, live=live)
     moments += _lost(log) if lost and not live else []
     moments.sort(key=lambda moment: moment.seq)
-    over = not live or log.states["run"] in OVER
+    over = not live or log.over
     return [_alarm(moment, run, go_on, over=over) for moment in moments]
 
 
@@ -212,7 +210,7 @@ def _figures(body: dict[str, Any]) -> str:
 
 def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
     """Yield why the run stands as it does."""
-    state, end = log.states["run"], log.end
+    state, end = log.state, log.end
     last = log.life[-1] if log.life else None
     body = last.body if last is not None else {}
     t, seq = (last.t, last.seq) if last is not None else ("", 0)

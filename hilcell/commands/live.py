@@ -54,7 +54,7 @@ def watch(args: argparse.Namespace) -> int:
         for record in records:
             log.take(record)
             output.take(record)
-    state = log.states["run"]
+    state = log.state
     ended = "" if log.end is not None else "; its engine is gone, `hilcell resume` continues it"
     print_message(f"{kind_of(log)} {folder.name}: {state}{ended}")
     return 0

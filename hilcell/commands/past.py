@@ -62,13 +62,13 @@ def show(args: argparse.Namespace) -> int:
     log = read_log(folder)
     inputs = log.inputs
     procedure: Procedure = load_entry("procedures", inputs.procedure)
-    finished = log.states["run"] == "finished"
+    finished = log.state == "finished"
     result = procedure.result(log) if finished else {}
     summary = _summary(row_of(folder)) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
         "machine_seed": inputs.truth_seed,
-        "calibration": log.states["calibration"],
+        "calibration": log.calibration,
         "fault": log.fault,
         "sessions": log.session,
         "link": log.link.text if log.link is not None else None,

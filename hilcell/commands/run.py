@@ -38,8 +38,8 @@ from hilcell.commands.run_output import (
     print_end,
 )
 from hilcell.journal.engine_file import live_engine
-from hilcell.journal.journal import Journal, StorageError
-from hilcell.journal.log import Log
+from hilcell.journal.journal import StorageError
+from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import (
     CALIBRATION,
     JOURNAL,
@@ -86,13 +86,11 @@ def run(args: argparse.Namespace) -> int:
                 f"run {name} exists already in {args.runs}; choose another --name", code="HC-J09"
             )
         make_folder(folder)
-        journal = Journal(folder / JOURNAL, name, create=True)
-        log = Log()
-        journal.listen(log.take)
+        journal = RunJournal(folder / JOURNAL, name, create=True)
         output = _output(args.json, name, plan.points, journal)
         journal.append("plan", "", _plan_record(cell, procedure, plan, args))
         try:
-            return _perform(cell, procedure, journal, log, output, folder, args)
+            return _perform(cell, procedure, journal, output, folder, args)
         except CellLocked:
             forget(folder)
             raise
@@ -109,7 +107,7 @@ def resume(args: argparse.Namespace) -> int:
     if refusals := [why for key in asked if (why := retake_refusal(log, key))]:
         raise HilcellError("\n".join(refusals))
     written = not log.calibrates or (folder / CALIBRATION).is_file()
-    over = log.states["run"] == "finished" and log.end is not None and written
+    over = log.state == "finished" and log.end is not None and written
     if over and not (asked or log.retakes):
         raise HilcellError(
             f"run {folder.name} is finished; start a new one with `hilcell run`", code="HC-J09"
@@ -117,13 +115,12 @@ def resume(args: argparse.Namespace) -> int:
     check_attended(cell, unattended=args.unattended)
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     with locked(lock_of_name(folder.parent, cell.name), f"cell {cell.name}", folder.name):
-        journal = Journal(folder / JOURNAL, encodable(folder.name), create=False)
-        journal.listen(log.take)
+        journal = RunJournal(folder / JOURNAL, encodable(folder.name), create=False)
         output = _output(args.json, journal.run, inputs.points, journal)
         for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
         output.skip_measured(sum(point.id.kind != "control" for point in log.points.values()))
-        return _perform(cell, procedure, journal, log, output, folder, args)
+        return _perform(cell, procedure, journal, output, folder, args)
 
 
 def machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
@@ -173,21 +170,21 @@ def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
 def _perform(
     cell: Cell,
     procedure: Procedure,
-    journal: Journal,
-    log: Log,
+    journal: RunJournal,
     output: RunOutput,
     folder: Path,
     args: argparse.Namespace,
 ) -> int:
     """Run to an end, write the calibration, and print the outcome."""
+    log = journal.log
     with ExitStack() as stack:
         stack.callback(journal.close)
         stack.enter_context(output)
-        if log.states["run"] == "finished" and not log.retakes:
-            code = finish(procedure, journal, log)
-            code, fault = _with_calibration(code, None, log, journal.run, folder)
+        if log.state == "finished" and not log.retakes:
+            code = finish(procedure, journal)
+            code, fault = _with_calibration(code, None, journal, folder)
         else:
-            code, fault = _run(cell, procedure, journal, log, folder, args)
+            code, fault = _run(cell, procedure, journal, folder, args)
     output.close(code, log, fault)
     print_end(folder, log, procedure, output, fault)
     if code in RESUMABLE and not _wants_new_run(fault):
@@ -205,13 +202,12 @@ def _wants_new_run(fault: Exception | None) -> bool:
 def _run(
     cell: Cell,
     procedure: Procedure,
-    journal: Journal,
-    log: Log,
+    journal: RunJournal,
     folder: Path,
     args: argparse.Namespace,
 ) -> tuple[int, Exception | None]:
     """Bring up devices and perform; failures before the runner lives are journalled here."""
-    inputs, stop = log.inputs, threading.Event()
+    log, inputs, stop = journal.log, journal.log.inputs, threading.Event()
     sys.setswitchinterval(SWITCH_S)
     try:
         with ExitStack() as stack, stopped_by_signals():
@@ -229,7 +225,6 @@ def _run(
                 cell,
                 procedure,
                 journal,
-                log,
                 devices=devices,
                 clock=clock,
                 stop=stop,
@@ -238,12 +233,17 @@ def _run(
             )
             stack.callback(Control(folder, runner).close)
             # While its engine is there: afterwards a file that is missing is a lost one.
-            return _with_calibration(runner.run(), runner.fault, log, journal.run, folder)
+            return _with_calibration(runner.run(), runner.fault, journal, folder)
     except (HilcellError, Stopped) as error:
         if isinstance(error, CellLocked) and not log.session:
             raise  # there is nothing to keep
-        code, state = exit_code(error), log.states["run"]
-        body = {"state": state, "exit": code, "result": {}, "reason": str(error)}
+        code = exit_code(error)
+        body: dict[str, Any] = {
+            "state": log.state,
+            "exit": code,
+            "result": {},
+            "reason": str(error),
+        }
         body["error"] = error.facts()
         try:
             journal.append("end", "", body)
@@ -253,18 +253,18 @@ def _run(
 
 
 def _with_calibration(
-    code: int, fault: Exception | None, log: Log, run: str, folder: Path
+    code: int, fault: Exception | None, journal: RunJournal, folder: Path
 ) -> tuple[int, Exception | None]:
     """Write the calibration that a run has ended with; report a file that cannot be written."""
-    if log.calibrates:
+    if journal.log.calibrates:
         try:
-            write_calibration(calibration_of(log, run), folder / CALIBRATION)
+            write_calibration(calibration_of(journal.log, journal.run), folder / CALIBRATION)
         except NotWritten as error:
             return EXIT_STORAGE, error
     return code, fault
 
 
-def _output(as_json: bool, run: str, points: int, journal: Journal) -> RunOutput:
+def _output(as_json: bool, run: str, points: int, journal: RunJournal) -> RunOutput:
     output = JsonOutput(run) if as_json else ProgressOutput(run, points)
     journal.listen(output.take)
     return output

@@ -19,6 +19,7 @@ from hilcell.commands.output import harmless_lines, print_message, print_table
 from hilcell.errors import facts_of
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
+from hilcell.journal.states import WAITING
 from hilcell.run.procedure import Plan, Procedure
 
 
@@ -76,7 +77,7 @@ class JsonOutput(RunOutput):
             end: dict[str, Any] = {
                 "run": self._run,
                 "kind": "end",
-                "state": log.states["run"],
+                "state": log.state,
                 "exit": code,
             }
             end |= {"result": {}, "reason": str(fault)}
@@ -141,7 +142,7 @@ class ProgressOutput(RunOutput):
             self._progress.update(self._task, advance=1, description=text)
         elif record.kind == "state" and body["machine"] == "calibration":
             self._print(f"{body['to'].replace('_', ' ')}")
-        elif record.kind == "state" and body["to"] in ("paused", "suspended"):
+        elif record.kind == "state" and body["to"] in WAITING:
             self._print(f"{body['to']}: {_waits_for(body)}hilcell resume goes on, ctrl-C stops")
         elif record.kind == "event" and body["what"] == "no reading":
             self._print(f"{body['key']}: {body['reason']} (try {body['tries']})")
@@ -167,7 +168,7 @@ def print_end(
             print_message(f"out of tolerance: {key}: {_facts(verdict)}")
     if log.link is not None and log.link.warning:
         print_message(f"warning: {log.link.warning}")
-    state = log.states["run"]
+    state = log.state
     ended = state if log.end is not None else f"cut off while {state}"
     print_message(f"{kind_of(log)} {folder.name}: {ended}; journal in {folder}")
 

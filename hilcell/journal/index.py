@@ -22,11 +22,11 @@ import msgspec
 
 from hilcell.journal.journal import ABSENT, Record, StorageError, read_journal
 from hilcell.journal.runs import JOURNAL
+from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
 SCHEMA = 1  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
-UNDER_WAY = ("checking", "running", "paused", "suspended", "stopping")
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
 
@@ -78,7 +78,7 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     def gone(self) -> bool:
         """Whether the engine was lost: a journal that just ends was left by a crash."""
         # A resume that was refused writes an end, but leaves the state as the crash left it.
-        ended = self.exit is not None and self.state not in UNDER_WAY
+        ended = self.exit is not None and self.state in ("idle", *OVER)
         return self.readable and not (self.live or ended or self.unbegun)
 
     @property
@@ -231,7 +231,8 @@ def _told(name: str, records: Iterable[Record]) -> RunRow:
     """
     plan: Record | None = None
     end: Record | None = None
-    state, fault = "idle", ""
+    state: RunState = "idle"
+    fault = ""
     simulated = False
     points: set[str] = set()
     for record in records:
@@ -248,7 +249,7 @@ def _told(name: str, records: Iterable[Record]) -> RunRow:
             case "state":
                 told = msgspec.convert(record.body, _State)
                 if told.machine == "run":
-                    state = told.to
+                    state = msgspec.convert(told.to, RunState)
                     fault = told.reason if state == "faulted" else fault
                     if state == "checking":
                         end, fault = None, ""

@@ -101,6 +101,7 @@ class Journal:
         self._seq, self._hash = 0, b""
         for record, stored in _stored(self._base, path):
             self._seq, self._hash = record.seq, stored
+            self._take(record)
 
     def listen(self, listener: Callable[[Record], None]) -> None:
         """Call ``listener`` with every record appended from now on, once it is durable."""
@@ -134,9 +135,13 @@ class Journal:
                     code="HC-J01",
                 ) from error
             self._seq, self._hash = record.seq, digest
-            for listener in self._listeners:
-                listener(record)
+            self._take(record)
         return record
+
+    def _take(self, record: Record) -> None:
+        """Hand a durable record on: one that the file held before, or one just appended."""
+        for listener in self._listeners:
+            listener(record)
 
     def _check_place(self) -> None:
         """Refuse to write into a file that nobody will find again."""

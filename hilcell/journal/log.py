@@ -18,6 +18,7 @@ from hilcell.journal.asset import Asset, asset_of
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import PointId
+from hilcell.journal.states import OVER, CalibrationState, RunState
 from hilcell.journal.stream_file import StreamRecord
 from hilcell.ports import Air, Array
 
@@ -178,9 +179,10 @@ class Log:
         self.verdicts: dict[str, dict[str, Any]] = {}
         self.judged: dict[str, Record] = {}  # the verdicts' records
         self.events: list[Record] = []
-        self.states = {"run": "idle", "calibration": "unknown"}
+        self.state: RunState = "idle"
+        self.calibration: CalibrationState = "unknown"
         self.life: list[Record] = []  # the states that the run went through
-        self.session = 0
+        self.session, self.began = 0, 0  # its number, and the record with which it began
         self.end: dict[str, Any] | None = None
         self.fault = ""
         self.moved = False  # in this session
@@ -240,20 +242,31 @@ class Log:
 
     def _take_state(self, record: Record) -> None:
         body = record.body
-        self.states[body["machine"]] = body["to"]
-        if body["machine"] != "run":
+        if body["machine"] == "calibration":
+            self.calibration = msgspec.convert(body["to"], CalibrationState)
             return
+        self.state = msgspec.convert(body["to"], RunState)
         self.life.append(record)
-        if body["to"] == "checking":
-            self.session, self.end, self.fault = self.session + 1, None, ""
-            self.moved = False
-        if body["to"] == "faulted" and not self.fault:
+        if self.state == "checking":
+            self.session, self.began = self.session + 1, record.seq
+            self.end, self.fault, self.moved = None, "", False
+        if self.state == "faulted" and not self.fault:
             self.fault = str(body.get("reason", ""))
 
     @property
+    def states(self) -> dict[str, str]:
+        """Return the state of each machine."""
+        return {"run": self.state, "calibration": self.calibration}
+
+    @property
+    def over(self) -> bool:
+        """Whether the last session has come to an end of its own: no crash has cut it off."""
+        return self.state in OVER
+
+    @property
     def calibrates(self) -> bool:
-        """Whether the run has ended with a calibration, which has a file of its own."""
-        return self.states["run"] == "finished" and "fit" in self.verdicts
+        """Whether the run ended with a calibration, which has a file of its own."""
+        return self.state == "finished" and "fit" in self.verdicts
 
     @property
     def cell(self) -> Cell:

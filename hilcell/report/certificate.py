@@ -70,7 +70,7 @@ def title(facts: Facts) -> str:
 
 
 def _calibrated(facts: Facts) -> bool:
-    return facts.log.states["calibration"] == "validated"
+    return facts.log.calibration == "validated"
 
 
 def _method(facts: Facts) -> str:

@@ -99,7 +99,7 @@ def _refuse_others(first: Log, second: Log) -> None:
 
 
 def _has(log: Log) -> str:
-    return f"a {log.inputs.procedure} ({log.states['run']}, {len(log.points)} points)"
+    return f"a {log.inputs.procedure} ({log.state}, {len(log.points)} points)"
 
 
 # -- figures --------------------------------------------------------------------------------------
@@ -163,9 +163,9 @@ def _air(first: Log, second: Log) -> Iterator[Change]:
 
 def _unfinished(first: Log, second: Log, live: tuple[bool, bool]) -> Iterator[str]:
     for which, log, lives in zip(("first", "second"), (first, second), live, strict=True):
-        state = log.states["run"]
+        state = log.state
         if state != "finished":
-            stands = lives or state in ("aborted", "faulted")
+            stands = lives or log.over
             how = f"is {state}" if stands else f"was {state} when its engine was lost"
             yield f"the {which} run {how}: its measured points are compared"
 

@@ -167,7 +167,7 @@ def run_table(facts: Facts) -> list[Row]:
         ["simulated", _yes(inputs.simulated)],
         ["operator", inputs.operator],
         ["job", inputs.job],
-        ["state", facts.log.states["run"]],
+        ["state", facts.log.state],
         ["began_utc", facts.records[0].t],
         ["ended_utc", facts.records[-1].t],
     ]

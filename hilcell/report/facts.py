@@ -41,7 +41,7 @@ class Facts:
     @property
     def finished(self) -> bool:
         """Whether the run came to its end."""
-        return self.log.states["run"] == "finished"
+        return self.log.state == "finished"
 
     @property
     def table(self) -> Table | None:
@@ -64,7 +64,7 @@ def read_facts(folder: Path) -> Facts:
 
 
 def _result(run: str, procedure: Procedure, log: Log) -> dict[str, Any]:
-    if log.states["run"] != "finished":
+    if log.state != "finished":
         return {}
     try:
         return procedure.result(log)

@@ -77,7 +77,7 @@ def validation_of(facts: Facts) -> bool:
 
 def standing(facts: Facts) -> tuple[str, str]:
     """Return how the run stands: a kind for the style sheet, and words."""
-    end, state = facts.log.end, facts.log.states["run"]
+    end, state = facts.log.end, facts.log.state
     if facts.finished and end is not None:
         if end["exit"] == 0:
             return "good", "in tolerance" if facts.log.verdicts else "finished"

@@ -13,9 +13,9 @@ import numpy as np
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell, Nest, Station
 from hilcell.geometry.kinematics import forward
-from hilcell.journal.journal import Journal
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
+from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import Array, Clock, RobotReading
 from hilcell.run.measuring import Ask, Measuring
 from hilcell.run.motion import Motion
@@ -37,13 +37,12 @@ class CellSession(RunContext):
         cell: Cell,
         devices: Devices,
         clock: Clock,
-        journal: Journal,
-        log: Log,
+        journal: RunJournal,
         *,
         checkpoint: Callable[[], None],
         ask: Ask,
     ) -> None:
-        super().__init__(cell, devices, clock, journal, log, checkpoint)
+        super().__init__(cell, devices, clock, journal, checkpoint)
         self._motion = Motion(self)
         self._measuring = Measuring(self, self._motion, ask)
         self._operator = Operator(self, self._motion, self._measuring, ask)

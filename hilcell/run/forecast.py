@@ -14,8 +14,8 @@ from datetime import datetime
 from typing import Any
 
 from hilcell.journal.journal import Record
+from hilcell.journal.states import WORKING, RunState
 
-AT_WORK = ("checking", "running", "stopping")
 CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
 
 
@@ -166,8 +166,8 @@ class Forecast:
         if body["simulated"]:
             self._pace = _Pace(1.0 / body["speed"] if body["speed"] else 0.0)
 
-    def _enter(self, state: str) -> None:
-        self._working = state in AT_WORK
+    def _enter(self, state: RunState) -> None:
+        self._working = state in WORKING
         if not self._working and (step := self._step) is not None:
             step.alike = False  # the measurement under way may end while nobody counts
         if state == "finished":

@@ -33,7 +33,7 @@ def _bound(log: Log, point: Point) -> str:
         return ""
     if not (point.id.kind in UNTIL_FITTED and _repeatable(point)):
         return f"{point.key}: only grid, repeatability, validation are retaken; start a new run"
-    if log.states["calibration"] in CALIBRATION.states[CALIBRATION.states.index("fitted") :]:
+    if log.calibration in CALIBRATION.states[CALIBRATION.states.index("fitted") :]:
         return f"{point.key}: the correction was built with it; start a new run"
     return ""
 

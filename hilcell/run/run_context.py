@@ -8,8 +8,8 @@ from pathlib import Path
 from hilcell.calibration.frames import Frames
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
-from hilcell.journal.journal import Journal
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Point
+from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, Clock
 from hilcell.run.states import CALIBRATION, StateMachine
@@ -23,17 +23,14 @@ class RunContext:
         cell: Cell,
         devices: Devices,
         clock: Clock,
-        journal: Journal,
-        log: Log,
+        journal: RunJournal,
         checkpoint: Callable[[], None],
     ) -> None:
         self.cell, self.devices, self.clock = cell, devices, clock
-        self.log, self.frames = log, Frames(cell, log)
+        self.log, self.frames = journal.log, Frames(cell, journal.log)
         self.checkpoint = checkpoint
         self._journal = journal
-        self._calibration = StateMachine(
-            CALIBRATION, log.states["calibration"], lambda body: journal.append("state", "", body)
-        )
+        self._calibration = StateMachine(CALIBRATION, journal)
 
     def reached(self, state: str) -> bool:
         """Whether the journal proves this state of the calibration, or a later one."""

@@ -1,6 +1,6 @@
 """The two state machines, as flat tables: the run's life and the calibration.
 
-The state is what the journal proves: a transition is written first and taken then, so a resumed
+A transition is written to the journal before it is taken, and the log has the state: a resumed
 run enters exactly the states that its journal ends with.
 """
 
@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import cast, get_args
 
-from transitions import Machine
+from transitions import EventData, Machine, MachineError, Transition
 
+from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.states import CalibrationState, RunState
 from hilcell.ports import HilcellError
 
 
@@ -30,31 +32,25 @@ class Table:
     rows: tuple[tuple[str, tuple[str, ...], str], ...]
 
 
-ALIVE = ("checking", "running", "paused", "suspended")
+ALIVE: tuple[RunState, ...] = (
+    "checking", "running", "pausing", "paused", "suspended", "aborting",
+)  # fmt: skip
 
 RUN = Table(
     "run",
-    (
-        "idle",
-        "checking",
-        "running",
-        "paused",
-        "suspended",
-        "stopping",
-        "finished",
-        "aborted",
-        "faulted",
-    ),
+    get_args(RunState),
     (
         ("check", ("idle",), "checking"),
         ("start", ("checking",), "running"),
-        ("pause", ("running",), "paused"),
-        ("suspend", ("running",), "suspended"),
-        ("proceed", ("paused", "suspended"), "running"),
+        ("pause", ("running",), "pausing"),
+        ("rest", ("pausing",), "paused"),
+        ("suspend", ("running", "pausing"), "suspended"),
+        ("proceed", ("pausing", "paused", "suspended"), "running"),
+        ("abort", ("checking", "running", "pausing", "paused", "suspended"), "aborting"),
         ("stop", ALIVE, "stopping"),
         ("abort", ("stopping",), "aborted"),
         ("fault", (*ALIVE, "stopping"), "faulted"),
-        ("finish", ("running",), "finished"),
+        ("finish", ("running", "pausing", "aborting"), "finished"),
         ("resume", (*ALIVE, "idle", "stopping", "aborted", "faulted"), "checking"),
         ("reopen", ("finished",), "checking"),
     ),
@@ -62,18 +58,7 @@ RUN = Table(
 
 CALIBRATION = Table(
     "calibration",
-    (
-        "unknown",
-        "connected",
-        "referenced",
-        "world_framed",
-        "station_held",
-        "base_framed",
-        "grid_measured",
-        "stations_framed",
-        "fitted",
-        "validated",
-    ),
+    get_args(CalibrationState),
     (
         ("connect", ("unknown",), "connected"),
         ("reference", ("connected",), "referenced"),
@@ -89,23 +74,20 @@ CALIBRATION = Table(
 
 
 class StateMachine:
-    """One machine, owned by one thread. ``write`` makes a transition durable before it is taken."""
+    """A table that `transitions` runs over a journal; fired by one thread, read by any."""
 
-    def __init__(self, table: Table, state: str, write: Callable[[dict[str, Any]], object]) -> None:
-        self.table = table
-        self._write = write
-        self._machine = Machine(
-            model=None,
-            states=list(table.states),
-            initial=state,
-            transitions=[
-                {"trigger": trigger, "source": list(sources), "dest": target}
-                for trigger, sources, target in table.rows
-            ],
+    def __init__(self, table: Table, journal: RunJournal) -> None:
+        self.table, self._journal = table, journal
+        self._model = _Model(table, journal)
+        Machine(
+            self._model,
+            states=[*table.states],
+            initial=self.state,
+            transitions=[[trigger, [*sources], to] for trigger, sources, to in table.rows],
             auto_transitions=False,
+            send_event=True,
+            before_state_change=self._write,
         )
-        self._model = _Model()
-        self._machine.add_model(self._model, initial=state)
 
     @property
     def state(self) -> str:
@@ -114,25 +96,43 @@ class StateMachine:
 
     def allows(self, trigger: str) -> bool:
         """Return whether ``trigger`` has a row for this state."""
-        return bool(self._machine.get_transitions(trigger, self.state))
+        return self._model.may_trigger(trigger)
 
-    def fire(self, trigger: str, **reason: object) -> None:
-        """Write and take the transition; raises `TransitionRefused` where the table has none."""
-        rows = self._machine.get_transitions(trigger, self.state)
-        if not rows:
+    def fire(self, trigger: str, **facts: object) -> None:
+        """Take a transition, with ``facts`` in its record.
+
+        Raises `TransitionRefused` where the table has none, `StorageError` where it cannot be
+        written; then the state stays.
+        """
+        try:
+            self._model.trigger(trigger, **facts)
+        except MachineError as error:
             raise TransitionRefused(
                 f"{self.table.name} is {self.state}: {trigger!r} is not possible now"
-            )
-        body = {"machine": self.table.name, "from": self.state, "to": rows[0].dest}
-        self._write(body | {"trigger": trigger} | reason)
-        self._model.trigger(trigger)
+            ) from error
+
+    def _write(self, event: EventData) -> None:
+        transition, trigger = cast("Transition", event.transition), event.event  # one was found
+        body = {"machine": self.table.name, "from": transition.source, "to": transition.dest}
+        self._journal.append("state", "", body | {"trigger": trigger.name} | event.kwargs)
 
 
 class _Model:
-    """What `transitions` decorates with the state."""
+    """What `transitions` moves: its state is the log's."""
 
-    state: str
-    trigger: Callable[[str], bool]
+    trigger: Callable[..., bool]
+    may_trigger: Callable[[str], bool]
+
+    def __init__(self, table: Table, journal: RunJournal) -> None:
+        self._name, self._log = table.name, journal.log
+
+    @property
+    def state(self) -> str:
+        return self._log.states[self._name]
+
+    @state.setter
+    def state(self, state: str) -> None:
+        """Do nothing: the record was written, and the log has applied it."""
 
 
 def mermaid(table: Table) -> str:

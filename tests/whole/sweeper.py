@@ -12,8 +12,7 @@ import numpy as np
 
 from hilcell.cell.devices import build_devices, connect_all, start_simulation
 from hilcell.cell.file import load_cell
-from hilcell.journal.journal import Journal, read_journal
-from hilcell.journal.log import Log
+from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import Array, Clock
 from hilcell.run.cell_session import CellSession
 from hilcell.run.stopping import SafeStop, close_all
@@ -56,10 +55,9 @@ class Engine:
         connect_all(self.devices, lambda found: None)
         self.safe_stop = SafeStop(self.devices)
         path = folder / "journal.sqlite"
-        journal = Journal(path, "r", create=not path.exists())
+        journal = RunJournal(path, "r", create=not path.exists())
         stack.callback(journal.close)
-        self.log = Log(read_journal(path))
-        journal.listen(self.log.take)
+        self.log = journal.log
         self.at_wait = 0
         self.then: Callable[[], object] = lambda: None
         self.bench = CellSession(
@@ -67,7 +65,6 @@ class Engine:
             self.devices,
             Watched(clock, self._waited),
             journal,
-            self.log,
             checkpoint=clock.check,
             ask=lambda prompt, look, error: look(),
         )

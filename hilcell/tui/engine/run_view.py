@@ -12,6 +12,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from hilcell.journal.log import Log, Point
+from hilcell.journal.states import WAITING
 from hilcell.run.protocol import PromptStatus, Status
 from hilcell.run.states import RUN
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 STALE_S = 2.0
 MOST_RECORDS = 2000
-OVER = ("finished", "aborted", "faulted")
 
 
 class EngineState(Enum):
@@ -78,7 +78,7 @@ class RunView:
     @property
     def ended(self) -> bool:
         """Whether the run has ended, by its journal."""
-        return self.log.states["run"] in OVER and self.log.end is not None
+        return self.log.over and self.log.end is not None
 
     @property
     def calibration_lost(self) -> bool:
@@ -88,7 +88,7 @@ class RunView:
     @property
     def state(self) -> str:
         """Return the key of the state in `text.run.STATES`."""
-        state = self.log.states["run"]
+        state = self.log.state
         if self.engine is EngineState.UNKNOWN:
             return "looking"
         if self.engine is EngineState.STARTING:
@@ -104,9 +104,7 @@ class RunView:
             return "intolerant" if self.log.end and self.log.end["exit"] else "done"
         if state == "faulted":
             return "fault"
-        if state == "running" and self.status is not None and self.status.pausing:
-            return "pausing"
-        return state
+        return "stopping" if state == "aborting" else state
 
     @property
     def live(self) -> bool:
@@ -122,7 +120,7 @@ class RunView:
     @property
     def at_rest(self) -> bool:
         """Whether nothing moves: no engine is at work, or it waits for the operator."""
-        return not self.live or self.state in ("paused", "suspended")
+        return not self.live or self.state in WAITING
 
     @property
     def stale(self) -> bool:
@@ -138,5 +136,5 @@ class RunView:
 
     def allows(self, trigger: str) -> bool:
         """Whether the table of the run's life allows a trigger now."""
-        state = self.log.states["run"]
+        state = self.log.state
         return any(name == trigger and state in sources for name, sources, _ in RUN.rows)

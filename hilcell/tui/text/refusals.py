@@ -42,9 +42,9 @@ def pause_command(view: RunView | None) -> str:
     if not view.live:
         over = view.state in ("done", "intolerant", "idle") and not view.calibration_lost
         return "" if over else "resume"
-    if view.allows("pause") and view.state != "pausing":
+    if view.allows("pause"):
         return "pause"
-    return "proceed" if view.allows("proceed") or view.state == "pausing" else ""
+    return "proceed" if view.allows("proceed") else ""
 
 
 def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged: bool) -> str:

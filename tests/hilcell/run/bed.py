@@ -15,8 +15,9 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell, load_cell
 from hilcell.clock import WallClock
 from hilcell.journal.engine_file import EngineFile
-from hilcell.journal.journal import Journal, Record, read_journal
+from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
+from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import NoReading
 from hilcell.run.procedure import Procedure
 from hilcell.run.runner import Runner
@@ -63,9 +64,7 @@ class Bed:
 
     def runner(self, what: Procedure) -> Runner:
         fresh = not self.path.exists()
-        self.journal = Journal(self.path, "r", create=fresh)
-        log = Log(read_journal(self.path))
-        self.journal.listen(log.take)
+        self.journal = RunJournal(self.path, "r", create=fresh)
         if fresh:
             self.journal.append("plan", "", PLAN)
         stop = threading.Event()
@@ -73,7 +72,6 @@ class Bed:
             self.cell,
             what,
             self.journal,
-            log,
             devices=self.devices,
             clock=WallClock(stop),
             stop=stop,

@@ -63,10 +63,9 @@ def test_devices_that_may_be_two_are_not(
 def test_two_identities_of_one_run_may_be_equal(tmp_path: Path) -> None:
     """Two nodes of one maker that were given one number are no other run."""
     bed = bed_at(tmp_path / "one", Identity("Rail", uuid4().hex, "7", "can0"))
-    runner = bed.runner(procedure(Points(1)))
-    runner._claim([bed.rail.identity, bed.rail.identity])
+    worker = bed.runner(procedure(Points(1)))._worker
+    worker._claim([bed.rail.identity, bed.rail.identity])
+    other = bed_at(tmp_path / "two", bed.rail.identity).runner(procedure(Points(1)))._worker
     with pytest.raises(CellLocked):
-        bed_at(tmp_path / "two", bed.rail.identity).runner(procedure(Points(1)))._claim(
-            [bed.rail.identity]
-        )
-    runner._locks.close()
+        other._claim([bed.rail.identity])
+    worker.release()

@@ -12,7 +12,7 @@ from hilcell.journal.journal import read_journal
 from hilcell.ports import DeviceError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.protocol import DeviceStatus
-from hilcell.run.states import RUN
+from hilcell.run.states import ALIVE, RUN
 from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import Points, hang, procedure
 
@@ -48,6 +48,15 @@ class Measuring:
 
 
 @pytest.fixture
+def connecting(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> tuple[threading.Event, ...]:
+    """Return when the tracker is being connected, and what lets it be."""
+    entered, release = threading.Event(), threading.Event()
+    connect, wait = bed.tracker.connect, hang(entered, release)
+    monkeypatch.setattr(bed.tracker, "connect", lambda: (wait(), connect())[1])
+    return entered, release
+
+
+@pytest.fixture
 def measuring(bed: Bed) -> Iterator[Measuring]:
     measuring = Measuring(bed)
     yield measuring
@@ -66,7 +75,7 @@ def test_pause_finishes_the_point_in_flight(bed: Bed, measuring: Measuring) -> N
         assert live.status("pausing") is False
         live.runner.post("proceed")
     assert live.code == 0
-    assert bed.states() == ["checking", "running", "paused", "running", "finished"]
+    assert bed.states() == ["checking", "running", "pausing", "paused", "running", "finished"]
 
 
 def test_a_pause_is_taken_back_before_it_was_reached(bed: Bed, measuring: Measuring) -> None:
@@ -77,7 +86,7 @@ def test_a_pause_is_taken_back_before_it_was_reached(bed: Bed, measuring: Measur
         live.until("pausing", False)
         measuring.release.set()
     assert live.code == 0
-    assert bed.states() == ["checking", "running", "finished"]
+    assert bed.states() == ["checking", "running", "pausing", "running", "finished"]
 
 
 def test_pause_and_go_on_in_any_haste(bed: Bed) -> None:
@@ -95,12 +104,9 @@ def test_pause_and_go_on_in_any_haste(bed: Bed) -> None:
 
 
 def test_a_pause_while_connecting_holds_before_the_first_point(
-    bed: Bed, monkeypatch: pytest.MonkeyPatch
+    bed: Bed, connecting: tuple[threading.Event, ...]
 ) -> None:
-    entered, release = threading.Event(), threading.Event()
-    connect = bed.tracker.connect
-    answer = hang(entered, release)
-    monkeypatch.setattr(bed.tracker, "connect", lambda: (answer(), connect())[1])
+    entered, release = connecting
     with Live(bed, procedure(Points(1))) as live:
         assert entered.wait(10)
         live.runner.post("pause")
@@ -113,13 +119,43 @@ def test_a_pause_while_connecting_holds_before_the_first_point(
     assert live.code == 0
 
 
+def test_an_abort_while_connecting_begins_nothing(
+    bed: Bed, connecting: tuple[threading.Event, ...]
+) -> None:
+    entered, release = connecting
+    with Live(bed, procedure(Points(1))) as live:
+        assert entered.wait(10)
+        live.runner.post("pause")
+        live.runner.post("abort")
+        live.runner.post("proceed")  # is refused: an abort is not taken back
+        until(lambda: bool(bed.events("command refused")))
+        assert (live.status("state"), live.status("pausing")) == ("checking", True)
+        release.set()
+    assert live.code == 4
+    assert bed.states() == ["checking", "aborting", "stopping", "aborted"]
+    assert bed.records("intent") == []
+
+
+@pytest.mark.parametrize("state", [*ALIVE, "idle", "stopping", "aborted", "faulted"])
+def test_a_run_that_was_cut_off_in_any_state_is_resumed(bed: Bed, state: str) -> None:
+    bed.runner(procedure(Points(1)))  # never run: its journal is that of a run not yet begun
+    bed.journal.append("state", "", {"machine": "run", "to": state})
+    bed.journal.close()
+    assert bed.run(procedure(Points(1))) == 0
+    assert bed.states() == [state, "checking", "running", "finished"]
+
+
 def test_abort_finishes_the_point_in_flight(bed: Bed, measuring: Measuring) -> None:
     with measuring as live:
+        live.runner.post("pause")
         live.runner.post("abort")
-        live.until("pausing", True)
+        live.runner.post("abort")
+        until(lambda: bed.states()[-1] == "aborting")
+        assert (live.status("state"), live.status("pausing")) == ("running", True)
         measuring.release.set()
     assert live.code == 4
-    assert bed.states() == ["checking", "running", "stopping", "aborted"]
+    assert bed.states() == ["checking", "running", "pausing", "aborting", "stopping", "aborted"]
+    assert bed.events("command refused") == []
     assert sorted(bed.log().points) == ["p/0"]
     assert bed.events("safe stop") == []  # all is at rest: nothing has to be braked
     assert bed.rail.stopped_s is None
@@ -134,7 +170,7 @@ def test_abort_ends_a_paused_run_at_once(bed: Bed) -> None:
         live.until("state", "paused")
         live.runner.post("abort")
     assert live.code == 4
-    assert bed.states()[-3:] == ["paused", "stopping", "aborted"]
+    assert bed.states()[-4:] == ["paused", "aborting", "stopping", "aborted"]
 
 
 def test_stop_works_while_a_device_hangs(

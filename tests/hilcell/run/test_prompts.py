@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import hilcell.run.runner as runner_module
+import hilcell.run.worker as worker_module
 from hilcell.ports import DeviceError, NoReading
+from hilcell.run.measuring import MEASURE_TRIES
 from hilcell.run.prompts import Prompt, unanswered
 from tests.hilcell.run.bed import Bed, Live, broken_beam, until
 from tests.hilcell.run.rig import Points, hang, procedure
@@ -159,7 +160,8 @@ def test_a_prompt_is_left_by_stop_and_abort(bed: Bed, command: str) -> None:
         live.until("state", "suspended")
         live.runner.post(command)
     assert live.code == 4
-    assert bed.states()[-3:] == ["suspended", "stopping", "aborted"]
+    way = ["aborting"] if command == "abort" else []
+    assert bed.states() == ["checking", "running", "suspended", *way, "stopping", "aborted"]
 
 
 def test_an_answer_under_way_ends_with_the_run(bed: Bed) -> None:
@@ -193,12 +195,36 @@ def test_a_pause_asked_for_before_a_prompt_comes_after_it(bed: Bed) -> None:
         live.runner.post("stop")
 
 
+def test_a_pause_asked_for_in_the_last_try_holds_after_the_prompt(bed: Bed) -> None:
+    entered, release = threading.Event(), threading.Event()
+    tries = iter([clear] * (MEASURE_TRIES - 1) + [hang(entered, release)])
+
+    def answer() -> None:
+        next(tries, clear)()
+        blocked()
+
+    bed.tracker.answer = answer
+    with Live(bed, procedure(Points(2))) as live:
+        assert entered.wait(10)
+        live.runner.post("pause")
+        live.until("pausing", True)
+        release.set()
+        live.until("state", "suspended")
+        bed.tracker.answer = clear
+        assert live.runner.answer() == ""
+        live.until("state", "paused")
+        live.runner.post("proceed")
+    assert live.code == 0
+    way = ["pausing", "suspended", "running", "pausing", "paused", "running"]
+    assert bed.states() == ["checking", "running", *way, "finished"]
+
+
 def until_asked(bed: Bed, times: int) -> None:
     until(lambda: len(bed.asked()) == times)
 
 
 def test_a_beam_that_breaks_again_asks_again(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner_module, "LOOK_S", 1000.0)  # looks for answers alone
+    monkeypatch.setattr(worker_module, "LOOK_S", 1000.0)  # looks for answers alone
     good = [0]
 
     def answer() -> None:

@@ -2,9 +2,13 @@
 
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from hilcell.journal.journal import Kind, Record, StorageError
+from hilcell.journal.log import Log
+from hilcell.journal.run_journal import RunJournal
 from hilcell.run.states import CALIBRATION, RUN, StateMachine, Table, TransitionRefused, mermaid
 
 TRIGGERS = {table.name: sorted({row[0] for row in table.rows}) for table in (RUN, CALIBRATION)}
@@ -13,6 +17,24 @@ MATRIX = [
     for table in (RUN, CALIBRATION)
     for state, trigger in product(table.states, TRIGGERS[table.name])
 ]
+
+
+class Paper(RunJournal):
+    """A journal without a file, of a run in a state."""
+
+    def __init__(self, table: Table, state: str) -> None:
+        self.log = Log()
+        self.log.take(Record(1, "", "state", "", {"machine": table.name, "to": state}))
+        self.written: list[dict[str, Any]] = []
+        self.full = False
+
+    def append(self, kind: Kind, key: str, body: dict[str, Any]) -> Record:
+        if self.full:
+            raise StorageError("disk full")
+        record = Record(2, "", kind, key, body)
+        self.written.append(body)
+        self.log.take(record)
+        return record
 
 
 def allowed(table: Table, state: str, trigger: str) -> str | None:
@@ -24,19 +46,19 @@ def allowed(table: Table, state: str, trigger: str) -> str | None:
 
 @pytest.mark.parametrize(("table", "state", "trigger"), MATRIX)
 def test_every_state_and_trigger(table: Table, state: str, trigger: str) -> None:
-    written: list[dict[str, object]] = []
-    machine = StateMachine(table, state, written.append)
+    journal = Paper(table, state)
+    machine = StateMachine(table, journal)
     target = allowed(table, state, trigger)
     assert machine.allows(trigger) == (target is not None)
     if target is None:
         with pytest.raises(TransitionRefused, match=state):
             machine.fire(trigger)
         assert machine.state == state
-        assert written == []
+        assert journal.written == []
     else:
         machine.fire(trigger, reason="because")
         assert machine.state == target
-        assert written == [
+        assert journal.written == [
             {
                 "machine": table.name,
                 "from": state,
@@ -54,17 +76,16 @@ def test_no_trigger_has_two_targets_from_one_state(table: Table) -> None:
 
 
 def test_a_state_that_cannot_be_written_is_not_entered() -> None:
-    def full(body: dict[str, object]) -> None:
-        raise OSError("disk full")
-
-    machine = StateMachine(RUN, "running", full)
-    with pytest.raises(OSError, match="disk full"):
+    journal = Paper(RUN, "running")
+    machine = StateMachine(RUN, journal)
+    journal.full = True
+    with pytest.raises(StorageError, match="disk full"):
         machine.fire("pause")
     assert machine.state == "running"
 
 
 def test_stop_and_fault_are_possible_whenever_something_lives() -> None:
-    for state in ("checking", "running", "paused", "suspended"):
+    for state in ("checking", "running", "pausing", "paused", "suspended", "aborting"):
         assert allowed(RUN, state, "stop") == "stopping"
         assert allowed(RUN, state, "fault") == "faulted"
 

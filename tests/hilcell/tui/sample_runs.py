@@ -154,7 +154,7 @@ def sample_runs() -> dict[str, SampleRun]:
         "idle": SampleRun(),
         "checking": begun(),
         "running": measuring(),
-        "pausing": measuring(),
+        "pausing": measuring().state("pausing"),
         "paused": measuring().state("paused"),
         "suspended": measuring().state("suspended", reason=FAULT_TEXT, error=FAULT),
         "stopping": measuring().state("stopping"),

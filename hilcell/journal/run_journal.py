@@ -1,0 +1,23 @@
+"""A run's journal and its log, which are one: what is appended is applied to the log.
+
+The log has what the file held before, so a resumed run is set up as a new one is.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hilcell.journal.journal import Journal, Record
+from hilcell.journal.log import Log
+
+
+class RunJournal(Journal):
+    """The journal of a run, open for writing, with the log of all its records."""
+
+    def __init__(self, path: Path, run: str, *, create: bool) -> None:
+        self.log = Log()
+        super().__init__(path, run, create=create)
+
+    def _take(self, record: Record) -> None:
+        self.log.take(record)
+        super()._take(record)

@@ -1,0 +1,215 @@
+"""The worker: the thread that performs the procedure. Its messages say how far it has come."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from hilcell.cell.devices import Devices, connect_all
+from hilcell.cell.file import Cell
+from hilcell.journal.run_journal import RunJournal
+from hilcell.ports import Clock, Identity, NoReading, Stopped
+from hilcell.run.cell_lock import lock_of_device, locked
+from hilcell.run.cell_session import CellSession
+from hilcell.run.device_status import CellMonitor
+from hilcell.run.pause_gate import REST_S, PauseGate
+from hilcell.run.procedure import Procedure
+from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
+
+ENDED = "the run has ended"
+SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
+
+Answers = list["Future[str]"]
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """All devices are connected, and a screen attends where one ordered the run."""
+
+
+@dataclass(frozen=True, slots=True)
+class AtRest:
+    """The worker stands before the closed gate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The worker asks the operator, and waits; ``cause`` where an error made it ask."""
+
+    prompt: Prompt
+    cause: NoReading | None
+
+
+@dataclass(frozen=True, slots=True)
+class Proven:
+    """The operator's answer is proven; the worker waits for leave to go on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How the worker ended: no error means that the procedure was performed."""
+
+    error: Exception | None
+
+
+Message = Started | AtRest | Asked | Proven | Ended
+
+
+class Worker:
+    """Performs one procedure on one cell; ``send`` takes its messages and must not wait.
+
+    Other threads close and open ``gate``, answer through ``asking``, set ``leave`` after `Proven`,
+    and set ``screen_known`` when the screen that ordered the run has come or was lost.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        procedure: Procedure,
+        journal: RunJournal,
+        devices: Devices,
+        clock: Clock,
+        send: Callable[[Message | str], None],
+        *,
+        unattended: bool,
+    ) -> None:
+        self.monitor = CellMonitor(devices)
+        self.devices = self.monitor.devices
+        self.gate = PauseGate(lambda: send(AtRest()))
+        self.asking = Asking()
+        self.leave, self.screen_known = threading.Event(), threading.Event()
+        self.session: CellSession | None = None
+        self._cell, self._procedure = cell, procedure
+        self._journal, self._clock = journal, clock
+        self._send, self._unattended = send, unattended
+        self._locks = ExitStack()
+        self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def ended_within(self, limit_s: float) -> bool:
+        """Wait for the thread's end; return whether it came."""
+        self._thread.join(limit_s)
+        return not self._thread.is_alive()
+
+    def release(self) -> None:
+        """Unlock the devices that the worker has locked."""
+        self._locks.close()
+
+    # -- the thread ---------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        error: Exception | None = None
+        try:
+            self._perform()
+        except Exception as caught:  # noqa: BLE001 - any error ends the worker; the runner judges it
+            error = caught
+        self.asking.close(ENDED)
+        self._send(Ended(error))
+
+    def _perform(self) -> None:
+        identities = connect_all(self.devices, self._claim)
+        self._journal.append("event", "", {"what": "connected", "devices": identities})
+        self._await_screen()
+        self._send(Started())
+        self._checkpoint()
+        self.session = CellSession(
+            self._cell,
+            self.devices,
+            self._clock,
+            self._journal,
+            checkpoint=self._checkpoint,
+            ask=self._ask,
+        )
+        self._procedure.perform(self.session)
+
+    def _claim(self, identities: list[Identity]) -> None:
+        """Lock each device by its serial number: another run may reach it by another address.
+
+        Raises `CellLocked`. A simulated device's numbers are those of many others.
+        """
+        known_by = {
+            f"{each.device} ({each.model}, serial {each.serial})"
+            for each in identities
+            if each.serial.strip("0 ") and not each.simulated
+        }
+        for what in known_by:
+            self._locks.enter_context(locked(lock_of_device(what), what, self._journal.run))
+
+    def _await_screen(self) -> None:
+        """Wait for the screen that ordered this run; one that does not come was lost."""
+        missed_s = time.monotonic() + SCREEN_S
+        while not self.screen_known.wait(REST_S):
+            self._at_rest()
+            if time.monotonic() > missed_s:
+                self._send("lost")
+                missed_s = math.inf
+
+    def _checkpoint(self) -> None:
+        """Wait here while the run is paused; the point in flight is always finished first."""
+        self._check_end()
+        self.gate.passage(self._at_rest)
+
+    def _at_rest(self) -> None:
+        """Keep the devices' readings fresh while the run waits."""
+        self._check_end()
+        self.monitor.refresh()
+
+    def _check_end(self) -> None:
+        """Leave here when a stop or an abort was asked for."""
+        self._clock.check()
+        if self._journal.log.state == "aborting":
+            raise Stopped("aborted by the operator")
+
+    # -- prompts ------------------------------------------------------------------------------
+
+    def _ask(self, prompt: Prompt, look: Callable[[], Look], cause: NoReading | None) -> Look:
+        """Wait for the operator's answer until it is proven; return the look that proves it.
+
+        Unattended it is a fault.
+        """
+        if self._unattended:
+            raise unanswered(prompt, cause) from cause
+        self.leave.clear()
+        self.asking.open(prompt)
+        self._send(Asked(prompt, cause))
+        looked_s = -LOOK_S
+        while True:
+            self._at_rest()
+            answers = self.asking.waited(REST_S)
+            if not answers and time.monotonic() - looked_s < LOOK_S:
+                continue
+            seen, proven = self._look(prompt, look, answers)
+            looked_s = time.monotonic()
+            if proven:
+                self.asking.close("another answer came first")
+                return seen
+
+    def _look(
+        self, prompt: Prompt, look: Callable[[], Look], answers: Answers
+    ) -> tuple[Look, bool]:
+        """Look, and judge by it the answers that came before; return whether to go on."""
+        why = ENDED
+        try:
+            seen = look()
+            self.asking.saw(seen)
+            proven = bool(answers) and passes(prompt, seen)
+            if proven:
+                self._send(Proven())
+                while not self.leave.wait(REST_S):
+                    self._check_end()
+                why = ""
+            elif answers:
+                why = refusal(prompt, seen)
+                self._journal.append("event", "", {"what": "answer refused", "reason": why})
+        finally:
+            for answer in answers:
+                answer.set_result(why)
+        return seen, proven
