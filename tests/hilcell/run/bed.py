@@ -107,7 +107,7 @@ class Live:
     def __init__(self, bed: Bed, what: Procedure) -> None:
         self.bed, self.runner = bed, bed.runner(what)
         self.code = -1
-        self._thread = threading.Thread(target=self._run)
+        self._thread = threading.Thread(target=self._run, daemon=True)
 
     def _run(self) -> None:
         self.code = self.runner.run()
