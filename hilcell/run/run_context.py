@@ -9,8 +9,8 @@ from hilcell.calibration.frames import Frames
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Point
-from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.point_id import PointId
+from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import Array, Clock
 from hilcell.run.states import CALIBRATION, StateMachine
 

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.engine.session import Session
-from hilcell.tui.text.refusals import ONE_AT_A_TIME, pause_command, refusal
+from hilcell.tui.text.refusals import AT_REST, ONE_AT_A_TIME, pause_command, refusal
 from tests.hilcell.tui.recording_app import RUNS
-from tests.hilcell.tui.sample_runs import LIVE, fresh, sample_runs
+from tests.hilcell.tui.sample_runs import LIVE, fresh, measuring, sample_runs
 
 
 def view_of(name: str) -> RunView:
     session = Session(RUNS / "r", lambda _: None, 1.0)
     session.take(fresh(name), sample_runs()[name].now)
     return session.view
+
+
+def test_a_run_that_is_aborting_is_being_stopped() -> None:
+    session = Session(RUNS / "r", lambda _: None, 1.0)
+    sample = measuring().state("aborting")
+    session.take(dataclasses.replace(fresh("running"), records=sample.records), sample.now)
+    view = session.view
+    assert (view.state, pause_command(view)) == ("stopping", "")
+    assert refusal("pause", view, background=False, unacknowledged=False) == AT_REST["stopping"]
+    assert refusal("stop", view, background=False, unacknowledged=False) == ""
 
 
 @pytest.mark.parametrize("name", ["new", "pause", "retake"])
