@@ -10,13 +10,12 @@ import importlib
 import math
 import re
 import sys
-import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
 from hilcell import __version__
 from hilcell.clean import clean
-from hilcell.commands.output import print_message
+from hilcell.commands.output import print_error, print_message
 
 LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
@@ -412,14 +411,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _refuse(error: Exception, *, as_json: bool) -> int:
-    from hilcell.run.exits import EXIT_INTERNAL, exit_code
+    from hilcell.run.exits import exit_code
 
     code = exit_code(error)
-    if code == EXIT_INTERNAL:
-        print_message("".join(traceback.format_exception(error)).rstrip())
-        print_message("hilcell: this is a defect of hilcell; please report it")
-    else:
-        print_message(f"hilcell: {error}")
+    print_error(error)
     if as_json:
         import json
 

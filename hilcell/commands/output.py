@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import io
 import sys
+import traceback
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from hilcell.clean import harmless
+from hilcell.errors import HilcellError
 
 if TYPE_CHECKING:
     from hilcell.run.procedure import Table
@@ -22,6 +24,15 @@ WIDEST = 500  # columns of a table
 def print_message(text: str) -> None:
     """Print lines on stderr, without anything that a terminal obeys."""
     print(harmless_lines(text), file=sys.stderr)
+
+
+def print_error(error: Exception) -> None:
+    """Print an error on stderr; one that hilcell did not expect with the trace of its origin."""
+    if isinstance(error, HilcellError):
+        print_message(f"hilcell: {error}")
+    else:
+        print_message("".join(traceback.format_exception(error)).rstrip())
+        print_message("hilcell: this is a defect of hilcell or of a driver; please report it")
 
 
 def print_answer(values: Mapping[str, object], words: str, *, as_json: bool) -> None:

@@ -13,10 +13,11 @@ from typing import Any, Self
 
 import msgspec
 
+from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
-from hilcell.commands.output import harmless_lines, print_message, print_table
-from hilcell.errors import facts_of
+from hilcell.commands.output import harmless_lines, print_error, print_message, print_table
+from hilcell.errors import DeviceError, facts_of
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.journal.states import WAITING
@@ -156,9 +157,13 @@ def print_end(
 ) -> None:
     """Print how the run ended: its table on stdout, everything else on stderr."""
     if fault is not None:
-        print_message(f"hilcell: {fault}")
+        print_error(fault)
     if output.as_json:
         return
+    if isinstance(fault, DeviceError):
+        for each in fault.causes.values() or [fault]:
+            if entry_of(each.code).specific:
+                print_message(f"what to do: hilcell explain {each.code}")
     if log.end is not None and log.end["result"]:
         with suppress(OSError):  # a closed pipe does not change the run
             print_table(procedure.table(log.end["result"]))
