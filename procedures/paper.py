@@ -12,7 +12,7 @@ from procedures.base_frame import BaseFrame
 from procedures.fit import Fit
 from procedures.frame_repeatability import FrameRepeatability
 from procedures.home import Home
-from procedures.paper_rows import ROWS, verdict
+from procedures.paper_rows import ROWS, Row, verdict
 from procedures.rail_survey import RailSurvey
 from procedures.repeatability import Repeatability
 from procedures.robot_grid import RobotGrid
@@ -56,10 +56,14 @@ class PaperRows:
         """Do nothing: the rows are computed from the journal."""
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return the rows; those of the air only where it was measured."""
+        """Return the rows."""
         found = Procedure("experiments", "", EXPERIMENTS, paper_table).result(log)
-        rows = [row for row in ROWS if row.unit != "C" or log.temperatures_c()]
-        return {"rows": [row.judged(log, found) for row in rows]}
+        return {"rows": [row.judged(log, found) for row in rows_for(log)]}
+
+
+def rows_for(log: Log) -> list[Row]:
+    """Return the rows that the run can answer: those of the air only where it was measured."""
+    return [row for row in ROWS if row.unit != "C" or log.temperatures_c()]
 
 
 def paper_table(result: dict[str, Any]) -> Table:
