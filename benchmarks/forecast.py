@@ -21,7 +21,7 @@ from hilcell.run.forecast import Forecast
 TENTH = 0.1
 
 
-def told(records: list[Record]) -> Iterator[tuple[float, float]]:
+def forecasts(records: list[Record]) -> Iterator[tuple[float, float]]:
     """Yield (share of the run's time, relative error of its total), moment by moment."""
     whole, forecast = Forecast(), Forecast()
     for record in records:
@@ -39,7 +39,7 @@ def told(records: list[Record]) -> Iterator[tuple[float, float]]:
 
 def worst_after(begin: float, records: list[Record]) -> float:
     """Return the error of the largest size after a share of the run's time."""
-    return max((error for share, error in told(records) if share >= begin), key=abs)
+    return max((error for share, error in forecasts(records) if share >= begin), key=abs)
 
 
 def moment(record: Record) -> datetime:

@@ -28,7 +28,7 @@ PAGES = {"run": "", "plots": "p", "log": "l", "interlocks": "i", "alarms": "e", 
 
 
 class StandIn:
-    """An engine that only listens, and knows when it was told to stop."""
+    """An engine that only listens, and knows when it was asked to stop."""
 
     def __init__(self, state: str) -> None:
         self.stopped = threading.Event()

@@ -1,4 +1,4 @@
-"""What a journal's records become: one alarm each, with its place, its words and its steps."""
+"""Alarms of a journal's records: one each, with its place, its words and its steps."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ OVER = (*BEGUN, *DONE)
 
 NO_FILE = "HC-J11"  # no record tells of it, but the run's folder
 
-# What each of these records becomes; the sites that raise errors are another test's.
+# The alarm of each of these records; the sites that raise errors are another test's.
 BY_EVENTS: dict[str, tuple[Row, ...]] = {
     "HC-C02": (*BEGUN, problem("safe stop", "Rail", LOST), *DONE),
     "HC-C03": (*BEGUN, problem("closed", "Rail", LATE), *DONE[1:]),
@@ -220,13 +220,13 @@ def test_a_device_s_problem_names_it_once_and_advises_nothing(
     assert alarm.found == found
 
 
-def test_several_problems_are_told_whole() -> None:
+def test_several_problems_are_reported_whole() -> None:
     error = SettingsError("paper", ["a: unknown key; known here: b", "c: missing"])
     (alarm,) = alarms(ended(error, 2, "idle"))
     assert alarm.found == "paper: 2 problems; a: unknown key; known here: b; c: missing"
 
 
-def test_devices_that_failed_together_are_told_one_by_one() -> None:
+def test_devices_that_failed_together_are_reported_one_by_one() -> None:
     error = ConnectFailed(
         {
             "Rail": DeviceError(
@@ -313,7 +313,7 @@ def test_a_lost_screen_is_no_alarm_any_more_when_one_is_back() -> None:
     assert [alarm.seq for alarm in alarms(*again, live=True)] == [len(again) + 1]
 
 
-def test_temperature_is_judged_from_the_first_point_and_told_once() -> None:
+def test_temperature_is_judged_from_the_first_point_and_reported_once() -> None:
     (alarm,) = alarms(point("a"), point("b", 17.9), point("c", 15.0), *BEGUN, live=True)
     assert alarm.found == "17.9 C at b, -2.1 K from the start, wanted within 2 K"
     (alarm,) = alarms(point("a"), point("b", float("nan")), *BEGUN, live=True)
@@ -343,7 +343,7 @@ def test_newest_is_last() -> None:
 def test_a_device_s_hostile_words_stay_words() -> None:
     hostile = "\x1b]0;owned\x07[bold][/nope][@click=app.quit]x[/]\u202e\x9b2J\ninjected: line\r"
     error = DeviceError("HC-R98", hostile, hostile, hostile, wanted=hostile, act=hostile)
-    told = DeviceError("HC-R98", "Tracker", hostile, hostile, wanted=hostile, act=hostile)
+    error = DeviceError("HC-R98", "Tracker", hostile, hostile, wanted=hostile, act=hostile)
     failed = NoReading("HC-T10", hostile, hostile, hostile)
     rows = (
         *BEGUN,
@@ -353,7 +353,7 @@ def test_a_device_s_hostile_words_stay_words() -> None:
     )
     for found in (
         alarms(*rows, faulted(error)),
-        alarms(*rows, faulted(told)),
+        alarms(*rows, faulted(error)),
         alarms(*rows, state("faulted", reason=hostile)),
     ):
         assert found
@@ -386,7 +386,7 @@ def test_facts_that_hilcell_has_not_written_are_a_general_alarm(error: dict[str,
 FITTED: Row = ("verdict", "fit", {"holds": True, "method": "idw"})
 
 
-def test_a_calibration_without_a_file_is_told_and_how_to_get_it() -> None:
+def test_a_calibration_without_a_file_is_reported_with_its_remedy() -> None:
     (alarm,) = alarms(*BEGUN, FITTED, *DONE, lost=True)
     assert (alarm.code, alarm.severity) == (NO_FILE, "warning")
     assert alarm.do[-1] == f"Continue: space, or `hilcell resume {RUN}`."

@@ -31,6 +31,6 @@ def test_an_unknown_code_is_refused_with_those_most_like_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["explain", "HC-R311"]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "alarm 'HC-R311' is unknown; the nearest known: HC-R31," in told.err
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "alarm 'HC-R311' is unknown; the nearest known: HC-R31," in said.err

@@ -78,7 +78,7 @@ def test_what_was_worse_than_a_notice_stays_until_acknowledged() -> None:
     assert standing(latch) == [("HC-R31", "fault", 1), ("HC-T10", "warning", 1)]
 
 
-def test_a_notice_that_is_let_go_and_told_again_stands_again() -> None:
+def test_a_notice_that_is_let_go_and_raised_again_stands_again() -> None:
     latch = Latch()
     notice = replace(ONE, severity="notice")
     latch.take([notice])

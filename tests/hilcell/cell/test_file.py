@@ -20,7 +20,7 @@ def test_built_in_cells_are_sound(name: str) -> None:
     assert load_cell(name).name == name
 
 
-def test_all_problems_are_told_at_once_with_the_nearest_key() -> None:
+def test_all_problems_are_reported_at_once_with_the_nearest_key() -> None:
     problems = refused(
         {
             "rail.travel_mx_mm": "5.0",
@@ -180,7 +180,7 @@ def test_nests_at_one_place_are_refused() -> None:
     assert problems == ["layout: nests P1 and P4 are 14.1 mm apart, wanted at least 20.0 mm"]
 
 
-def test_all_problems_of_a_table_are_told_at_once() -> None:
+def test_all_problems_of_a_table_are_reported_at_once() -> None:
     safe = "[186.0, -4.0, 110.0, 0.0, -30.0, 0.0]"
     assert len(refused({"robot.safe_deg": safe})) == 2
 

@@ -1,4 +1,4 @@
-"""Strict reading: ranges are told, messages stay short, nothing in a file breaks the reader."""
+"""Strict reading: ranges are stated, messages stay short, nothing in a file breaks the reader."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def problems(values: dict[str, object]) -> list[str]:
 
 
 @pytest.mark.parametrize("value", [0.0, 101.0, -3])
-def test_the_allowed_range_is_told(value: float) -> None:
+def test_the_allowed_range_is_stated(value: float) -> None:
     (line,) = problems({"inner": {"speed": value}})
     assert line.startswith("inner.speed: ")
     assert line.endswith(f"found {value}; allowed: > 0, <= 100")
 
 
-def test_the_range_of_a_tuples_members_is_told() -> None:
+def test_the_range_of_a_tuples_members_is_stated() -> None:
     (line,) = problems({"inner": {"point": [7.0, 1.0]}})
     assert "allowed: >= -5, <= 5" in line
 

@@ -127,7 +127,7 @@ def test_axes_of_the_tool_and_of_the_base(seed: int) -> None:
 
 
 def test_parallel_axes_need_hayati() -> None:
-    """Slips 3: d2 and d3 cannot be told apart, and only beta 2 tilts axis 3 out of its plane."""
+    """Slips 3: d2 and d3 cannot be separated, and only beta 2 tilts axis 3 out of its plane."""
     joints = np.random.default_rng(1).uniform(-np.pi, np.pi, (40, 6))
     J = parameter_jacobian(PAPER, joints)
     d, beta = PARAMETERS.index("d_mm[0]"), PARAMETERS.index("beta_rad[0]")

@@ -21,9 +21,9 @@ def file_of(folder: Path, *lines: str) -> Path:
 
 
 def problems_of(path: Path) -> list[str]:
-    with pytest.raises(SettingsError) as told:
+    with pytest.raises(SettingsError) as raised:
         read_holes(path)
-    return told.value.problems
+    return raised.value.problems
 
 
 def test_holes_with_normals(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_tools_are_right_handed_and_turn_evenly(seed: int) -> None:
     np.testing.assert_allclose(step, np.cos(2 * np.pi / TURNS))
 
 
-def test_all_problems_are_told_with_their_lines(tmp_path: Path) -> None:
+def test_all_problems_are_reported_with_their_lines(tmp_path: Path) -> None:
     path = file_of(
         tmp_path, ",".join(NORMALS), "H1,1,2,3,-1,0,0", "H1,1,2,3,-1,0,0", "H2,1,2,3,0,0,0",
         "H3,nan,2,3,1,0,0", "H4,1,2,3,0,0,inf", "H5,1,2,3,1e-9,0,0", "H6,1,2,3,1,0",

@@ -152,10 +152,10 @@ def test_what_nobody_reaches_is_refused_with_the_reason(
     point: tuple[float, float, float], normal: tuple[float, float, float], reason: str
 ) -> None:
     holes = holes_at([(0, 0, 1000.0), point], np.array([(-1.0, 0, 0), normal]))
-    with pytest.raises(UnreachableHoles, match=reason) as told:
+    with pytest.raises(UnreachableHoles, match=reason) as raised:
         plan(CELL, holes)
-    assert "1 of 2 holes" in str(told.value)
-    assert "H1" not in str(told.value)
+    assert "1 of 2 holes" in str(raised.value)
+    assert "H1" not in str(raised.value)
 
 
 def test_joint_limits_are_named_with_values() -> None:
@@ -178,9 +178,9 @@ def test_a_hole_out_of_the_trackers_range_is_refused_though_reached() -> None:
 
 
 def test_many_are_counted_and_a_few_named() -> None:
-    with pytest.raises(UnreachableHoles, match="9 of 9 holes") as told:
+    with pytest.raises(UnreachableHoles, match="9 of 9 holes") as raised:
         plan(CELL, holes_at([(5000.0, 0, 1000.0 + n) for n in range(9)]))
-    assert str(told.value).count("out of reach by") == 5
+    assert str(raised.value).count("out of reach by") == 5
 
 
 def test_sums_and_ratio() -> None:

@@ -40,9 +40,9 @@ def browse(page: Path, *words: str) -> None:
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
     )
     try:
-        told, _ = process.communicate(timeout=LIMIT_S)
+        output, _ = process.communicate(timeout=LIMIT_S)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
-        told, _ = process.communicate()
-        raise AssertionError(f"the browser did not end within {LIMIT_S} s:\n{told}") from None
-    assert process.returncode == 0, told
+        output, _ = process.communicate()
+        raise AssertionError(f"the browser did not end within {LIMIT_S} s:\n{output}") from None
+    assert process.returncode == 0, output

@@ -1,4 +1,4 @@
-"""Two real runs compared; and runs altered by a known amount, which must be what is told."""
+"""Two real runs compared; and runs altered by a known amount, which must be reported."""
 
 import json
 from collections.abc import Callable
@@ -112,10 +112,10 @@ def test_two_simulated_cells(seeds: Comparison) -> None:
 
 def test_figures_are_those_of_both_results(seeds: Comparison, pair: tuple[Path, Path]) -> None:
     results = [Log(read_journal(folder / JOURNAL)).end for folder in pair]
-    told = of(seeds, "validation")
-    assert {each.place for each in told} == {"S1100", "others", "S300", "S1900"}
-    assert len(told) == 4 * 3 * len(Figures._fields)
-    for each in told:
+    changes = of(seeds, "validation")
+    assert {each.place for each in changes} == {"S1100", "others", "S300", "S1900"}
+    assert len(changes) == 4 * 3 * len(Figures._fields)
+    for each in changes:
         how, what = each.what.split()
         one, two = (end["result"]["validation"][each.place][how][what] for end in results if end)
         assert [each.first, each.second] == pytest.approx([one, two])
@@ -263,7 +263,7 @@ def test_another_tracker_is_a_note(first: Log, records: list[Record]) -> None:
 # -- settings and notes ---------------------------------------------------------------------------
 
 
-def test_settings_are_told_key_by_key(first: Log, records: list[Record]) -> None:
+def test_settings_are_compared_key_by_key(first: Log, records: list[Record]) -> None:
     def change(plan: dict[str, Any]) -> None:
         cell = plan["cell"]
         cell["rail"]["strip_tolerance_mm"] = 0.02
@@ -326,7 +326,7 @@ def test_an_unfinished_run_is_compared_as_far_as_it_is(first: Log, records: list
     assert half.drifted == []
 
 
-def test_another_method_is_told(first: Log, records: list[Record]) -> None:
+def test_another_method_is_reported(first: Log, records: list[Record]) -> None:
     def other(record: Record) -> Record:
         if record.kind == "verdict" and record.key == "fit":
             return body_with(record, method="of another name")
@@ -421,7 +421,7 @@ def test_a_change_keeps_its_limit_to_both_sides(change: float, verdict: str) -> 
 # -- the command ----------------------------------------------------------------------------------
 
 
-def told(pair: tuple[Path, Path], *, as_json: bool) -> int:
+def compared(pair: tuple[Path, Path], *, as_json: bool) -> int:
     import argparse
 
     return compare(
@@ -434,7 +434,7 @@ def told(pair: tuple[Path, Path], *, as_json: bool) -> int:
 def test_the_command(
     pair: tuple[Path, Path], seeds: Comparison, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert told(pair, as_json=True) == 0
+    assert compared(pair, as_json=True) == 0
     found = json.loads(capsys.readouterr().out)
     assert list(found) == [
         "first",
@@ -448,7 +448,7 @@ def test_the_command(
     assert (found["first"], found["second"]) == (pair[0].name, pair[1].name)
     assert len(found["changes"]) == len(seeds.changes)
     assert found["changes"][0]["verdict"] == seeds.changes[0].verdict
-    assert told(pair, as_json=False) == 0
+    assert compared(pair, as_json=False) == 0
     out, err = capsys.readouterr()
     assert "mean move, rigid part removed" in out
     assert "seed" in out
@@ -468,10 +468,10 @@ def test_the_command_says_whose_engine_is_gone(
     for record in records[: next(n for n, r in enumerate(records) if r.key == "station.S300")]:
         journal.append(record.kind, record.key, record.body)
     journal.close()
-    assert told((pair[0], cut), as_json=False) == 0
+    assert compared((pair[0], cut), as_json=False) == 0
     assert "note: the second run was running when its engine was lost" in capsys.readouterr().err
     control = Control(cut, Recorder())
-    assert told((pair[0], cut), as_json=False) == 0
+    assert compared((pair[0], cut), as_json=False) == 0
     control.close()
     assert "note: the second run is running: " in capsys.readouterr().err
 

@@ -122,9 +122,9 @@ def test_a_place_that_cannot_be_written(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["report", str(calibrated[0]), "-o", str(tmp_path / where)]) == 2
-    told = capsys.readouterr().err
-    assert "is a folder" in told if where == "." else "cannot be written" in told
-    assert told.count("\n") == 1
+    err = capsys.readouterr().err
+    assert "is a folder" in err if where == "." else "cannot be written" in err
+    assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
     assert not list(tmp_path.parent.glob("*.part"))
 

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.forecast import told, worst_after
+from benchmarks.forecast import forecasts, worst_after
 from hilcell.journal.journal import Record
 from hilcell.run.forecast import CLOSING_S, Forecast
 
@@ -92,7 +92,7 @@ def test_a_stated_speed_shortens_the_plan() -> None:
     assert tape.remaining_s == pytest.approx(4.0 + CLOSING_S)
 
 
-def test_nothing_is_told_without_a_plan_or_a_pace() -> None:
+def test_nothing_is_predicted_without_a_plan_or_a_pace() -> None:
     tape = Tape()
     assert tape.remaining_s is None
     assert tape.forecast.total_s(tape.now) is None
@@ -368,12 +368,14 @@ def recorded() -> list[Record]:
     return [msgspec.json.decode(line, type=Record) for line in lines]
 
 
-def test_a_recorded_run_is_told_within_five_percent_after_a_tenth(recorded: list[Record]) -> None:
+def test_a_recorded_run_is_predicted_within_five_percent_after_a_tenth(
+    recorded: list[Record],
+) -> None:
     assert abs(worst_after(0.1, recorded)) <= 0.05
     assert abs(worst_after(0.5, recorded)) <= 0.025
 
 
-def test_a_recorded_run_is_not_told_as_well_with_a_plan_out_of_proportion(
+def test_a_recorded_run_is_predicted_worse_with_a_plan_out_of_proportion(
     recorded: list[Record],
 ) -> None:
     for step_ in recorded[0].body["steps"]:
@@ -383,7 +385,7 @@ def test_a_recorded_run_is_not_told_as_well_with_a_plan_out_of_proportion(
 
 
 def test_every_moment_of_a_recorded_run_is_looked_at(recorded: list[Record]) -> None:
-    shares = [share for share, _ in told(recorded)]
+    shares = [share for share, _ in forecasts(recorded)]
     assert shares == sorted(shares)
     assert len(shares) == 3 * (len(recorded) - 1)
     assert shares[-1] == pytest.approx(1.0)
