@@ -32,7 +32,8 @@ def print_error(error: Exception) -> None:
         print_message(f"hilcell: {error}")
     else:
         print_message("".join(traceback.format_exception(error)).rstrip())
-        print_message("hilcell: this is a defect of hilcell or of a driver; please report it")
+        what = f"{type(error).__name__}: {error}"
+        print_message(f"hilcell: {what}; a defect of hilcell or of a driver, please report it")
 
 
 def print_answer(values: Mapping[str, object], words: str, *, as_json: bool) -> None:
