@@ -1,8 +1,8 @@
 """An index over all runs, derived from their journals: what a history shows and filters.
 
-It is one file in the folder of runs that may be deleted at any time. The trap: it must never be
-believed over a journal. A row counts only while the journal is the very file that it was read
-from; a run without an end, or with a live engine, is read again each time.
+It is one file in the folder of runs that may be deleted at any time. A journal is always right
+against it: a row counts only while the journal is the very file that it was read from; a run
+without an end, or with a live engine, is read again each time.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _PASSING = (
 
 
 class RunRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One run as its journal tells it.
+    """One run, from its journal.
 
     Times are UTC, ISO 8601 to the second; ``ended`` and ``exit`` are of the last end, which a
     resumed run loses again. An unreadable journal has only name, state, reason, and as ``begun``
@@ -110,7 +110,7 @@ def row_of(folder: Path) -> RunRow:
     from hilcell.journal.engine_file import live_engine
 
     try:
-        row = _told(folder.name, read_journal(folder / JOURNAL))
+        row = _from_records(folder.name, read_journal(folder / JOURNAL))
     except (StorageError, msgspec.ValidationError) as error:
         return RunRow(
             name=folder.name, begun=_written(folder), state="unreadable", reason=str(error)
@@ -157,7 +157,7 @@ _LOOKS: dict[str, Callable[[RunRow], str]] = {
 }
 
 
-# -- what a journal tells --------------------------------------------------------------------------
+# -- a row from a journal --------------------------------------------------------------------------
 
 
 class _Grid(msgspec.Struct):
@@ -224,7 +224,7 @@ class _Result(msgspec.Struct):
     campaign: _Fit = msgspec.field(default_factory=_Fit)
 
 
-def _told(name: str, records: Iterable[Record]) -> RunRow:
+def _from_records(name: str, records: Iterable[Record]) -> RunRow:
     """Return the row of a run; raises `StorageError` and `msgspec.ValidationError`.
 
     `Log` says the same and more, but loads arrays and all points for it.
@@ -247,10 +247,10 @@ def _told(name: str, records: Iterable[Record]) -> RunRow:
                 devices = msgspec.convert(record.body, _Connected).devices
                 simulated = simulated or any(each.simulated for each in devices)
             case "state":
-                told = msgspec.convert(record.body, _State)
-                if told.machine == "run":
-                    state = msgspec.convert(told.to, RunState)
-                    fault = told.reason if state == "faulted" else fault
+                change = msgspec.convert(record.body, _State)
+                if change.machine == "run":
+                    state = msgspec.convert(change.to, RunState)
+                    fault = change.reason if state == "faulted" else fault
                     if state == "checking":
                         end, fault = None, ""
     if plan is None:
@@ -314,7 +314,7 @@ def _seconds(t: str) -> str:
 
 
 def _stamps(runs: Path) -> dict[str, str]:
-    """Return what tells a changed journal, by the run's name; empty where it cannot be told."""
+    """Return a stamp by the run's name, which changes with its journal; "" where it is unknown."""
     try:
         names = os.listdir(runs)  # noqa: PTH208 - of ten thousand runs a Path each is too slow
     except FileNotFoundError:
@@ -330,7 +330,7 @@ def _stamp(journal: str, now_s: float) -> str | None:
     try:
         file = os.stat(journal)  # noqa: PTH116 - as above
     except OSError as error:
-        return None if error.errno in ABSENT else ""  # what keeps it from being read is told
+        return None if error.errno in ABSENT else ""  # reading it reports the cause
     if not stat.S_ISREG(file.st_mode):
         return None
     # What is committed but not yet in the main file leaves that one as it was.

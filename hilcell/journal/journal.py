@@ -1,7 +1,7 @@
 """The journal: one SQLite file a run, append-only, hash-chained, one commit a record.
 
 What `Journal.append` has returned is durable: it survives kill -9 and power loss (WAL with
-synchronous=FULL). The trap: nothing may be shown, counted or acted upon before that return.
+synchronous=FULL). Nothing may be shown, counted or acted upon before that return.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Record(msgspec.Struct, frozen=True):
     body: dict[str, Any]
 
     def event(self, run: str) -> dict[str, Any]:
-        """Return the record as the event that faces print."""
+        """Return the record as the event that commands print."""
         head = {"run": run, "seq": self.seq, "t": self.t, "kind": self.kind}
         return head | ({"key": self.key} if self.key else {}) | self.body
 
@@ -185,7 +185,7 @@ def _not_finite(value: Any, name: str = "") -> str:
 
 
 def is_there(path: Path) -> bool:
-    """Whether a file is at a path; raises `OSError` where that cannot be told."""
+    """Whether a file is at a path; raises `OSError` where that cannot be found out."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError as error:

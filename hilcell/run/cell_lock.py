@@ -46,7 +46,7 @@ def _locks() -> Path:
 
 @contextmanager
 def locked(path: Path, what: str, run: str) -> Iterator[None]:
-    """Hold the lock at ``path``; raises `CellLocked` naming who holds it, and `StorageError`."""
+    """Hold the lock at ``path``; raises `CellLocked` with its holder, and `StorageError`."""
     with _opened(path) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -56,20 +56,21 @@ def locked(path: Path, what: str, run: str) -> Iterator[None]:
             raise CellLocked(
                 f"{what} is locked by {holder}; wait for its end or `hilcell stop` it"
             ) from None
-        with _told(path.parent):
+        with _storage_errors(path.parent):
             file.truncate(0)
             file.write(f"run {run} (pid {os.getpid()})".encode(errors="replace"))
         yield
 
 
 def _opened(path: Path) -> BinaryIO:
-    with _told(path.parent):
+    with _storage_errors(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         return path.open("a+b", buffering=0)  # what a full disk refuses is not tried again later
 
 
 @contextmanager
-def _told(folder: Path) -> Iterator[None]:
+def _storage_errors(folder: Path) -> Iterator[None]:
+    """Raise `StorageError` where a folder cannot be used."""
     try:
         yield
     except OSError as error:

@@ -3,7 +3,7 @@
 The plan states durations in the cell's time, and a simulated cell's speed is known. What comes on
 top, by controllers and computing, is learnt from the intervals between points: each kind of
 measurement learns its own. Pauses, and the time between the sessions of a resumed run, count for
-nothing. The trap: the way to the first point of its kind is unlike the ways between them.
+nothing. The way to the first point of a kind is unlike those between points, and teaches nothing.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class _Pace:
 
     @property
     def known(self) -> bool:
-        """Whether anything can be told yet."""
+        """Whether a forecast is possible yet."""
         return self.share > 0 or self._all_planned_s > 0
 
     def learn(self, span: _Span, real_s: float) -> None:
@@ -142,7 +142,7 @@ class Forecast:
         return self._worked_s + self._under_way_s(now)
 
     def remaining_s(self, now: datetime) -> float | None:
-        """Return how long it has still to work, or None while nothing tells."""
+        """Return how long it has still to work, or None while that is unknown."""
         if not self._steps or not self._pace.known:
             return None
         ahead = [step for step in self._steps if not step.done]
@@ -151,7 +151,7 @@ class Forecast:
         return sum(rests_s) + (CLOSING_S if ahead else 0.0)
 
     def total_s(self, now: datetime) -> float | None:
-        """Return how long it will have worked in the end, or None while nothing tells."""
+        """Return how long it will have worked in the end, or None while that is unknown."""
         remaining_s = self.remaining_s(now)
         return None if remaining_s is None else self.elapsed_s(now) + remaining_s
 

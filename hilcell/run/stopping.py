@@ -1,8 +1,8 @@
 """The safe stop: every device gets its stop frame at once, in any state of the engine.
 
 Threads that send it wait ready from the start of a run; the thread that asks for the stop wakes
-them and lends a hand, so the order in which they get the processor does not matter. The trap: a
-stop that first asked a queue, a lock or a file would come late when it matters.
+them and sends frames itself, so the order in which they get the processor does not matter. A stop
+asks no queue, lock or file first: it would come late when it matters.
 """
 
 from __future__ import annotations
