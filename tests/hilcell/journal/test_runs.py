@@ -82,7 +82,7 @@ def test_a_run_that_must_not_be_looked_into_is_listed_with_its_reason() -> None:
         assert last == "1"
         assert told == f"StorageError: {why}"
         assert live == "None"
-        found = "whether its engine is running cannot be told: Permission denied"
+        found = "its engine may be running: engine.json cannot be read: Permission denied"
         assert refused == f"HilcellError: run 2: {found}"
 
 
