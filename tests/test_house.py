@@ -81,3 +81,9 @@ def test_words_are_plain() -> None:
 def test_a_trap_is_a_hazard() -> None:
     with_traps = [path for path in PROSE if re.search(r"The\s+traps?\b", path.read_text("utf-8"))]
     assert {path.relative_to(ROOT).as_posix() for path in with_traps} == set(TRAPS)
+
+
+@pytest.mark.parametrize("package", ["hilcell", "drivers", "procedures", "fakes"])
+def test_types_are_there_for_packages_beside_this_one(package: str) -> None:
+    """A driver in a package of its own imports from these, and checks its types against them."""
+    assert (ROOT / package / "py.typed").is_file()
