@@ -1,1 +1,1 @@
-"""What a run has recorded: the journal, what it says, and the index of all runs."""
+"""The records of a run: the journal, its log, and the index of all runs."""

@@ -1,4 +1,4 @@
-"""An index over all runs, derived from their journals: what a history shows and filters.
+"""An index over all runs, derived from their journals, for a history to show and to filter.
 
 It is one file in the folder of runs that may be deleted at any time. A journal is always right
 against it: a row counts only while the journal is the very file that it was read from; a run
@@ -119,7 +119,7 @@ def row_of(folder: Path) -> RunRow:
 
 
 def matches(row: RunRow, words: str) -> bool:
-    """Whether a row goes with all ``words`` that a technician typed, in any order and case.
+    """Whether a row matches all ``words`` that a technician typed, in any order and case.
 
     ``field:word`` looks into one field only, ``-word`` excludes. A word not yet typed to its end
     (``-``, ``state:``) excludes nothing.
@@ -333,7 +333,7 @@ def _stamp(journal: str, now_s: float) -> str | None:
         return None if error.errno in ABSENT else ""  # reading it reports the cause
     if not stat.S_ISREG(file.st_mode):
         return None
-    # What is committed but not yet in the main file leaves that one as it was.
+    # Records that are committed but not yet in the main file leave that one as it was.
     settled = file.st_mtime < now_s - SETTLED_S and not _size(f"{journal}-wal")
     settled = settled and journal.isprintable()  # a name that is no text cannot be kept
     return f"{file.st_mtime_ns} {file.st_size}" if settled else ""

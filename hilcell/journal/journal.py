@@ -1,6 +1,6 @@
 """The journal: one SQLite file a run, append-only, hash-chained, one commit a record.
 
-What `Journal.append` has returned is durable: it survives kill -9 and power loss (WAL with
+A record that `Journal.append` has returned is durable: it survives kill -9 and power loss (WAL with
 synchronous=FULL). Nothing may be shown, counted or acted upon before that return.
 """
 

@@ -1,4 +1,4 @@
-"""What a journal says, as typed objects: points, frames, states, the frozen plan.
+"""A journal as typed objects: points, frames, states, the frozen plan.
 
 The same class reads a live run, a finished one and one left by a crash; every result is computed
 from it, so a result can always be rebuilt.
@@ -135,7 +135,7 @@ LOSSY = 0.005  # share of the frames on the rail's wire
 
 
 class LinkRecord(msgspec.Struct, frozen=True):
-    """What the rail's wire has carried and lost in one session."""
+    """Counts and losses of the rail's wire in one session."""
 
     frames: int
     bad_lines: int
@@ -232,7 +232,7 @@ class Log:
             case "connected":
                 self.assets = [asset_of(entry) for entry in body["devices"]]
                 if any(asset.simulated for asset in self.assets):
-                    # What it says of itself counts, whatever the cell file said before.
+                    # Its own statement counts, with any cell file.
                     self.plan = msgspec.structs.replace(self.inputs, simulated=True)
             case "stream":
                 self.streams[body["key"]] = msgspec.convert(body, StreamRecord)
@@ -303,7 +303,7 @@ class Log:
         axis: int | None = None,
         place: int | None = None,
     ) -> list[Point]:
-        """Return the points of a kind in the order of their keys; what is given must agree."""
+        """Return the points of a kind in the order of their keys; all stated values must agree."""
 
         def agrees(point: Point) -> bool:
             return (

@@ -1,4 +1,4 @@
-"""A run's journal and its log, which are one: what is appended is applied to the log.
+"""A run's journal and its log, which are one: each appended record is applied to the log.
 
 The log has what the file held before, so a resumed run is set up as a new one is.
 """

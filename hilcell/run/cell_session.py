@@ -1,4 +1,4 @@
-"""The guarded hands of a run: what procedures move and measure with.
+"""The guarded hands of a run: procedures move and measure with them.
 
 A point that the journal already holds is returned as it is: that, and nothing else, is what makes
 a run resumable.

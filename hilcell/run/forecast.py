@@ -1,9 +1,9 @@
 """How long a run will still take, from its plan and its journal.
 
-The plan states durations in the cell's time, and a simulated cell's speed is known. What comes on
-top, by controllers and computing, is learnt from the intervals between points: each kind of
-measurement learns its own. Pauses, and the time between the sessions of a resumed run, count for
-nothing. The way to the first point of a kind is unlike those between points, and teaches nothing.
+The plan states durations in the cell's time, and a simulated cell's speed is known. Time on top, of
+controllers and computing, is learnt from the intervals between points: each kind of measurement
+learns its own. Pauses, and the time between the sessions of a resumed run, count for nothing. The
+way to the first point of a kind is unlike those between points, and teaches nothing.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CLOSING_S = 0.35  # real seconds: the devices are released, the result is comput
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """Measurements alike in a row, as planned; none: what leads to the next span."""
+    """Measurements alike in a row, as planned; none: the way to the next span."""
 
     kind: str
     measured: int
@@ -175,7 +175,7 @@ class Forecast:
                 step.done = True
 
     def _begin(self, number: int) -> None:
-        """Begin a step: what it follows is done; a new session begins again with the first."""
+        """Begin a step: the one before is done; a new session begins again with the first."""
         before = self._step
         if before is not None and number > self._number:
             before.done = True

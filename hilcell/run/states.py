@@ -118,7 +118,7 @@ class StateMachine:
 
 
 class _Model:
-    """What `transitions` moves: its state is the log's."""
+    """The model that `transitions` moves: its state is the log's."""
 
     trigger: Callable[..., bool]
     may_trigger: Callable[[str], bool]
