@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.command import CommandPalette, DiscoveryHit, Hit, Hits, Provider
+from textual.command import CommandList, CommandPalette, DiscoveryHit, Hit, Hits, Provider
 from textual.content import Content
 from textual.widgets import Input
+from textual.worker import Worker, WorkerState
 
 from hilcell import __version__
 from hilcell.tui.keys import ACTIONS, Action
@@ -104,6 +105,16 @@ class Palette(CommandPalette):
 
     def __init__(self) -> None:
         super().__init__(placeholder=HINT, id="--command-palette")
+
+    def run_worker(self, *args: Any, **options: Any) -> Worker[Any]:
+        """Search; a search that finds the palette closed is no error of the screen."""
+        return super().run_worker(*args, **options | {"exit_on_error": False})
+
+    def on_worker_state_changed(self, event: Worker.StateChanged) -> None:
+        """Raise the error of a search, unless the palette was closed meanwhile."""
+        error = event.worker.error
+        if event.state is WorkerState.ERROR and error is not None and self.query(CommandList):
+            raise error
 
     async def action_enter(self) -> None:
         """Choose what is highlighted."""

@@ -7,9 +7,11 @@ import threading
 from pathlib import Path
 
 import pytest
-from textual.command import CommandPalette
+from textual.command import CommandList, CommandPalette
+from textual.css.query import NoMatches
 from textual.pilot import Pilot
 from textual.widgets import Input
+from textual.worker import WorkerFailed
 
 from hilcell.journal import index
 from hilcell.tui.engine.process import RunRequest
@@ -203,6 +205,29 @@ def test_the_palette_does_what_it_names() -> None:
         assert isinstance(app.screen, InterlockPage)
 
     run_app(act, "running")
+
+
+@pytest.mark.parametrize("closing", [True, False])
+def test_a_search_that_finds_the_palette_closed_ends_no_screen(closing: bool) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "ctrl+p")
+        palette = app.screen
+        if closing:
+            await palette.query_one(CommandList).remove()
+
+        async def search() -> None:
+            raise NoMatches
+
+        worker = palette.run_worker(search())
+        with pytest.raises(WorkerFailed):
+            await worker.wait()
+        await pilot.pause()
+
+    if closing:
+        run_app(act, "running")
+    else:  # an error of the search itself is shown
+        with pytest.raises(NoMatches):
+            run_app(act, "running")
 
 
 def test_the_palette_names_all_that_can_be_done_before_one_types() -> None:
