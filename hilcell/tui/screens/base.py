@@ -23,7 +23,6 @@ from hilcell.tui.widgets import TextPanel
 
 if TYPE_CHECKING:
     from hilcell.alarms import Latch
-    from hilcell.tui.app.actions import RunActions
     from hilcell.tui.engine.open_runs import OpenRuns
     from hilcell.tui.engine.run_view import RunView
     from hilcell.tui.engine.session import Session
@@ -43,6 +42,19 @@ class Options:
     slow: bool = False
 
 
+class Actions(Protocol):
+    """The actions on a run that screens take by themselves."""
+
+    def answer(self) -> None:
+        """Answer the prompt, where the engine answers and the tracker sees the reflector."""
+
+    def retake(self, key: str) -> None:
+        """Re-measure a point: in the live run, or by opening a finished one again."""
+
+    def start(self, folder: Path, arguments: list[str]) -> None:
+        """Start an engine and show its run; report an end that the journal does not hold."""
+
+
 class Application(Protocol):
     """The application as its screens see it."""
 
@@ -53,7 +65,7 @@ class Application(Protocol):
     key_is_deliberate: bool  # whether the current key came by itself, not in a burst
 
     @property
-    def actions(self) -> RunActions:
+    def actions(self) -> Actions:
         """Return the actions on the run that is shown."""
 
     @property
