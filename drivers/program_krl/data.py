@@ -17,6 +17,7 @@ EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 POINTS = ("E6POS", "POS", "FRAME")
 AXES = ("E6AXIS", "AXIS")
 KINDS = (*POINTS, *AXES, "FDAT")
+MOST = {"S": 31, "T": 63}  # five bits of status; one bit of turn for each axis
 _QUALIFIERS = ("DECL", "GLOBAL", "CONST")
 
 
@@ -62,7 +63,8 @@ class Datum:
     def posture(self) -> int | None:
         """Return S where S and T fix the posture with its whole turns; raises `KrlError`."""
         fields = self.fields()
-        return _integer("S", fields["S"]) if "S" in fields and "T" in fields else None
+        stated = {name: _bits(name, fields[name]) for name in MOST if name in fields}
+        return stated["S"] if len(stated) == len(MOST) else None
 
 
 def aggregate(tokens: Sequence[Token]) -> dict[str, Sequence[Token]]:
@@ -92,13 +94,16 @@ def _number(name: str, tokens: Sequence[Token]) -> Number:
     return Number(text, tokens[0].start, tokens[-1].end)
 
 
-def _integer(name: str, tokens: Sequence[Token]) -> int:
+def _bits(name: str, tokens: Sequence[Token]) -> int:
     """Return ``6`` or ``'B110'``."""
     text = text_of(tokens)
     try:
-        return int(text[2:-1], 2) if text.startswith("'B") else int(text)
+        value = int(text[2:-1], 2) if text.startswith("'B") else int(text)
     except ValueError as error:
         raise KrlError(f"{name} {text} is not a whole number") from error
+    if not 0 <= value <= MOST[name]:
+        raise KrlError(f"{name} {text} is not 0 to {MOST[name]}")
+    return value
 
 
 def declared(statement: Statement) -> tuple[str, list[tuple[str, Sequence[Token]]]]:

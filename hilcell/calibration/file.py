@@ -130,7 +130,8 @@ def _seal(content: dict[str, Any]) -> str:
 
 
 def _seal_problems(content: dict[str, Any]) -> list[str]:
-    wanted = None if content["schema"] == UNSEALED else _seal(content)
+    old = content["schema"] == UNSEALED and "model" not in content  # written without both
+    wanted = None if old else _seal(content)
     if content.get(SEAL) == wanted:
         return []
     return ["was changed after it was written: its seal does not hold; take the run's own file"]

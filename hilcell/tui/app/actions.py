@@ -23,7 +23,7 @@ class RunActions:
         self._application = application
 
     def do_pause(self) -> None:
-        """Pause, go on, answer what is asked, or resume: whichever the state allows."""
+        """Pause, go on, answer the prompt, or resume, as the state allows."""
         session = self._application.session
         if session is None:
             return

@@ -221,6 +221,13 @@ def test_a_new_file_has_every_key_of_an_old_one(file: Path) -> None:
     assert new["schema"] == known["schema"] == SCHEMA
 
 
+def test_a_new_file_without_its_seal_is_no_old_one(file: Path) -> None:
+    values = json.loads(file.read_text())
+    del values["seal"]
+    file.write_text(json.dumps(values | {"schema": 1}))
+    assert "was changed after it was written" in refused(file)
+
+
 def test_an_unsealed_file_with_a_seal_is_no_old_one(file: Path) -> None:
     file.write_text(file.read_text().replace(f'"schema": {SCHEMA}', '"schema": 1'))
     assert "was changed after it was written" in refused(file)
