@@ -20,7 +20,9 @@ def _data_beside(path: Path) -> Path | None:
         found = [
             each
             for each in path.parent.iterdir()
-            if each.stem == path.stem and each.suffix.lower() == DATA and each.is_file()
+            if each.stem.lower() == path.stem.lower()
+            and each.suffix.lower() == DATA
+            and each.is_file()
         ]
     except OSError as error:
         raise unreadable(str(path), error) from error

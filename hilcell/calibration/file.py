@@ -179,6 +179,6 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
     ]
     if far:
         raise HilcellError(
-            f"{len(far)} targets are turned away from the calibrated orientation, wanted "
-            f"<= {limit_deg} deg: {', '.join(far[:5])}; calibrate with their orientation"
+            f"{len(far)} of {len(names)} targets turned away from the calibrated orientation, "
+            f"wanted <= {limit_deg} deg: {', '.join(far[:5])}; calibrate with their orientation"
         )

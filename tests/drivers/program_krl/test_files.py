@@ -36,8 +36,9 @@ def test_the_pair_is_written_and_its_numbers_alone_differ(tmp_path: Path, out: s
     assert written(tmp_path, out) == ["corrected.src", "corrected.dat"]
 
 
-def test_suffixes_keep_their_case(tmp_path: Path) -> None:
-    names = written(tmp_path, "v1.2", "DRILL.SRC", "DRILL.Dat")
+@pytest.mark.parametrize("data", ["DRILL.Dat", "Drill.Dat"])  # controllers ignore case
+def test_suffixes_keep_their_case(tmp_path: Path, data: str) -> None:
+    names = written(tmp_path, "v1.2", "DRILL.SRC", data)
     assert names == ["v1.2.SRC", "v1.2.Dat"]
 
 
