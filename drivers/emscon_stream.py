@@ -8,7 +8,6 @@ next connect after a kill.
 from __future__ import annotations
 
 from struct import Struct
-from types import TracebackType
 from typing import Protocol, Self
 
 import numpy as np
@@ -103,12 +102,7 @@ class EmsconStream:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """End the stream; the tracker measures at rest again."""
         self._restore(error)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import threading
 from itertools import cycle
-from types import TracebackType
 from typing import Protocol, Self
 
 import numpy as np
@@ -135,12 +134,7 @@ class KukaSweep:
                 raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Brake a motion under way and give the override back."""
         self._give_back(error)
 
@@ -286,32 +280,18 @@ def _axes_deg(text: str, name: str) -> Array:
     try:
         return np.array(krl.numbers(text, AXES))
     except krl.KrlError as error:
-        raise DeviceError(
-            "HC-B26",
-            DEVICE,
-            f"read {name}",
-            str(error),
-            fields={"variable": name},
-        ) from error
+        raise _unreadable(name, str(error)) from error
+
+
+def _unreadable(name: str, found: str) -> DeviceError:
+    return DeviceError("HC-B26", DEVICE, f"read {name}", found, fields={"variable": name})
 
 
 def _whole(line: C3Connection, name: str) -> int:
     try:
         value = krl.parse(line.read(name))
     except krl.KrlError as error:
-        raise DeviceError(
-            "HC-B26",
-            DEVICE,
-            f"read {name}",
-            str(error),
-            fields={"variable": name},
-        ) from error
+        raise _unreadable(name, str(error)) from error
     if isinstance(value, bool) or not isinstance(value, int):
-        raise DeviceError(
-            "HC-B26",
-            DEVICE,
-            f"read {name}",
-            f"{value!r} is no whole number",
-            fields={"variable": name},
-        )
+        raise _unreadable(name, f"{value!r} is no whole number")
     return value
