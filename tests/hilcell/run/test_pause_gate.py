@@ -1,4 +1,4 @@
-"""The gate of a pause: who waits is told, who passes is gone, whatever the haste."""
+"""The gate of a pause: who waits is reported, who passes is gone, whatever the haste."""
 
 import random
 import threading
@@ -7,32 +7,34 @@ import pytest
 
 from hilcell.ports import Stopped
 from hilcell.run.pause_gate import PauseGate
-from tests.hilcell.run.bed import until
 
 
 def nothing() -> None: ...
 
 
 def test_an_open_gate_is_passed_at_once() -> None:
-    told: list[str] = []
-    gate = PauseGate(lambda: told.append("rests"))
-    gate.passage(lambda: told.append("waits"))
-    assert told == []
+    reported: list[str] = []
+    gate = PauseGate(lambda: reported.append("rests"))
+    gate.passage(lambda: reported.append("waits"))
+    assert reported == []
     assert not gate.closed
     assert not gate.resting
 
 
 def test_who_comes_to_a_closed_gate_says_so_and_waits() -> None:
-    told: list[str] = []
-    gate = PauseGate(lambda: told.append("rests"))
+    reported: list[str] = []
+    gate = PauseGate(lambda: reported.append("rests"))
     gate.close()
-    assert told == []  # nobody stands there yet
-    worker = threading.Thread(target=gate.passage, args=(nothing,))
+    assert reported == []  # nobody stands there yet
+    waits = threading.Semaphore(0)
+    worker = threading.Thread(target=gate.passage, args=(waits.release,))
     worker.start()
-    until(lambda: told == ["rests"])
+    for _ in range(3):
+        assert waits.acquire(timeout=10)
     assert gate.resting
     gate.open()
     worker.join(10)
+    assert reported == ["rests"]  # once, however long it waits
     assert not gate.resting
 
 
