@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hilcell.calibration.frames import grid_of, measured_grid, outlying_vertices
+from hilcell.calibration.frames import grid_of, measured_of, outlying_vertices
 from hilcell.cell.file import Cell
 from hilcell.compensation.choice import choose, cross_validate
 from hilcell.journal.log import Log
@@ -43,7 +43,7 @@ class Fit:
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the method and its cross-validation."""
-        loocv = cross_validate(measured_grid(log))
+        loocv = cross_validate(measured_of(log))
         return {
             "method": choose(loocv),
             "fit": {"loocv": loocv, "outliers": outlying_vertices(log)},

@@ -6,7 +6,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.inverse import ReachError, posture
+from hilcell.geometry.inverse import ReachError
 from hilcell.ports import Array, HilcellError
 
 
@@ -27,11 +27,7 @@ def joints_for(cell: Cell, points_mm: Array) -> Array:
 
     Raises `ReachError` naming the targets that the robot cannot reach.
     """
-    reference_rad = np.radians(cell.robot.home_deg)
-    poses = poses_at(cell, points_mm)
-    return posture(
-        cell.robot.arm(), poses, cell.robot.status, cell.robot.margin_limits_rad, reference_rad
-    )
+    return cell.robot.nominal().joints_for(poses_at(cell, points_mm))
 
 
 def check_reach(cell: Cell, points_mm: Array, what: str) -> Array:

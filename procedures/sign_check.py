@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import grid_errors_mm, grid_of, measured_grid
+from hilcell.calibration.frames import grid_errors_mm, grid_of, measured_of
 from hilcell.cell.file import Cell
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
@@ -26,7 +26,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
 from procedures.durations import flange_points, floor_points, leg, step
-from procedures.plan import check_reach, joints_for, other_stations
+from procedures.plan import check_reach, joints_for, other_stations, poses_at
 from procedures.world_frame import check_control_points
 
 CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
@@ -71,9 +71,8 @@ class SignCheck:
 
     def command(self, log: Log, target_mm: Array) -> Array:
         """Return the command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
-        measured = measured_grid(log)
-        model = MODELS[str(log.verdicts["fit"]["method"])].learn(measured)
-        return corrected(measured.grid, target_mm, model)
+        model = MODELS[str(log.verdicts["fit"]["method"])].learn(measured_of(log))
+        return corrected(grid_of(log.cell), poses_at(log.cell, target_mm), model)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors of the target before and corrected, and their ratio."""

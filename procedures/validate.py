@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hilcell.calibration.errors import validation
-from hilcell.calibration.frames import grid_of, measured_grid
+from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
@@ -19,7 +19,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import flange_points, floor_points, leg, step
-from procedures.plan import check_reach, joints_for
+from procedures.plan import check_reach, joints_for, poses_at
 from procedures.repeatability import floor
 from procedures.world_frame import check_control_points
 
@@ -50,15 +50,16 @@ class Validate:
 
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
-        measured = measured_grid(session.log)
+        measured, grid = measured_of(session.log), grid_of(session.cell)
         paper = MODELS["idw"].learn(measured)
         chosen = MODELS[str(session.log.verdicts["fit"]["method"])].learn(measured)
         for name, targets_mm in targets(session.cell, session.seed).items():
             station = session.cell.station_named(name)
+            by_paper_mm = by_paper(session, station, targets_mm)
             commands = {
                 "before": targets_mm,
-                "idw": corrected(measured.grid, by_paper(session, station, targets_mm), paper),
-                "chosen": corrected(measured.grid, targets_mm, chosen),
+                "idw": corrected(grid, poses_at(session.cell, by_paper_mm), paper),
+                "chosen": corrected(grid, poses_at(session.cell, targets_mm), chosen),
             }
             for how, command in commands.items():
                 self._send(session, station, how, targets_mm, command)

@@ -25,7 +25,7 @@ from hilcell.calibration.form import (
     StationEntry,
     Validity,
 )
-from hilcell.calibration.frames import Frames, measured_grid
+from hilcell.calibration.frames import Frames, measured_of
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
@@ -42,8 +42,8 @@ ORIENTATION_TOLERANCE_DEG = 2.0
 
 def calibration_of(log: Log, run: str) -> Calibration:
     """Compute the calibration from the log of a run that reached the fit."""
-    cell, frames, measured = log.cell, Frames(log.cell, log), measured_grid(log)
-    grid, fit = measured.grid, log.verdicts["fit"]
+    cell, frames, measured = log.cell, Frames(log.cell, log), measured_of(log)
+    grid, fit = measured.grid.grid, log.verdicts["fit"]
     method = str(fit["method"])
     points = log.select("grid")
     celsius = [point.temperature_c for point in points if point.temperature_c is not None]
@@ -67,7 +67,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
         },
         "method": method,
         "pitch_mm": grid.pitch_mm,
-        "grid_errors_mm": measured.errors_mm.tolist(),
+        "grid_errors_mm": measured.grid.errors_mm.tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
     }  # fmt: skip
     return msgspec.convert(msgspec.to_builtins(values), Calibration)
@@ -162,7 +162,7 @@ def compensate_targets(
     in_base = inverse(T_W_B) @ poses
     _refuse_turned(calibration, in_base, names)
     model = calibration.error_model()
-    command = corrected(calibration.grid(), in_base[:, :3, 3], model, names=names)
+    command = corrected(calibration.grid(), in_base, model, names=names)
     poses[:, :3, 3] = apply(T_W_B, command)
     return np.array([zyx_from_pose(pose) for pose in poses])
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import Protocol, TypedDict
 
 import numpy as np
 
 from hilcell.calibration.robot_file import Measurements, RobotModel
-from hilcell.compensation.model import ErrorModel
+from hilcell.compensation.model import Prediction
 from hilcell.compensation.scattered import FOLDS, NEIGHBOURS, NearestPoses, Nominal
 from hilcell.geometry import statistics
 from hilcell.geometry.frames import apply, cross_matrix, matrix, rigid_fit
@@ -130,7 +130,14 @@ def _miss_mm(placement: Placement, rows: Measurements) -> Array:
     return statistics.lengths_mm(rows.xyz_mm - placement.predicted_mm(rows))
 
 
-METHODS: Mapping[str, Callable[[Array, Array], ErrorModel]] = {
+class PointModel(Protocol):
+    """Predicts errors at nominal positions (N, 3), in whatever orientation."""
+
+    def predict(self, targets_mm: Array) -> Prediction:
+        """Return the errors."""
+
+
+METHODS: Mapping[str, Callable[[Array, Array], PointModel]] = {
     "nominal": Nominal.learn,
     "idw": NearestPoses.learn,
 }

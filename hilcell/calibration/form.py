@@ -12,6 +12,7 @@ import numpy as np
 
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import ErrorModel
 
 
@@ -106,4 +107,5 @@ class Calibration(msgspec.Struct, frozen=True):
         if self.model is not None:
             return MODELS[self.model.name].restore(grid, errors_mm, self.model.parameters)
         unknown = np.full((*grid.shape, 3, 3), np.nan)
-        return MODELS[self.method].learn(MeasuredGrid(grid, errors_mm, unknown))
+        old = Idw if self.method == "idw" else Trilinear
+        return old.of_grid(MeasuredGrid(grid, errors_mm, unknown))

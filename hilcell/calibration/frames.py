@@ -13,6 +13,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.measured import Measured, StaticPoses
 from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.compensation.transfer import base_at
@@ -106,6 +107,29 @@ def measured_grid(log: Log) -> MeasuredGrid:
     covariance_mm2: Array = np.full((*grid.shape, 3, 3), np.nan)
     covariance_mm2[i, j, k] = np.einsum("ij,nj,kj->nik", R, variances_mm2, R)
     return MeasuredGrid(grid, grid_errors_mm(log), covariance_mm2)
+
+
+def static_poses(log: Log) -> StaticPoses:
+    """Return the poses at which the robot's error was measured, as commanded."""
+    points = log.select("grid")
+    T_B_W = inverse(log.matrix("base"))
+    T_B_L = T_B_W @ log.matrix("world")
+    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
+    R = T_B_L[:3, :3]
+    joints_deg: Array = np.array([p.commanded_deg for p in points], dtype=float)
+    measured_mm: Array = np.array([p.xyz_mm for p in points], dtype=float)
+    nominal_mm: Array = np.array([p.nominal_mm for p in points], dtype=float)
+    return StaticPoses(
+        np.radians(joints_deg),
+        apply(T_B_W, nominal_mm),
+        apply(T_B_L, measured_mm),
+        np.einsum("ij,nj,kj->nik", R, variances_mm2, R),
+    )
+
+
+def measured_of(log: Log) -> Measured:
+    """Return everything that the models learn from."""
+    return Measured(measured_grid(log), log.cell.robot.nominal(), static_poses(log))
 
 
 def vertex_ids(grid: Grid) -> list[PointId]:

@@ -41,6 +41,7 @@ from hilcell.cell.tables import (
     refuse_descending,
 )
 from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.robot import NominalRobot
 
 __all__ = [
     "BaseFrameTable", "CampaignTable", "Cell", "Frozen", "GridTable", "Joint", "Layout", "Nest",
@@ -143,6 +144,11 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
         tool = np.eye(4)
         tool[:3, 3] = self.smr_mm
         return arm_from_joints(self.joint, tool)
+
+    def nominal(self) -> NominalRobot:
+        """Return the robot as its controller takes it to be."""
+        home_rad = np.radians(self.home_deg)
+        return NominalRobot(self.arm(), self.status, self.margin_limits_rad, home_rad)
 
     @property
     def margin_limits_rad(self) -> Array:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hilcell.compensation.grid import MeasuredGrid
 from hilcell.compensation.interpolation import Idw, Trilinear
+from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import LearntModel
 from hilcell.geometry.statistics import figures_of, lengths_mm
 
 MODELS: dict[str, type[LearntModel]] = {"idw": Idw, "trilinear": Trilinear}
 
 
-def cross_validate(measured: MeasuredGrid) -> dict[str, dict[str, float]]:
-    """Return mean, p95 and max (mm) of the misses at vertices left out, by model."""
+def cross_validate(measured: Measured) -> dict[str, dict[str, float]]:
+    """Return mean, p95 and max (mm) of the misses at poses left out, by model."""
     return {
         name: figures_of(lengths_mm(model.left_out_mm(measured)))._asdict()
         for name, model in MODELS.items()

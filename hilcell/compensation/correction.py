@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
@@ -30,16 +29,16 @@ class CorrectionError(HilcellError):
 
 def corrected(
     grid: Grid,
-    targets_mm: ArrayLike,
+    poses: Array,
     model: ErrorModel,
     steps: int = 2,
     names: Sequence[str] | None = None,
 ) -> Array:
-    """Return commands (N, 3) for targets (N, 3), in the grid's frame.
+    """Return commands (N, 3) for target poses (N, 4, 4), in the grid's frame.
 
-    Every target must be inside. Its command may leave the grid by the error itself; there the
-    model is asked at the nearest point of the grid's face. Raises `OutsideGrid`, and
-    `CorrectionError` where the steps do not shrink.
+    The commanded orientation is the target's. Every target must be inside. Its command may leave
+    the grid by the error itself; there the model is asked at the nearest point of the grid's
+    face. Raises `OutsideGrid`, and `CorrectionError` where the steps do not shrink.
 
     Steps are compared with the first and not with the one before: inverse distances have a kink
     at every vertex and jump at every face between cells, by up to a third of what the outer
@@ -48,11 +47,12 @@ def corrected(
     """
     if steps < 1:
         raise CorrectionError(f"correction: {steps} steps, wanted 1 or more")
-    targets = np.asarray(targets_mm, dtype=float)
+    targets, at = poses[:, :3, 3], poses.copy()
     grid.check_inside(targets, names)
     command, first_mm = targets, np.full(len(targets), np.inf)
     for step in range(steps):
-        further = targets - model.predict(grid.clamped(command)).error_mm
+        at[:, :3, 3] = grid.clamped(command)
+        further = targets - model.predict(at).error_mm
         moved_mm = lengths_mm(further - command)
         first_mm = moved_mm if step == 0 else first_mm
         _check_contraction(moved_mm, first_mm, step, names)

@@ -15,9 +15,9 @@ from typing import Any, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hilcell.compensation.grid import Grid, GridError, Ints, MeasuredGrid
+from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import ModelError, Prediction
 from hilcell.geometry.kinematics import Array
 
@@ -49,7 +49,7 @@ class Interpolation(ABC):
     left out but cancels: the grid and the targets are carried by the same {B}.
     """
 
-    measured: MeasuredGrid
+    lattice: MeasuredGrid
     residual_mm2: Array
 
     @staticmethod
@@ -58,12 +58,17 @@ class Interpolation(ABC):
         """Return the weights (N, 8) of `CORNERS` at places (N, 3), 0..1 in a cell."""
 
     @classmethod
-    def learn(cls, measured: MeasuredGrid) -> Self:
-        """Return the model with R estimated, NaN where the vertices' covariances are unknown."""
-        return cls(measured, _residual_mm2(cls, measured))
+    def learn(cls, measured: Measured) -> Self:
+        """Return the model of the measured grid."""
+        return cls.of_grid(measured.grid)
 
     @classmethod
-    def left_out_mm(cls, measured: MeasuredGrid) -> Array:
+    def of_grid(cls, lattice: MeasuredGrid) -> Self:
+        """Return the model with R estimated, NaN where the vertices' covariances are unknown."""
+        return cls(lattice, _residual_mm2(cls, lattice))
+
+    @classmethod
+    def left_out_mm(cls, measured: Measured) -> Array:
         """Return predicted minus measured errors (M, 3) of vertices left out.
 
         A vertex is predicted from every cell two pitches wide that has it on an edge, a face or
@@ -72,12 +77,7 @@ class Interpolation(ABC):
         pitch they are worse than at the pitch itself. Raises `GridError` where the grid is one
         cell or has gaps.
         """
-        lows, inner, weights = _wide_cells(cls, measured)
-        errors = measured.errors_mm
-        corners = _at(errors, _wide_corners(measured.grid, lows))
-        predicted = np.einsum("mc,bcx->bmx", weights, corners)
-        left: Array = predicted - _at(errors, lows[:, None, :] + inner)
-        return left.reshape(-1, 3)
+        return _missed_mm(cls, measured.grid)
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
@@ -98,23 +98,23 @@ class Interpolation(ABC):
     def parameters(self) -> dict[str, Any]:
         """Return both covariances."""
         return {
-            "vertex_covariance_mm2": self.measured.covariance_mm2.tolist(),
+            "vertex_covariance_mm2": self.lattice.covariance_mm2.tolist(),
             "residual_covariance_mm2": self.residual_mm2.tolist(),
         }
 
-    def predict(self, targets_mm: ArrayLike) -> Prediction:
-        """Return the errors at targets (N, 3) in the grid's frame.
+    def predict(self, poses: Array) -> Prediction:
+        """Return the errors at poses (N, 4, 4) in the grid's frame; their places alone count.
 
         Raises `OutsideGrid`, and `GridError` where a vertex of a target's cell was not measured.
         """
-        grid, errors = self.measured.grid, self.measured.errors_mm
-        cells, place = grid.cells(targets_mm)
+        grid, errors = self.lattice.grid, self.lattice.errors_mm
+        cells, place = grid.cells(poses[:, :3, 3])
         vertices = cells[:, None, :] + CORNERS
         corners = _at(errors, vertices)
         if not np.isfinite(corners).all():
             raise GridError(f"interpolation: {_missing(errors)}; measure them, or move the targets")
         weights = self.weights(place, grid.pitch_mm)
-        own = _at(self.measured.covariance_mm2, vertices)
+        own = _at(self.lattice.covariance_mm2, vertices)
         return Prediction(
             np.einsum("nc,ncx->nx", weights, corners),
             np.einsum("nc,ncxy->nxy", weights**2, own)
@@ -170,13 +170,13 @@ def _wide_corners(grid: Grid, lows: Ints) -> Ints:
     return corners
 
 
-def _wide_cells(model: type[Interpolation], measured: MeasuredGrid) -> tuple[Ints, Ints, Array]:
+def _wide_cells(model: type[Interpolation], lattice: MeasuredGrid) -> tuple[Ints, Ints, Array]:
     """Return the wide cells' lowest vertices (B, 3), the steps (M, 3) from them to the vertices
     left out, and the weights (M, 8) of their corners.
     """
-    grid = measured.grid
-    if not np.isfinite(measured.errors_mm).all():
-        raise GridError(f"cross-validation: {_missing(measured.errors_mm)}; measure the whole grid")
+    grid = lattice.grid
+    if not np.isfinite(lattice.errors_mm).all():
+        raise GridError(f"cross-validation: {_missing(lattice.errors_mm)}; measure the whole grid")
     span = _span(grid)
     if span.max() < 2:
         raise GridError("cross-validation: the grid is one cell; measure three vertices an axis")
@@ -187,14 +187,23 @@ def _wide_cells(model: type[Interpolation], measured: MeasuredGrid) -> tuple[Int
     return lows, inner, model.weights(inner / span, pitches_mm)
 
 
-def _residual_mm2(model: type[Interpolation], measured: MeasuredGrid) -> Array:
+def _missed_mm(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
+    lows, inner, weights = _wide_cells(model, lattice)
+    errors = lattice.errors_mm
+    corners = _at(errors, _wide_corners(lattice.grid, lows))
+    predicted = np.einsum("mc,bcx->bmx", weights, corners)
+    left: Array = predicted - _at(errors, lows[:, None, :] + inner)
+    return left.reshape(-1, 3)
+
+
+def _residual_mm2(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
     """Return the covariance R (3, 3) of left-out vertices' misses beyond their readings."""
-    own = measured.covariance_mm2
+    own = lattice.covariance_mm2
     if not np.isfinite(own).all():
         return np.full((3, 3), np.nan)
-    lows, inner, weights = _wide_cells(model, measured)
-    missed = model.left_out_mm(measured)
-    corners = _at(own, _wide_corners(measured.grid, lows))
+    lows, inner, weights = _wide_cells(model, lattice)
+    missed = _missed_mm(model, lattice)
+    corners = _at(own, _wide_corners(lattice.grid, lows))
     readings = np.einsum("mc,bcxy->xy", weights**2, corners)
     readings += _at(own, lows[:, None, :] + inner).sum(axis=(0, 1))
     values, axes = np.linalg.eigh(missed.T @ missed - readings)

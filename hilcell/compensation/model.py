@@ -1,4 +1,4 @@
-"""A model of position errors: targets in, predicted errors and their covariance out.
+"""A model of position errors: nominal poses in, predicted errors and their covariance out.
 
 A model is one module with one class, registered under its name in `hilcell.compensation.choice`;
 nothing else in the core names it.
@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
-from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.grid import Grid
+from hilcell.compensation.measured import Measured
 from hilcell.geometry.kinematics import Array
 from hilcell.ports import HilcellError
 
@@ -36,20 +37,20 @@ class Prediction:
 class ErrorModel(Protocol):
     """Predicts the robot's position error."""
 
-    def predict(self, targets_mm: Array) -> Prediction:
-        """Return the errors at nominal targets (N, 3) in {B}; raises `HilcellError` outside."""
+    def predict(self, poses: Array) -> Prediction:
+        """Return the errors at nominal poses (N, 4, 4) in {B}; raises `HilcellError` outside."""
 
 
 class LearntModel(ErrorModel, Protocol):
-    """A model that a calibration learns from its grid, judges and keeps in its file."""
+    """A model that a calibration learns from what it measured, judges and keeps in its file."""
 
     @classmethod
-    def learn(cls, measured: MeasuredGrid) -> Self:
-        """Return the model of a measured grid; raises `HilcellError` where it is not enough."""
+    def learn(cls, measured: Measured) -> Self:
+        """Return the model; raises `HilcellError` where what was measured is not enough."""
 
     @classmethod
-    def left_out_mm(cls, measured: MeasuredGrid) -> Array:
-        """Return predicted less measured errors (M, 3) of vertices that were not learnt from."""
+    def left_out_mm(cls, measured: Measured) -> Array:
+        """Return predicted less measured errors (M, 3) of poses that were not learnt from."""
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:

@@ -18,7 +18,7 @@ from hilcell.geometry.frames import apply, inverse, rigid_fit
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.ports import HilcellError
 from procedures.base_frame import axis_6_height_mm, sweep
-from procedures.plan import joints_for
+from procedures.plan import joints_for, poses_at
 from tests.hilcell.compensation.models import exact
 
 SEEDS = range(10)
@@ -94,7 +94,7 @@ def test_paper_methods_leave_what_the_study_says(cell: Cell, seed: int) -> None:
     targets_mm = grid.origin_mm + rng.uniform(0.01, 0.99, (400, 3)) * size_mm
     left = {}
     for model in (Idw, Trilinear):
-        commands = corrected(grid, targets_mm, exact(model, grid, errors_mm))
+        commands = corrected(grid, poses_at(cell, targets_mm), exact(model, grid, errors_mm))
         left[model] = float(np.linalg.norm(measured_mm(targets_mm, commands), axis=1).mean())
     assert 0.09 < left[Idw] < 0.18
     assert 0.08 < left[Trilinear] < 0.14

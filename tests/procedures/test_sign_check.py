@@ -14,6 +14,7 @@ from hilcell.journal.journal import Record
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
+from procedures.plan import joints_for
 from procedures.sign_check import IDS, SignCheck, worst_mm
 
 CELL = load_cell("paper", {"grid.pitch_mm": "450.0"})
@@ -45,38 +46,45 @@ class FakeBench:
             "settings": {}, "steps": [], "points": 0, "duration_s": 0.0,
         })  # fmt: skip
         grid = grid_of(CELL)
-        for id, at_mm in zip(vertex_ids(grid), grid.serpentine_mm(), strict=True):
-            self.measured(id, at_mm, apply(BASE, at_mm[None])[0])
+        vertices_mm = grid.serpentine_mm()
+        joints_rad = joints_for(CELL, vertices_mm)
+        for id, at_mm, joints in zip(vertex_ids(grid), vertices_mm, joints_rad, strict=True):
+            self.measured(id, joints, at_mm, apply(BASE, at_mm[None])[0])
         self.keep("verdict", "fit", {"holds": True, "method": "trilinear"})
         for nest in CELL.layout.floor:
-            self._point(PointId("world", nest=nest.name), nest.xyz_mm, None)
+            self._point(PointId("world", nest=nest.name), nest.xyz_mm)
 
     def keep(self, kind: Any, key: str, body: dict[str, Any]) -> None:
         self._count += 1
         self.log.take(Record(self._count, "", kind, key, body))
 
-    def measured(self, id: PointId, at_mm: Array, nominal_mm: Array) -> None:
+    def measured(self, id: PointId, joints_rad: Array, at_mm: Array, nominal_mm: Array) -> None:
         reached_mm = at_mm + error_mm(at_mm[None])[0]
-        self._point(id, apply(BASE, reached_mm[None])[0], nominal_mm)
+        self._point(
+            id,
+            apply(BASE, reached_mm[None])[0],
+            nominal_mm=nominal_mm.tolist(),
+            commanded_deg=np.degrees(joints_rad).tolist(),
+        )
 
-    def _point(self, id: PointId, xyz_mm: Array, nominal_mm: Array | None) -> None:
+    def _point(self, id: PointId, xyz_mm: Array, **robot: Any) -> None:
         self.keep("point", id.key, {
             "id": msgspec.to_builtins(id), "group": id.group, "reflector": "",
             "station": CELL.grid.station, "samples": 1,
             "xyz_mm": xyz_mm.tolist(), "std_mm": [0.0] * 3, "temperature_c": 20.0,
             "pressure_mbar": 1000.0, "humidity_percent": 50.0, "session": 1, "frame": "tracker",
-            "nominal_mm": None if nominal_mm is None else nominal_mm.tolist(),
+            **robot,
         })  # fmt: skip
 
     def flange_point(
         self, id: PointId, station: Any, joints_rad: Array, *, nominal_mm: Array
     ) -> Point:
         assert station.name == CELL.grid.station
-        self.measured(id, forward(CELL.robot.arm(), joints_rad)[:3, 3], nominal_mm)
+        self.measured(id, joints_rad, forward(CELL.robot.arm(), joints_rad)[:3, 3], nominal_mm)
         return self.log.point(id)
 
     def floor_point(self, id: PointId, nest: Any) -> Point:
-        self._point(id, nest.xyz_mm, None)
+        self._point(id, nest.xyz_mm)
         return self.log.point(id)
 
     def verdict(self, key: str, *, holds: bool, **facts: object) -> None:

@@ -12,12 +12,14 @@ import pytest
 from hilcell.calibration.file import compensate_targets, read_calibration, write_calibration
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.choice import MODELS
-from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.grid import Grid
+from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import ModelError, Prediction
 from hilcell.ports import Array
 from procedures.fit import Fit
 from procedures.sign_check import SignCheck
 from tests.hilcell.calibration.calibrations import calibration
+from tests.hilcell.compensation.models import level
 from tests.procedures.test_sign_check import FakeBench
 
 
@@ -28,15 +30,17 @@ class Plane:
         self.terms = terms  # (4, 3)
 
     @classmethod
-    def learn(cls, measured: MeasuredGrid) -> Self:
-        at_mm = _with_one(measured.grid.vertices_mm().reshape(-1, 3))
-        terms = np.linalg.lstsq(at_mm, measured.errors_mm.reshape(-1, 3), rcond=None)[0]
+    def learn(cls, measured: Measured) -> Self:
+        at_mm = _with_one(measured.grid.grid.vertices_mm().reshape(-1, 3))
+        terms = np.linalg.lstsq(at_mm, measured.grid.errors_mm.reshape(-1, 3), rcond=None)[0]
         return cls(np.array(terms, dtype=float))
 
     @classmethod
-    def left_out_mm(cls, measured: MeasuredGrid) -> Array:
-        at_mm = measured.grid.vertices_mm().reshape(-1, 3)
-        return cls.learn(measured).predict(at_mm).error_mm - measured.errors_mm.reshape(-1, 3)
+    def left_out_mm(cls, measured: Measured) -> Array:
+        at_mm = measured.grid.grid.vertices_mm().reshape(-1, 3)
+        return cls.learn(measured).predict(level(at_mm)).error_mm - measured.grid.errors_mm.reshape(
+            -1, 3
+        )
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
@@ -47,8 +51,8 @@ class Plane:
     def parameters(self) -> dict[str, Any]:
         return {"terms": self.terms.tolist()}
 
-    def predict(self, targets_mm: Array) -> Prediction:
-        error_mm = _with_one(targets_mm) @ self.terms
+    def predict(self, poses: Array) -> Prediction:
+        error_mm = _with_one(poses[:, :3, 3]) @ self.terms
         return Prediction(error_mm, np.tile(1e-4 * np.eye(3), (len(error_mm), 1, 1)))
 
 

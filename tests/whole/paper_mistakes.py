@@ -18,6 +18,7 @@ from hilcell.ports import Array
 from hilcell.run.procedure import Procedure
 from procedures.paper import EXPERIMENTS, paper_table
 from procedures.paper_rows import ROWS, Row
+from procedures.plan import poses_at
 from tests.whole.conftest import PaperRun
 
 EXPERIMENT = Procedure("experiments", "", EXPERIMENTS, paper_table)
@@ -79,8 +80,8 @@ def moved_to_reference(log: Log, station: str) -> Array:
 
 
 def by_idw(log: Log) -> Callable[[Array], Array]:
-    model = Idw.learn(measured_grid(log))
-    return lambda at_mm: model.predict(at_mm).error_mm
+    model = Idw.of_grid(measured_grid(log))
+    return lambda at_mm: model.predict(poses_at(log.cell, at_mm)).error_mm
 
 
 def judged(name: str, paper: PaperRun) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from procedures import paper_figures, paper_stations, rail_survey
 from procedures.base_frame import circle_of
 from procedures.paper import paper_table
 from procedures.paper_rows import ROWS, Row
-from procedures.plan import joints_for
+from procedures.plan import joints_for, poses_at
 from procedures.station_frames import station_fit, tool_uncertainty_mm
 from tests.hilcell.compensation.models import predicted_mm
 from tests.whole.conftest import PaperRun
@@ -241,7 +241,9 @@ def test_commands_by_another_equation(
     ]
     row = BY_NAME["eq9.weights"].judged(changed(log, sent), paper.result)
     assert row["holds"] is False
-    right_mm = corrected(grid_of(log.cell), wanted_mm, Idw.learn(measured_grid(log)))
+    right_mm = corrected(
+        grid_of(log.cell), poses_at(log.cell, wanted_mm), Idw.of_grid(measured_grid(log))
+    )
     right_deg = np.degrees(joints_for(log.cell, right_mm))
     sent_deg = np.degrees(paper_figures.commanded_rad(points))
     np.testing.assert_allclose(right_deg, sent_deg, atol=1e-6)

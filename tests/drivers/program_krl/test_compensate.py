@@ -12,6 +12,7 @@ from hilcell.geometry.frames import apply, inverse
 from tests.drivers.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands import workplace
+from tests.hilcell.compensation.models import level
 
 
 class Workplace(workplace.Workplace):
@@ -39,7 +40,7 @@ def test_a_corrected_program_arrives(desk: Workplace, capsys: pytest.CaptureFixt
     assert desk.compensate() == 0
     nominal, command = load_program(desk.source), load_program(desk.out)
     in_base = apply(inverse(T_W_B), command.values()[:, :3])
-    arrived = in_base + calibration().error_model().predict(in_base).error_mm
+    arrived = in_base + calibration().error_model().predict(level(in_base)).error_mm
     wanted = apply(inverse(T_W_B), nominal.values()[:, :3])
     assert np.abs(command.values()[:, :3] - nominal.values()[:, :3]).max() > 0.3
     np.testing.assert_allclose(arrived, wanted, atol=2e-3)

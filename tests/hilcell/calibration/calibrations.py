@@ -18,8 +18,10 @@ from hilcell.calibration.form import (
     Validity,
 )
 from hilcell.compensation.choice import MODELS
-from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.grid import Grid
+from hilcell.compensation.measured import Measured
 from hilcell.geometry.frames import pose_from_zyx
+from tests.hilcell.compensation import models
 
 LOW_MM = np.array([1400.0, -450.0, 500.0])
 PITCH_MM = 450.0
@@ -37,10 +39,9 @@ def field_mm(size_mm: float) -> Any:
 READINGS_MM2 = 0.005**2 * np.eye(3)
 
 
-def measured(size_mm: float = 1.2) -> MeasuredGrid:
+def measured(size_mm: float = 1.2) -> Measured:
     """Return that field on its grid, as read with 5 um of noise."""
-    covariances = np.broadcast_to(READINGS_MM2, (*SHAPE, 3, 3))
-    return MeasuredGrid(Grid(LOW_MM, PITCH_MM, SHAPE), field_mm(size_mm), covariances)
+    return models.measured(Grid(LOW_MM, PITCH_MM, SHAPE), field_mm(size_mm), READINGS_MM2)
 
 
 def calibration(

@@ -20,6 +20,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation.interpolation import Trilinear
 from hilcell.compensation.targets import write_targets
 from tests.hilcell.calibration.calibrations import READINGS_MM2, calibration, measured
+from tests.hilcell.compensation.models import level
 
 
 @pytest.fixture
@@ -207,7 +208,7 @@ def test_old_files_give_the_same_commands(tmp_path: Path, method: str, sealed: b
 
 def test_an_old_file_states_no_covariance(tmp_path: Path) -> None:
     made = read_calibration(GOLDEN / "calibration.json")
-    found = made.error_model().predict(made.grid().far_mm[None])
+    found = made.error_model().predict(level(made.grid().far_mm[None]))
     assert np.isfinite(found.error_mm).all()
     assert np.isnan(found.covariance_mm2).all()
 
@@ -235,8 +236,8 @@ def test_an_unsealed_file_with_a_seal_is_no_old_one(file: Path) -> None:
 
 def test_the_model_comes_back_with_its_covariance(file: Path) -> None:
     at_mm = np.array([[1500.0, 0.0, 700.0], [1400.0, -450.0, 500.0]])
-    found = read_calibration(file).error_model().predict(at_mm)
-    wanted = Trilinear.learn(measured()).predict(at_mm)
+    found = read_calibration(file).error_model().predict(level(at_mm))
+    wanted = Trilinear.learn(measured()).predict(level(at_mm))
     assert (found.error_mm == wanted.error_mm).all()
     assert (found.covariance_mm2 == wanted.covariance_mm2).all()
     np.testing.assert_array_equal(found.covariance_mm2[1], READINGS_MM2)

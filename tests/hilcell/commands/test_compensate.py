@@ -14,6 +14,7 @@ from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.geometry.frames import apply, inverse
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands.workplace import Workplace
+from tests.hilcell.compensation.models import level
 
 TARGETS = np.array([[0.0, 0, 1200, 0, 75, 0], [0.0, 50, 1250, 0, 75, 0]])
 
@@ -27,7 +28,7 @@ def desk(tmp_path: Path) -> Workplace:
 def arrived_mm(command: np.ndarray) -> np.ndarray:
     """Return where commands (N, 3) end, in {W}: each plus the error at the command."""
     in_base = apply(inverse(T_W_B), command)
-    return apply(T_W_B, in_base + calibration().error_model().predict(in_base).error_mm)
+    return apply(T_W_B, in_base + calibration().error_model().predict(level(in_base)).error_mm)
 
 
 def test_a_corrected_list_arrives(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from hilcell.compensation.model import Prediction
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.rotations import from_rotvec
-from tests.hilcell.compensation.models import Kind, exact
+from tests.hilcell.compensation.models import Kind, exact, level
 
 ErrorAt = Callable[[Array], Array]
 
@@ -26,8 +26,8 @@ class Model:
 
     error_at: ErrorAt
 
-    def predict(self, targets_mm: Array) -> Prediction:
-        return Prediction(self.error_at(targets_mm), np.full((len(targets_mm), 3, 3), np.nan))
+    def predict(self, poses: Array) -> Prediction:
+        return Prediction(self.error_at(poses[:, :3, 3]), np.full((len(poses), 3, 3), np.nan))
 
 
 GRID = Grid(np.array([1400.0, -450.0, 500.0]), 300.0, (4, 4, 4))
@@ -53,8 +53,8 @@ def left(error_at: ErrorAt, command: np.ndarray, targets: np.ndarray) -> float:
 @given(seeds)
 def test_two_steps_arrive_and_one_nearly_does(seed: int) -> None:
     error_at, targets = smooth(seed), inner(seed)
-    one = left(error_at, corrected(GRID, targets, Model(error_at), steps=1), targets)
-    two = left(error_at, corrected(GRID, targets, Model(error_at)), targets)
+    one = left(error_at, corrected(GRID, level(targets), Model(error_at), steps=1), targets)
+    two = left(error_at, corrected(GRID, level(targets), Model(error_at)), targets)
     assert one < 0.05
     assert two < 5e-4
 
@@ -77,10 +77,10 @@ def test_measured_vertices_are_met(seed: int, model: Kind) -> None:
     found = exact(model, GRID, errors)
 
     def error_at(at_mm: Array) -> Array:
-        return found.predict(at_mm).error_mm
+        return found.predict(level(at_mm)).error_mm
 
     targets = GRID.vertices_mm()[1:3, 1:3, 1:3].reshape(-1, 3)
-    assert left(error_at, corrected(GRID, targets, Model(error_at), steps=4), targets) < 4e-3
+    assert left(error_at, corrected(GRID, level(targets), Model(error_at), steps=4), targets) < 4e-3
 
 
 def test_commands_may_leave_the_grid_but_the_map_is_never_asked_outside() -> None:
@@ -91,14 +91,16 @@ def test_commands_may_leave_the_grid_but_the_map_is_never_asked_outside() -> Non
         GRID.check_inside(at_mm)
         return np.tile([-1.5, 0.0, 0.0], (len(at_mm), 1))
 
-    command = corrected(GRID, GRID.far_mm[None], Model(error_at))
+    command = corrected(GRID, level(GRID.far_mm[None]), Model(error_at))
     np.testing.assert_allclose(command, GRID.far_mm + np.array([[1.5, 0, 0]]))
     assert len(asked) == 2
 
 
 def test_targets_outside_are_refused_by_name() -> None:
     with pytest.raises(OutsideGrid, match=r"hole 7 by 2\.000 mm"):
-        corrected(GRID, GRID.far_mm + np.array([[0, 0, 2]]), Model(smooth(0)), names=["hole 7"])
+        corrected(
+            GRID, level(GRID.far_mm + np.array([[0, 0, 2]])), Model(smooth(0)), names=["hole 7"]
+        )
 
 
 def test_a_map_that_jumps_is_refused() -> None:
@@ -106,17 +108,17 @@ def test_a_map_that_jumps_is_refused() -> None:
         return np.where(at_mm > 1500.0, 20.0, -20.0) * [1.0, 0, 0]
 
     with pytest.raises(CorrectionError, match=r"hole 7 moves by 40\.000 mm in step 2 "):
-        corrected(GRID, [[1501.0, 0, 1000]], Model(error_at), names=["hole 7"])
+        corrected(GRID, level([[1501.0, 0, 1000]]), Model(error_at), names=["hole 7"])
 
 
 def test_a_map_without_a_value_is_refused() -> None:
     with pytest.raises(CorrectionError, match="target 1"):
-        corrected(GRID, [[1501.0, 0, 1000]], Model(lambda at_mm: at_mm * np.nan))
+        corrected(GRID, level([[1501.0, 0, 1000]]), Model(lambda at_mm: at_mm * np.nan))
 
 
 def test_no_steps_is_refused() -> None:
     with pytest.raises(CorrectionError, match="1 or more"):
-        corrected(GRID, [[1501.0, 0, 1000]], Model(smooth(0)), steps=0)
+        corrected(GRID, level([[1501.0, 0, 1000]]), Model(smooth(0)), steps=0)
 
 
 @given(seeds)
@@ -131,6 +133,6 @@ def test_an_error_of_the_base_frame_cancels(seed: int) -> None:
     for T in (np.eye(4), off):
         errors_mm = apply(inverse(T), vertices_mm + error_at(vertices_mm)) - vertices_mm
         found = exact(Trilinear, GRID, errors_mm.reshape(*GRID.shape, 3))
-        command_mm = corrected(GRID, apply(inverse(T), targets_mm), found)
+        command_mm = corrected(GRID, level(apply(inverse(T), targets_mm)), found)
         assert left(error_at, command_mm, targets_mm) < 2e-3
     assert np.linalg.norm(off[:3, 3]) > 0.01

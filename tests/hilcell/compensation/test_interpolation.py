@@ -15,7 +15,7 @@ from hilcell.compensation.grid import Grid, GridError, MeasuredGrid, OutsideGrid
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import ModelError
 from hilcell.geometry.kinematics import Array
-from tests.hilcell.compensation.models import Kind, exact, measured, predicted_mm
+from tests.hilcell.compensation.models import Kind, exact, lattice, level, measured, predicted_mm
 
 Weights = Callable[[Array, ArrayLike], Array]
 GRID = Grid(np.array([1400.0, -450.0, 500.0]), 300.0, (4, 4, 4))
@@ -196,7 +196,7 @@ def random_covariances(seed: int, grid: Grid = GRID) -> Array:
 def test_at_a_vertex_the_covariance_is_the_vertex_s_own(model: Kind, seed: int) -> None:
     covariances = random_covariances(seed)
     learnt = model.learn(measured(GRID, random_errors(seed), covariances))
-    found = learnt.predict(GRID.vertices_mm().reshape(-1, 3))
+    found = learnt.predict(level(GRID.vertices_mm().reshape(-1, 3)))
     assert (found.error_mm == random_errors(seed).reshape(-1, 3)).all()
     assert (found.covariance_mm2 == covariances.reshape(-1, 3, 3)).all()
 
@@ -205,7 +205,7 @@ def test_at_a_vertex_the_covariance_is_the_vertex_s_own(model: Kind, seed: int) 
 @models
 def test_covariances_are_symmetric_and_no_variance_is_below_zero(model: Kind, seed: int) -> None:
     learnt = model.learn(measured(GRID, random_errors(seed), random_covariances(seed)))
-    found = learnt.predict(targets_of(seed)).covariance_mm2
+    found = learnt.predict(level(targets_of(seed))).covariance_mm2
     np.testing.assert_allclose(found, found.swapaxes(1, 2), rtol=1e-12)
     assert np.linalg.eigvalsh(found).min() > 0
 
@@ -217,8 +217,8 @@ def test_the_vertices_covariance_scales_the_propagated_part(
 ) -> None:
     errors, covariances = random_errors(seed), random_covariances(seed)
     one, other, none = (
-        model(measured(GRID, errors, factor * covariances), np.eye(3))
-        .predict(targets_of(seed))
+        model(lattice(GRID, errors, factor * covariances), np.eye(3))
+        .predict(level(targets_of(seed)))
         .covariance_mm2
         for factor in (1.0, scale, 0.0)
     )
@@ -234,8 +234,8 @@ def test_noise_of_the_vertices_scatters_predictions_as_propagated(model: Kind) -
         predicted_mm(model, grid, np.einsum("...ij,...j", roots, noise), targets)
         for noise in rng.standard_normal((4000, *grid.shape, 3))
     ]
-    known = measured(grid, np.zeros((*grid.shape, 3)), covariances)
-    wanted = model(known, np.zeros((3, 3))).predict(targets).covariance_mm2
+    known = lattice(grid, np.zeros((*grid.shape, 3)), covariances)
+    wanted = model(known, np.zeros((3, 3))).predict(level(targets)).covariance_mm2
     for target in range(len(targets)):
         found = np.cov(np.array(drawn)[:, target], rowvar=False)
         size = float(np.trace(wanted[target]))
@@ -267,7 +267,7 @@ def test_an_unknown_covariance_stays_unknown(model: Kind) -> None:
     """Of a file that states none, and of a grid of one cell too."""
     for grid in (GRID, Grid(GRID.origin_mm, 900.0, (2, 2, 2))):
         unknown = measured(grid, np.zeros((*grid.shape, 3)), np.nan)
-        found = model.learn(unknown).predict(targets_of(1))
+        found = model.learn(unknown).predict(level(targets_of(1)))
         assert np.isfinite(found.error_mm).all()
         assert np.isnan(found.covariance_mm2).all()
 
@@ -278,7 +278,7 @@ def test_a_model_comes_back_from_its_parameters(model: Kind, seed: int) -> None:
     learnt = model.learn(measured(GRID, random_errors(seed), random_covariances(seed)))
     kept = json.loads(json.dumps(learnt.parameters()))
     back = model.restore(GRID, random_errors(seed), kept)
-    one, other = (each.predict(targets_of(seed)) for each in (learnt, back))
+    one, other = (each.predict(level(targets_of(seed))) for each in (learnt, back))
     assert (one.error_mm == other.error_mm).all()
     assert (one.covariance_mm2 == other.covariance_mm2).all()
 

@@ -1,0 +1,49 @@
+"""The robot's error as measured, in {B}: on the grid, at every pose, axis by axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilcell.compensation.grid import GridError, MeasuredGrid
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.robot import NominalRobot
+from hilcell.identification.curve import TransmissionCurve
+
+
+@dataclass(frozen=True, eq=False)
+class StaticPoses:
+    """M poses at rest: joints (M, 6) as commanded, nominal and actual positions (M, 3) in {B}.
+
+    ``covariance_mm2`` (M, 3, 3) is that of each averaged reading, NaN where it is unknown.
+    """
+
+    joints_rad: Array
+    nominal_mm: Array
+    actual_mm: Array
+    covariance_mm2: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.joints_rad)
+        for name, values, shape in (
+            ("joints", self.joints_rad, (count, 6)),
+            ("nominal positions", self.nominal_mm, (count, 3)),
+            ("actual positions", self.actual_mm, (count, 3)),
+            ("covariances", self.covariance_mm2, (count, 3, 3)),
+        ):
+            if np.shape(values) != shape:
+                raise GridError(f"poses: {name} of shape {np.shape(values)}, wanted {shape}")
+
+    def __len__(self) -> int:
+        return len(self.joints_rad)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """The grid for models of space, all poses and the curves for models of the arm."""
+
+    grid: MeasuredGrid
+    robot: NominalRobot
+    poses: StaticPoses
+    curves: tuple[TransmissionCurve, ...] = ()

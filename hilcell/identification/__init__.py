@@ -1,0 +1,1 @@
+"""Kinematic identification: parameters of the arm and its gears from measured positions."""
