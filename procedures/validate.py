@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
@@ -18,12 +19,14 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
+from procedures import enough_targets
 from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_reach, joints_for, poses_at
 from procedures.repeatability import floor
 from procedures.world_frame import check_control_points
 
-WAYS = 3  # before, by the paper's method, by the chosen one
+WAYS = ("before", "idw", "chosen")  # as it is, by the paper's method, by the chosen one
+QUICK_WAYS = ("before", "chosen")
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
 
 
@@ -42,9 +45,11 @@ class Validate:
         for name, targets_mm in targets(cell, seed).items():
             station = cell.station_named(name)
             joints_rad = check_reach(cell, targets_mm, f"target at {name}")
-            one_way = [floor_points(cell), flange_points(cell, joints_rad)]
-            spans += [leg(cell, here, station), *WAYS * one_way]
-            points += WAYS * len(targets_mm)
+            spans.append(leg(cell, here, station))
+            for how in ways(cell):
+                spans += [floor_points(cell)] if how in controlled(cell) else []
+                spans.append(flange_points(cell, joints_rad[: planned(cell, how)]))
+                points += spans[-1].measured
             here = station
         return step(self.name, points, spans)
 
@@ -61,35 +66,39 @@ class Validate:
                 "idw": corrected(grid, poses_at(session.cell, by_paper_mm), paper),
                 "chosen": corrected(grid, poses_at(session.cell, targets_mm), chosen),
             }
-            for how, command in commands.items():
-                self._send(session, station, how, targets_mm, command)
+            for how in ways(session.cell):
+                for numbers in rounds(session.log, name, how, len(targets_mm)):
+                    self._send(session, station, how, numbers, targets_mm, commands[how])
         self._judge(session)
         session.reach("validate")
 
     def _send(
-        self, session: CellSession, station: Station, how: str, targets_mm: Array, command: Array
+        self,
+        session: CellSession,
+        station: Station,
+        how: str,
+        numbers: range,
+        targets_mm: Array,
+        command: Array,
     ) -> None:
-        ids = [
-            PointId("validate", station=station.name, how=how, number=n)
-            for n in range(len(targets_mm))
-        ]
+        ids = [PointId("validate", station=station.name, how=how, number=n) for n in numbers]
         if all(session.log.find(id) for id in ids):
             return
-        # Where the reflector is carried by hand, the tracker is proven once a station.
-        if not session.log.find(ids[0]) and (how == "before" or not session.cell.layout.by_hand):
+        if numbers[0] == 0 and not session.log.find(ids[0]) and how in controlled(session.cell):
             check_control_points(session)
-        nominal_mm = apply(session.frames.base_in_world(station), targets_mm)
-        joints = joints_for(session.cell, command)
+        nominal_mm = apply(session.frames.base_in_world(station), targets_mm[numbers])
+        joints = joints_for(session.cell, command[numbers])
         for id, joint, nominal in zip(ids, joints, nominal_mm, strict=True):
             session.flange_point(id, station, joint, nominal_mm=nominal)
 
     def _judge(self, session: CellSession) -> None:
         limits = session.cell.validation
         for where, figures in self.result(session.log)["validation"].items():
-            chosen = figures["chosen"]
+            chosen, decision = figures["chosen"], figures.get("decision", {})
             holds = (
                 chosen["mean"] <= limits.mean_tolerance_mm
                 and chosen["max"] <= limits.max_tolerance_mm
+                and decision.get("outcome", "accepted") == "accepted"
             )
             session.verdict(
                 f"validation.{where}",
@@ -98,6 +107,7 @@ class Validate:
                 mean_tolerance_mm=limits.mean_tolerance_mm,
                 max_mm=chosen["max"],
                 max_tolerance_mm=limits.max_tolerance_mm,
+                **decision,
             )
 
     def result(self, log: Log) -> dict[str, Any]:
@@ -107,6 +117,9 @@ class Validate:
         places = {reference: [reference]}
         places |= ({"others": others} if others else {}) | {name: [name] for name in others}
         figures = {where: station_figures(log, names) for where, names in places.items()}
+        if log.cell.plan.quick:
+            for where, names in places.items():
+                figures[where]["decision"] = enough_targets.judgement(log, names)
         for where in (reference, "others"):
             if where in figures:
                 figures[where]["floor"] = floor(log)
@@ -126,11 +139,39 @@ def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
     return {"points": len(series["chosen"]), **figures}
 
 
+def ways(cell: Cell) -> tuple[str, ...]:
+    """Return the ways in which each target is sent."""
+    return QUICK_WAYS if cell.plan.quick else WAYS
+
+
+def controlled(cell: Cell) -> tuple[str, ...]:
+    """Return the ways before which the tracker is proven.
+
+    Once a station where time counts, or where the reflector is carried by hand.
+    """
+    return WAYS[:1] if cell.plan.quick or cell.layout.by_hand else WAYS
+
+
+def planned(cell: Cell, how: str) -> int | None:
+    """Return how many targets a quick plan sends where all is well; None is all of them."""
+    if not cell.plan.quick:
+        return None
+    return enough_targets.least_targets(cell) if how == "chosen" else enough_targets.BLOCK
+
+
+def rounds(log: Log, station: str, how: str, count: int) -> Iterator[range]:
+    """Yield the numbers of the targets to send next, of ``count``."""
+    return enough_targets.rounds(log, station, how) if log.cell.plan.quick else iter([range(count)])
+
+
 def targets(cell: Cell, seed: int) -> dict[str, Array]:
     """Return random targets (N, 3) in {B} by station, the grid's first, stratified by grid cell."""
     reference = cell.grid.station
     rng = np.random.default_rng([seed, 2014])
     grid = grid_of(cell)
+    if cell.plan.quick:
+        box = (grid.origin_mm + MARGIN_MM, grid.far_mm - MARGIN_MM)
+        return enough_targets.octant_targets(cell, seed, *box)
     cells = list(product(*(range(count - 1) for count in grid.shape)))
     drawn = {reference: _draw(rng, cell, cells * cell.validation.per_cell)}
     others = [station.name for station in cell.station if station.name != reference]

@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import Meta, field
 
 from hilcell.cell.layout import Layout, Nest
+from hilcell.cell.plan import PlanTable
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
 from hilcell.cell.tables import (
     Acceleration,
@@ -45,9 +46,9 @@ from hilcell.geometry.robot import NominalRobot
 
 __all__ = [
     "BaseFrameTable", "CampaignTable", "Cell", "Frozen", "GridTable", "Joint", "Layout", "Nest",
-    "Pose", "RailTable", "RobotTable", "SettleTable", "SimulationTable", "Six", "Station",
-    "SurveyTable", "TrackerTable", "ValidationTable", "arm_from_joints", "built_in_cells",
-    "load_cell",
+    "PlanTable", "Pose", "RailTable", "RobotTable", "SettleTable", "SimulationTable", "Six",
+    "Station", "SurveyTable", "TrackerTable", "ValidationTable", "arm_from_joints",
+    "built_in_cells", "load_cell",
 ]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it
@@ -298,6 +299,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     base_frame: BaseFrameTable
     survey: SurveyTable = field(default_factory=SurveyTable)
     validation: ValidationTable = field(default_factory=ValidationTable)
+    plan: PlanTable = field(default_factory=PlanTable)
     settle: SettleTable = field(default_factory=SettleTable)
     campaign: CampaignTable | None = None
     simulation: SimulationTable | None = None
@@ -352,9 +354,10 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @cached_property
     def digest(self) -> str:
-        """Return SHA-256 over canonical JSON of the cell, without its simulation."""
+        """Return SHA-256 over canonical JSON of the cell, without its simulation and its plan."""
         values = msgspec.to_builtins(self)
         values.pop("simulation")
+        values.pop("plan")
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)
