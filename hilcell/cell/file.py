@@ -20,7 +20,6 @@ import numpy as np
 from msgspec import Meta, field
 
 from hilcell.cell.layout import Layout, Nest
-from hilcell.cell.plan import PlanTable
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
 from hilcell.cell.tables import (
     Acceleration,
@@ -46,8 +45,8 @@ from hilcell.geometry.robot import NominalRobot
 
 __all__ = [
     "BaseFrameTable", "CampaignTable", "Cell", "Frozen", "GridTable", "Joint", "Layout", "Nest",
-    "PlanTable", "Pose", "RailTable", "RobotTable", "SettleTable", "SimulationTable", "Six",
-    "Station", "SurveyTable", "TrackerTable", "ValidationTable", "arm_from_joints",
+    "Pose", "RailTable", "RobotTable", "SettleTable", "SimulationTable", "Six", "Station",
+    "SurveyTable", "TouchTable", "TrackerTable", "ValidationTable", "arm_from_joints",
     "built_in_cells", "load_cell",
 ]  # fmt: skip
 
@@ -262,6 +261,12 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
     max_tolerance_mm: Size = 1.0
 
 
+class TouchTable(Frozen, frozen=True, kw_only=True):
+    """Poses by which a station is measured again after each stop; 0: none."""
+
+    poses: Annotated[int, Meta(ge=0, le=100)] = 8
+
+
 class CampaignTable(Frozen, frozen=True, kw_only=True):
     """A list of poses to drive, with the reflectors and where the tracker expects them."""
 
@@ -299,7 +304,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     base_frame: BaseFrameTable
     survey: SurveyTable = field(default_factory=SurveyTable)
     validation: ValidationTable = field(default_factory=ValidationTable)
-    plan: PlanTable = field(default_factory=PlanTable)
+    touch: TouchTable = field(default_factory=TouchTable)
     settle: SettleTable = field(default_factory=SettleTable)
     campaign: CampaignTable | None = None
     simulation: SimulationTable | None = None
@@ -354,14 +359,15 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @cached_property
     def digest(self) -> str:
-        """Return SHA-256 over canonical JSON of the cell, without its simulation and its plan."""
+        """Return SHA-256 over canonical JSON of the cell, without its simulation."""
         values = msgspec.to_builtins(self)
         values.pop("simulation")
-        values.pop("plan")
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)
-        values["layout"].pop("reflectors")  # by hand or not, the cell is the same
+        values.pop("touch")  # how it is measured and judged: the cell is the same
+        for key in ("reflectors", "max_tool_std_mm"):
+            values["layout"].pop(key)
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
     def station_named(self, name: str) -> Station:

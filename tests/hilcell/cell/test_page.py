@@ -27,7 +27,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[base_frame]": cell.BaseFrameTable,
     "[survey]": cell.SurveyTable,
     "[validation]": cell.ValidationTable,
-    "[plan]": cell.PlanTable,
+    "[touch]": cell.TouchTable,
     "[settle]": cell.SettleTable,
     "[campaign]": cell.CampaignTable,
     "[simulation]": cell.SimulationTable,
