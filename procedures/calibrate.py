@@ -30,6 +30,8 @@ def validation_table(result: dict[str, Any]) -> Table:
                 continue
             each = figures[label]
             name = f"chosen: {result['method']}" if label == "chosen" else label
+            if label == "chosen" and "decision" in figures:
+                name += f", {figures['decision']['outcome']}"
             first = [where, str(figures["points"])] if label == "before" else ["", ""]
             texts = [f"{each[figure]:.4f}" if figure in each else "" for figure in names]
             rows.append([*first, name, *texts])

@@ -6,6 +6,7 @@ from typing import Any
 
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Part, Procedure, Step, Table
 from procedures.base_frame import BaseFrame
@@ -49,7 +50,12 @@ class PaperRows:
     yields = "the paper's figures beside ours"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Return the step."""
+        """Refuse a quick plan: the paper's figures are of the paper's own."""
+        if cell.plan.quick:
+            raise HilcellError(
+                "plan.quick: the paper's rows need every target; leave it out, or run calibrate",
+                code="HC-C10",
+            )
         return Step(self.name, 0, 0.0)
 
     def perform(self, session: CellSession) -> None:

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.errors import HOWS, validation
+from hilcell.calibration.errors import validation
 from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
-from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
+from procedures import enough_targets
 from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_reach, joints_for, poses_at
 from procedures.repeatability import floor
-from procedures.touch import base_for_commands, touch_result, touch_spans
 from procedures.world_frame import check_control_points
 
+WAYS = ("before", "idw", "chosen")  # as it is, by the paper's method, by the chosen one
+QUICK_WAYS = ("before", "chosen")
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
 
 
@@ -43,23 +45,30 @@ class Validate:
         for name, targets_mm in targets(cell, seed).items():
             station = cell.station_named(name)
             joints_rad = check_reach(cell, targets_mm, f"target at {name}")
-            one_way = [floor_points(cell), flange_points(cell, joints_rad)]
-            touches = touch_spans(cell)
-            spans += [leg(cell, here, station), *2 * one_way, one_way[0], *touches, one_way[1]]
-            points += len(HOWS) * len(targets_mm) + sum(span.measured for span in touches)
+            spans.append(leg(cell, here, station))
+            for how in ways(cell):
+                spans += [floor_points(cell)] if how in controlled(cell) else []
+                spans.append(flange_points(cell, joints_rad[: planned(cell, how)]))
+                points += spans[-1].measured
             here = station
         return step(self.name, points, spans)
 
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
-        measured = measured_of(session.log)
+        measured, grid = measured_of(session.log), grid_of(session.cell)
         paper = MODELS["idw"].learn(measured)
         chosen = MODELS[str(session.log.verdicts["fit"]["method"])].learn(measured)
-        models = {"idw": paper, "chosen": chosen}
         for name, targets_mm in targets(session.cell, session.seed).items():
             station = session.cell.station_named(name)
-            for how in HOWS:
-                self._send(session, station, how, targets_mm, models.get(how))
+            by_paper_mm = by_paper(session, station, targets_mm)
+            commands = {
+                "before": targets_mm,
+                "idw": corrected(grid, poses_at(session.cell, by_paper_mm), paper),
+                "chosen": corrected(grid, poses_at(session.cell, targets_mm), chosen),
+            }
+            for how in ways(session.cell):
+                for numbers in rounds(session.log, name, how, len(targets_mm)):
+                    self._send(session, station, how, numbers, targets_mm, commands[how])
         self._judge(session)
         session.reach("validate")
 
@@ -68,36 +77,28 @@ class Validate:
         session: CellSession,
         station: Station,
         how: str,
+        numbers: range,
         targets_mm: Array,
-        model: ErrorModel | None,
+        command: Array,
     ) -> None:
-        ids = [
-            PointId("validate", station=station.name, how=how, number=n)
-            for n in range(len(targets_mm))
-        ]
+        ids = [PointId("validate", station=station.name, how=how, number=n) for n in numbers]
         if all(session.log.find(id) for id in ids):
             return
-        # Where the reflector is carried by hand, the tracker is proven once a station.
-        if not session.log.find(ids[0]) and (how == "before" or not session.cell.layout.by_hand):
+        if numbers[0] == 0 and not session.log.find(ids[0]) and how in controlled(session.cell):
             check_control_points(session)
-        nominal_mm = apply(session.frames.base_in_world(station), targets_mm)
-        joints_rad, visit = np.zeros((len(ids), 6)), -1
-        for n, id in enumerate(ids):
-            session.retake_waiting()  # at another station, it ends the visit
-            session.hold_station(station)
-            if visit != session.log.visit:
-                sent_mm = command(session, station, how, targets_mm, model)
-                joints_rad = joints_for(session.cell, sent_mm)
-                visit = session.log.visit
-            session.flange_point(id, station, joints_rad[n], nominal_mm=nominal_mm[n])
+        nominal_mm = apply(session.frames.base_in_world(station), targets_mm[numbers])
+        joints = joints_for(session.cell, command[numbers])
+        for id, joint, nominal in zip(ids, joints, nominal_mm, strict=True):
+            session.flange_point(id, station, joint, nominal_mm=nominal)
 
     def _judge(self, session: CellSession) -> None:
         limits = session.cell.validation
         for where, figures in self.result(session.log)["validation"].items():
-            chosen = figures["chosen"]
+            chosen, decision = figures["chosen"], figures.get("decision", {})
             holds = (
                 chosen["mean"] <= limits.mean_tolerance_mm
                 and chosen["max"] <= limits.max_tolerance_mm
+                and decision.get("outcome", "accepted") == "accepted"
             )
             session.verdict(
                 f"validation.{where}",
@@ -106,6 +107,7 @@ class Validate:
                 mean_tolerance_mm=limits.mean_tolerance_mm,
                 max_mm=chosen["max"],
                 max_tolerance_mm=limits.max_tolerance_mm,
+                **decision,
             )
 
     def result(self, log: Log) -> dict[str, Any]:
@@ -115,29 +117,19 @@ class Validate:
         places = {reference: [reference]}
         places |= ({"others": others} if others else {}) | {name: [name] for name in others}
         figures = {where: station_figures(log, names) for where, names in places.items()}
+        if log.cell.plan.quick:
+            for where, names in places.items():
+                figures[where]["decision"] = enough_targets.judgement(log, names)
         for where in (reference, "others"):
             if where in figures:
                 figures[where]["floor"] = floor(log)
-        return {"validation": figures} | touch_result(log)
+        return {"validation": figures}
 
 
-def command(
-    session: CellSession, station: Station, how: str, targets_mm: Array, model: ErrorModel | None
-) -> Array:
-    """Return where to send the robot, (N, 3) in {B}, for targets (N, 3) of the station frame's {B}.
-
-    The targets' places in {W} are fixed before the visit. The paper takes the robot's base from
-    three slide points, the chosen way from the touch poses of this visit.
-    """
-    if model is None:
-        return targets_mm
-    frames = session.frames
-    if how == "idw":
-        T_W_B = frames.base_by_three_points(station)
-    else:
-        T_W_B = base_for_commands(session, station, model)
-    at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
-    return corrected(grid_of(session.cell), poses_at(session.cell, at_mm), model)
+def by_paper(session: CellSession, station: Station, targets_mm: Array) -> Array:
+    """Return targets (N, 3) in {B} where the paper's three-point frame takes {B} to be."""
+    T_W_B = session.frames.base_in_world(station)
+    return apply(inverse(session.frames.base_by_three_points(station)) @ T_W_B, targets_mm)
 
 
 def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
@@ -147,11 +139,39 @@ def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
     return {"points": len(series["chosen"]), **figures}
 
 
+def ways(cell: Cell) -> tuple[str, ...]:
+    """Return the ways in which each target is sent."""
+    return QUICK_WAYS if cell.plan.quick else WAYS
+
+
+def controlled(cell: Cell) -> tuple[str, ...]:
+    """Return the ways before which the tracker is proven.
+
+    Once a station where time counts, or where the reflector is carried by hand.
+    """
+    return WAYS[:1] if cell.plan.quick or cell.layout.by_hand else WAYS
+
+
+def planned(cell: Cell, how: str) -> int | None:
+    """Return how many targets a quick plan sends where all is well; None is all of them."""
+    if not cell.plan.quick:
+        return None
+    return enough_targets.least_targets(cell) if how == "chosen" else enough_targets.BLOCK
+
+
+def rounds(log: Log, station: str, how: str, count: int) -> Iterator[range]:
+    """Yield the numbers of the targets to send next, of ``count``."""
+    return enough_targets.rounds(log, station, how) if log.cell.plan.quick else iter([range(count)])
+
+
 def targets(cell: Cell, seed: int) -> dict[str, Array]:
     """Return random targets (N, 3) in {B} by station, the grid's first, stratified by grid cell."""
     reference = cell.grid.station
     rng = np.random.default_rng([seed, 2014])
     grid = grid_of(cell)
+    if cell.plan.quick:
+        box = (grid.origin_mm + MARGIN_MM, grid.far_mm - MARGIN_MM)
+        return enough_targets.octant_targets(cell, seed, *box)
     cells = list(product(*(range(count - 1) for count in grid.shape)))
     drawn = {reference: _draw(rng, cell, cells * cell.validation.per_cell)}
     others = [station.name for station in cell.station if station.name != reference]

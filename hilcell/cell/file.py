@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import Meta, field
 
 from hilcell.cell.layout import Layout, Nest
+from hilcell.cell.plan import PlanTable
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
 from hilcell.cell.tables import (
     Acceleration,
@@ -45,8 +46,8 @@ from hilcell.geometry.robot import NominalRobot
 
 __all__ = [
     "BaseFrameTable", "CampaignTable", "Cell", "Frozen", "GridTable", "Joint", "Layout", "Nest",
-    "Pose", "RailTable", "RobotTable", "SettleTable", "SimulationTable", "Six", "Station",
-    "SurveyTable", "TouchTable", "TrackerTable", "ValidationTable", "arm_from_joints",
+    "PlanTable", "Pose", "RailTable", "RobotTable", "SettleTable", "SimulationTable", "Six",
+    "Station", "SurveyTable", "TrackerTable", "ValidationTable", "arm_from_joints",
     "built_in_cells", "load_cell",
 ]  # fmt: skip
 
@@ -261,12 +262,6 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
     max_tolerance_mm: Size = 1.0
 
 
-class TouchTable(Frozen, frozen=True, kw_only=True):
-    """Poses by which a station is measured again after each stop; 0: none."""
-
-    poses: Annotated[int, Meta(ge=0, le=100)] = 8
-
-
 class CampaignTable(Frozen, frozen=True, kw_only=True):
     """A list of poses to drive, with the reflectors and where the tracker expects them."""
 
@@ -304,7 +299,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     base_frame: BaseFrameTable
     survey: SurveyTable = field(default_factory=SurveyTable)
     validation: ValidationTable = field(default_factory=ValidationTable)
-    touch: TouchTable = field(default_factory=TouchTable)
+    plan: PlanTable = field(default_factory=PlanTable)
     settle: SettleTable = field(default_factory=SettleTable)
     campaign: CampaignTable | None = None
     simulation: SimulationTable | None = None
@@ -359,15 +354,14 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @cached_property
     def digest(self) -> str:
-        """Return SHA-256 over canonical JSON of the cell, without its simulation."""
+        """Return SHA-256 over canonical JSON of the cell, without its simulation and its plan."""
         values = msgspec.to_builtins(self)
         values.pop("simulation")
+        values.pop("plan")
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)
-        values.pop("touch")  # how it is measured and judged: the cell is the same
-        for key in ("reflectors", "max_tool_std_mm"):
-            values["layout"].pop(key)
+        values["layout"].pop("reflectors")  # by hand or not, the cell is the same
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
     def station_named(self, name: str) -> Station:

@@ -115,8 +115,14 @@ def _conditions(facts: Facts) -> str:
 
 
 def _conformity(facts: Facts) -> str:
-    limits = facts.cell.validation
+    limits, plan = facts.cell.validation, facts.cell.plan
     rule = "simple acceptance: the measured figure against the limit, uncertainty not added"
+    if plan.quick:
+        rule = (
+            f"sequential: that the mean of the volume is below its limit, and less than "
+            f"{plan.share_above_max:.0%} of it above the maximum, is each shown at every station "
+            f"at a risk of {plan.accept_risk:.1%}"
+        )
     if not any(name.startswith("validation.") for name in facts.log.verdicts):
         return rule
     return (

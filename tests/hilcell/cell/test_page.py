@@ -27,7 +27,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[base_frame]": cell.BaseFrameTable,
     "[survey]": cell.SurveyTable,
     "[validation]": cell.ValidationTable,
-    "[touch]": cell.TouchTable,
+    "[plan]": cell.PlanTable,
     "[settle]": cell.SettleTable,
     "[campaign]": cell.CampaignTable,
     "[simulation]": cell.SimulationTable,

@@ -1,0 +1,303 @@
+"""URDF files: the six-axis arm in one, and the same file with another arm in it.
+
+URDF has metres and radians; beyond this module are mm. The chain is the way from the root link to
+one tip: six revolute joints, any number of fixed ones. A joint's frame in a `Chain` includes the
+fixed joints before it; when a chain is written, these keep their origins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from hilcell.calibration.urdf_xml import JointText, NotUrdf, UrdfText, read_urdf_text
+from hilcell.cell.settings import SettingsError, unreadable
+from hilcell.clean import clean
+from hilcell.compensation.targets import numbers
+from hilcell.geometry.chain import Chain
+from hilcell.geometry.frames import inverse, matrix, pose_from_zyx, zyx_from_pose
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import lengths_mm
+
+MM = 1000.0  # in a metre
+LEAST_REACH_M, MOST_REACH_M = 0.05, 50.0  # of all links in a row; beyond, lengths are not metres
+MOST_TURN_RAD = 2.0 * np.pi + 0.01  # of one roll, pitch or yaw; beyond, angles are degrees
+LEAST_AXIS = 1e-6
+TURNS = ("revolute", "continuous")
+MOST_NAMED = 8  # links that one message names
+MOST_JOINTS = 1000  # of one file
+
+
+@dataclass(frozen=True, eq=False)
+class Urdf:
+    """A URDF and its arm: the chain from ``root`` to ``tip``, limits (2, 6), inf where none."""
+
+    path: Path
+    root: str
+    tip: str
+    chain: Chain
+    limits_rad: Array
+    text: UrdfText = field(repr=False)
+    joints: Sequence[JointText] = field(repr=False)  # from root to tip, fixed ones too
+    steps: Array = field(repr=False)  # their origins (J, 4, 4), mm
+
+    @property
+    def name(self) -> str:
+        """Return the robot's name."""
+        return clean(self.text.name)
+
+    def left_at_tip(self, chain: Chain) -> Array:
+        """Return the frame (4, 4) of a chain's tip in the tip link of the file that it is put into.
+
+        The identity, unless the tip is the sixth joint's own link: no joint is left there that
+        could carry a tip of its own.
+        """
+        return np.eye(4) if self._fixed_at_tip else chain.tip
+
+    def with_chain(self, chain: Chain, comment: Sequence[str]) -> bytes:
+        """Return the file with the origins of a chain that has the file's axes, see `beside`."""
+        origins, done = [], np.eye(4)
+        wanted = iter(chain.origins)
+        for joint, step in zip(self.joints, self.steps, strict=True):
+            if joint.kind in TURNS:
+                origins.append((joint, _origin_tag(inverse(done) @ next(wanted))))
+                done = np.eye(4)
+            else:
+                done = done @ step
+        if self._fixed_at_tip:
+            first = self.steps[-self._fixed_at_tip]
+            rest = inverse(first) @ done
+            origins.append(
+                (self.joints[-self._fixed_at_tip], _origin_tag(chain.tip @ inverse(rest)))
+            )
+        return self.text.with_origins(origins, comment)
+
+    @property
+    def _fixed_at_tip(self) -> int:
+        """Return how many fixed joints follow the sixth."""
+        last = max(n for n, joint in enumerate(self.joints) if joint.kind in TURNS)
+        return len(self.joints) - 1 - last
+
+
+def read_urdf(path: Path, tip: str = "") -> Urdf:
+    """Read the chain that ends in link ``tip``, or the only one that has six revolute joints.
+
+    Raises `SettingsError`.
+    """
+    try:
+        text = read_urdf_text(path.read_bytes())
+        joints = _chain_to(tip, text) if tip else _only_chain(text)
+    except OSError as error:
+        raise unreadable(str(path), error) from error
+    except NotUrdf as error:
+        raise SettingsError(str(path), [str(error)]) from error
+    problems: list[str] = []
+    numbered = [_numbered(joint, problems) for joint in joints]
+    if problems:
+        raise SettingsError(str(path), problems)
+    steps = np.array([step for step, _, _ in numbered])
+    turning = [n for n, joint in enumerate(joints) if joint.kind in TURNS]
+    chain = _chain(steps, turning, np.array([numbered[n][1] for n in turning]))
+    reach_m = float(lengths_mm(np.vstack([chain.origins[1:, :3, 3], chain.tip[:3, 3]])).sum()) / MM
+    if not LEAST_REACH_M <= reach_m <= MOST_REACH_M:
+        problem = (
+            f"the links behind joint 1 are {reach_m:.4g} m long together, wanted "
+            f"{LEAST_REACH_M:g} to {MOST_REACH_M:g} m: lengths in a URDF are metres"
+        )
+        raise SettingsError(str(path), [problem])
+    limits = np.array([numbered[n][2] for n in turning]).T
+    return Urdf(path, _parent(joints[0]), _child(joints[-1]), chain, limits, text, joints, steps)
+
+
+def _chain(steps: Array, turning: list[int], axes: Array) -> Chain:
+    """Return the chain of all joints' origins, of which some turn."""
+    frames, done = [], np.eye(4)
+    for number, step in enumerate(steps):
+        done = done @ step
+        if number in turning:
+            frames.append(done)
+            done = np.eye(4)
+    return Chain(np.array(frames), axes, done)
+
+
+def _only_chain(text: UrdfText) -> list[JointText]:
+    """Return the joints to the only tip that six revolute joints lead to."""
+    above = _above(text)
+    tips = sorted(set(above) - {_parent(joint) for joint in text.joints})
+    if not tips:
+        raise NotUrdf(
+            "has no joint" if not text.joints else "its links form a loop: no link is a tip"
+        )
+    ways = {tip: _way_to(tip, above) for tip in tips}
+    good = [tip for tip in tips if not _unfit(ways[tip])]
+    if len(good) == 1:
+        return ways[good[0]]
+    if good:
+        raise NotUrdf(f"several chains of six joints end in {_list(good)}: say which, --tip LINK")
+    longest = max(tips, key=lambda tip: len(ways[tip]))
+    raise NotUrdf(
+        f"the chain to {longest} {_unfit(ways[longest])}; tips: {_list(tips)}; "
+        "where an earlier link ends the arm, --tip LINK names it"
+    )
+
+
+def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
+    links = {link for joint in text.joints for link in (_parent(joint), _child(joint))}
+    if tip not in links:
+        raise NotUrdf(f"no joint leads to link {tip}; links: {_list(sorted(links))}")
+    way = _way_to(tip, _above(text))
+    fault = _unfit(way)
+    if fault:
+        raise NotUrdf(f"the chain to {tip} {fault}")
+    return way
+
+
+def _above(text: UrdfText) -> dict[str, JointText]:
+    """Return the joint that carries each link."""
+    if len(text.joints) > MOST_JOINTS:
+        raise NotUrdf(f"has {len(text.joints)} joints, wanted at most {MOST_JOINTS}")
+    above: dict[str, JointText] = {}
+    for joint in text.joints:
+        child = _child(joint)
+        if child in above:
+            raise NotUrdf(f"link {child} has two parents: joints {above[child].name}, {joint.name}")
+        above[child] = joint
+    return above
+
+
+def _way_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:
+    """Return the joints from the root to a link."""
+    way: list[JointText] = []
+    link = tip
+    while link in above:
+        if len(way) > len(above):
+            raise NotUrdf(f"its links form a loop through {link}")
+        way.append(above[link])
+        link = _parent(above[link])
+    return way[::-1]
+
+
+def _unfit(way: list[JointText]) -> str:
+    """Return why joints are no arm of six revolute joints, or nothing."""
+    moving = [joint for joint in way if joint.kind != "fixed"]
+    strange = [f"{joint.name} ({joint.kind})" for joint in moving if joint.kind not in TURNS]
+    mimics = [joint.name for joint in moving if "mimic" in joint.parts]
+    if strange:
+        return f"has joints that are neither revolute nor fixed: {_list(strange)}"
+    if mimics:
+        return f"has joints that follow others (mimic): {_list(mimics)}"
+    if len(moving) != 6:
+        names = _list([joint.name for joint in moving]) or "none"
+        return f"has {len(moving)} revolute joints, wanted six: {names}"
+    return ""
+
+
+def _list(names: Sequence[str]) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(names[:MOST_NAMED]) + more
+
+
+def _parent(joint: JointText) -> str:
+    return _end_of(joint, "parent")
+
+
+def _child(joint: JointText) -> str:
+    return _end_of(joint, "child")
+
+
+def _end_of(joint: JointText, part: str) -> str:
+    link = joint.parts.get(part, {}).get("link", "")
+    if not link:
+        raise NotUrdf(f"joint {joint.name or '(without a name)'} states no {part} link")
+    return link
+
+
+def _numbered(joint: JointText, problems: list[str]) -> tuple[Array, Array, tuple[float, float]]:
+    """Return a joint's origin (4, 4) in mm, unit axis (3,) and limits in rad."""
+    try:
+        step = _step(joint.parts.get("origin", {}))
+        if joint.kind not in TURNS:
+            return step, np.zeros(3), (-np.inf, np.inf)
+        axis = _vector(joint.parts.get("axis", {}), "axis", "xyz", (1.0, 0.0, 0.0))
+        if not np.linalg.norm(axis) > LEAST_AXIS:
+            raise ValueError("axis has no direction")
+        return step, axis / np.linalg.norm(axis), _limits(joint)
+    except ValueError as error:
+        problems.append(f"joint {joint.name}: {error}")
+        return np.eye(4), np.zeros(3), (-np.inf, np.inf)
+
+
+def _step(origin: Mapping[str, str]) -> Array:
+    other = sorted(set(origin) - {"xyz", "rpy"})
+    if other:
+        raise ValueError(f"origin has {', '.join(other)}, wanted xyz and rpy only")
+    xyz_m = _vector(origin, "origin", "xyz", (0.0, 0.0, 0.0))
+    rpy_rad = _vector(origin, "origin", "rpy", (0.0, 0.0, 0.0))
+    if not np.abs(rpy_rad).max() <= MOST_TURN_RAD:
+        raise ValueError(f"origin rpy {origin['rpy']!r} turns by more than 2 pi: wanted radians")
+    R = pose_from_zyx(0.0, 0.0, 0.0, *np.degrees(rpy_rad[::-1]))[:3, :3]
+    return matrix(R, xyz_m * MM)
+
+
+def _limits(joint: JointText) -> tuple[float, float]:
+    found = joint.parts.get("limit", {})
+    if joint.kind == "continuous" or not {"lower", "upper"} <= set(found):
+        return -np.inf, np.inf
+    lower, upper = numbers(["limit lower", "limit upper"], [found["lower"], found["upper"]])
+    if not lower < upper:
+        raise ValueError(f"limit lower {lower:g} is not below upper {upper:g}")
+    return lower, upper
+
+
+def _vector(
+    found: Mapping[str, str], part: str, name: str, default: tuple[float, float, float]
+) -> Array:
+    if name not in found:
+        return np.array(default)
+    if "${" in found[name]:
+        raise ValueError(f"{part} {name} has macros of xacro: expand the file first")
+    cells = found[name].split()
+    if len(cells) != 3:
+        raise ValueError(f"{part} {name} has {len(cells)} numbers, wanted three")
+    return np.array(numbers([f"{part} {name}"] * 3, cells))
+
+
+def _origin_tag(step: Array) -> str:
+    """Return ``<origin xyz="..." rpy="..."`` of a frame (4, 4) in mm, without its end."""
+    angles_rad = np.radians(zyx_from_pose(step)[:2:-1])
+    return f'<origin xyz="{_row(step[:3, 3] / MM)}" rpy="{_row(angles_rad)}"'
+
+
+def _row(values: Array) -> str:
+    """Return numbers with 12 decimals: 1e-9 mm, and 1e-12 rad."""
+    return " ".join(_shortened(f"{value:.12f}") for value in values)
+
+
+def _shortened(text: str) -> str:
+    short = text.rstrip("0").rstrip(".")
+    return "0" if short == "-0" else short
+
+
+def urdf_of(name: str, chain: Chain, comment: Sequence[str]) -> bytes:
+    """Return a URDF of a chain: links base_link, link_1 .. link_6, tool0; no shapes, no limits."""
+    links = ["base_link", *(f"link_{n}" for n in range(1, 7)), "tool0"]
+    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(clean(name))}>"]
+    lines += [f'  <link name="{link}"/>' for link in links]
+    steps = [*chain.origins, chain.tip]
+    for number, step in enumerate(steps):
+        turns = number < 6
+        kind, joint = ("continuous", f"joint_{number + 1}") if turns else ("fixed", "tool0_joint")
+        lines += [
+            f'  <joint name="{joint}" type="{kind}">',
+            f"    {_origin_tag(step)}/>",
+            f'    <parent link="{links[number]}"/>',
+            f'    <child link="{links[number + 1]}"/>',
+            *([f'    <axis xyz="{_row(chain.axes[number])}"/>'] if turns else []),
+            "  </joint>",
+        ]
+    content = "\n".join([*lines, "</robot>", ""]).encode()
+    return read_urdf_text(content).with_origins([], comment)

@@ -1,0 +1,92 @@
+"""A quick validation: as few targets at each station as its verdict needs at the stated risks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.errors import validation
+from hilcell.cell.file import Cell
+from hilcell.geometry.sequential import Decision, SequentialRule
+from hilcell.journal.log import Log
+from hilcell.ports import Array, HilcellError
+
+OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
+    [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1)]
+)
+BLOCK = len(OCTANTS)
+GRAVEST = ("rejected", "undecided", "accepted")
+
+
+def rule_of(cell: Cell) -> SequentialRule:
+    """Return the rule by which each station is judged; raises `HilcellError` if none can hold."""
+    rule = SequentialRule(
+        mean_limit_mm=cell.validation.mean_tolerance_mm,
+        max_limit_mm=cell.validation.max_tolerance_mm,
+        share=cell.plan.share_above_max,
+        accept_risk=cell.plan.accept_risk,
+        reject_risk=cell.plan.reject_risk,
+        block=BLOCK,
+    )
+    if rule.decide(np.zeros(cell.plan.most_targets)).outcome != "accepted":
+        raise HilcellError(
+            f"plan.most_targets {cell.plan.most_targets}: not enough to accept a station at "
+            f"accept_risk {cell.plan.accept_risk:g} and share_above_max "
+            f"{cell.plan.share_above_max:g}, even without any error; allow more targets",
+            code="HC-C10",
+        )
+    return rule
+
+
+def least_targets(cell: Cell) -> int:
+    """Return how many targets an acceptance needs at least."""
+    return rule_of(cell).decide(np.zeros(cell.plan.most_targets)).targets
+
+
+def octant_targets(cell: Cell, seed: int, low_mm: Array, high_mm: Array) -> dict[str, Array]:
+    """Return targets (N, 3) in {B} by station, the grid's first: in blocks, one in each octant.
+
+    Each is uniform in its octant of the box from ``low_mm`` (3,) to ``high_mm`` (3,), so that
+    every block covers the box.
+    """
+    blocks, half_mm = cell.plan.most_targets // BLOCK, (high_mm - low_mm) / 2
+    others = [station.name for station in cell.station if station.name != cell.grid.station]
+    drawn = {}
+    for number, name in enumerate([cell.grid.station, *others]):
+        inside = np.random.default_rng([seed, 2014, number]).uniform(size=(blocks * BLOCK, 3))
+        drawn[name] = low_mm + half_mm * (np.tile(OCTANTS, (blocks, 1)) + inside)
+    return drawn
+
+
+def decision_at(log: Log, station: str) -> Decision:
+    """Return what the corrected targets measured so far at a station have shown."""
+    chosen = validation(log, [station]).get("chosen")
+    return rule_of(log.cell).decide([] if chosen is None else chosen.norms_mm)
+
+
+def rounds(log: Log, station: str, how: str) -> Iterator[range]:
+    """Yield the numbers of the targets of each next block, until the station is decided.
+
+    Of uncorrected targets, which decide nothing, one block shows the error before.
+    """
+    yield range(BLOCK)
+    for end in range(2 * BLOCK, log.cell.plan.most_targets + 1, BLOCK):
+        if how != "chosen" or decision_at(log, station).outcome != "undecided":
+            return
+        yield range(end - BLOCK, end)
+
+
+def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
+    """Return the gravest decision at ``stations``, the targets of all, and what it means."""
+    decisions = [decision_at(log, station) for station in stations]
+    gravest = min((each.outcome for each in decisions), key=GRAVEST.index)
+    plan = log.cell.plan
+    return {
+        "outcome": gravest,
+        "targets": [each.targets for each in decisions],
+        "accept_risk": plan.accept_risk,
+        "reject_risk": plan.reject_risk,
+        "share_above_max": plan.share_above_max,
+    }

@@ -1,0 +1,239 @@
+"""URDF in: the arm that an independent reader finds. URDF out: only joint origins differ."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.urdf_file import Urdf, read_urdf, urdf_of
+from hilcell.cell.settings import SettingsError
+from hilcell.geometry.chain import arm_of, beside, chain_forward, chain_of
+from hilcell.geometry.kinematics import Arm, Array, forward
+from tests.hilcell.calibration.urdfs import IRB120, reached_m
+
+NAMES = [f"joint_{n}" for n in range(1, 7)]
+JOINTS = np.random.default_rng(1).uniform(-2, 2, (5, 6))
+EXACT_M = 2e-12  # what twelve decimals leave, in m and as a rotation
+ORIGIN = re.compile(r"<origin[^>]*>")
+Write = Callable[[str | bytes], Path]
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Write:
+    def write(text: str | bytes) -> Path:
+        path = tmp_path / "robot.urdf"
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        return path
+
+    return write
+
+
+def in_m(poses_mm: Array) -> Array:
+    poses = poses_mm.copy()
+    poses[..., :3, 3] /= 1000
+    return poses
+
+
+def peer(text: str | bytes, tip: str = "tool0", names: list[str] = NAMES) -> Array:
+    return np.array([reached_m(text, dict(zip(names, q, strict=True)), tip) for q in JOINTS])
+
+
+def crooked(arm: Arm) -> Arm:
+    rng = np.random.default_rng(2)
+    return replace(
+        arm,
+        a_mm=arm.a_mm + rng.normal(0, 1, 6),
+        d_mm=arm.d_mm + rng.normal(0, 1, 6),
+        alpha_rad=arm.alpha_rad + rng.normal(0, 2e-3, 6),
+        offset_rad=arm.offset_rad + rng.normal(0, 2e-3, 6),
+        beta_rad=arm.beta_rad + rng.normal(0, 2e-3, 6),
+    )
+
+
+def problem_of(path: Path, tip: str = "") -> str:
+    with pytest.raises(SettingsError) as caught:
+        read_urdf(path, tip)
+    return str(caught.value)
+
+
+def test_a_robot_is_read_as_an_independent_reader_does(written: Write) -> None:
+    urdf = read_urdf(written(IRB120))
+    assert (urdf.name, urdf.root, urdf.tip) == ("IRB 120", "base_link", "tool0")
+    np.testing.assert_allclose(in_m(chain_forward(urdf.chain, JOINTS)), peer(IRB120), atol=1e-12)
+    base, arm = arm_of(urdf.chain)
+    np.testing.assert_allclose(in_m(base @ forward(arm, JOINTS)), peer(IRB120), atol=1e-12)
+    np.testing.assert_array_equal(urdf.limits_rad[:, 3], [-np.inf, np.inf])
+    np.testing.assert_array_equal(urdf.limits_rad[:, 2], [-1.91986, 1.22173])
+
+
+def test_rows_of_a_usual_robot_are_those_of_its_data_sheet(written: Write) -> None:
+    plain = (
+        IRB120.replace('xyz="0.134 0 0.07" rpy="0.1 0.2 0.3"', 'xyz="0.134 0 0"')
+        .replace('<parent link="link_3"/>', '<parent link="link_3"/><origin xyz="0 0 0.07"/>')
+        .replace('xyz="0 0 0.27"', 'xyz="0 0.1 0.27"')
+    )
+    _, arm = arm_of(read_urdf(written(plain)).chain)
+    np.testing.assert_allclose(arm.a_mm, [0, 270, 70, 0, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(np.abs(np.degrees(arm.alpha_rad)), [90, 0, 90, 90, 90, 0], atol=1e-8)
+    np.testing.assert_allclose(np.abs(arm.d_mm), [290, 100, 0, 302, 0, 72], atol=1e-9)
+
+
+def calibrated(urdf: Urdf) -> tuple[bytes, Array]:
+    """The file of the same robot with errors, and where its tip then is, in m."""
+    base, arm = arm_of(urdf.chain)
+    chain = beside(chain_of(base, crooked(arm)), urdf.chain)
+    return urdf.with_chain(chain, ["found", "by a fit"]), in_m(chain_forward(chain, JOINTS))
+
+
+@pytest.mark.parametrize("tip", ["tool0", "far"])
+def test_a_calibrated_file_has_the_wanted_arm(written: Write, tip: str) -> None:
+    far = (
+        '<link name="far"/><joint name="f" type="fixed"><parent link="tool0"/><child link="far"/>'
+        '<origin xyz="0.1 0.2 0.3" rpy="1 2 3"/></joint></robot>'
+    )
+    text = IRB120 if tip == "tool0" else IRB120.replace("</robot>", far)
+    content, wanted = calibrated(read_urdf(written(text)))
+    np.testing.assert_allclose(peer(content, tip), wanted, atol=EXACT_M)
+    assert np.abs(peer(content, tip) - peer(text, tip)).max() > 1e-4
+    again = read_urdf(written(content))
+    np.testing.assert_allclose(in_m(chain_forward(again.chain, JOINTS)), wanted, atol=EXACT_M)
+
+
+def test_a_tip_without_a_fixed_joint_leaves_its_own_frame_over(written: Write) -> None:
+    urdf = read_urdf(written(IRB120), "link_6")
+    content, wanted = calibrated(urdf)
+    base, arm = arm_of(urdf.chain)
+    left = in_m(urdf.left_at_tip(beside(chain_of(base, crooked(arm)), urdf.chain)))
+    assert 1e-4 < np.abs(left - np.eye(4)).max() < 1e-2
+    np.testing.assert_allclose(peer(content, "link_6") @ left, wanted, atol=EXACT_M)
+    np.testing.assert_array_equal(read_urdf(written(IRB120)).left_at_tip(urdf.chain), np.eye(4))
+
+
+def test_nothing_but_origins_of_the_chain_is_changed(written: Write) -> None:
+    content, _ = calibrated(read_urdf(written("\ufeff" + IRB120.replace("\n", "\r\n"))))
+    text = content.decode("utf-8-sig").replace("\r\n", "\n")
+    comment = "\n  <!-- found\n    by a fit -->"
+    assert text.count(comment) == 1
+    text = text.replace(comment, "")
+    added = re.findall(r'\n    <origin[^>]*/>(?=\n    <parent link="link_3"/>)', text)
+    assert len(added) == 1
+    text = text.replace(added[0], "")
+    assert ORIGIN.sub("<origin>", text) == ORIGIN.sub("<origin>", IRB120)
+    same = ['xyz="9 9 9"', 'xyz="0 0 0" rpy="0 0 0"', 'xyz="0.134 0 0.07" rpy="0.1 0.2 0.3"']
+    kept = [f"<origin {each}/>" for each in [*same, 'xyz="x"']]
+    assert [tag for tag in ORIGIN.findall(text) if tag in IRB120] == kept
+
+
+def test_bytes_of_another_encoding_are_kept(written: Write) -> None:
+    text = IRB120.replace("UTF-8", "ISO-8859-1").replace("data sheet", "Datenblätter")
+    content, wanted = calibrated(read_urdf(written(text.encode("latin-1"))))
+    assert "Datenblätter".encode("latin-1") in content
+    np.testing.assert_allclose(peer(content), wanted, atol=EXACT_M)
+
+
+def test_an_arm_without_a_file_gets_one(written: Write) -> None:
+    base, arm = arm_of(read_urdf(written(IRB120)).chain)
+    arm = replace(crooked(arm), sign=np.array([1.0, -1, 1, 1, -1, 1]))
+    content = urdf_of('a "robot" <1>', chain_of(base, arm), ["never -- or --->"])
+    wanted = in_m(base @ forward(arm, JOINTS))
+    np.testing.assert_allclose(peer(content), wanted, atol=EXACT_M)
+    assert read_urdf(written(content)).name == 'a "robot" <1>'
+
+
+BRANCH = (
+    '<joint name="b" type="fixed"><parent link="link_6"/><child link="camera"/></joint></robot>'
+)
+SEVENTH = (
+    '<joint name="seven" type="revolute"><parent link="tool0"/><child link="l7"/></joint></robot>'
+)
+LOOP = (
+    '<joint name="l" type="fixed"><parent link="tool0"/><child link="base_link"/></joint></robot>'
+)
+PARENTS = (
+    '<joint name="l" type="fixed"><parent link="tool0"/><child link="link_3"/></joint></robot>'
+)
+MANY = "".join(
+    f'<joint name="m{n}" type="fixed"><parent link="tool0"/><child link="x{n}"/></joint>'
+    for n in range(1000)
+)
+JOINT_2 = '<joint name="joint_2" type="revolute">'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("</robot>", "", "is not XML: no element found"),
+        ("</robot>", BRANCH, "six joints end in camera, tool0: say which, --tip LINK"),
+        ("</robot>", SEVENTH, "chain to l7 has 7 revolute joints, wanted six: joint_1, .* seven; "),
+        ("</robot>", LOOP, "links form a loop"),
+        ("</robot>", PARENTS, "link link_3 has two parents: joints joint_3, l"),
+        ("</robot>", MANY + "</robot>", "has 1008 joints, wanted at most 1000"),
+        ('robot name="IRB 120"', 'sdf version="1"', "not XML|root is <sdf>, wanted <robot>"),
+        (JOINT_2, JOINT_2.replace("revolute", "prismatic"), r"joint_2 \(prismatic\)"),
+        (JOINT_2, JOINT_2.replace("revolute", "fixed"), "has 5 revolute joints, wanted six"),
+        (JOINT_2, JOINT_2 + '<mimic joint="joint_1"/>', r"follow others \(mimic\): joint_2"),
+        (JOINT_2, JOINT_2 + "<origin/>", "joint joint_2 has <origin> twice"),
+        ('<child link="link_2"/>', "", "joint joint_2 states no child link"),
+        ("0 0 0.27", "0 0 nan", "joint joint_3: origin xyz is 'nan', wanted a finite number"),
+        ("0 0 0.27", "0 0 1e300", "joint joint_3: origin xyz is '1e300', wanted within"),
+        ("0 0 0.27", "0 0", "joint joint_3: origin xyz has 2 numbers, wanted three"),
+        ("0 0 0.27", "0 0 ${d}", "joint joint_3: origin xyz has macros of xacro"),
+        ("0 0 0.27", "0 0 0,27", "joint joint_3: origin xyz is '0,27', wanted a number"),
+        (
+            "0 0 0.27",
+            "0 0 270",
+            "are 270.* m long together, wanted .* lengths in a URDF are metres",
+        ),
+        ("0.1 0.2 0.3", "0 90 0", "forearm: origin rpy '0 90 0' turns by more than 2 pi"),
+        ('xyz="0 0 0.27"', 'quat_xyzw="0 0 0 1"', "origin has quat_xyzw, wanted xyz and rpy only"),
+        ("0 2 0", "0 0 0", "joint_3: axis has no direction"),
+        ('lower="-1.91986" upper="1.22173"', 'lower="1" upper="1"', "lower 1 is not below upper 1"),
+        ('lower="-1.91986" upper="1.22173"', 'lower="nan" upper="1"', "limit lower is 'nan'"),
+    ],
+)
+def test_odd_files_are_refused_by_name(written: Write, old: str, new: str, says: str) -> None:
+    assert old in IRB120
+    said = problem_of(written(IRB120.replace(old, new)))
+    assert re.search(says, said), said
+    assert "robot.urdf" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "is not XML: no element found"),
+        ("solid cube", "is not XML"),
+        ("<robot/>", "has no joint"),
+        ("<sdf/>", "is no URDF: its root is <sdf>, wanted <robot>"),
+        (IRB120.encode("utf-16"), "has NUL bytes"),
+        ('<!DOCTYPE robot [<!ENTITY a "b">]><robot name="&a;"/>', "has a document type"),
+        ('<!DOCTYPE robot SYSTEM "file:///etc/passwd"><robot/>', "has a document type"),
+        ("<robot>" + 100_000 * "<a>", "is not XML"),
+    ],
+)
+def test_what_is_no_urdf_is_refused(written: Write, text: str | bytes, says: str) -> None:
+    assert says in problem_of(written(text))
+
+
+def test_a_tip_is_chosen_by_name(written: Write) -> None:
+    text = IRB120.replace("</robot>", BRANCH)
+    assert read_urdf(written(text), "camera").tip == "camera"
+    longer = IRB120.replace("</robot>", SEVENTH)
+    assert read_urdf(written(longer), "tool0").tip == "tool0"
+    assert "chain to l7 has 7 revolute joints" in problem_of(written(longer), "l7")
+    assert "no joint leads to link nose; links: base_link, " in problem_of(written(text), "nose")
+
+
+def test_all_bad_numbers_are_named_at_once(written: Write) -> None:
+    said = problem_of(written(IRB120.replace("0 0 0.27", "a b c").replace("0 2 0", "1")))
+    assert "1 problem" in said
+    said = problem_of(written(IRB120.replace("0 0 0.27", "a b c").replace("0.072", "inf")))
+    assert "2 problems" in said
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    assert "No such file" in problem_of(tmp_path / "none.urdf")
+    assert "is a folder" in problem_of(tmp_path)

@@ -1,0 +1,76 @@
+"""A quick plan: targets in octants, no more of them than the verdict needs, within its time."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.frames import grid_of
+from hilcell.cell.file import load_cell
+from hilcell.geometry.sequential import Decision
+from hilcell.journal.log import Log
+from hilcell.ports import HilcellError
+from procedures import enough_targets
+from procedures.calibrate import CALIBRATE
+from procedures.paper import PAPER
+from procedures.validate import MARGIN_MM, targets
+
+QUICK = load_cell("paper", {"plan.quick": "true"})
+MOST_S = 20 * 60.0
+
+
+def test_every_block_has_one_target_in_each_octant() -> None:
+    drawn, grid = targets(QUICK, 5), grid_of(QUICK)
+    assert list(drawn) == ["S1100", "S300", "S1900"]
+    for points in drawn.values():
+        assert len(points) == QUICK.plan.most_targets
+        assert (points >= grid.origin_mm + MARGIN_MM).all()
+        assert (points <= grid.far_mm - MARGIN_MM).all()
+        upper = points > (grid.origin_mm + grid.far_mm) / 2
+        for block in np.split(upper, len(points) // 8):
+            assert len(np.unique(block, axis=0)) == 8
+    assert np.array_equal(targets(QUICK, 5)["S300"], drawn["S300"])
+    assert not np.array_equal(targets(QUICK, 6)["S300"], drawn["S300"])
+
+
+def test_a_quick_plan_takes_at_most_twenty_minutes_of_robot() -> None:
+    plan = CALIBRATE.plan(QUICK, 1)
+    assert plan.duration_s <= MOST_S
+    assert plan.duration_s == pytest.approx(sum(step.duration_s for step in plan.steps))
+    validate = next(step for step in plan.steps if step.name == "validate")
+    assert validate.points == 3 * (8 + 32)
+
+
+@pytest.mark.parametrize("decided", [8, 40, 96])
+def test_targets_are_sent_until_the_station_is_decided(
+    decided: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[int] = []
+
+    def decision_at(log: Log, station: str) -> Decision:
+        return Decision("accepted" if len(sent) >= decided else "undecided", len(sent))
+
+    monkeypatch.setattr(enough_targets, "decision_at", decision_at)
+    log = cast("Log", SimpleNamespace(cell=QUICK))
+    for numbers in enough_targets.rounds(log, "S300", "chosen"):
+        sent += numbers
+    assert sent == list(range(decided))
+    assert list(enough_targets.rounds(log, "S300", "before")) == [range(8)]
+
+
+def test_a_plan_that_can_never_accept_is_refused() -> None:
+    cell = load_cell("paper", {"plan.quick": "true", "plan.most_targets": "24"})
+    with pytest.raises(HilcellError, match="most_targets 24: not enough to accept"):
+        CALIBRATE.plan(cell, 1)
+
+
+def test_the_paper_has_no_quick_plan() -> None:
+    with pytest.raises(HilcellError, match="the paper's rows need every target"):
+        PAPER.plan(QUICK, 1)
+
+
+def test_a_quick_plan_is_of_the_same_cell() -> None:
+    assert load_cell("paper").digest == QUICK.digest
