@@ -21,6 +21,7 @@ from procedures.durations import flange_points, step
 
 ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
 FEWEST_ON_ARC = 5
+QUICK_ON_ARC = 12
 
 
 class BaseFrame:
@@ -37,7 +38,7 @@ class BaseFrame:
         for axis in (1, 6):
             for joints in sweep(cell, axis):
                 check_joint_limits(cell, joints, f"axis {axis} sweep")
-        return step(self.name, 2 * cell.base_frame.points, [sweeps(cell)])
+        return step(self.name, 2 * points_on_arc(cell), [sweeps(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Sweep, fit and frame, once."""
@@ -122,11 +123,20 @@ def arcs(points: int) -> list[range]:
     return [range((points - count) // 2, (points + count) // 2) for count in counts]
 
 
+def points_on_arc(cell: Cell) -> int:
+    """Return how many points each arc has.
+
+    Targets, grid and correction are all in {B} as measured: its error does not reach the tool.
+    """
+    points = cell.base_frame.points
+    return min(points, QUICK_ON_ARC) if cell.plan.quick else points
+
+
 def sweep(cell: Cell, axis: int) -> Array:
     """Return the joints (N, 6) in rad of one axis's sweep, others fixed."""
     fixed, ends = sweep_of(cell, axis)
-    joints_deg: Array = np.tile(fixed, (cell.base_frame.points, 1))
-    joints_deg[:, axis - 1] = np.linspace(ends[0], ends[1], cell.base_frame.points)
+    joints_deg: Array = np.tile(fixed, (points_on_arc(cell), 1))
+    joints_deg[:, axis - 1] = np.linspace(ends[0], ends[1], points_on_arc(cell))
     return np.radians(joints_deg)
 
 

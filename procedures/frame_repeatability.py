@@ -19,7 +19,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
-from procedures.base_frame import frame_of_sweeps, sweep, sweeps
+from procedures.base_frame import frame_of_sweeps, points_on_arc, sweep, sweeps
 from procedures.durations import leg, readings, step
 from procedures.plan import other_stations
 
@@ -50,7 +50,7 @@ class FrameRepeatability:
         for station in cell.station:
             spans += [leg(cell, here, station), six, sweeps(cell)]
             here = station
-        return step(self.name, len(cell.station) * (2 * cell.base_frame.points + SIX), spans)
+        return step(self.name, len(cell.station) * (2 * points_on_arc(cell) + SIX), spans)
 
     def perform(self, session: CellSession) -> None:
         """Visit every station."""

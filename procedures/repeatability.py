@@ -23,7 +23,7 @@ from hilcell.run.procedure import Step
 from procedures.durations import flange_points, step
 from procedures.plan import check_reach
 
-VISITS = 10
+VISITS, QUICK_VISITS = 10, 5
 
 
 class Repeatability:
@@ -38,14 +38,14 @@ class Repeatability:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse places out of reach."""
         places_rad = check_reach(cell, places_mm(cell), "repeatability place")
-        visits_rad = np.tile(places_rad, (VISITS, 1))
+        visits_rad = np.tile(places_rad, (visits_of(cell), 1))
         return step(self.name, len(visits_rad), [flange_points(cell, visits_rad)])
 
     def perform(self, session: CellSession) -> None:
         """Go round the places; going on to the next is what leaves the last."""
         station = session.cell.station_named(session.cell.grid.station)
         joints = check_reach(session.cell, places_mm(session.cell), "repeatability place")
-        for visit in range(VISITS):
+        for visit in range(visits_of(session.cell)):
             for place, target in enumerate(joints):
                 id = PointId("repeatability", place=place, number=visit)
                 session.flange_point(id, station, target)
@@ -61,6 +61,11 @@ class Repeatability:
         }
 
 
+def visits_of(cell: Cell) -> int:
+    """Return how often each place is visited."""
+    return QUICK_VISITS if cell.plan.quick else VISITS
+
+
 def places_mm(cell: Cell) -> Array:
     """Return the places (3, 3) in {B}: the centre and two opposite corners."""
     centre = cell.grid.centre.matrix()[:3, 3]
@@ -74,19 +79,21 @@ def visits(log: Log) -> list[list[Point]]:
 
 
 def distances_mm(log: Log) -> Array:
-    """Return the distance of each visit from its place's mean, (3 * VISITS,).
+    """Return the distance of each visit from its place's mean, all places together (N,).
 
     The mean of n visits scatters too, so distances are grown by sqrt(n / (n - 1)).
     """
-    distances = np.concatenate([from_mean_mm(positions_mm(place)) for place in visits(log)])
-    grown: Array = distances * np.sqrt(VISITS / (VISITS - 1))
-    return grown
+    clouds_mm = [positions_mm(place) for place in visits(log)]
+    return np.concatenate(
+        [from_mean_mm(cloud) * np.sqrt(len(cloud) / (len(cloud) - 1)) for cloud in clouds_mm]
+    )
 
 
 def rp_mm(log: Log) -> float:
     """Return RP = mean + 3 s of the distances, all places together (ISO 9283, 7.2.2).
 
-    One place has too few visits for a figure of its own: three places make the standard's 30.
+    One place has too few visits for a figure of its own: three places make the standard's 30,
+    and half of them on a quick plan.
     """
     return repeatability_mm(distances_mm(log))
 

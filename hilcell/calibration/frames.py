@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
+from hilcell.cell.plan import coarsest_pitch_mm
 from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.measured import Measured, StaticPoses
 from hilcell.compensation.outliers import outlying
@@ -76,11 +77,13 @@ class Frames:
 
 
 def grid_of(cell: Cell) -> Grid:
-    """Return the cell's grid in {B}."""
-    size_mm = np.array(cell.grid.size_mm)
-    shape = np.round(size_mm / cell.grid.pitch_mm).astype(int) + 1
+    """Return the cell's grid in {B}; a quick plan's is as coarse as it can be."""
+    size_mm, pitch_mm = np.array(cell.grid.size_mm), cell.grid.pitch_mm
+    if cell.plan.quick:
+        pitch_mm = coarsest_pitch_mm(cell.grid.cells, pitch_mm)
+    shape = np.round(size_mm / pitch_mm).astype(int) + 1
     origin_mm = cell.grid.centre.matrix()[:3, 3] - size_mm / 2
-    return Grid(origin_mm, cell.grid.pitch_mm, (int(shape[0]), int(shape[1]), int(shape[2])))
+    return Grid(origin_mm, pitch_mm, (int(shape[0]), int(shape[1]), int(shape[2])))
 
 
 def grid_errors_mm(log: Log) -> Array:

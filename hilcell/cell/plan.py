@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Annotated
 
 from msgspec import Meta
@@ -19,3 +21,13 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     reject_risk: Share = 0.05
     share_above_max: Share = 0.1
     most_targets: Annotated[int, Meta(ge=8, le=1000)] = 96
+
+
+def coarsest_pitch_mm(cells: Sequence[int], pitch_mm: float) -> float:
+    """Return the widest pitch that fills a box of ``cells`` (3,), two along one edge at least.
+
+    Of a grid of one cell no vertex can be left out to judge a model.
+    """
+    shared = math.gcd(*cells)
+    halves = 1 if max(cells) // shared > 1 else 2
+    return pitch_mm * shared / halves
