@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.cell.file import Cell, Six
+from hilcell.cell.file import Cell, Six, Station
 from hilcell.geometry.circles import Circle, base_frame, base_frame_covariance, fit_circle
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
@@ -15,7 +15,7 @@ from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.interlocks import check_joint_limits
+from hilcell.run.clear_ways import check_poses
 from hilcell.run.procedure import Span, Step
 from procedures.durations import flange_points, step
 
@@ -34,10 +34,8 @@ class BaseFrame:
     yields = "the robot base in {W}"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Refuse sweeps that leave the joint limits."""
-        for axis in (1, 6):
-            for joints in sweep(cell, axis):
-                check_joint_limits(cell, joints, f"axis {axis} sweep")
+        """Refuse sweeps that leave the joint limits or come too near to a volume."""
+        check_circles(cell, cell.station_named(cell.grid.station))
         return step(self.name, 2 * points_on_arc(cell), [sweeps(cell)])
 
     def perform(self, session: CellSession) -> None:
@@ -138,6 +136,12 @@ def sweep(cell: Cell, axis: int) -> Array:
     joints_deg: Array = np.tile(fixed, (points_on_arc(cell), 1))
     joints_deg[:, axis - 1] = np.linspace(ends[0], ends[1], points_on_arc(cell))
     return np.radians(joints_deg)
+
+
+def check_circles(cell: Cell, station: Station) -> None:
+    """Refuse circles that cannot be driven at ``station``; raises `Blocked`."""
+    for axis in (1, 6):
+        check_poses(cell, station, sweep(cell, axis), f"axis {axis} sweep")
 
 
 def sweeps(cell: Cell) -> Span:

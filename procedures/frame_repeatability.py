@@ -19,7 +19,13 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
-from procedures.base_frame import frame_of_sweeps, points_on_arc, sweep, sweeps
+from procedures.base_frame import (
+    check_circles,
+    frame_of_sweeps,
+    points_on_arc,
+    sweep,
+    sweeps,
+)
 from procedures.durations import leg, readings, step
 from procedures.plan import other_stations
 
@@ -48,6 +54,7 @@ class FrameRepeatability:
         here, spans = other_stations(cell)[-1], []  # where the last step left the slide
         six = readings(cell, SIX, MORE_READINGS * cell.layout.nest_samples)
         for station in cell.station:
+            check_circles(cell, station)
             spans += [leg(cell, here, station), six, sweeps(cell)]
             here = station
         return step(self.name, len(cell.station) * (2 * points_on_arc(cell) + SIX), spans)

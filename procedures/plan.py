@@ -8,6 +8,7 @@ from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.inverse import ReachError
 from hilcell.ports import Array, HilcellError
+from hilcell.run.clear_ways import check_poses
 
 
 def other_stations(cell: Cell) -> list[Station]:
@@ -39,6 +40,13 @@ def check_reach(cell: Cell, points_mm: Array, what: str) -> Array:
             f"{what}: {error}",
             code="HC-C10",
         ) from error
+
+
+def check_targets(cell: Cell, station: Station, points_mm: Array, what: str) -> Array:
+    """Return the joints (N, 6), or name the poses that cannot be reached or driven to."""
+    joints_rad = check_reach(cell, points_mm, what)
+    check_poses(cell, station, joints_rad, what)
+    return joints_rad
 
 
 def check_range(cell: Cell, points_mm: Array, what: str) -> None:

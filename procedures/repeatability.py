@@ -21,7 +21,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import flange_points, step
-from procedures.plan import check_reach
+from procedures.plan import check_targets, joints_for
 
 VISITS, QUICK_VISITS = 10, 5
 
@@ -37,14 +37,15 @@ class Repeatability:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse places out of reach."""
-        places_rad = check_reach(cell, places_mm(cell), "repeatability place")
+        there = cell.station_named(cell.grid.station)
+        places_rad = check_targets(cell, there, places_mm(cell), "repeatability place")
         visits_rad = np.tile(places_rad, (visits_of(cell), 1))
         return step(self.name, len(visits_rad), [flange_points(cell, visits_rad)])
 
     def perform(self, session: CellSession) -> None:
         """Go round the places; going on to the next is what leaves the last."""
         station = session.cell.station_named(session.cell.grid.station)
-        joints = check_reach(session.cell, places_mm(session.cell), "repeatability place")
+        joints = joints_for(session.cell, places_mm(session.cell))
         for visit in range(visits_of(session.cell)):
             for place, target in enumerate(joints):
                 id = PointId("repeatability", place=place, number=visit)

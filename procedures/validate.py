@@ -21,7 +21,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures import enough_targets
 from procedures.durations import flange_points, floor_points, leg, step
-from procedures.plan import check_reach, joints_for, poses_at
+from procedures.plan import check_targets, joints_for, poses_at
 from procedures.repeatability import floor
 from procedures.world_frame import check_control_points
 
@@ -44,7 +44,7 @@ class Validate:
         here, points, spans = cell.station_named(cell.grid.station), 0, []
         for name, targets_mm in targets(cell, seed).items():
             station = cell.station_named(name)
-            joints_rad = check_reach(cell, targets_mm, f"target at {name}")
+            joints_rad = check_targets(cell, station, targets_mm, f"target at {name}")
             spans.append(leg(cell, here, station))
             for how in ways(cell):
                 spans += [floor_points(cell)] if how in controlled(cell) else []

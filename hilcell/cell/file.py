@@ -22,6 +22,13 @@ from msgspec import Meta, field
 from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.plan import PlanTable
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
+from hilcell.cell.surroundings import (
+    CapsuleTable,
+    EnvelopeTable,
+    KeepOut,
+    Surroundings,
+    keep_out_problems,
+)
 from hilcell.cell.tables import (
     Acceleration,
     Angle,
@@ -45,10 +52,10 @@ from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.robot import NominalRobot
 
 __all__ = [
-    "BaseFrameTable", "CampaignTable", "Cell", "Frozen", "GridTable", "Joint", "Layout", "Nest",
-    "PlanTable", "Pose", "RailTable", "RobotTable", "SettleTable", "SimulationTable", "Six",
-    "Station", "SurveyTable", "TrackerTable", "ValidationTable", "arm_from_joints",
-    "built_in_cells", "load_cell",
+    "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "EnvelopeTable", "Frozen",
+    "GridTable", "Joint", "KeepOut", "Layout", "Nest", "PlanTable", "Pose", "RailTable",
+    "RobotTable", "SettleTable", "SimulationTable", "Six", "Station", "SurveyTable",
+    "TrackerTable", "ValidationTable", "arm_from_joints", "built_in_cells", "load_cell",
 ]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it
@@ -123,6 +130,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     approach_deg: Annotated[float, Meta(gt=0, le=90)] = 0.5
     joint_margin_deg: Annotated[float, Meta(ge=0, le=90)] = 2.0
     ramp_s: Annotated[float, Meta(ge=0, le=10)] = 0.5
+    envelope: EnvelopeTable | None = None
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -301,6 +309,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     validation: ValidationTable = field(default_factory=ValidationTable)
     plan: PlanTable = field(default_factory=PlanTable)
     settle: SettleTable = field(default_factory=SettleTable)
+    keep_out: list[KeepOut] = field(default_factory=list)
     campaign: CampaignTable | None = None
     simulation: SimulationTable | None = None
 
@@ -312,7 +321,14 @@ class Cell(Frozen, frozen=True, kw_only=True):
             raise ValueError(f"station names must differ, found {', '.join(names)}")
         if self.grid.station not in names:
             raise ValueError(f"grid.station {self.grid.station!r} is none of {', '.join(names)}")
-        refuse([*self._bad_stations(), *self._bad_counts(), *self._bad_survey()])
+        refuse(
+            [
+                *self._bad_stations(),
+                *self._bad_counts(),
+                *self._bad_survey(),
+                *keep_out_problems(self),
+            ]
+        )
 
     def _bad_stations(self) -> Iterator[str]:
         rail = self.rail
@@ -353,11 +369,21 @@ class Cell(Frozen, frozen=True, kw_only=True):
                 )
 
     @cached_property
+    def surroundings(self) -> Surroundings | None:
+        """Return what the arm keeps clear of; None where the file states nothing of it."""
+        envelope = self.robot.envelope
+        return None if envelope is None else Surroundings(self, envelope)
+
+    @cached_property
     def digest(self) -> str:
-        """Return SHA-256 over canonical JSON of the cell, without its simulation and its plan."""
+        """Return SHA-256 over canonical JSON of the cell, without its simulation and its plan.
+
+        Neither has it what the arm keeps clear of: that moves no measured point.
+        """
         values = msgspec.to_builtins(self)
-        values.pop("simulation")
-        values.pop("plan")
+        for table in ("simulation", "plan", "keep_out"):
+            values.pop(table)
+        values["robot"].pop("envelope")
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)

@@ -16,7 +16,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import RunJournal
-from hilcell.ports import Array, Clock, RobotReading
+from hilcell.ports import Array, Clock, RailReading, RobotReading
 from hilcell.run.measuring import Ask, Measuring
 from hilcell.run.motion import Motion
 from hilcell.run.operator import Operator
@@ -79,6 +79,10 @@ class CellSession(RunContext):
     def robot_to(self, joints_rad: Array, what: str) -> RobotReading:
         """Go to joints (6,), every axis from below, and settle."""
         return self._motion.robot_to(joints_rad, what)
+
+    def check_way(self, rail: RailReading, joints_rad: Array, what: str) -> None:
+        """Refuse a motion from where the robot rests to joints (6,) that is not clear."""
+        self._motion.check_way(rail, joints_rad, what)
 
     # -- points -------------------------------------------------------------------------------
 

@@ -85,6 +85,13 @@ def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
         )
 
 
+def check_rests(cell: Cell, robot: RobotReading, now_s: float) -> None:
+    """Refuse a robot that moves: where its next motion starts is unknown."""
+    check_age("Robot", ROBOT_BLOCKED, robot.taken_s, now_s, cell.settle.reading_age_s)
+    if not robot.still:
+        raise Blocked("HC-B31", "Robot", ROBOT_BLOCKED, "the robot is moving", wanted="at rest")
+
+
 def robot_may_move(cell: Cell, rail: RailReading, station: Station | None, now_s: float) -> None:
     """I2: the slide stands, is held, and the strip reads the station's value."""
     check_age("Rail", ROBOT_BLOCKED, rail.taken_s, now_s, cell.settle.reading_age_s)

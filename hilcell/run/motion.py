@@ -8,9 +8,11 @@ import numpy as np
 
 from hilcell.cell.file import Station
 from hilcell.ports import Array, RailReading, RobotReading
+from hilcell.run.clear_ways import check_way, stops_on_way
 from hilcell.run.fresh_readings import fresh
 from hilcell.run.interlocks import (
     check_joint_limits,
+    check_rests,
     check_strip,
     rail_may_move,
     robot_may_move,
@@ -25,6 +27,7 @@ class Motion:
     def __init__(self, run: RunContext) -> None:
         self._run = run
         self.held: Station | None = None
+        self._last: RobotReading | None = None  # since which the robot has not moved
 
     # -- the rail -----------------------------------------------------------------------------
 
@@ -103,9 +106,12 @@ class Motion:
         now = self._run.devices.robot.read()
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < 1e-4)):
             return now
-        robot_may_move(self._run.cell, self._fresh_rail(), None, time.monotonic())
+        rail = self._fresh_rail()
+        robot_may_move(self._run.cell, rail, None, time.monotonic())
+        self._last = now
+        self.check_way(rail, safe_rad, "park")
         self._run.intend("", "robot.park")
-        return self._run.devices.robot.move_to(safe_rad, self._run.cell.robot.speed_percent)
+        return self._drive(safe_rad)
 
     def robot_to(self, joints_rad: Array, what: str) -> RobotReading:
         """Go to joints (6,), every axis from below, and settle.
@@ -113,10 +119,34 @@ class Motion:
         Coming from one side on every axis takes the joints' backlash out of the error.
         """
         check_joint_limits(self._run.cell, joints_rad, what)
-        robot_may_move(self._run.cell, self._fresh_rail(), self.held, time.monotonic())
+        rail = self._fresh_rail()
+        robot_may_move(self._run.cell, rail, self.held, time.monotonic())
+        stops = self._stops(rail, joints_rad, what)
         self._run.intend(what, "robot.move", joints_deg=np.degrees(joints_rad))
-        before = joints_rad - np.radians(self._run.cell.robot.approach_deg)
-        self._run.devices.robot.move_to(before, self._run.cell.robot.speed_percent)
-        reading = self._run.devices.robot.move_to(joints_rad, self._run.cell.robot.speed_percent)
+        reading = [self._drive(stop) for stop in stops][-1]
         self._run.clock.wait(self._run.cell.settle.robot_s)
         return reading
+
+    def check_way(self, rail: RailReading, joints_rad: Array, what: str) -> None:
+        """Refuse a motion from where the robot rests to joints (6,) that is not clear."""
+        if self._run.cell.surroundings is not None:
+            check_way(self._run.cell, rail.strip_mm, self._resting_rad(), joints_rad, what)
+
+    def _stops(self, rail: RailReading, joints_rad: Array, what: str) -> list[Array]:
+        """Return where to go, in turn, on the way to joints (6,)."""
+        cell = self._run.cell
+        now_rad = joints_rad if cell.surroundings is None else self._resting_rad()
+        return stops_on_way(cell, rail.strip_mm, now_rad, joints_rad, what)
+
+    def _resting_rad(self) -> Array:
+        """Return the joints (6,) where the robot rests, by a reading young enough to move by."""
+        limit_s = self._run.cell.settle.reading_age_s
+        robot = fresh(self._run.devices.robot.read, limit_s, self._last)
+        self._last = None  # it holds until the next motion begins
+        check_rests(self._run.cell, robot, time.monotonic())
+        return robot.joints_rad
+
+    def _drive(self, joints_rad: Array) -> RobotReading:
+        speed_percent = self._run.cell.robot.speed_percent
+        self._last = self._run.devices.robot.move_to(joints_rad, speed_percent)
+        return self._last

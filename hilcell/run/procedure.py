@@ -11,6 +11,7 @@ from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
+from hilcell.run.clear_ways import check_rides
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +84,10 @@ class Procedure:
     def plan(self, cell: Cell, seed: int) -> Plan:
         """Return the plan; raises one `HilcellError` with every refusal of every act."""
         steps, refusals = [], []
+        try:
+            check_rides(cell)
+        except HilcellError as error:
+            refusals.append(f"slide: {error}")
         for part in self.parts:
             try:
                 steps.append(part.plan(cell, seed))

@@ -17,6 +17,7 @@ from hilcell.cell.devices import streams_of, sweeps_of
 from hilcell.journal.stream_file import StreamFile, StreamRecord
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
+from hilcell.run.clear_ways import check_stated
 from hilcell.run.fresh_readings import fresh
 from hilcell.run.interlocks import check_joint_limits, robot_may_move
 
@@ -50,9 +51,11 @@ def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
     tracker, robot = streams_of(session.devices.tracker), sweeps_of(session.devices.robot)
     session.checkpoint()
     check_joint_limits(session.cell, order.target_rad, order.key)
+    check_stated(session.cell, order.key)
     session.robot_to(order.start_rad, order.key)
     rail = fresh(session.devices.rail.read, session.cell.settle.reading_age_s)
     robot_may_move(session.cell, rail, session.held, time.monotonic())
+    session.check_way(rail, order.target_rad, order.key)
     reflector = session.cell.tracker.reflector
     joints_deg = np.degrees(order.target_rad)
     session.intend(order.key, "robot.sweep", axis=order.axis + 1, joints_deg=joints_deg)

@@ -274,3 +274,53 @@ def test_the_digest_leaves_out_how_long_devices_take() -> None:
 def test_an_override_may_be_bare_text() -> None:
     cell = load_cell("paper", {"rail.options.channel": "socket://127.0.0.1:1"})
     assert cell.rail.options["channel"] == "socket://127.0.0.1:1"
+
+
+FLOOR = '{name="floor", centre={x_mm=0.0, y_mm=0.0, z_mm=-100.0}, size_mm=[9.0, 9.0, 9.0]}'
+
+
+def test_what_the_arm_keeps_clear_of_changes_nothing_that_was_measured() -> None:
+    """A calibration stays that of its cell when a volume is stated later."""
+    cell = load_cell("paper")
+    assert load_cell("paper", {"keep_out": f"[{FLOOR}]"}).digest == cell.digest
+    assert load_cell("paper", {"robot.envelope.clearance_mm": "70.0"}).digest == cell.digest
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "problem"),
+    [
+        ("keep_out", "[]", "robot: envelope: there is no keep_out; state at least the floor"),
+        ("keep_out", f"[{FLOOR}, {FLOOR}]", "keep_out: names must differ, found floor twice"),
+        ("keep_out", '[{name="floor"}]', "keep_out[0].centre: missing"),
+        ("robot.envelope.radius_mm", "[1.0, 2.0]", "robot.envelope.radius_mm: "),
+        (
+            "robot.envelope.radius_mm",
+            "[0.0, 1.0, 1.0, 1.0, 1.0, 1.0]",
+            "allowed: > 0, <= 1e+06",
+        ),
+        ("robot.envelope.clearance_mm", "nan", "clearance_mm: nan is not a finite number"),
+        ("robot.envelope.clearence_mm", "5.0", 'unknown key; did you mean "clearance_mm"?'),
+        (
+            "robot.envelope.capsule",
+            "[{link=7, from_mm=[0.0, 0.0, 0.0], to_mm=[0.0, 0.0, 1.0], radius_mm=5.0}]",
+            "robot.envelope.capsule[0].link: Expected `int` <= 6",
+        ),
+        ("keep_out", f"[{', '.join([FLOOR] * 101)}]", "keep_out: 101 volumes, at most 100"),
+        (
+            "keep_out",
+            f"[{FLOOR.replace('9.0]', '-9.0]')}]",
+            "keep_out[0].size_mm: Expected `float` > 0.0",
+        ),
+        ("keep_out", f'[{FLOOR[:-1]}, frame="base"}}]', "keep_out[0].frame: Invalid enum value"),
+    ],
+)
+def test_volumes_that_make_no_sense_are_refused(key: str, value: str, problem: str) -> None:
+    assert any(problem in line for line in refused({key: value}))
+
+
+def test_volumes_without_an_arm_are_refused(tmp_path: Path) -> None:
+    text = (resources.files("hilcell.cells") / "replay.toml").read_text("utf-8")
+    (tmp_path / "cell.toml").write_text(text)
+    assert load_cell(str(tmp_path / "cell.toml")).surroundings is None
+    with pytest.raises(SettingsError, match=r"keep_out: the arm's shape is unknown"):
+        load_cell(str(tmp_path / "cell.toml"), {"keep_out": f"[{FLOOR}]"})

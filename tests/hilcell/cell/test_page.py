@@ -18,6 +18,8 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[rail]": cell.RailTable,
     "[robot]": cell.RobotTable,
     "[[robot.joint]]": cell.Joint,
+    "[robot.envelope]": cell.EnvelopeTable,
+    "[[robot.envelope.capsule]]": cell.CapsuleTable,
     "[tracker]": cell.TrackerTable,
     "A pose": cell.Pose,
     "[layout]": cell.Layout,
@@ -29,6 +31,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[validation]": cell.ValidationTable,
     "[plan]": cell.PlanTable,
     "[settle]": cell.SettleTable,
+    "[[keep_out]]": cell.KeepOut,
     "[campaign]": cell.CampaignTable,
     "[simulation]": cell.SimulationTable,
 }

@@ -1,0 +1,130 @@
+"""Volumes that the arm keeps out of, and the arm's own shape.
+
+A box stands in {W}, or on the slide in nominal {B}. The arm is a chain of capsules along the lines
+of its joints. Its shape is rough and its base nominal: the clearance covers what they leave out.
+Lengths mm, angles rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from msgspec import Meta, field
+
+from hilcell.cell.tables import Frozen, Name, Point, Pose, Size
+from hilcell.geometry.clear_motion import Body, Proof
+from hilcell.geometry.clearance import Boxes, Capsules, joint_lines
+from hilcell.geometry.kinematics import Arm, Array
+
+if TYPE_CHECKING:
+    from hilcell.cell.file import Cell
+
+LINKS = 6
+MOST_VOLUMES = 100
+
+
+class KeepOut(Frozen, frozen=True, kw_only=True):
+    """A box that the arm keeps out of: in {W}, or riding on the slide in nominal {B}."""
+
+    name: Name
+    centre: Pose
+    size_mm: tuple[Size, Size, Size]
+    frame: Literal["world", "slide"] = "world"
+
+
+class CapsuleTable(Frozen, frozen=True, kw_only=True):
+    """A part that sticks out, in the DH frame of the link that carries it."""
+
+    link: Annotated[int, Meta(ge=1, le=LINKS)]
+    from_mm: Point
+    to_mm: Point
+    radius_mm: Size
+
+
+class EnvelopeTable(Frozen, frozen=True, kw_only=True):
+    """The arm's shape: a radius around the line of each link's joints, and parts beside it."""
+
+    radius_mm: tuple[Size, Size, Size, Size, Size, Size]
+    clearance_mm: Size = 50.0
+    capsule: list[CapsuleTable] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest:
+    """How near a motion comes to a volume: which link, and at which share of the way."""
+
+    clearance_mm: float
+    link: int
+    volume: str
+    share: float
+
+
+class Surroundings:
+    """The volumes of a cell, and whether its arm keeps clear of them."""
+
+    def __init__(self, cell: Cell, envelope: EnvelopeTable) -> None:
+        arm, layout = cell.robot.arm(), cell.layout
+        standing = [volume for volume in cell.keep_out if volume.frame == "world"]
+        riding = [volume for volume in cell.keep_out if volume.frame == "slide"]
+        self.wanted_mm = envelope.clearance_mm
+        self._names = [volume.name for volume in (*standing, *riding)]
+        self._body = Body(
+            arm,
+            _capsules(arm, envelope),
+            layout.nominal_base(0.0),
+            np.array(layout.rail_direction),
+            _boxes(standing),
+            _boxes(riding),
+        )
+
+    def prove(self, start: Array, end: Array, more_mm: float = 0.0) -> Proof:
+        """Judge motions between postures (N, 7), `posture`; ``more_mm`` beyond the clearance."""
+        return self._body.prove(start, end, self.wanted_mm + more_mm)
+
+    def nearest(self, start: Array, end: Array, also: float) -> Nearest:
+        """Return where a motion between postures (7,) is tightest; looks at share ``also``, too."""
+        found = self._body.tightest(start, end, also)
+        link = int(self._body.capsules.link[found.capsule])
+        return Nearest(found.clearance_mm, link, self._names[found.box], found.share)
+
+
+def keep_out_problems(cell: Cell) -> Iterator[str]:
+    """Yield what is wrong with a cell's volumes: both they and the arm's shape are needed."""
+    names = [volume.name for volume in cell.keep_out]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield f"keep_out: names must differ, found {name} twice"
+    if not len(names) <= MOST_VOLUMES:
+        yield f"keep_out: {len(names)} volumes, at most {MOST_VOLUMES} are checked"
+    if names and cell.robot.envelope is None:
+        yield "keep_out: the arm's shape is unknown; state robot.envelope.radius_mm"
+    if cell.robot.envelope is not None and not names:
+        yield "robot: envelope: there is no keep_out; state at least the floor"
+
+
+def posture(rail_mm: float, joints_rad: Array) -> Array:
+    """Return postures (..., 7): the slide's place and joints (..., 6)."""
+    places = np.full((*joints_rad.shape[:-1], 1), rail_mm)
+    return np.concatenate([places, joints_rad], axis=-1)
+
+
+def _boxes(volumes: list[KeepOut]) -> Boxes:
+    frames = [volume.centre.matrix() for volume in volumes]
+    sizes_mm = [volume.size_mm for volume in volumes]
+    return Boxes(np.reshape(frames, (-1, 4, 4)), np.reshape(sizes_mm, (-1, 3)) / 2)
+
+
+def _capsules(arm: Arm, envelope: EnvelopeTable) -> Capsules:
+    lines = [
+        (link, segment, radius_mm)
+        for link, radius_mm in enumerate(envelope.radius_mm, start=1)
+        for segment in joint_lines(arm, link)
+    ]
+    parts = [
+        (part.link, np.array([part.from_mm, part.to_mm]), part.radius_mm)
+        for part in envelope.capsule
+    ]
+    links, ends_mm, radii_mm = zip(*lines, *parts, strict=True)
+    return Capsules(np.array(links), np.array(ends_mm), np.array(radii_mm))

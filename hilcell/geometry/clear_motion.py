@@ -1,0 +1,131 @@
+"""Whether an arm on a slide keeps a clearance on a whole motion: proven, and not only sampled.
+
+A posture is (7,): where the slide stands in mm, and six joints in rad; on a motion all seven go in
+step. Between two postures no point of the arm travels farther than `clearance.travel_mm` states. So
+a posture that has more clearance than wanted, by half of that, proves the motion around it; where
+it has less, the motion is halved and both halves are looked at. A motion counts as clear only when
+the parts that are proven make up the whole: a posture that is no number proves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilcell.geometry.clearance import (
+    Bools,
+    Boxes,
+    Capsules,
+    clearance_mm,
+    placed_mm,
+    travel_mm,
+)
+from hilcell.geometry.kinematics import Arm, Array
+
+RESOLUTION_MM = 1.0  # a motion that is nearer than this to the wanted clearance is not proven
+AT_ONCE = 2048  # postures: bounds the memory
+LOOKS = 257  # along a motion that is not clear, for the message
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """Which motions (N,) are proven clear, and at which share of the way the others are not."""
+
+    clear: Bools
+    share: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Tightest:
+    """The least clearance that was found on a motion: by which capsule from which box, and where.
+
+    ``box`` counts those that stand, then those that ride.
+    """
+
+    clearance_mm: float
+    capsule: int
+    box: int
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """An arm with its shape, among boxes that stand in {W} and boxes that ride on its slide.
+
+    ``base`` is {B} in {W} (4, 4) with the slide at 0, ``direction`` (3,) that of the slide in {W};
+    riding boxes are given in {B}.
+    """
+
+    arm: Arm
+    capsules: Capsules
+    base: Array
+    direction: Array
+    standing: Boxes
+    riding: Boxes
+
+    def prove(self, start: Array, end: Array, wanted_mm: float) -> Proof:
+        """Judge motions between postures (N, 7)."""
+        travel = self._travel_mm(start, end)
+        count = len(travel)
+        proven, share, refused = np.zeros(count), np.full(count, 0.5), np.zeros(count, dtype=bool)
+        motion, middle, half = np.arange(count), np.full(count, 0.5), 0.5
+        while len(motion):
+            postures = start[motion] + middle[:, None] * (end - start)[motion]
+            needed = half * travel[motion]
+            spare = self._least_mm(postures, needed + wanted_mm) - wanted_mm
+            done = (spare >= needed).all(axis=1)
+            np.add.at(proven, motion[done], 2.0 * half)
+            near = ~(needed.max(axis=1) > RESOLUTION_MM)
+            hopeless = ~done & (near | ~(spare >= 0.0).all(axis=1))
+            refused[motion[hopeless]] = True
+            share[motion[hopeless]] = middle[hopeless]
+            left = ~done & ~refused[motion]
+            half /= 2.0
+            middle = (middle[left, None] + [-half, half]).ravel()
+            motion = np.repeat(motion[left], 2)
+        return Proof(proven == 1.0, share)  # halves add without rounding
+
+    def tightest(self, start: Array, end: Array, also: float) -> Tightest:
+        """Return where a motion between postures (7,) is tightest, by many looks at it.
+
+        ``also`` is a share of the way to look at beside those in even steps.
+        """
+        shares = np.append(np.linspace(0.0, 1.0, LOOKS), also)
+        postures = start + shares[:, None] * (end - start)
+        found = self.clearances_mm(postures, np.full((len(postures), 1), np.inf))
+        at = np.unravel_index(np.argmin(found), found.shape)  # of several NaN, the first
+        return Tightest(float(found[at]), int(at[1]), int(at[2]), float(shares[at[0]]))
+
+    def clearances_mm(self, postures: Array, enough_mm: Array) -> Array:
+        """Return `clearance.clearance_mm` (N, C, V) at postures (N, 7)."""
+        in_base = placed_mm(self.arm, self.capsules, postures[:, 1:])
+        at_mm = self.base[:3, 3] + postures[:, :1] * self.direction
+        in_world = in_base @ self.base[:3, :3].T + at_mm[:, None, None]
+        radius_mm = self.capsules.radius_mm
+        return np.concatenate(
+            [
+                clearance_mm(in_world, radius_mm, self.standing, enough_mm),
+                clearance_mm(in_base, radius_mm, self.riding, enough_mm),
+            ],
+            axis=-1,
+        )
+
+    def _travel_mm(self, start: Array, end: Array) -> Array:
+        """Return how far (N, C) any point of a capsule's segment can travel in {W} at most."""
+        way = np.abs(end - start)
+        return way[:, :1] + travel_mm(self.arm, self.capsules, way[:, 1:])
+
+    def _least_mm(self, postures: Array, enough_mm: Array) -> Array:
+        """Return the clearance (N, C) from the nearest box."""
+        parts = [
+            self.clearances_mm(postures[some], enough_mm[some]).min(axis=-1)
+            for some in _slices(len(postures))
+        ]
+        return np.concatenate(parts)
+
+
+def _slices(count: int) -> Iterator[slice]:
+    for begin in range(0, count, AT_ONCE):
+        yield slice(begin, begin + AT_ONCE)

@@ -1,0 +1,153 @@
+"""How near an arm comes to boxes: capsules along its links, and their exact distances.
+
+A capsule is all that lies within a radius of a segment that is fixed to one link. The distance of a
+segment from a box is the least value of a convex function of one number, so it is found exactly.
+Lengths mm, angles rad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilcell.geometry.frames import inverse
+from hilcell.geometry.kinematics import Arm, Array, link_transforms
+
+Ints = NDArray[np.int_]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Capsules:
+    """``link`` (C,) 1 .. 6, ``ends_mm`` (C, 2, 3) in that link's frame {i}, ``radius_mm`` (C,)."""
+
+    link: Ints
+    ends_mm: Array
+    radius_mm: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Boxes:
+    """``frames`` (V, 4, 4) of their centres, ``half_mm`` (V, 3): half of their edges."""
+
+    frames: Array
+    half_mm: Array
+
+
+def joint_lines(arm: Arm, link: int) -> Array:
+    """Return the segments (S, 2, 3) along link 1 .. 6, from its joint to the next, in its frame.
+
+    Axis 1 turns its own column in place: the column is left out. Link 6 has the tool point too. A
+    link whose joints coincide has a segment without length.
+    """
+    row = link - 1
+    a_mm, d_mm, alpha_rad = arm.a_mm[row], arm.d_mm[row], arm.alpha_rad[row]
+    foot = np.array([-a_mm, 0.0, 0.0])
+    joint = foot - d_mm * np.array([0.0, np.sin(alpha_rad), np.cos(alpha_rad)])
+    corners = [corner @ _tilted(arm, row) for corner in (joint, foot, np.zeros(3))]
+    corners = corners[1:] if link == 1 else corners
+    corners += [arm.tool[:3, 3]] if link == 6 else []
+    pairs = list(pairwise(corners))
+    long = [pair for pair in pairs if np.linalg.norm(pair[1] - pair[0]) > 0.0]
+    segments: Array = np.array(long or pairs[:1])
+    return segments
+
+
+def _tilted(arm: Arm, row: int) -> Array:
+    """Return Ry(beta) of Hayati's term (3, 3), which ends the link's transform."""
+    cos, sin = np.cos(arm.beta_rad[row]), np.sin(arm.beta_rad[row])
+    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+
+
+def placed_mm(arm: Arm, capsules: Capsules, joints_rad: Array) -> Array:
+    """Return the ends (N, C, 2, 3) in {B} at joints (N, 6)."""
+    links = link_transforms(arm, joints_rad)
+    frames = [links[:, 0]]
+    for row in range(1, 6):
+        frames.append(frames[-1] @ links[:, row])
+    carried = np.stack(frames, axis=1)[:, capsules.link - 1]
+    turned = np.einsum("ncij,cej->ncei", carried[..., :3, :3], capsules.ends_mm)
+    ends: Array = turned + carried[:, :, None, :3, 3]
+    return ends
+
+
+def travel_mm(arm: Arm, capsules: Capsules, turns_rad: Array) -> Array:
+    """Return how far (N, C) any point of a capsule's segment can travel on motions (N, 6) at most.
+
+    The point turns about each axis before it at a distance that no posture makes longer than the
+    links between them: sum_j |turn_j| R_j bounds the length of its path.
+    """
+    lengths = np.hypot(arm.a_mm, arm.d_mm)
+    radii = np.zeros((len(capsules.link), 6))
+    for number, (link, ends) in enumerate(zip(capsules.link, capsules.ends_mm, strict=True)):
+        joint, axis = _axis_in_link(arm, link - 1)
+        arms = ends - joint
+        radii[number, link - 1] = np.linalg.norm(np.cross(arms, axis), axis=1).max()
+        beyond = np.linalg.norm(arms, axis=1).max()
+        for row in range(link - 2, -1, -1):
+            radii[number, row] = abs(arm.a_mm[row]) + beyond
+            beyond += lengths[row]
+    bound: Array = np.abs(turns_rad) @ radii.T
+    return bound
+
+
+def _axis_in_link(arm: Arm, row: int) -> tuple[Array, Array]:
+    """Return a point of the link's joint axis, and its direction, in the link's frame."""
+    sin, cos = np.sin(arm.alpha_rad[row]), np.cos(arm.alpha_rad[row])
+    direction = np.array([0.0, sin, cos])
+    turned = _tilted(arm, row)
+    return (np.array([-arm.a_mm[row], 0.0, 0.0]) - arm.d_mm[row] * direction) @ turned, (
+        direction @ turned
+    )
+
+
+def clearance_mm(ends_mm: Array, radius_mm: Array, boxes: Boxes, enough_mm: Array) -> Array:
+    """Return the clearances (N, C, V) of capsules with ends (N, C, 2, 3) from boxes.
+
+    Negative where they overlap, down to the radius. Where a sphere around the capsule proves that
+    there are ``enough_mm`` (N, C), the sphere's own clearance stands for the capsule's.
+    """
+    T = inverse(boxes.frames)
+    within = np.einsum("vij,ncej->vncei", T[:, :3, :3], ends_mm)
+    within += T[:, None, None, None, :3, 3]
+    middle = within.mean(axis=-2)
+    half_length = np.linalg.norm(ends_mm[..., 1, :] - ends_mm[..., 0, :], axis=-1) / 2
+    half_mm = boxes.half_mm[:, None, None]
+    from_box = np.linalg.norm(middle - np.clip(middle, -half_mm, half_mm), axis=-1)
+    found = from_box - half_length - radius_mm
+    near = ~(found >= enough_mm)
+    volume, _, capsule = np.nonzero(near)
+    found[near] = segment_to_box_mm(within[near], boxes.half_mm[volume]) - radius_mm[capsule]
+    return np.moveaxis(found, 0, -1)
+
+
+def segment_to_box_mm(ends_mm: Array, half_mm: Array) -> Array:
+    """Return the distances (K,) of segments (K, 2, 3) from boxes (K, 3) about the origin.
+
+    The squared distance is convex along the segment, and its slope is linear between the places
+    where the segment crosses the planes of the box's faces: the slope's zero is the minimum.
+    """
+    start, along = ends_mm[:, 0, None], (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
+    half = half_mm[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossings = np.concatenate([(-half - start) / along, (half - start) / along], axis=-1)[:, 0]
+    crossings = np.nan_to_num(crossings, nan=0.0).clip(0.0, 1.0)
+    knots = np.sort(np.pad(crossings, ((0, 0), (1, 1)), constant_values=(0.0, 1.0)), axis=1)
+    slope = np.sum(along * _outside(start + knots[..., None] * along, half), axis=-1)
+    after = np.argmax(slope >= 0.0, axis=1)
+    after = np.where(slope[:, -1] >= 0.0, after, knots.shape[1] - 1)
+    rows, before = np.arange(len(knots)), np.maximum(after - 1, 0)
+    low, high = slope[rows, before], slope[rows, after]
+    share = np.where((low < 0.0) & (high > 0.0), -low / np.where(high > low, high - low, 1.0), 1.0)
+    nearest = knots[rows, before] + share * (knots[rows, after] - knots[rows, before])
+    outside = _outside(start[:, 0] + nearest[:, None] * along[:, 0], half_mm)
+    distance: Array = np.linalg.norm(outside, axis=-1)
+    return distance
+
+
+def _outside(points: Array, half: Array) -> Array:
+    """Return by how much each coordinate is beyond the box's faces."""
+    return points - np.clip(points, -half, half)

@@ -1,0 +1,203 @@
+"""Whether the arm's ways are clear of the cell's volumes: asked by plans, and before every motion.
+
+A way is a PTP motion, all axes in step; between two postures within the joints' limits it stays
+within them. Wherever the robot stands, it goes to its next pose directly, or by its safe pose where
+that way is clear and the direct one is not. So a plan that proves the ways between the safe pose
+and each of its poses holds in any order, after a resume too.
+
+A cell that states no volumes is as good as unknown beyond the places that its operator has stated:
+the grid's cube and the circles of the base frame. There, and nowhere else, the robot may go.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hilcell.cell.file import Cell, Station
+from hilcell.cell.surroundings import Surroundings, posture
+from hilcell.geometry.clearance import Bools
+from hilcell.geometry.kinematics import forward
+from hilcell.geometry.rotations import to_rotvec
+from hilcell.ports import Array
+from hilcell.run.interlocks import Blocked, check_joint_limits
+
+PLANNED_MM = 10.0  # by which a plan is stricter: corrections, the base as measured, the held place
+CUBE_MM, CUBE_RAD = 20.0, np.radians(1.0)  # corrected poses are a little outside, too
+CIRCLE_RAD = np.radians(1.0)
+
+
+# -- for plans ------------------------------------------------------------------------------------
+
+
+def clear(cell: Cell, station: Station, from_rad: Array, to_rad: Array) -> Bools:
+    """Return which ways between joints (N, 6) a plan may take at ``station``, (N,).
+
+    In a cell that states no volumes, those between finite joints.
+    """
+    if cell.surroundings is None:
+        return np.array([bool(np.isfinite(way).all()) for way in from_rad + to_rad])
+    start, end = posture(station.rail_mm, from_rad), posture(station.rail_mm, to_rad)
+    return cell.surroundings.prove(start, end, PLANNED_MM).clear
+
+
+def clear_poses(cell: Cell, station: Station, joints_rad: Array) -> Bools:
+    """Return which poses (N, 6) a plan may drive to at ``station``, and back, (N,)."""
+    low, high = cell.robot.margin_limits_rad
+    ok: Bools = ((joints_rad >= low) & (joints_rad <= high)).all(axis=-1)
+    if cell.surroundings is None:
+        return ok & ~leaves_cube(cell, joints_rad)
+    for start, end in _legs(cell, joints_rad):
+        ok[ok] = clear(cell, station, start[ok], end[ok])
+    return ok
+
+
+def check_path(cell: Cell, station: Station, from_rad: Array, to_rad: Array, what: str) -> None:
+    """Refuse a plan's ways between joints (6,) or (N, 6) at ``station``; raises `Blocked`."""
+    _refuse_unclear(cell, station.rail_mm, from_rad, to_rad, what, PLANNED_MM)
+
+
+def check_poses(cell: Cell, station: Station, joints_rad: Array, what: str) -> None:
+    """Refuse poses (N, 6) that a plan cannot drive to at ``station``, or back; raises `Blocked`."""
+    for joints in joints_rad:
+        check_joint_limits(cell, joints, what)
+    if not bool(np.all(~leaves_cube(cell, joints_rad))):
+        check_stated(cell, what)
+    for start, end in _legs(cell, joints_rad):
+        check_path(cell, station, start, end, what)
+
+
+def check_sweep(cell: Cell, station: Station, from_rad: Array, to_rad: Array, what: str) -> None:
+    """Refuse a plan's motion of one axis between joints (6,) at ``station``; raises `Blocked`."""
+    check_stated(cell, what)
+    check_poses(cell, station, np.array([from_rad, to_rad]), f"ends of {what}")
+    check_path(cell, station, from_rad, to_rad, what)
+
+
+def check_stated(cell: Cell, what: str) -> None:
+    """Refuse what leaves the cube in a cell that does not state its volumes; raises `Blocked`."""
+    if cell.surroundings is None:
+        raise Blocked(
+            "HC-B35",
+            "Robot",
+            what,
+            "it leaves the grid's cube, and nothing is stated of what stands around the arm",
+            wanted="robot.envelope and keep_out",
+            act="state them in the cell file",
+        )
+
+
+def check_rides(cell: Cell) -> None:
+    """Refuse a safe pose with which the slide cannot ride along its travel; raises `Blocked`."""
+    safe_rad = np.radians(cell.robot.safe_deg)
+    ends_mm = (cell.rail.travel_min_mm, cell.rail.travel_max_mm)
+    start, end = (posture(end_mm, safe_rad) for end_mm in ends_mm)
+    _refuse_ways(cell, start[None], end[None], "ride at the safe pose", PLANNED_MM)
+
+
+def leaves_cube(cell: Cell, joints_rad: Array) -> Bools:
+    """Return which poses (N, 6) are where no operator has stated that the robot may go, (N,).
+
+    Stated are the grid's cube, with the tool turned as the grid has it, and the base's circles.
+    """
+    found, centre = forward(cell.robot.arm(), joints_rad), cell.grid.centre.matrix()
+    off_mm = np.abs(found[:, :3, 3] - centre[:3, 3]) - np.array(cell.grid.size_mm) / 2
+    turn_rad = np.linalg.norm(to_rotvec(found[:, :3, :3] @ centre[:3, :3].T), axis=-1)
+    stated = (off_mm <= CUBE_MM).all(axis=-1) & (turn_rad <= CUBE_RAD)
+    table = cell.base_frame
+    stated |= _on_circle(joints_rad, 0, table.axis_1_deg, table.axis_1_sweep_deg)
+    stated |= _on_circle(joints_rad, 5, table.axis_6_deg, table.axis_6_sweep_deg)
+    left: Bools = ~stated
+    return left
+
+
+def _on_circle(
+    joints_rad: Array, axis: int, fixed_deg: tuple[float, ...], sweep_deg: tuple[float, float]
+) -> Bools:
+    low, high = np.radians(fixed_deg), np.radians(fixed_deg)
+    low[axis], high[axis] = np.radians(min(sweep_deg)), np.radians(max(sweep_deg))
+    inside = (joints_rad >= low - CIRCLE_RAD) & (joints_rad <= high + CIRCLE_RAD)
+    on: Bools = inside.all(axis=-1)
+    return on
+
+
+def _legs(cell: Cell, joints_rad: Array) -> list[tuple[Array, Array]]:
+    """Return the ways between the safe pose and poses (N, 6): there from below, and back."""
+    safe_rad = np.broadcast_to(np.radians(cell.robot.safe_deg), joints_rad.shape)
+    below_rad = joints_rad - np.radians(cell.robot.approach_deg)
+    return [(safe_rad, below_rad), (below_rad, joints_rad), (joints_rad, safe_rad)]
+
+
+# -- before a motion ------------------------------------------------------------------------------
+
+
+def check_way(cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str) -> None:
+    """Refuse a motion between joints (6,) with the slide at ``rail_mm``; raises `Blocked`."""
+    _refuse_unclear(cell, rail_mm, from_rad, to_rad, what, 0.0)
+
+
+def stops_on_way(
+    cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str
+) -> list[Array]:
+    """Return where to go from joints (6,) to others, in turn: below them, and there.
+
+    First to the safe pose, where that way is clear and the direct one is not. Raises `Blocked`
+    where neither is.
+    """
+    below_rad = to_rad - np.radians(cell.robot.approach_deg)
+    safe_rad = np.radians(cell.robot.safe_deg)
+    around = cell.surroundings
+    if around is None or bool(np.all(_proven(around, rail_mm, from_rad, below_rad, to_rad))):
+        return [below_rad, to_rad]
+    if bool(np.all(_proven(around, rail_mm, from_rad, safe_rad, below_rad, to_rad))):
+        return [safe_rad, below_rad, to_rad]
+    check_way(cell, rail_mm, below_rad, to_rad, what)
+    check_way(cell, rail_mm, from_rad, below_rad, what)
+    return [below_rad, to_rad]
+
+
+def _proven(around: Surroundings, rail_mm: float, *stops_rad: Array) -> Bools:
+    """Return which ways between one stop (6,) and the next are proven clear."""
+    stops = posture(rail_mm, np.array(stops_rad))
+    return around.prove(stops[:-1], stops[1:]).clear
+
+
+def _refuse_unclear(
+    cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str, more_mm: float
+) -> None:
+    start, end = posture(rail_mm, np.atleast_2d(from_rad)), posture(rail_mm, np.atleast_2d(to_rad))
+    _refuse_ways(cell, start, end, what, more_mm)
+
+
+def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float) -> None:
+    """Refuse motions between postures (N, 7) that are not all proven clear."""
+    around = cell.surroundings
+    if around is None:
+        return
+    proof = around.prove(start, end, more_mm)
+    if bool(np.all(proof.clear)):
+        return
+    first, count = int(np.argmin(proof.clear)), int(np.sum(~proof.clear))
+    from_posture, to_posture = start[first], end[first]
+    nearest = around.nearest(from_posture, to_posture, float(proof.share[first]))
+    wanted_mm = around.wanted_mm + more_mm
+    at = from_posture + nearest.share * (to_posture - from_posture)
+    axes = ", ".join(f"A{axis} {deg:.1f}" for axis, deg in enumerate(np.degrees(at[1:]), 1))
+    of = f" (way {first + 1}, and {count - 1} more of {len(start)})" if len(start) > 1 else ""
+    raise Blocked(
+        "HC-B34",
+        "Robot",
+        f"{what}{of}",
+        f"link {nearest.link} comes within {nearest.clearance_mm:.0f} mm of keep-out "
+        f"{nearest.volume}, at {axes} deg, rail {at[0]:.0f} mm",
+        wanted=f">= {wanted_mm:.0f} mm",
+        act="choose another pose, or correct keep_out or robot.envelope in the cell file",
+        fields={
+            "link": nearest.link,
+            "keep_out": nearest.volume,
+            "clearance_mm": nearest.clearance_mm,
+            "wanted_mm": wanted_mm,
+            "share": nearest.share,
+            "joints_deg": np.degrees(at[1:]),
+            "rail_mm": at[0],
+        },
+    )

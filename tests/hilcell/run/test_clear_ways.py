@@ -1,0 +1,320 @@
+"""The arm keeps clear of the cell's volumes: in plans, and before every motion."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.cell.file import Cell, KeepOut, Pose, load_cell
+from hilcell.geometry.clearance import placed_mm
+from hilcell.ports import Array, RobotReading
+from hilcell.run import sweeping
+from hilcell.run.cell_session import CellSession
+from hilcell.run.clear_ways import (
+    check_path,
+    check_poses,
+    check_rides,
+    check_stated,
+    check_sweep,
+    clear,
+    clear_poses,
+    leaves_cube,
+    stops_on_way,
+)
+from hilcell.run.interlocks import Blocked
+from tests.hilcell.run.bed import CELL, Bed
+from tests.hilcell.run.rig import Points, procedure
+
+S1100 = CELL.station_named("S1100")
+SAFE = np.radians(CELL.robot.safe_deg)
+HOME = np.radians(CELL.robot.home_deg)
+LEFT, RIGHT = (HOME + np.radians([side, 0, 0, 0, 0, 0]) for side in (-60.0, 60.0))
+OUT = HOME + np.radians([0.0, 10.0, -20.0, 0.0, 0.0, 0.0])
+
+
+def bare(cell: Cell) -> Cell:
+    """The same cell, which states nothing of its volumes."""
+    robot = msgspec.structs.replace(cell.robot, envelope=None)
+    return msgspec.structs.replace(cell, robot=robot, keep_out=[])
+
+
+def with_box(
+    cell: Cell, x_mm: float, y_mm: float, z_mm: float, size_mm: tuple[float, float, float]
+) -> Cell:
+    """The cell with one more volume, a part, in {W}."""
+    part = KeepOut(name="part", centre=Pose(x_mm=x_mm, y_mm=y_mm, z_mm=z_mm), size_mm=size_mm)
+    return msgspec.structs.replace(cell, keep_out=[*cell.keep_out, part])
+
+
+# A post 1.5 m in front of the robot at S1100: the arm cannot turn past it, but it can draw back.
+POST = with_box(CELL, -350.0, 0.0, 1500.0, (60.0, 60.0, 4000.0))
+
+
+def test_ways_beside_the_volumes_are_clear() -> None:
+    assert clear(CELL, S1100, np.array([LEFT, HOME]), np.array([RIGHT, SAFE])).tolist() == [
+        True,
+        True,
+    ]
+    check_path(CELL, S1100, LEFT, RIGHT, "a way")
+
+
+def test_a_way_through_a_volume_is_refused_with_all_that_matters() -> None:
+    assert clear(POST, S1100, LEFT[None], RIGHT[None]).tolist() == [False]
+    with pytest.raises(Blocked) as caught:
+        check_path(POST, S1100, LEFT, RIGHT, "sweep of axis 1")
+    error = caught.value
+    assert error.code == "HC-B34"
+    assert error.operation == "sweep of axis 1"
+    assert "comes within -" in error.found
+    assert "mm of keep-out part, at A1 " in error.found
+    assert error.found.endswith("rail 1100 mm")
+    assert error.wanted == ">= 60 mm"
+    assert "correct keep_out or robot.envelope" in error.act
+    assert error.fields["keep_out"] == "part"
+    assert error.fields["link"] in range(2, 7)
+    assert float(str(error.fields["clearance_mm"])) < 0.0
+
+
+def test_the_volumes_are_where_the_rail_leaves_them() -> None:
+    far = CELL.station_named("S1900")
+    assert clear(POST, far, LEFT[None], (LEFT + 0.1)[None]).tolist() == [True]
+    shifted = with_box(CELL, -350.0, 800.0, 1500.0, (60.0, 60.0, 4000.0))
+    assert clear(shifted, far, LEFT[None], RIGHT[None]).tolist() == [False]
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_a_way_from_nowhere_is_refused(axis: int) -> None:
+    joints = HOME.copy()
+    joints[axis] = np.nan
+    for cell in (CELL, bare(CELL)):
+        assert clear(cell, S1100, joints[None], HOME[None]).tolist() == [False]
+        assert clear(cell, S1100, HOME[None], joints[None]).tolist() == [False]
+        assert clear_poses(cell, S1100, joints[None]).tolist() == [False]
+    with pytest.raises(Blocked):
+        check_path(CELL, S1100, joints, HOME, "a way")
+    with pytest.raises(Blocked):
+        check_poses(CELL, S1100, joints[None], "a pose")
+
+
+def test_a_plan_is_stricter_than_the_interlock() -> None:
+    """A wall that leaves the clearance, and 5 mm: enough now, too little for a plan."""
+    around = CELL.surroundings
+    assert around is not None
+    for gap_mm, planned, now in ((55.0, False, True), (65.0, True, True), (45.0, False, False)):
+        cell = wall_beside(HOME, gap_mm)
+        assert clear(cell, S1100, HOME[None], HOME[None]).tolist() == [planned]
+        assert (len(way(cell, HOME, HOME)) > 0) == now
+
+
+def reach_mm(joints_rad: Array) -> float:
+    """How far the arm's shape reaches from axis 1, along x of {B}."""
+    around = CELL.surroundings
+    assert around is not None
+    capsules = around._body.capsules
+    ends = placed_mm(around._body.arm, capsules, joints_rad[None])[0]
+    return float((ends[..., 0].max(axis=1) + capsules.radius_mm).max())
+
+
+def wall_beside(joints_rad: Array, gap_mm: float) -> Cell:
+    """The cell with a wall in front of the arm, so far from it."""
+    face_mm = CELL.layout.base.x_mm + reach_mm(joints_rad) + gap_mm
+    return with_box(CELL, face_mm + 500.0, 0.0, 1500.0, (1000.0, 9000.0, 9000.0))
+
+
+def way(cell: Cell, start: Array, end: Array) -> list[Array]:
+    try:
+        return stops_on_way(cell, S1100.rail_mm, start, end, "now")
+    except Blocked:
+        return []
+
+
+# The arm reaches it as it turns at home, but not at its safe pose, which is drawn back.
+FAR_MM = CELL.layout.base.x_mm + reach_mm(SAFE) + 100.0
+FAR_POST = with_box(CELL, FAR_MM + 30.0, 0.0, 1500.0, (60.0, 60.0, 4000.0))
+
+
+def test_the_robot_goes_by_its_safe_pose_where_it_must() -> None:
+    below = RIGHT - np.radians(CELL.robot.approach_deg)
+    np.testing.assert_array_equal(way(CELL, LEFT, RIGHT), [below, RIGHT])
+    np.testing.assert_array_equal(way(FAR_POST, LEFT, RIGHT), [SAFE, below, RIGHT])
+    assert way(POST, LEFT, RIGHT) == []
+    check_poses(FAR_POST, S1100, np.array([LEFT, RIGHT]), "a pose")
+    assert clear_poses(FAR_POST, S1100, np.array([LEFT, HOME, RIGHT])).tolist() == [
+        True,
+        False,
+        True,
+    ]
+
+
+@pytest.mark.parametrize(("start", "end"), [(HOME, RIGHT), (RIGHT, HOME)])
+def test_no_part_of_the_way_by_the_safe_pose_is_left_out(start: Array, end: Array) -> None:
+    """At home the arm is in the post: it may neither come from there nor go there."""
+    assert way(FAR_POST, start, end) == []
+
+
+def test_poses_in_the_cube_and_on_the_circles_are_stated() -> None:
+    from procedures.base_frame import sweep
+    from procedures.plan import joints_for
+    from procedures.repeatability import places_mm
+
+    cube = joints_for(CELL, places_mm(CELL))
+    assert not leaves_cube(CELL, cube).any()
+    for axis in (1, 6):
+        assert not leaves_cube(CELL, sweep(CELL, axis)).any()
+    assert leaves_cube(CELL, np.array([OUT, SAFE])).all()
+    turned = cube[:1] + np.radians([0, 0, 0, 0, 0, 3.0])
+    assert leaves_cube(CELL, turned).all()
+    assert leaves_cube(CELL, np.full((1, 6), np.nan)).all()
+
+
+def test_a_cell_without_volumes_stays_where_it_was_stated() -> None:
+    from procedures.plan import joints_for
+    from procedures.repeatability import places_mm
+
+    cell = bare(CELL)
+    cube = joints_for(cell, places_mm(cell))
+    check_poses(cell, S1100, cube, "a place")
+    assert clear_poses(cell, S1100, np.vstack([cube, OUT])).tolist() == [True] * 3 + [False]
+    check_poses(CELL, S1100, OUT[None], "a free pose")
+    for refused in (
+        lambda: check_poses(cell, S1100, OUT[None], "a free pose"),
+        lambda: check_sweep(cell, S1100, cube[0], cube[0], "sweep of axis 1"),
+        lambda: check_stated(cell, "sweep"),
+    ):
+        with pytest.raises(Blocked, match="nothing is stated of what stands around") as caught:
+            refused()
+        assert caught.value.code == "HC-B35"
+
+
+def test_poses_beyond_a_limit_are_refused() -> None:
+    beyond = HOME + np.radians([0, 0, 0, 0, 0, 400.0])
+    assert clear_poses(CELL, S1100, np.array([HOME, beyond])).tolist() == [True, False]
+    with pytest.raises(Blocked) as caught:
+        check_poses(CELL, S1100, beyond[None], "a pose")
+    assert caught.value.code == "HC-B33"
+
+
+def test_the_slide_rides_with_a_safe_pose_that_is_clear_everywhere() -> None:
+    check_rides(CELL)
+    check_rides(bare(CELL))
+    with pytest.raises(
+        Blocked, match=r"Robot: ride at the safe pose: .* of keep-out part, .* rail"
+    ):
+        check_rides(with_box(CELL, -350.0, 1500.0, 1500.0, (300.0, 60.0, 4000.0)))
+
+
+# -- before a motion ------------------------------------------------------------------------------
+
+
+def go_to(joints_rad: Array) -> Callable[[CellSession, int], None]:
+    def go(session: CellSession, number: int) -> None:
+        session.robot_to(joints_rad, "a point")
+
+    return go
+
+
+def fault_of(bed: Bed, act: Callable[[CellSession, int], None]) -> str:
+    bed.run(procedure(Points(1, act)))
+    end = bed.log().end
+    assert end is not None
+    return str(end.get("error", {}).get("code", ""))
+
+
+@pytest.fixture
+def post(tmp_path: Path) -> Bed:
+    return Bed(tmp_path, cell=POST)
+
+
+def test_a_motion_through_a_volume_is_not_made(post: Bed) -> None:
+    post.robot.joints_rad = LEFT
+    at_post = HOME.copy()
+    assert fault_of(post, go_to(at_post)) == "HC-B34"
+    assert post.robot.moves == 0
+
+
+def test_a_reading_from_before_a_motion_is_not_where_the_next_one_starts(post: Bed) -> None:
+    post.robot.joints_rad = LEFT
+
+    def go(session: CellSession, number: int) -> None:
+        session.robot_to(LEFT, "start of a sweep")
+        session.check_way(session.devices.rail.read(), LEFT, "sweep")
+        post.robot.joints_rad = RIGHT  # the sweep took it there
+        session.robot_to(LEFT, "next")
+
+    assert fault_of(post, go) == "HC-B34"
+    assert post.robot.moves == 2
+
+
+def test_the_last_half_degree_is_a_way_too(tmp_path: Path) -> None:
+    """From below the target there is enough room, at the target there is not."""
+    cell, below = wall_beside(HOME, 45.0), HOME - np.radians(CELL.robot.approach_deg)
+    assert len(way(cell, SAFE, below)) == 2
+    bed = Bed(tmp_path, cell=cell)
+    assert fault_of(bed, go_to(HOME)) == "HC-B34"
+    assert bed.robot.moves == 0
+
+
+def test_a_robot_drives_by_its_safe_pose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bed, stops = Bed(tmp_path, cell=FAR_POST), list[Array]()
+    bed.robot.joints_rad = LEFT
+    move = bed.robot.move_to
+
+    def moved(joints_rad: Array, speed_percent: float) -> RobotReading:
+        stops.append(np.array(joints_rad))
+        return move(joints_rad, speed_percent)
+
+    monkeypatch.setattr(bed.robot, "move_to", moved)
+    assert fault_of(bed, go_to(RIGHT)) == ""
+    below = RIGHT - np.radians(CELL.robot.approach_deg)
+    np.testing.assert_array_equal(stops, [SAFE, below, RIGHT])
+
+
+def test_a_robot_that_moves_is_not_sent(post: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = post.robot.read
+
+    def moving() -> RobotReading:
+        return replace(read(), still=False)
+
+    monkeypatch.setattr(post.robot, "read", moving)
+    assert fault_of(post, go_to(LEFT)) == "HC-B31"
+    assert post.robot.moves == 0
+
+
+def test_a_robot_that_cannot_park_on_a_clear_way_stays(post: Bed) -> None:
+    post.robot.joints_rad = HOME  # inside the post
+    assert fault_of(post, lambda session, number: session.park_robot()) == "HC-B34"
+    assert post.robot.moves == 0
+
+
+def test_a_cell_without_volumes_moves_as_before(tmp_path: Path) -> None:
+    bed = Bed(tmp_path, cell=bare(CELL))
+    bed.robot.joints_rad = LEFT
+    assert fault_of(bed, go_to(RIGHT)) == ""
+    assert bed.robot.moves == 2
+
+
+@pytest.mark.parametrize("name", ["paper", "hard", "six-r"])
+def test_built_in_cells_have_their_volumes(name: str) -> None:
+    cell = load_cell(name)
+    assert {volume.name for volume in cell.keep_out} == {"floor", "rail bed", "slide", "tracker"}
+    check_rides(cell)
+
+
+@pytest.mark.parametrize(("cell", "code"), [(POST, "HC-B34"), (bare(CELL), "HC-B35")])
+def test_a_sweep_through_a_volume_is_not_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: Cell, code: str
+) -> None:
+    monkeypatch.setattr(sweeping, "streams_of", lambda tracker: tracker)
+    monkeypatch.setattr(sweeping, "sweeps_of", lambda robot: robot)
+    bed = Bed(tmp_path, cell=cell)
+    bed.robot.joints_rad = LEFT
+    order = sweeping.SweepOrder("s", LEFT, 0, float(RIGHT[0]), 0.02, np.zeros(3), 100.0)
+
+    def go(session: CellSession, number: int) -> None:
+        sweeping.record_sweep(session, order)
+
+    assert fault_of(bed, go) == code
+    assert bed.robot.moves == (2 if code == "HC-B34" else 0)  # to its start
