@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.bounds import Coverage, coverages
 from hilcell.calibration.errors import validation
+from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.frames import grid_of, measured_of
+from hilcell.calibration.influence import NoBound
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
@@ -93,7 +96,7 @@ class Validate:
 
     def _judge(self, session: CellSession) -> None:
         limits = session.cell.validation
-        for where, figures in self.result(session.log)["validation"].items():
+        for where, figures in self._figures(session.log).items():
             chosen, decision = figures["chosen"], figures.get("decision", {})
             holds = (
                 chosen["mean"] <= limits.mean_tolerance_mm
@@ -111,19 +114,41 @@ class Validate:
             )
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return the errors at the grid's station and at the others together."""
-        reference = log.cell.grid.station
-        others = [station.name for station in log.cell.station if station.name != reference]
-        places = {reference: [reference]}
-        places |= ({"others": others} if others else {}) | {name: [name] for name in others}
+        """Return the errors at the grid's station and at the others together, and their bounds."""
+        figures = self._figures(log)
+        for where, found in _coverage(log, _places(log.cell)).items():
+            figures[where]["bounds"] = found.figures
+        return {"validation": figures}
+
+    def _figures(self, log: Log) -> dict[str, dict[str, Any]]:
+        places = _places(log.cell)
         figures = {where: station_figures(log, names) for where, names in places.items()}
         if log.cell.plan.quick:
             for where, names in places.items():
                 figures[where]["decision"] = enough_targets.judgement(log, names)
-        for where in (reference, "others"):
+        for where in (log.cell.grid.station, "others"):
             if where in figures:
                 figures[where]["floor"] = floor(log)
-        return {"validation": figures}
+        return figures
+
+
+def _places(cell: Cell) -> dict[str, list[str]]:
+    """Return the stations judged together by name: the grid's, all others, each other."""
+    reference = cell.grid.station
+    others = [station.name for station in cell.station if station.name != reference]
+    together = {"others": others} if others else {}
+    return {reference: [reference]} | together | {name: [name] for name in others}
+
+
+def _coverage(log: Log, places: dict[str, list[str]]) -> dict[str, Coverage]:
+    """Return the bounds of the corrected targets, where the run allows any."""
+    calibration = calibration_so_far(log, "")
+    if calibration is None:
+        return {}
+    try:
+        return coverages(calibration, log, places)
+    except NoBound:  # the report says why
+        return {}
 
 
 def by_paper(session: CellSession, station: Station, targets_mm: Array) -> Array:

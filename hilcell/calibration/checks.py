@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilcell.calibration.form import Calibration, StationEntry, Validity
+from hilcell.calibration.influence import SIZE
 from hilcell.compensation.choice import MODELS
 from hilcell.ports import Array, HilcellError
 
@@ -21,6 +22,9 @@ MOST_MM = 1e6
 MOST_TURN_DEG = 180.0
 MOST_C = 100.0
 RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number of pitches
+ROUNDING = 1e-6  # of a covariance, relative
+LEAST_VARIANCE = 1e-30  # mm2, rad2, or a ratio squared; below is nought
+MOST_VARIANCE = 1e12  # likewise
 
 
 def problems_of(calibration: Calibration) -> list[str]:
@@ -30,6 +34,7 @@ def problems_of(calibration: Calibration) -> list[str]:
         *_validity(calibration.validity),
         *_grid(calibration),
         *_stations(calibration.stations),
+        *_uncertainty(calibration),
     ]
     return found or list(_model(calibration))
 
@@ -102,6 +107,35 @@ def _stations(stations: dict[str, StationEntry]) -> Iterator[str]:
                 f"{MOST_ERROR_MM:g}"
             )
         yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
+
+
+def _uncertainty(calibration: Calibration) -> Iterator[str]:
+    stated = calibration.uncertainty
+    if stated is None or stated.missing:
+        return
+    if stated.stations.keys() != calibration.stations.keys():
+        found = ", ".join(stated.stations) or "none"
+        yield f"uncertainty.stations: of {found[:40]}, wanted the same as in stations"
+    for name, value in (("growth_per_k", stated.growth_per_k), ("air_range_k", stated.air_range_k)):
+        if not 0 <= value <= MOST_C:
+            yield f"uncertainty.{name}: {value:g}, wanted 0 .. {MOST_C:g}"
+    for each in (*stated.lines, *(line for lines in stated.stations.values() for line in lines)):
+        at = f"uncertainty, {each.name[:40]}"
+        yield from _within(f"{at}: origin_mm", each.origin_mm, MOST_MM, "mm")
+        if not _is_covariance(_array(each.covariance)):
+            yield f"{at}: wanted a covariance of {SIZE} x {SIZE} numbers"
+        if each.freedom is not None and not each.freedom > 0:
+            yield f"{at}: freedom {each.freedom:g}, wanted above 0"
+
+
+def _is_covariance(found: Array) -> bool:
+    """Whether an array is a covariance (7, 7): of sane size, symmetric, no negative variance."""
+    if found.shape != (SIZE, SIZE) or not np.abs(found).max() <= MOST_VARIANCE:
+        return False
+    if not np.abs(found - found.T).max() <= ROUNDING * np.abs(found).max():
+        return False
+    scale = np.sqrt(np.maximum(np.diag(found), LEAST_VARIANCE))
+    return bool(np.linalg.eigvalsh(found / np.outer(scale, scale)).min() >= -ROUNDING)
 
 
 def _frame(name: str, frame: Array) -> Iterator[str]:

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 
 from hilcell import __version__
+from hilcell.calibration.budget import uncertainty_of
 from hilcell.calibration.checks import MOST_MM, problems_of
 from hilcell.calibration.form import (
     Calibration,
@@ -69,8 +70,16 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "pitch_mm": grid.pitch_mm,
         "grid_errors_mm": measured.grid.errors_mm.tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
+        "uncertainty": uncertainty_of(log),
     }  # fmt: skip
     return msgspec.convert(msgspec.to_builtins(values), Calibration)
+
+
+def calibration_so_far(log: Log, run: str) -> Calibration | None:
+    """Return the calibration of a log that has reached the fit, nothing before."""
+    wanted = {"base", *(f"station.{station.name}" for station in log.cell.station)}
+    reached = wanted <= log.frames.keys() and "fit" in log.verdicts
+    return calibration_of(log, run) if reached else None
 
 
 def devices_of(log: Log) -> list[Device]:

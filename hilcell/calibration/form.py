@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hilcell.calibration.influence import Uncertainty
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.interpolation import Idw, Trilinear
@@ -81,7 +82,10 @@ class ModelEntry(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """The file. ``method`` is the model's name, for readers that know no ``model``."""
+    """The file. ``method`` is the model's name, for readers that know no ``model``.
+
+    Files of old state no ``uncertainty``.
+    """
 
     schema: int
     provenance: Provenance
@@ -91,6 +95,7 @@ class Calibration(msgspec.Struct, frozen=True):
     pitch_mm: float
     grid_errors_mm: list[list[list[tuple[float, float, float]]]]
     model: ModelEntry | None = None
+    uncertainty: Uncertainty | None = None
 
     def grid(self) -> Grid:
         """Return the grid in {B}."""

@@ -48,6 +48,7 @@ from hilcell.cell.tables import (
     Wait,
     refuse_descending,
 )
+from hilcell.cell.uncertainty import UncertaintyTable
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.robot import NominalRobot
 
@@ -55,7 +56,8 @@ __all__ = [
     "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "EnvelopeTable", "Frozen",
     "GridTable", "Joint", "KeepOut", "Layout", "Nest", "PlanTable", "Pose", "RailTable",
     "RobotTable", "SettleTable", "SimulationTable", "Six", "Station", "SurveyTable",
-    "TrackerTable", "ValidationTable", "arm_from_joints", "built_in_cells", "load_cell",
+    "TrackerTable", "UncertaintyTable", "ValidationTable", "arm_from_joints", "built_in_cells",
+    "load_cell",
 ]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it
@@ -310,6 +312,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     plan: PlanTable = field(default_factory=PlanTable)
     settle: SettleTable = field(default_factory=SettleTable)
     keep_out: list[KeepOut] = field(default_factory=list)
+    uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
     campaign: CampaignTable | None = None
     simulation: SimulationTable | None = None
 
@@ -378,10 +381,11 @@ class Cell(Frozen, frozen=True, kw_only=True):
     def digest(self) -> str:
         """Return SHA-256 over canonical JSON of the cell, without its simulation and its plan.
 
-        Neither has it what the arm keeps clear of: that moves no measured point.
+        Neither has it what the arm keeps clear of, nor what is stated of uncertainty: they move no
+        measured point.
         """
         values = msgspec.to_builtins(self)
-        for table in ("simulation", "plan", "keep_out"):
+        for table in ("simulation", "plan", "keep_out", "uncertainty"):
             values.pop(table)
         values["robot"].pop("envelope")
         for table, keys in PACE.items():

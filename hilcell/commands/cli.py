@@ -253,10 +253,16 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     compensate.add_argument(
         "--max-age",
-        type=_finite,
+        type=_days,
         default=180.0,
         metavar="DAYS",
         help="refuse an older calibration (default: 180)",
+    )
+    compensate.add_argument(
+        "--bounds",
+        default="",
+        metavar="FILE.csv",
+        help="also write the 95 %% bound of each target's error, and u of its coordinates",
     )
     _runs_option(compensate)
 
@@ -383,6 +389,13 @@ def _finite(text: str) -> float:
     value = _number(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"a finite number is wanted, found {text[:80]!r}")
+    return value
+
+
+def _days(text: str) -> float:
+    value = _number(text)
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"days, 0 or more, are wanted, found {text[:80]!r}")
     return value
 
 

@@ -13,10 +13,15 @@ from hilcell.calibration.file import compensate_targets, read_calibration
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
 from hilcell.commands.output import print_json, print_message, print_table
-from hilcell.compensation.programs import Program, load_program, write_program
+from hilcell.compensation.programs import Program, load_program, suffixes, write_program
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.journal.runs import CALIBRATION, find_run
+from hilcell.ports import Array
+
+LISTS = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets without a remark
 
 
 def fit(args: argparse.Namespace) -> int:
@@ -54,11 +59,17 @@ def compensate(args: argparse.Namespace) -> int:
     source, out = Path(args.targets), Path(args.output)
     inputs = [source, path, Path(args.cell or source)]
     program = load_program(source)
-    if program is None:
-        count, written = _compensate_list(calibration, args.station, inputs, out)
-    else:
-        count, written = _compensate_program(calibration, args.station, program, inputs, out, cell)
-    print_message(f"{count} targets corrected for {args.station} into {written}")
+    names, targets = _listed(source) if program is None else (program.names, program.values())
+    command = compensate_targets(calibration, args.station, targets, names)
+    if program is not None:
+        _check_program(calibration, args.station, program, command, source, cell)
+    bounds = bounds_of_targets(calibration, args.station, targets, args.temperature)
+    if args.bounds:
+        write_bounds(Path(args.bounds), bounds, names, out, inputs=inputs)
+        inputs.append(Path(args.bounds))
+    written = _write(program, names, command, source, out, inputs)
+    print_message(f"{len(names)} targets corrected for {args.station} into {written}")
+    print_message(summary(bounds, names))
     if calibration.provenance.simulated:
         print_message(
             f"hilcell: SIMULATED: run {calibration.provenance.run} measured no real robot; the "
@@ -67,31 +78,47 @@ def compensate(args: argparse.Namespace) -> int:
     return 0
 
 
-def _compensate_list(
-    calibration: Calibration, station: str, inputs: list[Path], out: Path
-) -> tuple[int, str]:
-    names, targets = read_targets(inputs[0])
-    command = compensate_targets(calibration, station, targets, names)
-    write_targets(out, names, command, inputs=inputs)
-    return len(names), str(out)
+def _listed(source: Path) -> tuple[list[str], Array]:
+    """Read a list of targets; a file that is none may be a program of an unknown format."""
+    try:
+        return read_targets(source)
+    except SettingsError as error:
+        suffix = source.suffix.lower()
+        if suffix in LISTS:
+            raise
+        known = ", ".join(suffixes()) or "none"
+        hint = f"no format of programs is installed for {suffix} (installed: {known})"
+        raise SettingsError(error.source, [*error.problems, hint]) from error
 
 
-def _compensate_program(
+def _check_program(
     calibration: Calibration,
     station: str,
     program: Program,
-    inputs: list[Path],
-    out: Path,
+    command: Array,
+    source: Path,
     cell: Cell | None,
-) -> tuple[int, str]:
-    source = inputs[0]
-    command = compensate_targets(calibration, station, program.values(), program.names)
+) -> None:
     if cell is not None:
         T_W_B = np.array(calibration.stations[station].T_W_B)
         program.check_joints(cell.robot.arm(), T_W_B, command)
     elif program.needs_arm:
         print_message(f"{source.name}: {program.needs_arm} were not checked; --cell CELL does")
+
+
+def _write(
+    program: Program | None,
+    names: list[str],
+    command: Array,
+    source: Path,
+    out: Path,
+    inputs: list[Path],
+) -> str:
+    """Write the list or the program, print its notes, and return in words where it was written."""
+    if program is None:
+        write_targets(out, names, command, inputs=inputs)
+        return str(out)
     written = write_program(program, command[:, :3], source, out, inputs=inputs)
     for note in program.notes:
         print_message(f"{source.name}: {note}")
-    return len(program.names), " and ".join(map(str, written))
+    return " and ".join(map(str, written))

@@ -19,6 +19,8 @@ from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
 from hilcell.writing import NotWritten, write_together
 
+LIST = ".csv"
+
 
 class Program(Protocol):
     """A robot program that was read: its targets in {W}, and its files with other positions."""
@@ -58,16 +60,27 @@ def load_program(path: Path) -> Program | None:
     return program
 
 
+def suffixes() -> list[str]:
+    """Return the suffixes, with their dots, of the formats that are installed."""
+    return sorted(f".{name}" for name in entry_points(group="hilcell.programs").names)
+
+
 def write_program(
     program: Program, positions_mm: Array, source: Path, out: Path, *, inputs: Iterable[Path] = ()
 ) -> list[Path]:
     """Write the program at ``source`` with other positions under another stem; return the paths.
 
-    ``out`` may end in one of the program's suffixes. Raises `NotWritten` as `write_together` does;
-    the nominal program is an input as well: corrected again, it would be corrected twice.
+    ``out`` may end in one of the program's suffixes, not in that of a list. Raises `NotWritten` as
+    `write_together` does; the nominal program is an input as well: corrected again, it would be
+    corrected twice.
     """
     if os.path.isdir(out):  # noqa: PTH112 - Path.is_dir raises for a name too long
         raise NotWritten(f"{out} is a folder; name a program in it")
+    if out.suffix.lower() == LIST:
+        raise NotWritten(
+            f"{out} is a list of targets by its name, and {source.name} is a program; name it "
+            f"{out.stem} or {out.stem}{source.suffix}"
+        )
     files = program.with_positions(positions_mm)
     stem = out.stem if out.suffix.lower() in program.suffixes else out.name
     contents = {out.with_name(stem + Path(name).suffix): data for name, data in files.items()}

@@ -16,6 +16,9 @@ from numpy.typing import ArrayLike
 
 from hilcell.geometry.kinematics import Array
 
+CONFIDENCE = 0.95
+MOST_FREEDOM = 1e6  # as good as infinite; beyond F is not computed exactly
+
 
 class Figures(NamedTuple):
     """Mean, 95 % quantile and maximum of 3D errors (mm)."""
@@ -73,3 +76,47 @@ def reading_variances_mm2(std_mm: ArrayLike, samples: ArrayLike) -> Array:
     """
     variances: Array = np.square(np.asarray(std_mm, dtype=float)) / np.asarray(samples)[:, None]
     return variances
+
+
+def bounds95_mm(covariances_mm2: ArrayLike, freedom: ArrayLike = math.inf) -> Array:
+    """Return the lengths (N,) that 95 % of 3D errors keep, of their covariances (N, 3, 3).
+
+    ``|e|^2`` is a quadratic form of normal variables. It is taken as ``g`` times chi^2 of ``h``
+    degrees of freedom with the same mean and variance (Satterthwaite 1946; Box 1954, theorem
+    3.1): ``g h = tr C``, ``h = (tr C)^2 / tr C^2``, from 1 for one direction to 3 for a sphere. It
+    is exact where all variances are equal or nought, else within 1.5 % of the length. ``freedom``
+    (N,) is that of the estimate of tr C, as `effective_freedom` gives it: chi^2 / h then becomes
+    F(h, freedom). Not a number where a covariance is none.
+    """
+    from scipy.special import fdtri
+
+    covariances = np.asarray(covariances_mm2, dtype=float)
+    trace = np.trace(covariances, axis1=-2, axis2=-1)
+    squares = np.square(covariances).sum(axis=(-2, -1))
+    sizes = np.divide(trace**2, squares, out=np.full_like(trace, 3.0), where=squares != 0)
+    bounds: Array = np.sqrt(trace * fdtri(sizes, np.minimum(freedom, MOST_FREEDOM), CONFIDENCE))
+    return bounds
+
+
+def effective_freedom(traces_mm2: ArrayLike, freedom: ArrayLike) -> Array:
+    """Return the degrees of freedom (N,) of sums of variances (Welch-Satterthwaite, GUM eq G.2b).
+
+    ``traces_mm2`` (K, N) are the sums' parts, ``freedom`` (K,) that of each estimate, infinite
+    where it is taken as known.
+    """
+    traces = np.asarray(traces_mm2, dtype=float)
+    spread = (traces**2 / np.asarray(freedom, dtype=float)[:, None]).sum(axis=0)
+    total = traces.sum(axis=0) ** 2
+    found: Array = np.divide(total, spread, out=np.full_like(total, np.inf), where=spread != 0)
+    return found
+
+
+def trace_freedom(covariance_mm2: ArrayLike, samples: int) -> float:
+    """Return the degrees of freedom of the trace of a covariance (3, 3) from ``samples`` vectors.
+
+    ``samples`` are those that count: each mean taken off costs one. The trace scatters as a chi^2
+    of ``samples (tr C)^2 / tr C^2``: each vector has one to three independent coordinates.
+    """
+    covariance = np.asarray(covariance_mm2, dtype=float)
+    squares = float(np.square(covariance).sum())
+    return samples * float(np.trace(covariance)) ** 2 / squares if squares else math.inf

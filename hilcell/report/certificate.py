@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from hilcell.report.budget import Budget
 from hilcell.report.facts import Facts
+from hilcell.report.target_budget import TargetBudget
 
 _METHOD = (
     "Position errors of the flange reflector measured by laser tracker on a grid at one station, "
@@ -27,7 +28,7 @@ class Item:
     words: str = ""
 
 
-def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
+def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> list[Item]:
     """Return the items in the standard's order."""
     inputs, cell = facts.inputs, facts.cell
     measured_air = bool(facts.log.temperatures_c())
@@ -50,7 +51,7 @@ def certificate(facts: Facts, budget: Budget | None) -> list[Item]:
         Item("7.8.2.1 m", "Results and units", "the tables of this report; lengths mm, angles °"
              + (", temperatures °C" if measured_air else "")),
         Item("7.8.2.1 n", "Deviations from the method"),
-        Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget)),
+        Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets)),
         Item("7.8.4.1 b", "Conditions", _conditions(facts)),
         Item("7.8.4.1 c", "Measured with", _measured_with(facts)),
         Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
@@ -96,13 +97,17 @@ def _dates(facts: Facts) -> str:
     return first if first == last else f"{first} to {last}"
 
 
-def _uncertainty(budget: Budget | None) -> str:
+def _uncertainty(budget: Budget | None, targets: TargetBudget) -> str:
     if budget is None:
         return "not evaluated: this run measured no position in {W}"
-    words = f"U = {budget.measurement_U_mm:.4f} mm for one coordinate of a measured position"
-    if budget.target:
-        words += f", U = {budget.target_U_mm:.4f} mm for one coordinate of a corrected target"
-    return words + "; k = 2, about 95 % (JCGM 100:2008)"
+    words = f"U = {budget.U_mm:.4f} mm for one coordinate of a measured position, k = 2, about 95 %"
+    if not targets.missing:
+        radii_mm = targets.in_use[targets.worst].radii_mm
+        words += (
+            f"; 3D error of a corrected target within {radii_mm.mean():.3f} mm in the mean, "
+            f"{radii_mm.max():.3f} mm at most, 95 % bounds at {targets.worst}"
+        )
+    return words + " (JCGM 100:2008)"
 
 
 def _conditions(facts: Facts) -> str:

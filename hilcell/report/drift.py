@@ -8,13 +8,13 @@ multiplies; without it every station seems to have turned.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from hilcell.calibration.errors import visits_mm
+from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, world_covariance
 from hilcell.calibration.frames import grid_errors_mm, grid_of, vertex_ids
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import (
@@ -26,13 +26,11 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
-from hilcell.geometry.statistics import lengths_mm, pooled_std_mm, reading_variances_mm2
-from hilcell.journal.log import Log, Point, positions_mm
-from hilcell.journal.point_id import PointId
+from hilcell.geometry.statistics import CONFIDENCE, lengths_mm, pooled_std_mm
+from hilcell.journal.log import Log
 from hilcell.ports import Array
 from hilcell.report.budget import budget_of
 
-CONFIDENCE = 0.95
 Verdict = Literal["within", "beyond", ""]
 
 
@@ -81,7 +79,7 @@ class Side:
 def side_of(log: Log) -> Side:
     """Return a run as one side of a comparison."""
     budget = budget_of(log)
-    return Side(log, budget.measurement_u_mm if budget is not None else None)
+    return Side(log, budget.u_mm if budget is not None else None)
 
 
 def frame_changes(first: Side, second: Side) -> list[Change]:
@@ -124,12 +122,10 @@ def _frame_limits(first: Side, second: Side, key: str) -> tuple[float | None, fl
 def _frame_covariance(side: Side, key: str) -> Array | None:
     """Return the covariance (6, 6) of a frame in {W}: its own, {W}'s, the budget's, the strip's."""
     log, u_mm = side.log, side.u_mm
-    nests = [log.find(PointId("world", nest=nest.name)) for nest in log.cell.layout.floor[:3]]
-    floor = [nest for nest in nests if nest is not None]
-    if u_mm is None or len(floor) < len(nests):
+    if u_mm is None or len(floor_points(log)) < FLOOR_NESTS:
         return None
     covariance: Array = np.array(log.frames[key]["covariance"], dtype=float)
-    covariance += _world_covariance(log, floor, log.matrix(key)[:3, 3])
+    covariance += world_covariance(log, log.matrix(key)[:3, 3])
     along = np.array(log.cell.layout.rail_direction)
     covariance[:3, :3] += np.outer(along, along) * log.cell.rail.strip_tolerance_mm**2 / 3
     if key == "base":
@@ -145,27 +141,6 @@ def _slide_covariance(cell: Cell, T_W_S: Array, u_mm: float) -> Array:
     in_slide_mm = apply(inverse(three_point_frame(*nests_mm[:3])), nests_mm)
     variances_mm2 = np.tile(u_mm**2 * np.eye(3), (len(nests_mm), 1, 1))
     return rigid_fit(in_slide_mm, apply(T_W_S, in_slide_mm), weights=variances_mm2).covariance
-
-
-def _world_covariance(log: Log, nests: Sequence[Point], at_mm: Array) -> Array:
-    """Return the covariance (6, 6) that the noise of three floor nests gives a frame at ``at_mm``.
-
-    {W} is spanned by three nests (eqs 14-16), so each coordinate of each is moved by its own
-    standard deviation.
-    """
-    measured_mm = positions_mm(nests)
-    std_mm = np.sqrt(reading_variances_mm2([p.std_mm for p in nests], [p.samples for p in nests]))
-    T_W_L = log.matrix("world")
-    as_built, at_tracker_mm = three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
-    covariance: Array = np.zeros((6, 6))
-    for place in np.ndindex(measured_mm.shape):
-        other_mm = measured_mm.copy()
-        other_mm[place] += std_mm[place]
-        T = T_W_L @ as_built @ inverse(three_point_frame(*other_mm))
-        turn = (T[:3, :3] @ T_W_L[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
-        moved = np.concatenate([apply(T, at_tracker_mm)[0] - at_mm, turn])
-        covariance += np.outer(moved, moved)
-    return covariance
 
 
 def grid_drift(first: Side, second: Side) -> GridDrift | None:

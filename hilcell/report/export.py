@@ -25,6 +25,7 @@ from hilcell.report import tables
 from hilcell.report.columns import Column, T, Value
 from hilcell.report.facts import Facts
 from hilcell.report.tables import Posed
+from hilcell.report.target_budget import target_budget
 
 Row = list[Value]
 
@@ -32,7 +33,8 @@ Row = list[Value]
 @dataclass(frozen=True, slots=True)
 class Measured:
     """A point and the record that wrote it, and as far as they are known: its place and its error
-    e = actual - nominal (3,) in {W}, the robot's pose as x, y, z, A, B, C (6,) in {B}.
+    e = actual - nominal (3,) in {W}, the robot's pose as x, y, z, A, B, C (6,) in {B}, the
+    95 % bound of the error of a corrected target.
     """
 
     record: Record
@@ -40,6 +42,7 @@ class Measured:
     world_mm: Array | None
     error_mm: Array | None
     zyx: Array | None
+    bound_mm: float | None
 
     @property
     def settled_s(self) -> float | None:
@@ -50,6 +53,13 @@ class Measured:
     def norm_mm(self) -> float | None:
         """Return the length of the error."""
         return None if self.error_mm is None else float(np.linalg.norm(self.error_mm))
+
+    @property
+    def inside(self) -> str | None:
+        """Return whether the error keeps its bound, as yes or no."""
+        if self.bound_mm is None or self.norm_mm is None:
+            return None
+        return _yes(self.norm_mm <= self.bound_mm)
 
 
 def _plain(*names: str, unit: str = "") -> Iterator[Column[Measured]]:
@@ -106,6 +116,8 @@ POINTS: tuple[Column[Measured], ...] = (
     *_vector("pose_", "abc", "°", "zyx", first=3),
     *(Column(f"{name}_age", _age(name), "s") for name in ("tracker", "rail", "robot")),
     Column("settled", attrgetter("settled_s"), "s"),
+    Column("bound95", attrgetter("bound_mm"), "mm"),
+    Column("inside", attrgetter("inside")),
 )
 FRAMES: tuple[Column[Posed], ...] = (
     *tables.FRAMES,
@@ -117,15 +129,21 @@ def points(facts: Facts) -> list[Measured]:
     """Return every point, first measured first."""
     wrote = {record.key: record for record in facts.records if record.kind == "point"}
     world = facts.log.matrix("world") if "world" in facts.log.frames else None
-    return [_measured(wrote[key], point, world) for key, point in facts.log.points.items()]
+    bounds_mm = target_budget(facts.log, facts.run).points_mm
+    return [
+        _measured(wrote[key], point, world, bounds_mm.get(key))
+        for key, point in facts.log.points.items()
+    ]
 
 
-def _measured(record: Record, point: Point, world: Array | None) -> Measured:
+def _measured(
+    record: Record, point: Point, world: Array | None, bound_mm: float | None
+) -> Measured:
     world_mm = None if world is None else apply(world, np.array([point.xyz_mm]))[0]
     known = world_mm is not None and point.nominal_mm is not None
     error_mm = world_mm - np.array(point.nominal_mm) if known else None
     pose = None if point.pose is None else zyx_from_pose(np.array(point.pose))
-    return Measured(record, point, world_mm, error_mm, pose)
+    return Measured(record, point, world_mm, error_mm, pose, bound_mm)
 
 
 def _keys(columns: Sequence[Column[Any]]) -> list[str]:

@@ -15,6 +15,7 @@ from hilcell.report.certificate import certificate, title
 from hilcell.report.columns import present
 from hilcell.report.facts import Facts
 from hilcell.report.figures import drawings
+from hilcell.report.target_budget import target_budget, target_sheets
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -33,7 +34,7 @@ class Headline:
 
 def report_html(facts: Facts) -> str:
     """Return the report of a run, the same from the same journal."""
-    budget = budget_of(facts.log)
+    budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
     kind, words = standing(facts)
     return (
         _environment()
@@ -48,7 +49,7 @@ def report_html(facts: Facts) -> str:
             controls=len(facts.log.select("control")),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             headlines=headlines(facts),
-            certificate=certificate(facts, budget),
+            certificate=certificate(facts, budget, targets),
             result_sheets=present(
                 tables.accuracy(facts), tables.paper_rows(facts), tables.verdicts(facts)
             ),
@@ -59,6 +60,8 @@ def report_html(facts: Facts) -> str:
             ),
             budget=budget,
             budget_sheets=tables.budget_sheets(budget) if budget else [],
+            targets=targets,
+            target_sheets=target_sheets(targets),
             record_sheets=present(
                 tables.devices(facts),
                 tables.conditions(facts),

@@ -306,17 +306,9 @@ CONTRIBUTIONS: tuple[Column[Contribution | Sum], ...] = (
 
 
 def budget_sheets(budget: Budget) -> list[Sheet]:
-    """Return the budget's tables: estimate, distribution, standard uncertainty, and the sums."""
-    parts = (
-        ("A measured position", budget.measurement, budget.measurement_u_mm,
-         budget.measurement_U_mm),
-        ("A corrected target, besides", budget.target, budget.target_u_mm, budget.target_U_mm),
-    )  # fmt: skip
-    found = []
-    for title, lines, u_mm, expanded_mm in parts:
-        rows: list[Contribution | Sum] = [*lines, *_sums(u_mm, expanded_mm)]
-        found += [sheet(title, CONTRIBUTIONS, rows)] if lines else []
-    return present(*found)
+    """Return the budget's table: estimate, distribution, standard uncertainty, and the sums."""
+    rows: list[Contribution | Sum] = [*budget.lines, *_sums(budget.u_mm, budget.U_mm)]
+    return present(sheet("A measured position", CONTRIBUTIONS, rows, "Of one coordinate."))
 
 
 def _sums(u_mm: float, expanded_mm: float) -> tuple[Sum, Sum]:

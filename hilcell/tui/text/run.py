@@ -127,7 +127,7 @@ def short(name: str) -> str:
 
 
 def step(view: RunView, width: int) -> Content:
-    """Return element 3: the current step with its count, and the next."""
+    """Return element 3: the current step with its count, and the next; in the end the bounds."""
     plan, now = view.log.plan, view.step
     if plan is None or not now:
         return Content.styled("step: none yet", "$dim")
@@ -136,6 +136,9 @@ def step(view: RunView, width: int) -> Content:
     planned = plan.steps[number - 1]["points"] if number <= len(plan.steps) else 0
     if planned:
         head += f": {min(len(view.measured.get(number, ())), planned)}/{planned}"
+    found = coverage(view)
+    if found.plain:
+        return justified(Content(head), found, width)
     if view.last is not None:
         place = f" at {view.last.station}" if view.last.station else ""
         head += f", last {view.last.key}{place}"
@@ -243,9 +246,33 @@ class _Mean(msgspec.Struct):
     mean: float
 
 
+class _Bounds(msgspec.Struct):
+    coverage: float
+    mean_mm: float
+
+
 class _Place(msgspec.Struct):
     before: _Mean
     chosen: _Mean
+    bounds: _Bounds | None = None
+
+
+def _validated(view: RunView) -> dict[str, _Place]:
+    """Return the places of a finished validation; nothing of another procedure's result."""
+    found = (view.log.end or {}).get("result", {}).get("validation", {})
+    try:
+        return msgspec.convert(found, dict[str, _Place])
+    except msgspec.ValidationError:
+        return {}
+
+
+def coverage(view: RunView) -> Content:
+    """Return the mean 95 % bound of corrected targets, and how many errors were inside theirs."""
+    for name, place in _validated(view).items():
+        if place.bounds is not None:
+            bound, share = place.bounds.mean_mm, 100 * place.bounds.coverage
+            return Content.styled(f"{name}: 95 % bound {bound:.3f} mm, {share:.0f} % in", "$dim")
+    return Content("")
 
 
 def result(view: RunView, width: int) -> Content:
@@ -253,11 +280,7 @@ def result(view: RunView, width: int) -> Content:
 
     Where it is out of tolerance, the worst place comes first.
     """
-    found = (view.log.end or {}).get("result", {}).get("validation", {})
-    try:
-        places = msgspec.convert(found, dict[str, _Place])
-    except msgspec.ValidationError:  # another procedure's result
-        return Content("")
+    places = _validated(view)
     bad = view.state == "intolerant"
     verdict = "out of tolerance" if bad else "in tolerance"
     line = f"{verdict}: mean |e| mm" if places else ""

@@ -17,6 +17,7 @@ from hilcell.calibration.form import (
     StationEntry,
     Validity,
 )
+from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, Uncertainty, motion
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.measured import Measured
@@ -37,6 +38,7 @@ def field_mm(size_mm: float) -> Any:
 
 
 READINGS_MM2 = 0.005**2 * np.eye(3)
+REPEATABILITY_MM = 0.02
 
 
 def measured(size_mm: float = 1.2) -> Measured:
@@ -63,6 +65,15 @@ def calibration(
         ["grid/0-0-0"],
         {"idw": {"mean": 0.2, "p95": 0.4, "max": 0.5}},
     )
+    uncertainty = Uncertainty(
+        [
+            Influence("Robot repeatability", MEASURED, "visits", "4.2.4", "base",
+                      motion(REPEATABILITY_MM**2), freedom=60.0),
+            Influence("SMR centring", ASSUMED, "limit", "4.3.7", "world", motion(0.007**2),
+                      counts="in use"),
+        ],
+        {"S1100": []}, 10e-6, 4.0,
+    )  # fmt: skip
     high_mm = LOW_MM + PITCH_MM * (np.array(SHAPE) - 1)
     entry = StationEntry(T_W_B.tolist(), np.eye(4).tolist(), np.eye(6).tolist(), 0.01, 1100.0)
     values = {
@@ -80,5 +91,6 @@ def calibration(
         "pitch_mm": PITCH_MM,
         "grid_errors_mm": field_mm(size_mm).tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured(size_mm)).parameters()),
+        "uncertainty": uncertainty,
     }
     return msgspec.convert(msgspec.to_builtins(values), Calibration)

@@ -133,6 +133,18 @@ def put(path: str, value: Any) -> Callable[[Any], None]:
         ("stations.S1100.covariance", [[1.0]], "S1100.covariance: wanted 6 x 6"),
         ("stations.S1100.tool_uncertainty_mm", -1.0, "tool_uncertainty_mm: -1, wanted 0 .. 100"),
         ("stations.S1100.strip_mm", 1e7, "strip_mm: 1e+07 mm"),
+        (
+            "uncertainty.lines.0.covariance",
+            [[1.0]],
+            "Robot repeatability: wanted a covariance of 7",
+        ),
+        ("uncertainty.lines.0.covariance.0.0", -1e-9, "Robot repeatability: wanted a covariance"),
+        ("uncertainty.lines.0.covariance.0.1", 1e-9, "Robot repeatability: wanted a covariance"),
+        ("uncertainty.lines.0.covariance.0.0", 1e308, "Robot repeatability: wanted a covariance"),
+        ("uncertainty.lines.1.origin_mm", (0.0, 1e9, 0.0), "SMR centring: origin_mm: 1e+09 mm"),
+        ("uncertainty.lines.0.freedom", 0.0, "Robot repeatability: freedom 0, wanted above 0"),
+        ("uncertainty.growth_per_k", -1.0, "uncertainty.growth_per_k: -1, wanted 0 .. 100"),
+        ("uncertainty.stations", {"S7": []}, "uncertainty.stations: of S7, wanted the same"),
     ],
 )
 def test_sealed_nonsense_is_refused(tmp_path: Path, path: str, value: Any, says: str) -> None:

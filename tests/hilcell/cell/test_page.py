@@ -32,6 +32,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[plan]": cell.PlanTable,
     "[settle]": cell.SettleTable,
     "[[keep_out]]": cell.KeepOut,
+    "[uncertainty]": cell.UncertaintyTable,
     "[campaign]": cell.CampaignTable,
     "[simulation]": cell.SimulationTable,
 }

@@ -1,13 +1,17 @@
 """`compensate` as a command, in this process: lists of targets, and programs of any format."""
 
+import csv
+import re
 import sys
 from collections.abc import Iterator
 from importlib import invalidate_caches
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.file import write_calibration
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import read_targets, write_targets
@@ -17,6 +21,7 @@ from tests.hilcell.commands.workplace import Workplace
 from tests.hilcell.compensation.models import level
 
 TARGETS = np.array([[0.0, 0, 1200, 0, 75, 0], [0.0, 50, 1250, 0, 75, 0]])
+BOUNDS = r"95 % bounds of the corrected targets: median 0\.\d{3} mm, largest 0\.\d{3} mm at H[12].*"
 
 
 @pytest.fixture
@@ -38,9 +43,9 @@ def test_a_corrected_list_arrives(desk: Workplace, capsys: pytest.CaptureFixture
     assert np.abs(command[:, :3] - TARGETS[:, :3]).max() > 0.3
     np.testing.assert_allclose(arrived_mm(command[:, :3]), TARGETS[:, :3], atol=2e-3)
     reported = capsys.readouterr()
-    assert (reported.out, reported.err) == (
-        "", f"2 targets corrected for S1100 into {desk.out}\n"
-    )  # fmt: skip
+    corrected, bounds = reported.err.splitlines()
+    assert (reported.out, corrected) == ("", f"2 targets corrected for S1100 into {desk.out}")
+    assert re.fullmatch(BOUNDS, bounds)
 
 
 def test_simulated_is_warned_of(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
@@ -49,12 +54,77 @@ def test_simulated_is_warned_of(desk: Workplace, capsys: pytest.CaptureFixture[s
     assert "SIMULATED: run 20261101" in capsys.readouterr().err
 
 
+def test_bounds_are_written_beside_the_targets(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bounds = desk.folder / "bounds.csv"
+    assert desk.compensate("--bounds", str(bounds)) == 0
+    rows = list(csv.DictReader(bounds.read_text().splitlines()))
+    assert [row["name"] for row in rows] == ["H1", "H2"]
+    wide = [float(row["bound95_mm"]) for row in rows]
+    assert f"largest {max(wide):.3f} mm" in capsys.readouterr().err
+    for row, bound in zip(rows, wide, strict=True):
+        u = np.array([float(row[f"u_{axis}_mm"]) for axis in "xyz"])
+        assert 1.9 * np.linalg.norm(u) > bound > 1.6 * np.linalg.norm(u)  # 1.61 of a sphere
+    names, _ = read_targets(desk.out)
+    assert names == ["H1", "H2"]
+    assert desk.compensate("--bounds", str(bounds), "--temperature", "22.5") == 0
+    narrow = [float(r["bound95_mm"]) for r in csv.DictReader(bounds.read_text().splitlines())]
+    assert all(here < anywhere for here, anywhere in zip(narrow, wide, strict=True))
+
+
+@pytest.mark.parametrize("name", ["out.csv", "targets.csv", "calibration.json"])
+def test_bounds_replace_no_other_file(
+    desk: Workplace, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    before = {file: (desk.folder / file).read_bytes() for file in desk.files}
+    assert desk.compensate("--bounds", str(desk.folder / name)) == 2
+    assert name in capsys.readouterr().err
+    assert {file: (desk.folder / file).read_bytes() for file in desk.files} == before
+
+
+def test_bounds_that_cannot_be_stated(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
+    """Targets are corrected without; asked for, bounds are refused before anything is written."""
+    old = msgspec.structs.replace(calibration(), uncertainty=None)
+    write_calibration(old, desk.folder / "calibration.json")
+    bounds = desk.folder / "bounds.csv"
+    assert desk.compensate("--bounds", str(bounds)) == 2
+    assert desk.files == ["calibration.json", "targets.csv"]
+    assert desk.compensate() == 0
+    told = capsys.readouterr().err
+    assert told.count("no 95 % bounds of corrected targets: the calibration of run 2026") == 2
+
+
+@pytest.mark.parametrize("days", ["-1", "nan", "inf", "soon"])
+def test_an_age_is_a_number_of_days(
+    desk: Workplace, capsys: pytest.CaptureFixture[str], days: str
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        desk.compensate("--max-age", days)
+    assert "days, 0 or more, are wanted" in capsys.readouterr().err
+
+
+def test_a_program_of_no_known_format_is_named(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = desk.folder / "drill.MOD"
+    source.write_text("MODULE drill\n")
+    assert desk.compensate(source=source) == 2
+    told = capsys.readouterr().err
+    assert "header must be" in told
+    assert "no format of programs is installed for .mod (installed: .src)" in told
+    table = desk.folder / "drill.csv"
+    table.write_text("MODULE drill\n")
+    assert desk.compensate(source=table) == 2
+    assert "format" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "part"),
     [
         (("--temperature", "40"), "40.0 C is not within 2 K"),
         (("--cell", "paper"), "another cell"),
-        (("--max-age", "-1"), "days ago, wanted <= -1 days"),
+        (("--max-age", "0"), "days ago, wanted <= 0 days"),
         (("--station", "S7"), "station 'S7' is not calibrated"),
     ],
 )
@@ -198,11 +268,21 @@ def test_a_second_make_s_programs_need_its_own_files_only(
     rows = [line.split() for line in out.read_text().splitlines()]
     command = np.array([row[1:] for row in rows], dtype=float)
     np.testing.assert_allclose(arrived_mm(command[:, :3]), TARGETS[:, :3], atol=2e-3)
-    assert capsys.readouterr().err.splitlines() == [
+    *reported, bounds = capsys.readouterr().err.splitlines()
+    assert reported == [
         "drill.POSES: wrists were not checked; --cell CELL does",
         "drill.POSES: poses are in the frame of the plant",
         f"2 targets corrected for S1100 into {out}",
     ]
+    assert re.fullmatch(BOUNDS, bounds)
+
+
+def test_a_program_is_not_named_like_a_list(
+    plant: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert plant.compensate(out=plant.folder / "out.csv") == 2
+    assert "name it out or out.POSES" in capsys.readouterr().err
+    assert not any(name.startswith("out") for name in plant.files)
 
 
 def test_a_second_make_refuses_in_its_own_words(

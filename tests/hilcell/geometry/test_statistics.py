@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from hilcell.geometry.statistics import (
+    bounds95_mm,
+    effective_freedom,
     figures_of,
     from_mean_mm,
     lengths_mm,
@@ -13,6 +15,7 @@ from hilcell.geometry.statistics import (
     reading_variances_mm2,
     repeatability_mm,
     rms,
+    trace_freedom,
     variance_of_mean,
 )
 
@@ -61,3 +64,58 @@ def test_pooled_std_is_the_truth_on_the_average() -> None:
     rng = np.random.default_rng(5)
     clouds = [rng.normal(scale=0.02, size=(10, 3)) + place for place in range(200)]
     assert pooled_std_mm(clouds) == pytest.approx(0.02, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("variances", "bound"),
+    [
+        ((1, 1, 1), math.sqrt(7.814728)),  # chi^2 of three degrees of freedom
+        ((4, 4, 0), 2 * math.sqrt(5.991465)),  # of two
+        ((0, 9, 0), 3 * math.sqrt(3.841459)),  # of one
+        ((0, 0, 0), 0.0),
+    ],
+)
+def test_bounds_of_equal_variances_are_those_of_chi2(
+    variances: tuple[float, ...], bound: float
+) -> None:
+    rotation = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    covariance = rotation @ np.diag(np.array(variances, dtype=float)) @ rotation.T
+    np.testing.assert_allclose(bounds95_mm(covariance[None]), [bound], rtol=1e-5)
+
+
+def test_the_bound_of_a_sphere_is_1_40_of_twice_the_standard_deviation() -> None:
+    assert bounds95_mm(np.eye(3)[None])[0] / 2 == pytest.approx(1.398, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    "sizes", [(1, 0.7, 0.4), (1, 0.5, 0), (1, 0.3, 0.3), (1, 0.1, 0.1), (1, 0.9, 0.1), (1, 0.2, 0)]
+)
+def test_bounds_cover_95_percent_of_drawn_errors(sizes: tuple[float, ...]) -> None:
+    sigmas = np.array(sizes)
+    drawn = np.linalg.norm(np.random.default_rng(2).standard_normal((200_000, 3)) * sigmas, axis=1)
+    found = bounds95_mm(np.diag(sigmas**2)[None])[0]
+    assert found == pytest.approx(np.quantile(drawn, 0.95), rel=0.015)
+    assert 0.945 <= np.mean(drawn <= found) <= 0.955
+
+
+def test_bounds_of_estimated_covariances_cover_as_much() -> None:
+    """Each trial estimates the covariance from twelve vectors, and draws one error."""
+    rng, sigmas, samples = np.random.default_rng(3), np.array([1.0, 0.6, 0.3]), 12
+    vectors = rng.standard_normal((20_000, samples, 3)) * sigmas
+    covariances = np.einsum("tsi,tsj->tij", vectors, vectors) / samples
+    errors = lengths_mm(rng.standard_normal((len(vectors), 3)) * sigmas)
+    freedom = [trace_freedom(each, samples) for each in covariances]
+    assert 0.942 <= np.mean(errors <= bounds95_mm(covariances, freedom)) <= 0.958
+    assert np.mean(errors <= bounds95_mm(covariances)) < 0.94
+
+
+def test_a_bound_of_nan_is_none() -> None:
+    assert np.isnan(bounds95_mm(np.full((1, 3, 3), np.nan))[0])
+
+
+def test_degrees_of_freedom_of_a_sum() -> None:
+    assert trace_freedom(np.eye(3), 10) == pytest.approx(30)
+    assert trace_freedom(np.diag([1.0, 0, 0]), 10) == pytest.approx(10)
+    assert trace_freedom(np.zeros((3, 3)), 10) == math.inf
+    found = effective_freedom([[4.0, 0.0, 2.0], [4.0, 0.0, 2.0]], [4, math.inf])
+    np.testing.assert_allclose(found, [16.0, math.inf, 16.0])  # 8^2 / (4^2 / 4)

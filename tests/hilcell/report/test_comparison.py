@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.frame_covariance import world_covariance
 from hilcell.commands.compare import _print, compare
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, three_point_frame
@@ -17,7 +18,7 @@ from hilcell.journal.journal import Journal, Record, StorageError, read_journal
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import JOURNAL
 from hilcell.report.comparison import Comparison, Setting, compare_runs
-from hilcell.report.drift import Change, _world_covariance, length_factor
+from hilcell.report.drift import Change, length_factor
 from hilcell.run.control import Control
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.test_control import Recorder
@@ -390,11 +391,15 @@ def test_limits_hold_for_95_of_100_lengths(count: int) -> None:
     assert share == pytest.approx(0.95, abs=0.006)
 
 
-def test_the_worlds_noise_is_what_chance_makes_of_it(first: Log) -> None:
+def test_the_worlds_noise_is_what_chance_makes_of_it(
+    first: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rng = np.random.default_rng(3)
     floor = [first.points[f"world/{nest.name}"] for nest in first.cell.layout.floor[:3]]
     std_mm = (0.02, 0.05, 0.03)
     floor = [msgspec.structs.replace(each, std_mm=std_mm, samples=4) for each in floor]
+    for each in floor:
+        monkeypatch.setitem(first.points, each.key, each)
     T_W_L, at_mm = first.matrix("world"), first.matrix("station.S1900")[:3, 3]
     seen_mm = apply(inverse(T_W_L), at_mm[None])
     measured_mm = positions_mm(floor)
@@ -404,7 +409,7 @@ def test_the_worlds_noise_is_what_chance_makes_of_it(first: Log) -> None:
         T = T_W_L @ three_point_frame(*measured_mm) @ inverse(three_point_frame(*other_mm))
         R = T[:3, :3] @ T_W_L[:3, :3].T
         moves.append([*(apply(T, seen_mm)[0] - at_mm), R[2, 1], R[0, 2], R[1, 0]])
-    predicted = _world_covariance(first, floor, at_mm)
+    predicted = world_covariance(first, at_mm)
     scale = np.sqrt(np.diag(predicted))
     found = np.cov(np.array(moves).T) / np.outer(scale, scale)
     assert np.allclose(found, predicted / np.outer(scale, scale), atol=0.08)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.report.budget import AIR_RANGE_K, STEEL_EXPANSION_PER_K, budget_of
+from hilcell.report.budget import STEEL_EXPANSION_PER_K, budget_of
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts
 from hilcell.report.html import report_html
@@ -37,10 +37,10 @@ def test_the_report_says_so(facts: Facts) -> None:
 def test_the_budget_assumes_a_range(facts: Facts) -> None:
     budget = budget_of(facts.log)
     assert budget is not None
-    (thermal,) = (each for each in budget.measurement if each.name == "Thermal expansion")
+    (thermal,) = (each for each in budget.lines if each.name == "Thermal expansion")
     assert thermal.source == "stated assumption"
     assert "range 4.00 K assumed: no weather station" in thermal.how
-    assert thermal.estimate_mm >= 900.0 * STEEL_EXPANSION_PER_K * AIR_RANGE_K / 2
+    assert thermal.estimate_mm >= 900.0 * STEEL_EXPANSION_PER_K * 4.0 / 2
 
 
 def test_exports_leave_it_blank(facts: Facts) -> None:

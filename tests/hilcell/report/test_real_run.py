@@ -61,7 +61,14 @@ def test_it_holds_every_figure_of_a_calibration_and_is_small(page: Path) -> None
         "figure-similarity"
     }
     assert page.stat().st_size <= 2_000_000
-    for words in ("B. Operator", "402871", "Model residual", "Robot repeatability", "tool point u"):
+    for words in (
+        "B. Operator",
+        "402871",
+        "Error model",
+        "Robot repeatability",
+        "tool point u",
+        "95 % bounds of corrected targets",
+    ):
         assert words in found.text
 
 

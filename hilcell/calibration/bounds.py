@@ -1,0 +1,164 @@
+"""95 % bounds of corrected targets: in use, as a calibration file states them, and as validated.
+
+Both have the same parts but for three groups: errors that grid and validation share and that so
+cannot show there ({W}, the tracker's limits, the reflector, the drill); the readings of the
+validation itself; and the temperature, allowed or measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilcell.calibration.budget import in_validation, temperature
+from hilcell.calibration.errors import errors_of
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.influence import Bounds, Influence, NoBound, Uncertainty, bounds_of
+from hilcell.geometry.frames import inverse
+from hilcell.journal.log import Log, Point
+from hilcell.ports import Array
+
+HOW = "chosen"  # the targets that the model corrected
+PLACES_PER_CELL = (0.25, 0.75)  # along each axis of a grid's cell
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Validated errors (N,) and the bounds (N,) that 95 % of them should keep."""
+
+    errors_mm: Array
+    bounds_mm: Array
+
+    def __len__(self) -> int:
+        return len(self.errors_mm)
+
+    @property
+    def inside(self) -> int:
+        """Return how many errors keep their bounds."""
+        return int(np.count_nonzero(self.errors_mm <= self.bounds_mm))
+
+    @property
+    def share(self) -> float:
+        """Return the share of errors inside their bounds."""
+        return self.inside / len(self)
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Return the share inside, mean and largest bound."""
+        return {
+            "coverage": self.share,
+            "mean_mm": float(self.bounds_mm.mean()),
+            "max_mm": float(self.bounds_mm.max()),
+        }
+
+
+def target_bounds(
+    calibration: Calibration, station: str, poses: Array, temperature_c: float | None = None
+) -> Bounds:
+    """Return the bounds of corrected targets at poses (N, 4, 4) in {W}.
+
+    ``temperature_c`` is the room's; None: any that the check of validity allows. Raises
+    `NoBound` with the reason where the file states no budget, and `OutsideGrid`.
+    """
+    stated = _stated(calibration)
+    lines = [each for each in _lines(stated, station) if each.counts != "in validation"]
+    air = temperature(
+        stated.growth_per_k, calibration.validity.temperature_c, stated.air_range_k, temperature_c
+    )
+    return _bounds(calibration, station, poses, [*lines, air])
+
+
+def cube_bounds(calibration: Calibration, station: str) -> Bounds:
+    """Return the bounds in use through the calibrated cube, in its orientation."""
+    grid = calibration.grid()
+    shares = np.array(PLACES_PER_CELL)
+    axes = [
+        low_mm + grid.pitch_mm * np.add.outer(np.arange(count - 1), shares).ravel()
+        for low_mm, count in zip(grid.origin_mm, grid.shape, strict=True)
+    ]
+    places_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    poses = _poses(calibration, places_mm)
+    return target_bounds(calibration, station, _base(calibration, station) @ poses)
+
+
+def validated(calibration: Calibration, log: Log, station: str) -> Coverage | None:
+    """Return the corrected validation points of a station; None where none was measured.
+
+    Raises `NoBound`.
+    """
+    points = validation_points(log, station)
+    if not points:
+        return None
+    found = errors_of(log, points)
+    T_W_B = _base(calibration, station)
+    in_base_mm = (found.nominal_mm - T_W_B[:3, 3]) @ T_W_B[:3, :3]
+    lines = [each for each in _lines(_stated(calibration), station) if each.counts != "in use"]
+    bounds = _bounds(
+        calibration, station, T_W_B @ _poses(calibration, in_base_mm),
+        [*lines, *in_validation(log, points)],
+    )  # fmt: skip
+    return Coverage(found.norms_mm, bounds.radii_mm)
+
+
+def validation_points(log: Log, station: str) -> list[Point]:
+    """Return the points of a station that `validated` judges, in its order."""
+    return [p for p in log.select("validate", station, how=HOW) if p.nominal_mm is not None]
+
+
+def coverages(
+    calibration: Calibration, log: Log, places: Mapping[str, Sequence[str]]
+) -> dict[str, Coverage]:
+    """Return the validation by place, each of one or several stations, as far as it was measured.
+
+    Raises `NoBound`.
+    """
+    names = {name for stations in places.values() for name in stations}
+    single = {name: validated(calibration, log, name) for name in names}
+    found = {}
+    for place, stations in places.items():
+        parts = [part for name in stations if (part := single[name]) is not None]
+        if parts:
+            found[place] = Coverage(
+                np.concatenate([part.errors_mm for part in parts]),
+                np.concatenate([part.bounds_mm for part in parts]),
+            )
+    return found
+
+
+def _stated(calibration: Calibration) -> Uncertainty:
+    if calibration.uncertainty is None:
+        raise NoBound(
+            f"the calibration of run {calibration.provenance.run} states no uncertainty, as those "
+            "of earlier versions; calibrate again"
+        )
+    if calibration.uncertainty.missing:
+        raise NoBound(calibration.uncertainty.missing)
+    return calibration.uncertainty
+
+
+def _lines(stated: Uncertainty, station: str) -> list[Influence]:
+    return [*stated.lines, *stated.stations[station]]
+
+
+def _bounds(
+    calibration: Calibration, station: str, poses: Array, lines: Sequence[Influence]
+) -> Bounds:
+    T_W_B = _base(calibration, station)
+    model_mm2 = calibration.error_model().predict(inverse(T_W_B) @ poses).covariance_mm2
+    if not np.isfinite(model_mm2).all():
+        raise NoBound(f"its error model {calibration.method} states no covariance; calibrate again")
+    return bounds_of(model_mm2, lines, T_W_B, poses)
+
+
+def _poses(calibration: Calibration, places_mm: Array) -> Array:
+    """Return poses (N, 4, 4) in {B} at places (N, 3), in the calibrated orientation."""
+    poses = np.tile(np.eye(4), (len(places_mm), 1, 1))
+    poses[:, :3, :3] = np.array(calibration.validity.orientation)
+    poses[:, :3, 3] = places_mm
+    return poses
+
+
+def _base(calibration: Calibration, station: str) -> Array:
+    return np.array(calibration.stations[station].T_W_B)

@@ -1,0 +1,254 @@
+"""The budget of a corrected target, from the run's own readings and the cell's stated limits.
+
+The base frame's own error is no line: the grid was measured in the {B} in which targets are
+corrected, so that it moves both alike and cancels, but for the tool's orientation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hilcell.calibration.errors import visits_mm
+from hilcell.calibration.frame_covariance import (
+    FLOOR_NESTS,
+    base_covariance,
+    floor_points,
+    world_covariance,
+)
+from hilcell.calibration.frames import Frames
+from hilcell.calibration.influence import (
+    ASSUMED,
+    MEASURED,
+    Influence,
+    Uncertainty,
+    motion,
+    moved_frame,
+)
+from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
+from hilcell.cell.file import Station
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.statistics import reading_variances_mm2, rms, trace_freedom
+from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.ports import Array
+
+RECTANGULAR = 3.0  # a half-width's square over the variance (GUM 4.3.7)
+NO_VISITS = "the run visited no place again, so that the robot's repeatability is not known"
+TEMPERATURE = "Temperature of the arm"
+
+
+def uncertainty_of(log: Log) -> Uncertainty:
+    """Return the lines that a run proves, and those that its cell states."""
+    if not visits_mm(log):
+        return Uncertainty(missing=NO_VISITS)
+    stated = log.cell.uncertainty
+    return Uncertainty(
+        [
+            _repeatability(log),
+            _approach(stated.reversal_limit_mm),
+            _drift(log),
+            _world(log),
+            _tracker(log),
+            _centring(stated.smr_centring_limit_mm),
+            _drill(log),
+        ],
+        {station.name: _placed(log, station) for station in log.cell.station},
+        stated.arm_growth_um_m_k * 1e-6,
+        stated.air_range_k,
+    )
+
+
+def _repeatability(log: Log) -> Influence:
+    """Return the scatter of visits in {B}, pooled over places (GUM H.3.6), less the readings'."""
+    clouds_mm = visits_mm(log)
+    R = (inverse(log.matrix("base")) @ log.matrix("world"))[:3, :3]
+    left_mm = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds_mm]) @ R.T
+    count = len(left_mm) - len(clouds_mm)
+    scatter_mm2 = left_mm.T @ left_mm / count
+    robot_mm2 = _no_less_than_nought(
+        scatter_mm2 - _mean_reading_mm2(log.select("repeatability"), R)
+    )
+    return Influence(
+        "Robot repeatability", MEASURED,
+        f"{len(left_mm)} visits of {len(clouds_mm)} places, less the readings' noise", "4.2.4",
+        "base", motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, count)),
+    )  # fmt: skip
+
+
+def _approach(limit_mm: float) -> Influence:
+    how = "programs approach from below on every axis, as the run did"
+    if limit_mm:
+        how = f"limit ±{limit_mm:g} mm, programs approach from any side"
+    return Influence(
+        "Approach direction", ASSUMED, how, "4.3.7", "base", motion(limit_mm**2 / RECTANGULAR),
+        counts="in use",
+    )  # fmt: skip
+
+
+def _drift(log: Log) -> Influence:
+    """Return how far the floor nests moved in the run, less the readings' noise."""
+    firsts = {point.id.nest: point for point in log.select("world")}
+    pairs = [(now, firsts[now.id.nest]) for now in log.select("control") if now.id.nest in firsts]
+    if not pairs:
+        limit_mm = log.cell.uncertainty.drift_limit_mm
+        how = f"limit ±{limit_mm:g} mm, the floor nests were measured once only"
+        return Influence("Drift", ASSUMED, how, "4.3.7", "world", motion(limit_mm**2 / RECTANGULAR))
+    both = [[pair[n] for pair in pairs] for n in (0, 1)]
+    noise_mm2 = sum(float(_reading_mm2(points).mean()) for points in both)
+    moved_mm = rms(positions_mm(both[0]) - positions_mm(both[1]))
+    how = f"{len(pairs)} measurements of the floor nests against the first, less the readings'"
+    variance_mm2 = max(0.0, moved_mm**2 - noise_mm2)
+    return Influence("Drift", MEASURED, how, "4.2.2", "world", motion(variance_mm2))
+
+
+def _world(log: Log) -> Influence:
+    """Return {W} as the floor nests define it: their noise and the reflector's centring."""
+    centring_mm2 = log.cell.uncertainty.smr_centring_limit_mm**2 / RECTANGULAR
+    known = len(floor_points(log)) == FLOOR_NESTS
+    covariance = world_covariance(log, np.zeros(3), centring_mm2) if known else np.zeros((6, 6))
+    return Influence(
+        "World frame", f"{MEASURED}, and {ASSUMED}",
+        "noise of the three floor nests and the reflector's centring in each, carried to the "
+        "target", "5.1.2", "world", moved_frame(covariance), counts="in use",
+    )  # fmt: skip
+
+
+def _tracker(log: Log) -> Influence:
+    """Return the tracker's limits, along and across the beam."""
+    stated = log.cell.uncertainty
+    x_mm, y_mm, z_mm = log.matrix("world")[:3, 3].tolist()
+    turn = (stated.tracker_limit_um_m * 1e-6) ** 2 / RECTANGULAR
+    how = f"limit ±{stated.tracker_limit_mm:g} mm"
+    if turn:
+        how += f", across the beam ±{stated.tracker_limit_um_m:g} µm/m besides"
+    return Influence(
+        "Tracker, systematic", ASSUMED, how, "4.3.7", "world",
+        motion(stated.tracker_limit_mm**2 / RECTANGULAR, turn), (x_mm, y_mm, z_mm),
+        counts="in use",
+    )  # fmt: skip
+
+
+def _centring(limit_mm: float) -> Influence:
+    how = f"limit ±{limit_mm:g} mm of the optics against the sphere, on the flange"
+    return Influence(
+        "SMR centring", ASSUMED, how, "4.3.7", "base", motion(limit_mm**2 / RECTANGULAR),
+        counts="in use",
+    )  # fmt: skip
+
+
+def _drill(log: Log) -> Influence:
+    """Return the drill's offset from the reflector times the tool's orientation error.
+
+    The orientation is the nominal robot's in the measured {B}, so both errors count.
+    """
+    stated = log.cell.uncertainty
+    x_mm, y_mm, z_mm = stated.drill_offset_mm
+    base_rad2 = np.array(log.frames["base"].get("covariance", np.zeros((6, 6))))[3:, 3:]
+    turn = (stated.orientation_urad * 1e-6) ** 2 + float(np.trace(base_rad2)) / 3
+    how = (
+        f"{math.hypot(x_mm, y_mm, z_mm):g} mm from the reflector, orientation "
+        f"{stated.orientation_urad:g} µrad and the base frame's own"
+    )
+    return Influence(
+        "Drill's offset", ASSUMED, how, "5.1.2", "tool", motion(0.0, turn), (-x_mm, -y_mm, -z_mm),
+        counts="in use",
+    )  # fmt: skip
+
+
+def _placed(log: Log, station: Station) -> list[Influence]:
+    """Return what placing the slide at a station costs: its frame, and the hold by the strip."""
+    x_mm, y_mm, z_mm = Frames(log.cell, log).base_in_world(station)[:3, 3].tolist()
+    carried = station.name != log.cell.grid.station
+    how = "noise of the slide nests, carried to the target"
+    frame = Influence(
+        "Station frame", MEASURED, how if carried else "the grid was measured here", "5.2.2",
+        "world", moved_frame(base_covariance(log, station)), (x_mm, y_mm, z_mm),
+    )  # fmt: skip
+    return [frame, _strip(log)]
+
+
+def _strip(log: Log) -> Influence:
+    """Return the strip's two holds, of the calibration and of the visit, along the rail."""
+    along = np.array(log.cell.layout.rail_direction)
+    again = log.select("repeat", how="strip", way="random")
+    if len(again) > 1:
+        at_mm = apply(log.matrix("world"), positions_mm(again)) @ along
+        variance_mm2, freedom = float(at_mm.var(ddof=1)), len(again) - 1
+        how, clause = f"two holds, each of the scatter of {len(again)} approaches", "4.2.2"
+    else:
+        tolerance_mm = log.cell.rail.strip_tolerance_mm
+        variance_mm2, freedom = tolerance_mm**2 / RECTANGULAR, None
+        how, clause = f"two holds, each proven within ±{tolerance_mm:g} mm", "4.3.7"
+    return Influence(
+        "Strip", MEASURED, f"{how}, along the rail", clause, "world",
+        motion(2 * variance_mm2 * np.outer(along, along)), freedom=freedom,
+    )  # fmt: skip
+
+
+def temperature(
+    growth_per_k: float, range_c: tuple[float, float] | None, air_range_k: float,
+    now_c: float | None = None,
+) -> Influence:  # fmt: skip
+    """Return the arm's growth from {B} at the temperatures that the calibration is used at.
+
+    ``range_c`` was measured while the grid was; the check of validity allows its margin more.
+    ``now_c`` is the temperature where it is known: then its distance from the middle counts.
+    """
+    rate = f"{growth_per_k * 1e6:g} µm/(m·K)"
+    if range_c is None:
+        half_k, how = air_range_k / 2, f"no weather station, ±{air_range_k / 2:g} K taken"
+    elif now_c is not None:
+        off_k = now_c - sum(range_c) / 2
+        how = f"{rate}, {off_k:+.2f} K from the grid's mean"
+        return _growth((growth_per_k * off_k) ** 2, how, "4.3.7")
+    else:
+        half_k = (range_c[1] - range_c[0]) / 2 + TEMPERATURE_MARGIN_K
+        how = f"±{half_k:.2f} K allowed: the grid's range and {TEMPERATURE_MARGIN_K:g} K more"
+    return _growth((growth_per_k * half_k) ** 2 / RECTANGULAR, f"{rate}, {how}", "4.3.7")
+
+
+def in_validation(log: Log, points: Sequence[Point]) -> list[Influence]:
+    """Return what the measured errors of validation points have besides: readings, their air."""
+    R = log.matrix("world")[:3, :3]
+    readings = Influence(
+        "Tracker, readings", MEASURED, f"scatter of the readings of {len(points)} points", "4.2.3",
+        "world", motion(_mean_reading_mm2(points, R)), counts="in validation",
+    )  # fmt: skip
+    grid_c, found_c = (
+        [p.temperature_c for p in group if p.temperature_c is not None]
+        for group in (log.select("grid"), points)
+    )
+    if not (grid_c and found_c):
+        return [readings]
+    off_k = rms(np.array(found_c) - np.mean(grid_c))
+    growth_per_k = log.cell.uncertainty.arm_growth_um_m_k * 1e-6
+    how = f"{growth_per_k * 1e6:g} µm/(m·K), {off_k:.2f} K from the grid's mean"
+    return [readings, _growth((growth_per_k * off_k) ** 2, how, "4.2.2")]
+
+
+def _growth(variance: float, how: str, clause: str) -> Influence:
+    return Influence(TEMPERATURE, f"{MEASURED}, and {ASSUMED}", how, clause, "base",
+                     motion(growth=variance))  # fmt: skip
+
+
+def _reading_mm2(points: Sequence[Point]) -> Array:
+    return reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
+
+
+def _mean_reading_mm2(points: Sequence[Point], R: Array) -> Array:
+    """Return the mean covariance (3, 3) of averaged readings, turned by ``R`` (3, 3)."""
+    turned: Array = R @ np.diag(_reading_mm2(points).mean(axis=0)) @ R.T
+    return turned
+
+
+def _no_less_than_nought(covariance: Array) -> Array:
+    """Return the nearest covariance without negative variances."""
+    values, axes = np.linalg.eigh(covariance)
+    found: Array = (axes * np.maximum(values, 0.0)) @ axes.T
+    return found
+
+
+def _finite(freedom: float) -> float | None:
+    return freedom if math.isfinite(freedom) else None

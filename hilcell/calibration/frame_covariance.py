@@ -1,0 +1,66 @@
+"""How well a run knows its frames: covariances (6, 6) of {W} and of {B} at a station.
+
+Each is that of the shift of the frame's origin (mm) and of a rotation vector about it (rad), with
+the axes of {W}, as in `hilcell.geometry.frames`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hilcell.calibration.frames import Frames
+from hilcell.cell.file import Station
+from hilcell.geometry.frames import apply, cross_matrix, inverse, three_point_frame
+from hilcell.geometry.statistics import reading_variances_mm2
+from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array
+
+FLOOR_NESTS = 3  # that define {W}
+
+
+def floor_points(log: Log) -> list[Point]:
+    """Return the points of the three floor nests that define {W}, as far as they were measured."""
+    nests = [
+        log.find(PointId("world", nest=nest.name)) for nest in log.cell.layout.floor[:FLOOR_NESTS]
+    ]
+    return [nest for nest in nests if nest is not None]
+
+
+def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array:
+    """Return the covariance that the noise of the floor nests gives a frame at ``at_mm`` (3,).
+
+    {W} is spanned by three nests (eqs 14-16), so each coordinate of each is moved by its own
+    standard deviation. ``centring_mm2`` is the variance of each besides its reading's.
+    """
+    nests = floor_points(log)
+    measured_mm = positions_mm(nests)
+    readings_mm2 = reading_variances_mm2([p.std_mm for p in nests], [p.samples for p in nests])
+    std_mm = np.sqrt(readings_mm2 + centring_mm2)
+    T_W_L = log.matrix("world")
+    as_built, at_tracker_mm = three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
+    covariance: Array = np.zeros((6, 6))
+    for place in np.ndindex(measured_mm.shape):
+        other_mm = measured_mm.copy()
+        other_mm[place] += std_mm[place]
+        T = T_W_L @ as_built @ inverse(three_point_frame(*other_mm))
+        turn = (T[:3, :3] @ T_W_L[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
+        moved = np.concatenate([apply(T, at_tracker_mm)[0] - at_mm, turn])
+        covariance += np.outer(moved, moved)
+    return covariance
+
+
+def base_covariance(log: Log, station: Station) -> Array:
+    """Return the covariance of {B} at ``station`` as it was carried there from the grid's station.
+
+    Nothing is carried at the grid's own: the grid's errors stand in the {B} measured there, and
+    an error of that {B} moves grid and targets alike.
+    """
+    if station.name == log.cell.grid.station:
+        return np.zeros((6, 6))
+    key = f"station.{station.name}"
+    lever_mm = Frames(log.cell, log).base_in_world(station)[:3, 3] - log.matrix(key)[:3, 3]
+    shift = np.eye(6)
+    shift[:3, 3:] = -cross_matrix(lever_mm)
+    covariance: Array = shift @ np.array(log.frames[key]["covariance"], dtype=float) @ shift.T
+    return covariance

@@ -1,0 +1,166 @@
+"""Influences that move a corrected target from its place: each is a line of its budget (GUM).
+
+An influence is a small random motion of a frame: a shift, a rotation about an origin and a growth
+from it, with one covariance. So a single form holds for scatter that is the same everywhere, for
+frames whose rotation counts by its lever, for an arm that grows and for a beam that turns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from hilcell.geometry.frames import cross_matrix
+from hilcell.geometry.statistics import bounds95_mm, effective_freedom
+from hilcell.ports import Array, HilcellError
+
+MEASURED, ASSUMED = "measured in this run", "stated assumption"
+MODEL = "Error model"
+SIZE = 7  # shift, rotation, growth
+
+Frame = Literal["world", "base", "tool"]
+Counts = Literal["always", "in use", "in validation"]
+
+
+class Influence(msgspec.Struct, frozen=True):
+    """One line: its name, source, how it was found and the clause of the GUM.
+
+    ``covariance`` (7, 7) is that of shift (3,) in mm, rotation vector (3,) in rad and growth
+    (ratio of lengths) about ``origin_mm``, with the axes of ``frame``: {W}, {B} of the station, or
+    {T} of the target. ``freedom`` are the degrees of freedom of its estimate, None where it is
+    taken as known. It may count for targets in use or in the run's validation alone.
+    """
+
+    name: str
+    source: str
+    how: str
+    clause: str
+    frame: Frame
+    covariance: list[list[float]]
+    origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    freedom: float | None = None
+    counts: Counts = "always"
+
+    def at(self, frames: Array, targets_mm: Array) -> Array:
+        """Return the covariances (N, 3, 3) in {W} at targets (N, 3) in {W}.
+
+        ``frames`` (4, 4) or (N, 4, 4) is the influence's own frame in {W}.
+        """
+        T = np.broadcast_to(frames, (len(targets_mm), 4, 4))
+        R = T[:, :3, :3]
+        levers = np.einsum("nji,nj->ni", R, targets_mm - T[:, :3, 3]) - np.array(self.origin_mm)
+        shifts = np.broadcast_to(np.eye(3), R.shape)
+        J = R @ np.concatenate([shifts, -cross_matrix(levers), levers[:, :, None]], axis=-1)
+        found: Array = J @ np.array(self.covariance) @ np.swapaxes(J, -1, -2)
+        return found
+
+
+def motion(
+    shift_mm2: Array | float = 0.0, turn_rad2: Array | float = 0.0, growth: float = 0.0
+) -> list[list[float]]:
+    """Return the covariance (7, 7) of independent parts: (3, 3) or the same for each axis."""
+    covariance = np.zeros((SIZE, SIZE))
+    covariance[:3, :3] = shift_mm2 * np.eye(3) if np.ndim(shift_mm2) == 0 else shift_mm2
+    covariance[3:6, 3:6] = turn_rad2 * np.eye(3) if np.ndim(turn_rad2) == 0 else turn_rad2
+    covariance[6, 6] = growth
+    found: list[list[float]] = covariance.tolist()
+    return found
+
+
+def moved_frame(covariance: Array) -> list[list[float]]:
+    """Return the covariance (7, 7) of a frame's (6, 6)."""
+    whole = np.zeros((SIZE, SIZE))
+    whole[:6, :6] = covariance
+    found: list[list[float]] = whole.tolist()
+    return found
+
+
+class NoBound(HilcellError):
+    """No bound can be stated; ``reason`` says why."""
+
+    code = "HC-C21"
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(f"no 95 % bounds of corrected targets: {reason}")
+
+
+class Uncertainty(msgspec.Struct, frozen=True):
+    """The budget as a calibration file keeps it: lines for all stations and for each.
+
+    ``growth_per_k`` is the arm's, whose temperature is known only where targets are corrected;
+    ``air_range_k`` is taken where no weather station measured. ``missing`` says in words why no
+    bound can be stated; then there are no lines.
+    """
+
+    lines: list[Influence] = []
+    stations: dict[str, list[Influence]] = {}
+    growth_per_k: float = 0.0
+    air_range_k: float = 0.0
+    missing: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One contribution to N targets: covariances (N, 3, 3) in {W}, freedom of the estimate."""
+
+    name: str
+    source: str
+    how: str
+    clause: str
+    covariance_mm2: Array
+    freedom: float
+
+    @property
+    def u_mm(self) -> float:
+        """Return the standard uncertainty of one coordinate, root mean square of all targets."""
+        return math.sqrt(float(np.trace(self.covariance_mm2, axis1=1, axis2=2).mean()) / 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """The contributions to N targets, independent of each other, and their 95 % bounds."""
+
+    parts: Sequence[Part]
+
+    @property
+    def covariance_mm2(self) -> Array:
+        """Return the combined covariances (N, 3, 3) in {W} (GUM 5.1.2)."""
+        total: Array = np.sum([part.covariance_mm2 for part in self.parts], axis=0)
+        return total
+
+    @property
+    def radii_mm(self) -> Array:
+        """Return the lengths (N,) that 95 % of 3D errors keep."""
+        traces = [np.trace(part.covariance_mm2, axis1=1, axis2=2) for part in self.parts]
+        freedom = effective_freedom(traces, [part.freedom for part in self.parts])
+        return bounds95_mm(self.covariance_mm2, freedom)
+
+
+def bounds_of(
+    model_mm2: Array, influences: Iterable[Influence], T_W_B: Array, poses: Array
+) -> Bounds:
+    """Return the bounds of targets at poses (N, 4, 4) in {W}.
+
+    ``model_mm2`` (N, 3, 3) is the error model's covariance in {B}, which stands at ``T_W_B``.
+    """
+    R = T_W_B[:3, :3]
+    frames = {"world": np.eye(4), "base": T_W_B, "tool": poses}
+    model = Part(
+        MODEL, MEASURED, "parameters and residual, as its covariance states them", "5.2.2",
+        R @ model_mm2 @ R.T, math.inf,
+    )  # fmt: skip
+    parts = [
+        Part(
+            each.name, each.source, each.how, each.clause,
+            each.at(frames[each.frame], poses[:, :3, 3]),
+            math.inf if each.freedom is None else each.freedom,
+        )
+        for each in influences
+    ]  # fmt: skip
+    return Bounds([model, *parts])

@@ -1,0 +1,36 @@
+"""Uncertainties that no run can measure: the laboratory states them in the cell file.
+
+A limit is the half-width of a rectangular distribution (GUM 4.3.7); an angle is 1 sigma.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from hilcell.cell.tables import Frozen, Point
+
+Limit = Annotated[float, Meta(ge=0, le=10)]
+Rate = Annotated[float, Meta(ge=0, le=1000)]  # um/m, um/(m K)
+Urad = Annotated[float, Meta(ge=0, le=100_000)]
+
+
+class UncertaintyTable(Frozen, frozen=True, kw_only=True):
+    """Stated contributions, replaced by certificates and data sheets where there are any.
+
+    The tracker's limit is ``tracker_limit_mm`` in each direction, and across the beam
+    ``tracker_limit_um_m`` times the range besides. ``arm_growth_um_m_k`` is that of aluminium:
+    of the materials of arms it expands most. ``drill_offset_mm`` is where the tool works,
+    from the reflector's centre, with the axes of {T}.
+    """
+
+    tracker_limit_mm: Limit = 0.015  # the paper's tracker within 10 m (section 5.1)
+    tracker_limit_um_m: Rate = 0.0
+    smr_centring_limit_mm: Limit = 0.0127  # half a thousandth of an inch, a common grade
+    drift_limit_mm: Limit = 0.02  # where the floor nests were not measured again
+    arm_growth_um_m_k: Rate = 23.0
+    air_range_k: Annotated[float, Meta(ge=0, le=60)] = 4.0  # without a weather station
+    reversal_limit_mm: Limit = 0.0  # programs approach from below on every axis, as the run does
+    drill_offset_mm: Point = (0.0, 0.0, 0.0)
+    orientation_urad: Urad = 1000.0

@@ -1,0 +1,64 @@
+"""The 95 % bounds of corrected targets, for ``compensate``: a line of summary, and a file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hilcell.calibration.bounds import target_bounds
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.influence import Bounds, NoBound
+from hilcell.compensation.targets import write_rows
+from hilcell.geometry.frames import pose_from_zyx
+from hilcell.ports import Array
+from hilcell.writing import NotWritten
+
+HEADER = ["name", "bound95_mm", "u_x_mm", "u_y_mm", "u_z_mm"]
+
+Found = Bounds | NoBound  # the reason where no bound can be stated
+
+
+def bounds_of_targets(
+    calibration: Calibration, station: str, targets: Array, temperature_c: float | None
+) -> Found:
+    """Return the bounds of corrected targets (N, 6) in {W}, or why there are none."""
+    poses = np.array([pose_from_zyx(*target) for target in targets])
+    try:
+        return target_bounds(calibration, station, poses, temperature_c)
+    except NoBound as reason:
+        return reason
+
+
+def summary(found: Found, names: Sequence[str]) -> str:
+    """Return median and largest bound in one line, or why there are none."""
+    if isinstance(found, NoBound):
+        return str(found)
+    radii_mm = found.radii_mm
+    worst = int(np.argmax(radii_mm))
+    return (
+        f"95 % bounds of the corrected targets: median {np.median(radii_mm):.3f} mm, largest "
+        f"{radii_mm[worst]:.3f} mm at {names[worst]}"
+    )
+
+
+def write_bounds(
+    path: Path, found: Found, names: Sequence[str], out: Path, *, inputs: Iterable[Path]
+) -> None:
+    """Write a row a target: its bound, and u of its coordinates in {W}.
+
+    ``out`` is where the targets are written. Raises `NoBound`, and `NotWritten` as `write_whole`
+    does.
+    """
+    if isinstance(found, NoBound):
+        raise found
+    if os.path.realpath(path) == os.path.realpath(out):
+        raise NotWritten(f"{path} is where the corrected targets go; name another file of bounds")
+    u_mm = np.sqrt(np.diagonal(found.covariance_mm2, axis1=1, axis2=2))
+    rows = (
+        [name, f"{bound:.4f}", *(f"{each:.4f}" for each in u)]
+        for name, bound, u in zip(names, found.radii_mm, u_mm, strict=True)
+    )
+    write_rows(path, HEADER, rows, inputs=inputs)

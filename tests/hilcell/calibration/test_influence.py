@@ -1,0 +1,98 @@
+"""Small motions move targets by their levers: figures worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.influence import (
+    MEASURED,
+    MODEL,
+    Bounds,
+    Frame,
+    Influence,
+    Part,
+    bounds_of,
+    motion,
+    moved_frame,
+)
+from hilcell.geometry.frames import pose_from_zyx
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.ports import Array
+
+TARGET = np.array([[0.0, 0.0, 2000.0]])
+
+
+def influence(covariance: list[list[float]], frame: Frame = "world", **more: object) -> Influence:
+    return Influence("it", MEASURED, "somehow", "4.2", frame, covariance, **more)  # type: ignore[arg-type]  # of the test's own call
+
+
+def variances(found: Array) -> list[float]:
+    (covariance,) = found
+    np.testing.assert_allclose(covariance, covariance.T)
+    diagonal: list[float] = np.diag(covariance).tolist()
+    return diagonal
+
+
+def test_a_shift_is_the_same_everywhere_and_turns_with_its_frame() -> None:
+    shift = influence(motion(np.diag([1.0, 4.0, 9.0])), "base")
+    turned = pose_from_zyx(100, 200, 300, 90, 0, 0)
+    assert variances(shift.at(np.eye(4), TARGET)) == pytest.approx([1, 4, 9])
+    assert variances(shift.at(turned, TARGET)) == pytest.approx([4, 1, 9])
+
+
+def test_a_rotation_counts_by_its_lever() -> None:
+    turn = influence(motion(0.0, (20e-6) ** 2), origin_mm=(0.0, 0.0, 500.0))
+    across = (1500.0 * 20e-6) ** 2
+    assert variances(turn.at(np.eye(4), TARGET)) == pytest.approx([across, across, 0])
+
+
+def test_growth_goes_away_from_the_origin_of_the_frame() -> None:
+    grown = influence(motion(growth=(1e-5) ** 2), "base")
+    at_1_m = pose_from_zyx(0, 0, 1000, 0, 0, 0)
+    assert variances(grown.at(at_1_m, TARGET)) == pytest.approx([0, 0, 1e-4])
+
+
+def test_the_tool_s_own_lever_turns_with_each_target() -> None:
+    drill = influence(motion(0.0, (1e-3) ** 2), "tool", origin_mm=(0.0, 0.0, -100.0))
+    poses = np.array([pose_from_zyx(0, 0, 2000, 0, 0, 0), pose_from_zyx(0, 0, 2000, 0, 90, 0)])
+    found = drill.at(poses, poses[:, :3, 3])
+    assert np.diag(found[0]).tolist() == pytest.approx([0.01, 0.01, 0])
+    assert np.diag(found[1]).tolist() == pytest.approx([0, 0.01, 0.01])
+
+
+def test_drawn_motions_have_this_covariance() -> None:
+    rng = np.random.default_rng(5)
+    root = rng.standard_normal((7, 7)) * np.array([[1e-2] * 3 + [1e-5] * 3 + [1e-5]]).T
+    T, origin = pose_from_zyx(100, -50, 30, 20, 40, -60), np.array([10.0, 20.0, 30.0])
+    draws = rng.standard_normal((100_000, 7)) @ root.T
+    lever = np.linalg.inv(T) @ np.append(TARGET[0], 1.0)
+    lever = lever[:3] - origin
+    moved = (draws[:, :3] + np.cross(draws[:, 3:6], lever) + draws[:, 6:] * lever) @ T[:3, :3].T
+    found = influence((root @ root.T).tolist(), "base", origin_mm=tuple(origin)).at(T, TARGET)[0]
+    np.testing.assert_allclose(found, np.cov(moved.T), atol=0.02 * np.trace(found))
+
+
+def test_a_frame_s_covariance_has_no_growth() -> None:
+    whole = np.array(moved_frame(np.diag(np.arange(1.0, 7.0))))
+    np.testing.assert_array_equal(np.diag(whole), [1, 2, 3, 4, 5, 6, 0])
+
+
+def test_parts_add_up_and_the_model_s_turns_with_the_base() -> None:
+    R = from_rotvec(np.array([0.0, 0.0, np.pi / 2]))
+    T_W_B = np.eye(4)
+    T_W_B[:3, :3] = R
+    model_mm2 = np.diag([1.0, 4.0, 9.0])[None]
+    found = bounds_of(model_mm2, [influence(motion(1.0))], T_W_B, np.eye(4)[None])
+    assert [part.name for part in found.parts] == [MODEL, "it"]
+    np.testing.assert_allclose(found.covariance_mm2, [np.diag([5.0, 2.0, 10.0])], atol=1e-12)
+    assert found.parts[1].u_mm == pytest.approx(1.0)
+
+
+def test_few_samples_widen_the_bound() -> None:
+    def bound(freedom: float) -> float:
+        part = Part("it", MEASURED, "", "", np.eye(3)[None], freedom)
+        return float(Bounds([part]).radii_mm[0])
+
+    assert bound(np.inf) == pytest.approx(2.795, abs=1e-3)
+    assert bound(10.0) == pytest.approx(3.336, abs=1e-3)  # sqrt(3 F(3, 10))
