@@ -14,7 +14,7 @@ from typing import Protocol, TypedDict
 
 import numpy as np
 
-from hilcell.calibration.robot_file import Measurements, RobotModel
+from hilcell.calibration.robot_file import Measurements, Robot
 from hilcell.compensation.model import Prediction
 from hilcell.compensation.scattered import FOLDS, NEIGHBOURS, NearestPoses, Nominal
 from hilcell.geometry import statistics
@@ -167,7 +167,7 @@ def predicted_mm(
     return found_mm
 
 
-def fit(robot: RobotModel, train: Measurements, test: Measurements | None = None) -> FitResult:
+def fit(robot: Robot, train: Measurements, test: Measurements | None = None) -> FitResult:
     """Learn from ``train`` and judge every method on ``test``, or by cross-validation.
 
     The choice is made by cross-validation in both cases: test rows judge, they do not choose.

@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Protocol
 
 import msgspec
 import numpy as np
@@ -28,6 +28,29 @@ LABELS = 2
 MOST_PROBLEMS = 20  # named in one message
 Length = Annotated[float, Meta(ge=-MOST, le=MOST)]
 Angle = Annotated[float, Meta(ge=-MOST_DEG, le=MOST_DEG)]
+
+
+class Robot(Protocol):
+    """A robot's nominal kinematics, from whatever file."""
+
+    @property
+    def name(self) -> str:
+        """Return the robot's name."""
+
+    @property
+    def base(self) -> Array:
+        """Return the arm's base in the robot's root frame (4, 4)."""
+
+    @property
+    def tool(self) -> Array:
+        """Return the tool frame that targets are meant for, on the flange (4, 4)."""
+
+    @property
+    def limits_rad(self) -> Array:
+        """Return the joints' limits (2, 6), infinite where none are stated."""
+
+    def arm(self) -> Arm:
+        """Return the arm, its tool point on the flange behind the sixth row."""
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -53,6 +76,21 @@ class RobotModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         for number, row in enumerate(self.joint, start=1):
             if not row.sign:
                 raise ValueError(f"joint {number}: sign must be 1 or -1")
+
+    @property
+    def base(self) -> Array:
+        """Return the identity: the first row begins in the root frame."""
+        return np.eye(4)
+
+    @property
+    def tool(self) -> Array:
+        """Return the identity: targets are meant for the flange."""
+        return np.eye(4)
+
+    @property
+    def limits_rad(self) -> Array:
+        """Return no limits."""
+        return np.array([[-np.inf] * 6, [np.inf] * 6])
 
     def arm(self) -> Arm:
         """Return the arm, its tool point on the flange."""

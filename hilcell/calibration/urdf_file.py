@@ -8,7 +8,8 @@ fixed joints before it; when a chain is written, these keep their origins.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -18,9 +19,9 @@ from hilcell.calibration.urdf_xml import JointText, NotUrdf, UrdfText, read_urdf
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.clean import clean
 from hilcell.compensation.targets import numbers
-from hilcell.geometry.chain import Chain
+from hilcell.geometry.chain import Chain, arm_of
 from hilcell.geometry.frames import inverse, matrix, pose_from_zyx, zyx_from_pose
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import lengths_mm
 
 MM = 1000.0  # in a metre
@@ -49,6 +50,25 @@ class Urdf:
     def name(self) -> str:
         """Return the robot's name."""
         return clean(self.text.name)
+
+    @cached_property
+    def rows(self) -> tuple[Array, Arm]:
+        """Return the base in the root link (4, 4), and the arm with the tip link as its tool."""
+        return arm_of(self.chain)
+
+    def arm(self) -> Arm:
+        """Return the arm, its tool point on the flange behind the sixth row."""
+        return replace(self.rows[1], tool=np.eye(4))
+
+    @property
+    def base(self) -> Array:
+        """Return the arm's base in the root link (4, 4)."""
+        return self.rows[0]
+
+    @property
+    def tool(self) -> Array:
+        """Return the tip link on the flange (4, 4)."""
+        return self.rows[1].tool
 
     def left_at_tip(self, chain: Chain) -> Array:
         """Return the frame (4, 4) of a chain's tip in the tip link of the file that it is put into.

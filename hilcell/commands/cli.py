@@ -221,8 +221,13 @@ def _add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    fit = _command(commands, "fit", "commands.files:fit", "fit measured data and judge the fit")
-    fit.add_argument("--robot", required=True, metavar="ROBOT.toml", help="nominal DH rows")
+    fit = _command(commands, "fit", "commands.fit:fit", "fit measured data and judge the fit")
+    fit.add_argument(
+        "--robot", required=True, metavar="ROBOT.toml|ROBOT.urdf", help="nominal DH rows, or URDF"
+    )
+    fit.add_argument(
+        "--tip", default="", metavar="LINK", help="of a URDF: the link where the arm ends"
+    )
     fit.add_argument("--train", required=True, metavar="A.csv", help="measured rows to learn from")
     fit.add_argument("--test", metavar="B.csv", help="rows to judge by (default: cross-validation)")
     _json_option(fit, "one object")

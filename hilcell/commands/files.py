@@ -1,4 +1,4 @@
-"""``fit`` and ``compensate``: measured data, targets or programs in, figures or corrections out."""
+"""``compensate``: targets or programs in, corrected ones out."""
 
 from __future__ import annotations
 
@@ -15,31 +15,13 @@ from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
-from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.output import print_message
 from hilcell.compensation.programs import Program, load_program, suffixes, write_program
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.journal.runs import CALIBRATION, find_run
 from hilcell.ports import Array
 
 LISTS = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets without a remark
-
-
-def fit(args: argparse.Namespace) -> int:
-    """Fit measured data and print how far each method's predictions are off."""
-    from hilcell.calibration.fit import fit as fit_rows
-    from hilcell.calibration.fit import methods_table
-    from hilcell.calibration.robot_file import read_measurements, read_robot
-
-    test = read_measurements(Path(args.test)) if args.test else None
-    result = fit_rows(read_robot(Path(args.robot)), read_measurements(Path(args.train)), test)
-    if args.json:
-        print_json(result)
-        return 0
-    print_table(methods_table(result["methods"]))
-    print(
-        f"chosen: {result['chosen']}; {result['train']} rows learnt from, {result['test']} judged"
-    )
-    return 0
 
 
 def compensate(args: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ from hilcell.calibration.urdf_file import Urdf, read_urdf, urdf_of
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.chain import arm_of, beside, chain_forward, chain_of
 from hilcell.geometry.kinematics import Arm, Array, forward
-from tests.hilcell.calibration.urdfs import IRB120, reached_m
+from tests.hilcell.calibration.urdfs import IRB120, PLAIN, reached_m
 
 NAMES = [f"joint_{n}" for n in range(1, 7)]
 JOINTS = np.random.default_rng(1).uniform(-2, 2, (5, 6))
@@ -70,11 +70,7 @@ def test_a_robot_is_read_as_an_independent_reader_does(written: Write) -> None:
 
 
 def test_rows_of_a_usual_robot_are_those_of_its_data_sheet(written: Write) -> None:
-    plain = (
-        IRB120.replace('xyz="0.134 0 0.07" rpy="0.1 0.2 0.3"', 'xyz="0.134 0 0"')
-        .replace('<parent link="link_3"/>', '<parent link="link_3"/><origin xyz="0 0 0.07"/>')
-        .replace('xyz="0 0 0.27"', 'xyz="0 0.1 0.27"')
-    )
+    plain = PLAIN.replace('xyz="0 0 0.27"', 'xyz="0 0.1 0.27"')
     _, arm = arm_of(read_urdf(written(plain)).chain)
     np.testing.assert_allclose(arm.a_mm, [0, 270, 70, 0, 0, 0], atol=1e-9)
     np.testing.assert_allclose(np.abs(np.degrees(arm.alpha_rad)), [90, 0, 90, 90, 90, 0], atol=1e-8)

@@ -63,6 +63,13 @@ IRB120 = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
+PLAIN = (  # as the data sheet has it: the forearm is not turned
+    IRB120.replace('xyz="0.134 0 0.07" rpy="0.1 0.2 0.3"', 'xyz="0.134 0 0"').replace(
+        '<parent link="link_3"/>', '<parent link="link_3"/><origin xyz="0 0 0.07"/>'
+    )
+)
+
+
 def reached_m(text: str | bytes, joints: Mapping[str, float], tip: str = "tool0") -> Array:
     """Return the tip's frame (4, 4) in the root link, in m, of joints by name in rad."""
     root = ET.fromstring(text)

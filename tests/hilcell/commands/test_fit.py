@@ -1,0 +1,65 @@
+"""The command `fit`: robots of either form in, figures and files out."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.robot_file import HEADER, Measurements
+from hilcell.commands.cli import main
+from tests.hilcell.calibration.test_fit import measured
+from tests.hilcell.calibration.urdfs import PLAIN
+
+ROBOT = '[robot]\nname = "IRB 120"\nconvention = "standard-dh"\n'
+ROWS = [(0, -90, 290, 0), (270, 0, 0, -90), (70, -90, 0, 0), (0, 90, 302, 0), (0, -90, 0, 0),
+        (0, 0, 72, 180)]  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with the same robot in both forms, and 40 measured poses."""
+    rows = [
+        f"[[robot.joint]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\noffset_deg = {offset}\n"
+        for a, alpha, d, offset in ROWS
+    ]
+    (tmp_path / "robot.toml").write_text(ROBOT + "".join(rows))
+    (tmp_path / "robot.urdf").write_text(PLAIN)
+    write_rows(tmp_path / "train.csv", measured(1, 40, ["SMR1"]))
+    return tmp_path
+
+
+def write_rows(path: Path, rows: Measurements) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(HEADER)
+        for pose, target, joints, xyz in zip(
+            rows.pose, rows.target, np.degrees(rows.joints_rad), rows.xyz_mm, strict=True
+        ):
+            writer.writerow([pose, target, *np.round(joints, 8), *np.round(xyz, 6)])
+
+
+def fit(folder: Path, robot: str, *words: str) -> int:
+    return main(
+        ["fit", "--robot", str(folder / robot), "--train", str(folder / "train.csv"), *words]
+    )
+
+
+def test_a_urdf_gives_the_figures_of_its_dh_rows(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = []
+    for robot in ("robot.toml", "robot.urdf"):
+        assert fit(folder, robot, "--json") == 0
+        found.append(json.loads(capsys.readouterr().out)["methods"])
+    for method, figures in found[0].items():
+        assert found[1][method] == pytest.approx(figures, abs=1e-6)
+
+
+def test_a_tip_is_one_of_a_urdf(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fit(folder, "robot.urdf", "--tip", "link_6") == 0
+    assert fit(folder, "robot.urdf", "--tip", "nose") == 2
+    assert "no joint leads to link nose" in capsys.readouterr().err
+    assert fit(folder, "robot.toml", "--tip", "tool0") == 2
+    assert "--tip tool0 names a link of a URDF" in capsys.readouterr().err
