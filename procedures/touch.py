@@ -11,7 +11,13 @@ from typing import Any
 import numpy as np
 
 from hilcell.calibration.frames import grid_of
-from hilcell.calibration.touch import visit_covariance, touch_ids, touch_targets_mm, touched_base
+from hilcell.calibration.touch import (
+    touch_count,
+    touch_ids,
+    touch_targets_mm,
+    touched_base,
+    visit_covariance,
+)
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
@@ -30,14 +36,14 @@ MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
 
 def touch_spans(cell: Cell) -> list[Span]:
     """Return the span of one visit's touch poses, if there are any; refuse any out of reach."""
-    if not cell.touch.poses:
+    if not touch_count(cell):
         return []
     return [flange_points(cell, check_reach(cell, touch_targets_mm(cell), "touch pose"))]
 
 
 def base_for_commands(session: CellSession, station: Station, model: ErrorModel) -> Array:
     """Return T_W_B (4, 4) on this visit, for commands, touched first where it was not yet."""
-    if session.cell.touch.poses:
+    if touch_count(session.cell):
         session.retake_waiting()
         session.hold_station(station)
         if not session.frames.touched(station):

@@ -33,9 +33,14 @@ STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
 HOLDS = 2  # the strip's slip is that of the visit less that of the stop when it was framed
 
 
+def touch_count(cell: Cell) -> int:
+    """Return how many poses are touched after a stop; none where time counts more."""
+    return 0 if cell.plan.quick else cell.touch.poses
+
+
 def touch_targets_mm(cell: Cell) -> Array:
     """Return the touch poses' targets (N, 3) in {B}, spread through the cube."""
-    number = np.arange(cell.touch.poses)[:, None]
+    number = np.arange(touch_count(cell))[:, None]
     share = (0.5 + number * STEPS) % 1.0
     size_mm = np.array(cell.grid.size_mm)
     targets: Array = cell.grid.centre.matrix()[:3, 3] + size_mm * (
@@ -48,7 +53,7 @@ def touch_ids(cell: Cell, station: Station, visit: int) -> list[PointId]:
     """Return the identities of the touch poses' points on one visit."""
     return [
         PointId("touch", station=station.name, visit=visit, number=n)
-        for n in range(cell.touch.poses)
+        for n in range(touch_count(cell))
     ]
 
 
