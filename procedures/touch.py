@@ -29,16 +29,17 @@ from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span
 from procedures.durations import flange_points
-from procedures.plan import check_reach, joints_for, poses_at
+from procedures.plan import check_targets, joints_for, poses_at
 
 MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
 
 
-def touch_spans(cell: Cell) -> list[Span]:
+def touch_spans(cell: Cell, station: Station) -> list[Span]:
     """Return the span of one visit's touch poses, if there are any; refuse any out of reach."""
     if not touch_count(cell):
         return []
-    return [flange_points(cell, check_reach(cell, touch_targets_mm(cell), "touch pose"))]
+    what = f"touch pose at {station.name}"
+    return [flange_points(cell, check_targets(cell, station, touch_targets_mm(cell), what))]
 
 
 def base_for_commands(session: CellSession, station: Station, model: ErrorModel) -> Array:

@@ -53,7 +53,7 @@ class Validate:
             spans.append(leg(cell, here, station))
             for how in ways(cell):
                 spans += [floor_points(cell)] if how in controlled(cell) else []
-                measured = touch_spans(cell) if how == "chosen" else []
+                measured = touch_spans(cell, station) if how == "chosen" else []
                 measured.append(flange_points(cell, joints_rad[: planned(cell, how)]))
                 spans += measured
                 points += sum(span.measured for span in measured)

@@ -256,10 +256,10 @@ def test_the_covariance_of_the_base() -> None:
 @pytest.mark.parametrize(("poses", "spans"), [("0", 0), ("8", 1), ("20", 1)])
 def test_the_plan_counts_them(poses: str, spans: int) -> None:
     cell = load_cell("paper", {"touch.poses": poses})
-    assert [span.measured for span in touch_spans(cell)] == [int(poses)] * spans
+    assert [span.measured for span in touch_spans(cell, FAR)] == [int(poses)] * spans
     plain = Validate().plan(load_cell("paper", {"touch.poses": "0"}), 1)
     planned = Validate().plan(cell, 1)
     assert planned.points - plain.points == 3 * int(poses)
     assert (planned.duration_s > plain.duration_s) == bool(spans)
     quick = load_cell("paper", {"touch.poses": poses, "plan.quick": "true"})
-    assert touch_spans(quick) == []
+    assert touch_spans(quick, FAR) == []
