@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.frames import Frames, grid_of, measured_of
-from hilcell.calibration.touch import visit_covariance, touch_targets_mm
+from hilcell.calibration.touch import touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
 from hilcell.compensation.choice import MODELS
 from hilcell.geometry.frames import apply, matrix
@@ -54,7 +54,9 @@ class Visits(FakeBench):
             shift = np.eye(4)
             shift[1, 3] = station.strip_mm
             for kind in ("station", "three_points"):
-                self.frame(f"{kind}.{station.name}", shift, covariance=COVARIANCE)
+                facts = {"tool_uncertainty_mm": 0.02, "strip_mm": station.strip_mm}
+                self.frame(f"{kind}.{station.name}", shift, covariance=COVARIANCE, **facts)
+        self.keep("verdict", "fit", {"holds": True, "method": "trilinear", "loocv": {}})
 
     def frame(self, key: str, at: Array, **facts: Any) -> None:
         self.keep("frame", key, msgspec.to_builtins({"matrix": at.tolist()} | {
