@@ -73,7 +73,7 @@ def _repeatability(log: Log) -> Influence:
     return Influence(
         "Robot repeatability", MEASURED,
         f"{len(left_mm)} visits of {len(clouds_mm)} places, less the readings' noise", "4.2.4",
-        "base", motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, count)),
+        "base", motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, count)), alone=True,
     )  # fmt: skip
 
 
@@ -214,7 +214,7 @@ def in_validation(log: Log, points: Sequence[Point]) -> list[Influence]:
     R = log.matrix("world")[:3, :3]
     readings = Influence(
         "Tracker, readings", MEASURED, f"scatter of the readings of {len(points)} points", "4.2.3",
-        "world", motion(_mean_reading_mm2(points, R)), counts="in validation",
+        "world", motion(_mean_reading_mm2(points, R)), counts="in validation", alone=True,
     )  # fmt: skip
     grid_c, found_c = (
         [p.temperature_c for p in group if p.temperature_c is not None]

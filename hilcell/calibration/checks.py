@@ -35,6 +35,7 @@ def problems_of(calibration: Calibration) -> list[str]:
         *_grid(calibration),
         *_stations(calibration.stations),
         *_uncertainty(calibration),
+        *_updates(calibration),
     ]
     return found or list(_model(calibration))
 
@@ -126,6 +127,16 @@ def _uncertainty(calibration: Calibration) -> Iterator[str]:
             yield f"{at}: wanted a covariance of {SIZE} x {SIZE} numbers"
         if each.freedom is not None and not each.freedom > 0:
             yield f"{at}: freedom {each.freedom:g}, wanted above 0"
+
+
+def _updates(calibration: Calibration) -> Iterator[str]:
+    for update in calibration.provenance.updates:
+        at = f"provenance.updates of run {update.run[:40]}"
+        wanted = (6,) if update.what == "base" else (0,)
+        if _array(update.motion).shape != wanted:
+            yield f"{at}: motion of {len(update.motion)} numbers, wanted {wanted[0]}"
+        elif update.motion:
+            yield from _within(f"{at}: motion", update.motion, MOST_ERROR_MM, "mm")
 
 
 def _is_covariance(found: Array) -> bool:

@@ -5,7 +5,7 @@ All lengths mm, frames as homogeneous matrices; the errors of the grid stand in 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -51,12 +51,28 @@ class Device(msgspec.Struct, frozen=True):
     firmware: str = ""
 
 
+class Update(msgspec.Struct, frozen=True):
+    """A change by a later run, from so many points.
+
+    ``motion`` (6,) is that of the base: shift of {B}'s origin (mm) and rotation vector (rad), axes
+    of the {B} before, ``covariance`` (6, 6) its own.
+    """
+
+    run: str
+    what: Literal["base", "targets"]
+    written: str
+    points: int
+    motion: list[float] = []
+    covariance: list[list[float]] = []
+
+
 class Provenance(msgspec.Struct, frozen=True):
     """Where the calibration comes from, and whether its sign was proven on the cell.
 
     ``points`` are the journal's keys of the grid, ``scores`` mean, p95 and max (mm) by which each
-    candidate's cross-validation was judged. The fields from ``versions`` on are empty in files
-    without a ``model``.
+    candidate's cross-validation was judged. ``run`` is the one that measured the model, ``updates``
+    are later ones, and ``written`` is when the last of them changed it. The fields from
+    ``versions`` on are empty in files without a ``model``.
     """
 
     run: str
@@ -72,6 +88,12 @@ class Provenance(msgspec.Struct, frozen=True):
     devices: list[Device] = []
     points: list[str] = []
     scores: dict[str, dict[str, float]] = {}
+    updates: list[Update] = []
+
+    @property
+    def latest(self) -> str:
+        """Return the run that wrote the file."""
+        return self.updates[-1].run if self.updates else self.run
 
 
 class ModelEntry(msgspec.Struct, frozen=True):

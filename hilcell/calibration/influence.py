@@ -33,7 +33,8 @@ class Influence(msgspec.Struct, frozen=True):
     ``covariance`` (7, 7) is that of shift (3,) in mm, rotation vector (3,) in rad and growth
     (ratio of lengths) about ``origin_mm``, with the axes of ``frame``: {W}, {B} of the station, or
     {T} of the target. ``freedom`` are the degrees of freedom of its estimate, None where it is
-    taken as known. It may count for targets in use or in the run's validation alone.
+    taken as known. It may count for targets in use or in the run's validation alone. A
+    line that is ``alone`` differs from visit to visit; the others move all targets together.
     """
 
     name: str
@@ -45,19 +46,31 @@ class Influence(msgspec.Struct, frozen=True):
     origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     freedom: float | None = None
     counts: Counts = "always"
+    alone: bool = False
 
     def at(self, frames: Array, targets_mm: Array) -> Array:
         """Return the covariances (N, 3, 3) in {W} at targets (N, 3) in {W}.
 
         ``frames`` (4, 4) or (N, 4, 4) is the influence's own frame in {W}.
         """
+        J = self.levers(frames, targets_mm)
+        found: Array = J @ np.array(self.covariance) @ np.swapaxes(J, -1, -2)
+        return found
+
+    def together(self, frames: Array, targets_mm: Array) -> Array:
+        """Return the covariance (3N, 3N) in {W} of the targets, which it moves together."""
+        J = self.levers(frames, targets_mm).reshape(-1, SIZE)
+        found: Array = J @ np.array(self.covariance) @ J.T
+        return found
+
+    def levers(self, frames: Array, targets_mm: Array) -> Array:
+        """Return d(target) / d(motion), (N, 3, 7)."""
         T = np.broadcast_to(frames, (len(targets_mm), 4, 4))
         R = T[:, :3, :3]
         levers = np.einsum("nji,nj->ni", R, targets_mm - T[:, :3, 3]) - np.array(self.origin_mm)
         shifts = np.broadcast_to(np.eye(3), R.shape)
-        J = R @ np.concatenate([shifts, -cross_matrix(levers), levers[:, :, None]], axis=-1)
-        found: Array = J @ np.array(self.covariance) @ np.swapaxes(J, -1, -2)
-        return found
+        J: Array = R @ np.concatenate([shifts, -cross_matrix(levers), levers[:, :, None]], axis=-1)
+        return J
 
 
 def motion(

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, field
 
+from hilcell.cell.in_use import RecheckTable, TargetsTable
 from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.plan import PlanTable
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
@@ -56,8 +57,8 @@ __all__ = [
     "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "EnvelopeTable", "Frozen",
     "GridTable", "Joint", "KeepOut", "Layout", "Nest", "PlanTable", "Pose", "RailTable",
     "RobotTable", "SettleTable", "SimulationTable", "Six", "Station", "SurveyTable",
-    "TouchTable", "TrackerTable", "UncertaintyTable", "ValidationTable", "arm_from_joints",
-    "built_in_cells", "load_cell",
+    "TrackerTable", "UncertaintyTable", "ValidationTable", "arm_from_joints", "built_in_cells",
+    "load_cell",
 ]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it
@@ -69,6 +70,8 @@ PACE = {
     "robot": ("ramp_s",),
     "tracker": ("pointing_s", "reading_s"),
 }
+# Work that is done with the cell, and statements about it: none moves a measured point.
+NOT_THE_CELL = ("simulation", "plan", "keep_out", "uncertainty", "recheck", "targets")
 LEAST_ARC_DEG = 10.0
 
 
@@ -272,12 +275,6 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
     max_tolerance_mm: Size = 1.0
 
 
-class TouchTable(Frozen, frozen=True, kw_only=True):
-    """Poses by which a station is measured again after each stop; 0: none."""
-
-    poses: Annotated[int, Meta(ge=0, le=100)] = 8
-
-
 class CampaignTable(Frozen, frozen=True, kw_only=True):
     """A list of poses to drive, with the reflectors and where the tracker expects them."""
 
@@ -316,11 +313,12 @@ class Cell(Frozen, frozen=True, kw_only=True):
     survey: SurveyTable = field(default_factory=SurveyTable)
     validation: ValidationTable = field(default_factory=ValidationTable)
     plan: PlanTable = field(default_factory=PlanTable)
-    touch: TouchTable = field(default_factory=TouchTable)
     settle: SettleTable = field(default_factory=SettleTable)
     keep_out: list[KeepOut] = field(default_factory=list)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
+    recheck: RecheckTable = field(default_factory=RecheckTable)
     campaign: CampaignTable | None = None
+    targets: TargetsTable | None = None
     simulation: SimulationTable | None = None
 
     def __post_init__(self) -> None:
@@ -392,15 +390,13 @@ class Cell(Frozen, frozen=True, kw_only=True):
         measured point.
         """
         values = msgspec.to_builtins(self)
-        for table in ("simulation", "plan", "keep_out", "uncertainty"):
+        for table in NOT_THE_CELL:
             values.pop(table)
         values["robot"].pop("envelope")
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)
-        values.pop("touch")  # how it is measured and judged: the cell is the same
-        for key in ("reflectors", "max_tool_std_mm"):
-            values["layout"].pop(key)
+        values["layout"].pop("reflectors")  # by hand or not, the cell is the same
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
     def station_named(self, name: str) -> Station:

@@ -84,6 +84,8 @@ def show(args: argparse.Namespace) -> int:
     print_table((["run", summary["run"]], rows))
     if result:
         print_table(procedure.table(result))
+        if words := procedure.words(result):
+            print_message(words)
     return 0
 
 

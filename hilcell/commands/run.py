@@ -17,7 +17,9 @@ import msgspec
 
 from hilcell import __version__
 from hilcell.alarms.catalogue import catalogue
-from hilcell.calibration.file import calibration_of, write_calibration
+from hilcell.calibration.file import write_calibration
+from hilcell.calibration.in_use import with_calibration
+from hilcell.calibration.updated import calibration_after
 from hilcell.cell.copied import check_copied
 from hilcell.cell.devices import (
     build_devices,
@@ -73,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
     if warning := check_copied(args.cell, cell):
         print_message(warning)
     procedure: Procedure = load_entry("procedures", args.procedure)
+    if procedure.uses:
+        cell = with_calibration(cell, procedure.uses, args.runs)
     plan = procedure.plan(cell, args.seed)
     check_options(cell)
     if args.dry_run:
@@ -258,7 +262,7 @@ def _with_calibration(
     """Write the calibration that a run has ended with; report a file that cannot be written."""
     if journal.log.calibrates:
         try:
-            write_calibration(calibration_of(journal.log, journal.run), folder / CALIBRATION)
+            write_calibration(calibration_after(journal.log, journal.run), folder / CALIBRATION)
         except NotWritten as error:
             return EXIT_STORAGE, error
     return code, fault

@@ -154,9 +154,7 @@ def print_end(
             if entry_of(each.code).specific:
                 print_message(f"what to do: hilcell explain {each.code}")
     if log.end is not None and log.end["result"]:
-        with suppress(OSError):  # a closed pipe does not change the run
-            print_table(procedure.table(log.end["result"]))
-            sys.stdout.flush()
+        _print_result(procedure, log.end["result"])
     for key, verdict in log.verdicts.items():
         if not verdict["holds"]:
             print_message(f"out of tolerance: {key}: {_facts(verdict)}")
@@ -165,6 +163,14 @@ def print_end(
     state = log.state
     ended = state if log.end is not None else f"cut off while {state}"
     print_message(f"{kind_of(log)} {folder.name}: {ended}; journal in {folder}")
+
+
+def _print_result(procedure: Procedure, result: dict[str, Any]) -> None:
+    with suppress(OSError):  # a closed pipe does not change the run
+        print_table(procedure.table(result))
+        sys.stdout.flush()
+    if words := procedure.words(result):
+        print_message(words)
 
 
 def kind_of(log: Log) -> str:

@@ -186,7 +186,6 @@ class Log:
         self.end: dict[str, Any] | None = None
         self.fault = ""
         self.moved = False  # in this session
-        self.visit = 0  # one more with each order to the slide: a touched base is of one visit
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
         self.link: LinkRecord | None = None  # of the last session that ended
         self.seated = ""  # the place of a reflector that is carried by hand
@@ -221,7 +220,6 @@ class Log:
                 self.end = body
             case "intent":
                 self.moved = True
-                self.visit += str(body.get("action", "")).startswith("rail.")
 
     def _take_event(self, body: dict[str, Any]) -> None:
         match body.get("what"):
@@ -268,7 +266,8 @@ class Log:
     @property
     def calibrates(self) -> bool:
         """Whether the run ended with a calibration, which has a file of its own."""
-        return self.state == "finished" and "fit" in self.verdicts
+        updated = self.verdicts.get("recheck", {}).get("verdict") == "update"
+        return self.state == "finished" and ("fit" in self.verdicts or updated)
 
     @property
     def cell(self) -> Cell:

@@ -64,7 +64,7 @@ def find_run(runs: Path, name: str) -> Path:
         return Path(name)
     folders = run_folders(runs)
     if name == "last" and folders:
-        return max(folders, key=_written_s)
+        return newest_first(runs)[0]
     meant = [folder for folder in folders if folder.name == name]
     meant = meant or [folder for folder in folders if name and folder.name.startswith(name)]
     if len(meant) == 1:
@@ -74,11 +74,16 @@ def find_run(runs: Path, name: str) -> Path:
             f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which",
             code="HC-J09",
         )
-    newest = ", ".join(each.name for each in sorted(folders, key=_written_s)[-3:]) or "none"
+    newest = ", ".join(each.name for each in reversed(newest_first(runs)[:3])) or "none"
     raise HilcellError(
         f"run {name[:80]!r} is not in {runs}; newest there: {newest}",
         code="HC-J09",
     )
+
+
+def newest_first(runs: Path) -> list[Path]:
+    """Return the folders that hold a journal, the one that was last written first."""
+    return sorted(run_folders(runs), key=_written_s, reverse=True)
 
 
 def _written_s(folder: Path) -> float:

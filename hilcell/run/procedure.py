@@ -72,14 +72,24 @@ class Part(Protocol):
 Table = tuple[list[str], list[list[str]]]
 
 
+def _no_words(result: dict[str, Any]) -> str:
+    return ""
+
+
 @dataclass(frozen=True, slots=True)
 class Procedure:
-    """Acts in their order, found by name through the entry points ``hilcell.procedures``."""
+    """Acts in their order, found by name through the entry points ``hilcell.procedures``.
+
+    ``words`` say the result in a sentence, if one can. ``uses`` is the cell's table that names the
+    calibration which the procedure starts from, if it does.
+    """
 
     name: str
     summary: str
     parts: tuple[Part, ...]
     table: Callable[[dict[str, Any]], Table]
+    words: Callable[[dict[str, Any]], str] = _no_words
+    uses: str = ""
 
     def plan(self, cell: Cell, seed: int) -> Plan:
         """Return the plan; raises one `HilcellError` with every refusal of every act."""

@@ -9,6 +9,7 @@ from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.alarms.catalogue import SEVERITIES
+from hilcell.clean import harmless
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import Glyphs
@@ -290,7 +291,14 @@ def result(view: RunView, width: int) -> Content:
         part = f"  {name} {place.before.mean:.3f} -> {place.chosen.mean:.3f}"
         if len(line) + len(part) <= width:  # the first places matter most
             line += part
-    return Content(line)
+    return Content(line or _judged(view)[:width])
+
+
+def _judged(view: RunView) -> str:
+    """Return a re-check's verdict in words; nothing of another procedure's result."""
+    found = (view.log.end or {}).get("result", {}).get("recheck")
+    text = found.get("text") if isinstance(found, dict) else None
+    return harmless(text) if isinstance(text, str) else ""
 
 
 def interlocks(view: RunView, width: int) -> Content:

@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from hilcell.cell import file as cell
+from hilcell.cell import in_use
 from hilcell.cell.settings import range_text
 
 PAGE = (Path(__file__).parents[3] / "docs" / "cell-file.md").read_text("utf-8")
@@ -30,10 +31,11 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[survey]": cell.SurveyTable,
     "[validation]": cell.ValidationTable,
     "[plan]": cell.PlanTable,
-    "[touch]": cell.TouchTable,
     "[settle]": cell.SettleTable,
     "[[keep_out]]": cell.KeepOut,
     "[uncertainty]": cell.UncertaintyTable,
+    "[recheck]": in_use.RecheckTable,
+    "[targets]": in_use.TargetsTable,
     "[campaign]": cell.CampaignTable,
     "[simulation]": cell.SimulationTable,
 }

@@ -1,0 +1,145 @@
+"""The calibration that a procedure uses: found, judged before anything moves, kept in its journal.
+
+The file is named in the cell's table of the procedure, and its content journalled when the run
+begins: the result is computed from the journal alone, also after the file is gone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from hilcell.calibration.file import read_calibration
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.validity import Unfit, check_fitness
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log
+from hilcell.journal.runs import CALIBRATION, find_run, is_run, newest_first, read_log
+from hilcell.ports import HilcellError
+
+USED = "calibration used"  # the event
+
+
+class NoCalibration(HilcellError):
+    """No calibration was found, or the one named is none."""
+
+    code = "HC-C25"
+
+
+def with_calibration(cell: Cell, table: str, runs: Path) -> Cell:
+    """Return the cell with the path of a usable calibration file in ``table``.
+
+    The table names a run or a file; "" is the newest calibration of this cell in ``runs``. Raises
+    `NoCalibration`, `Unfit`, and `SettingsError` for a file that is not sound.
+    """
+    chosen = getattr(cell, table)
+    if chosen is None:
+        raise NoCalibration(f"[{table}] is missing; see `docs/cell-file.md`")
+    named = chosen.calibration
+    path = _named(runs, named) if named else _newest(runs, cell, table)
+    check_usable(path, cell)
+    changed = msgspec.structs.replace(chosen, calibration=str(path.resolve()))
+    return msgspec.structs.replace(cell, **{table: changed})
+
+
+def calibration_named(cell: Cell, table: str) -> Calibration:
+    """Return the calibration whose file is named in ``table``."""
+    chosen = getattr(cell, table)
+    path = chosen.calibration if chosen is not None else ""
+    if not path:
+        raise NoCalibration(
+            f"{table}.calibration is missing: name a run or its calibration.json with "
+            f"--set {table}.calibration=RUN"
+        )
+    return read_calibration(Path(path))
+
+
+def record_of(calibration: Calibration, path: str) -> dict[str, Any]:
+    """Return the event's facts that keep the calibration."""
+    content = msgspec.to_builtins(calibration)
+    return {"run": calibration.provenance.latest, "file": path, "content": content}
+
+
+def calibration_in(log: Log) -> Calibration | None:
+    """Return the calibration that a run uses, once it has begun to."""
+    for record in reversed(log.events):
+        if record.body["what"] == USED:
+            return msgspec.convert(record.body["content"], Calibration)
+    return None
+
+
+def _named(runs: Path, named: str) -> Path:
+    if Path(named).is_file():
+        return Path(named)
+    folder = find_run(runs, named)
+    path = folder / CALIBRATION
+    if not path.is_file():
+        raise NoCalibration(
+            f"run {folder.name} wrote no calibration; name a finished `hilcell run calibrate`"
+        )
+    return path
+
+
+def _newest(runs: Path, cell: Cell, table: str) -> Path:
+    for folder in newest_first(runs):
+        path = folder / CALIBRATION
+        if path.is_file() and read_calibration(path).provenance.cell == cell.name:
+            return path
+    raise NoCalibration(
+        f"no finished run in {runs} has calibrated cell {cell.name}; `hilcell run calibrate` "
+        f"first, or name a run or its calibration.json with --set {table}.calibration=RUN"
+    )
+
+
+def check_usable(path: Path, cell: Cell) -> None:
+    """Refuse a calibration of another cell, or one whose sign was not proven.
+
+    Its age and the temperature are no reasons: they are why it is checked.
+    """
+    calibration = read_calibration(path)
+    check_fitness(calibration, datetime.now(UTC), max_age_days=math.inf)
+    reasons = list(_foreign(calibration, path, cell))
+    if reasons:
+        lines = "\n".join(f"  {reason}" for reason in reasons)
+        raise Unfit(f"calibration of run {calibration.provenance.latest} refused\n{lines}")
+
+
+def _foreign(calibration: Calibration, path: Path, cell: Cell) -> Iterator[str]:
+    made = calibration.provenance
+    if made.simulated != (cell.simulation is not None):
+        kinds = ("a simulated", "a real") if made.simulated else ("a real", "a simulated")
+        yield f"it is of {kinds[0]} cell, this is {kinds[1]} one; calibrate this cell"
+    if cell.grid.station not in calibration.stations:
+        yield f"station {cell.grid.station} is not calibrated by it"
+    if made.digest == cell.digest:
+        return
+    if not is_run(path.parent):
+        yield (
+            f"it is of cell {made.cell} with digest {made.digest[:12]}, this one has "
+            f"{cell.digest[:12]}; name the run that wrote it, or run with the cell file of then"
+        )
+        return
+    then, now = _fixed(read_log(path.parent).cell), _fixed(cell)
+    for key, value in now.items():
+        if then[key] != value:
+            yield f"{key} differs from the cell that was calibrated; calibrate this cell"
+
+
+def _fixed(cell: Cell) -> dict[str, object]:
+    """Return what must be as it was for the calibration to be of this cell."""
+    return {
+        "name": cell.name,
+        "serial": cell.serial,
+        "robot.joint": cell.robot.joint,
+        "robot.smr_mm": cell.robot.smr_mm,
+        "robot.status": cell.robot.status,
+        "layout.base": cell.layout.base,
+        "layout.floor": cell.layout.floor,
+        "station": cell.station,
+        "grid.station": cell.grid.station,
+    }

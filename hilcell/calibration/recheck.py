@@ -1,0 +1,211 @@
+"""Whether a calibration still holds, judged by a few corrected poses measured again.
+
+Of N errors e (3N values) the calibration predicts the covariance C: that of each pose by itself
+(model, one visit, reading) and that of frames, which move all of them together. Generalised
+least squares splits ``e' C^-1 e`` into a part of 6 degrees of freedom, explained by a small motion
+of the robot's base, and the rest, of 3N - 6; both are chi^2 where nothing has changed. A rest that
+is too large asks for a new calibration, a motion that is too large for an update of the base frame.
+The motion is the mean of its posterior: C has the uncertainty of the frames, so that noise of {W}
+alone moves no base.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from hilcell.geometry.frames import cross_matrix, matrix
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.statistics import lengths_mm
+from hilcell.ports import Array, HilcellError
+
+RISK = 0.01  # that a calibration which holds is not found to
+TESTS = 2  # the motion and the rest share it
+MOTION = 6  # degrees of freedom
+BUMPED_MM, BUMPED_RAD = 1.0, 1e-3  # 1 sigma of a base that was moved, before any pose says so
+FEWEST = 4  # poses: three leave the rest too few degrees of freedom to say anything
+
+Verdict = Literal["valid", "update", "redo"]
+
+
+class NotJudged(HilcellError):
+    """Errors that cannot be judged."""
+
+    code = "HC-C21"
+
+
+@dataclass(frozen=True, eq=False)
+class Rechecked:
+    """Errors e = actual - target (N, 3) at targets (N, 3), both in {B}, with their covariance.
+
+    ``own_mm2`` (N, 3, 3) is that of each error by itself, ``common_mm2`` (3N, 3N) that of frames,
+    which move all poses together.
+    """
+
+    targets_mm: Array
+    errors_mm: Array
+    own_mm2: Array
+    common_mm2: Array
+
+    @property
+    def covariance_mm2(self) -> Array:
+        """Return the covariance (3N, 3N) of all errors."""
+        total = self.common_mm2.copy()
+        for n, own in enumerate(self.own_mm2):
+            total[3 * n : 3 * n + 3, 3 * n : 3 * n + 3] += own
+        return total
+
+    @property
+    def each_mm2(self) -> Array:
+        """Return the covariances (N, 3, 3) of the errors one by one."""
+        count = len(self.own_mm2)
+        blocks = self.covariance_mm2.reshape(count, 3, count, 3)
+        each: Array = np.moveaxis(np.diagonal(blocks, axis1=0, axis2=2), -1, 0)
+        return each
+
+
+class ChiSquare(NamedTuple):
+    """A value, its degrees of freedom, and its limit at its share of the risk."""
+
+    chi2: float
+    freedom: int
+    limit: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether it keeps its limit."""
+        return self.chi2 <= self.limit
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """Both tests, the base's motion, and what it leaves.
+
+    ``motion`` (6,) is the shift of {B}'s origin (mm) and the rotation vector (rad) about it, axes
+    of {B}, ``covariance`` (6, 6) that of the motion. ``shift_mm`` is how far it carries the middle
+    of the poses, ``drift_mm`` by how much the root mean square of the errors exceeds what was
+    predicted; u are standard uncertainties of these 3D lengths. ``left_mm`` (N, 3) are the errors
+    less the motion, ``sigmas`` (N,) the same in the standard deviations of a coordinate.
+    """
+
+    moved: ChiSquare
+    rest: ChiSquare
+    motion: Array
+    covariance: Array
+    shift_mm: float
+    u_mm: float
+    turn_urad: float
+    turn_u_urad: float
+    drift_mm: float
+    drift_u_mm: float
+    left_mm: Array
+    sigmas: Array
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return what to do with the calibration."""
+        if not self.rest.holds:
+            return "redo"
+        return "valid" if self.moved.holds else "update"
+
+    @property
+    def chi2(self) -> float:
+        """Return the chi^2 of all errors."""
+        return self.moved.chi2 + self.rest.chi2
+
+    @property
+    def worst(self) -> int:
+        """Return the pose that the motion explains least."""
+        return int(np.argmax(self.sigmas))
+
+    @property
+    def base(self) -> Array:
+        """Return the base as it stands now (4, 4) in the {B} of the calibration."""
+        return matrix(from_rotvec(self.motion[3:]), self.motion[:3])
+
+
+def judged(found: Rechecked) -> Judgement:
+    """Judge the errors; raises `NotJudged`."""
+    _check(found)
+    count = len(found.errors_mm)
+    J = _levers(found.targets_mm).reshape(-1, MOTION)
+    C, e = found.covariance_mm2, found.errors_mm.reshape(-1)
+    weighted = np.linalg.solve(C, np.column_stack([J, e]))
+    information, pull = J.T @ weighted[:, :MOTION], J.T @ weighted[:, MOTION]
+    explained = float(pull @ np.linalg.solve(information, pull))
+    rest = float(e @ weighted[:, MOTION]) - explained
+    prior = np.diag([BUMPED_MM**-2] * 3 + [BUMPED_RAD**-2] * 3)
+    covariance = np.linalg.inv(information + prior)
+    motion = covariance @ pull
+    left_mm = found.errors_mm - (J @ motion).reshape(-1, 3)
+    at_middle = np.hstack([np.eye(3), -cross_matrix(found.targets_mm.mean(axis=0))])
+    drift_mm, drift_u_mm = _drift(found)
+    return Judgement(
+        _test(explained, MOTION),
+        _test(rest, 3 * count - MOTION),
+        motion,
+        covariance,
+        float(np.linalg.norm(at_middle @ motion)),
+        math.sqrt(float(np.trace(at_middle @ covariance @ at_middle.T))),
+        1e6 * float(np.linalg.norm(motion[3:])),
+        1e6 * math.sqrt(float(np.trace(covariance[3:, 3:]))),
+        drift_mm,
+        drift_u_mm,
+        left_mm,
+        _sigmas(left_mm, found.own_mm2),
+    )
+
+
+def _check(found: Rechecked) -> None:
+    count = len(found.errors_mm)
+    if not count >= FEWEST:
+        raise NotJudged(f"re-check: {count} poses, wanted at least {FEWEST}")
+    if not np.isfinite(found.errors_mm).all():
+        raise NotJudged("re-check: an error is not finite; measure again")
+    if not (np.isfinite(found.own_mm2).all() and np.isfinite(found.common_mm2).all()):
+        raise NotJudged(
+            "re-check: the calibration states no covariance, as those of earlier versions; "
+            "calibrate again"
+        )
+
+
+def _levers(targets_mm: Array) -> Array:
+    """Return d(error) / d(motion), (N, 3, 6)."""
+    shifts = np.broadcast_to(np.eye(3), (len(targets_mm), 3, 3))
+    levers: Array = np.concatenate([shifts, -cross_matrix(targets_mm)], axis=-1)
+    return levers
+
+
+def _test(chi2: float, freedom: int) -> ChiSquare:
+    from scipy.special import chdtri
+
+    return ChiSquare(chi2, freedom, float(chdtri(freedom, RISK / TESTS)))
+
+
+def _drift(found: Rechecked) -> tuple[float, float]:
+    """Return the root of the errors' mean square beyond the predicted one, and its u.
+
+    The mean square is a quadratic form of normal variables, of variance ``2 tr C^2 + 4 e' C e``
+    over N^2. u is half the width of its image under the root, which stays finite at 0.
+    """
+    count, C, e = len(found.errors_mm), found.covariance_mm2, found.errors_mm.reshape(-1)
+    excess_mm2 = max(0.0, float(e @ e - np.trace(C)) / count)
+    shown = e * math.sqrt(count * excess_mm2 / float(e @ e)) if excess_mm2 else 0.0 * e
+    spread_mm2 = math.sqrt(2 * float(np.square(C).sum()) + 4 * float(shown @ C @ shown)) / count
+    drift_mm = math.sqrt(excess_mm2)
+    return drift_mm, math.sqrt(excess_mm2 + spread_mm2) - drift_mm
+
+
+def _sigmas(left_mm: Array, own_mm2: Array) -> Array:
+    squares = np.einsum("ni,nij,nj->n", left_mm, np.linalg.inv(own_mm2), left_mm)
+    sigmas: Array = np.sqrt(squares / 3)
+    return sigmas
+
+
+def in_tolerance(errors_mm: Array, mean_mm: float, max_mm: float) -> bool:
+    """Whether mean and largest of the 3D errors (N, 3) keep their tolerances."""
+    found = lengths_mm(errors_mm)
+    return bool(found.mean() <= mean_mm and found.max() <= max_mm)

@@ -1,0 +1,58 @@
+"""The calibration that a run ends with: a new one, or one of before with what the run has changed.
+
+A re-check that found the base moved keeps model and volume of the old calibration and turns its
+base frames. The motion was found at one station; the robot stands rigidly on the slide, so it is
+the same in {B} at every station.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.file import calibration_of
+from hilcell.calibration.form import Calibration, Update
+from hilcell.calibration.influence import MEASURED, Influence, moved_frame
+from hilcell.calibration.recheck import Judgement
+from hilcell.calibration.rechecked import rechecked_run, used
+from hilcell.journal.log import Log
+
+BASE_UPDATE = "Base frame, updated"
+
+
+def calibration_after(log: Log, run: str) -> Calibration:
+    """Return the calibration of a log for which `Log.calibrates` holds."""
+    if "fit" in log.verdicts:
+        return calibration_of(log, run)
+    return _rebased(used(log), rechecked_run(log), run)
+
+
+def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibration:
+    """Return the calibration with its base frames where the re-check found the base."""
+    stations = {
+        name: msgspec.structs.replace(entry, T_W_B=(np.array(entry.T_W_B) @ found.base).tolist())
+        for name, entry in calibration.stations.items()
+    }
+    update = Update(
+        run, "base", _now(), len(found.left_mm), found.motion.tolist(), found.covariance.tolist()
+    )
+    changes: dict[str, Any] = {"stations": stations, "provenance": _with(calibration, update)}
+    stated = calibration.uncertainty
+    if stated is not None and not stated.missing:
+        how = f"{len(found.left_mm)} poses of the re-check, less what its frames are uncertain by"
+        line = Influence(BASE_UPDATE, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
+        lines = [each for each in stated.lines if each.name != BASE_UPDATE]
+        changes["uncertainty"] = msgspec.structs.replace(stated, lines=[*lines, line])
+    return msgspec.structs.replace(calibration, **changes)
+
+
+def _with(calibration: Calibration, update: Update) -> Any:
+    made = calibration.provenance
+    return msgspec.structs.replace(made, written=update.written, updates=[*made.updates, update])
+
+
+def _now() -> str:
+    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"

@@ -1,0 +1,147 @@
+"""A few corrected poses, measured again: does the calibration still hold?
+
+For after weeks, a crash or a change of temperature. {W} comes from the floor nests, so that
+the tracker may stand elsewhere than it did; the poses are commanded with the calibration's
+correction at its own station.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.in_use import USED, calibration_in, calibration_named, record_of
+from hilcell.calibration.rechecked import poses_at, recheck_result, rechecked_run
+from hilcell.cell.file import Cell
+from hilcell.compensation.correction import corrected
+from hilcell.geometry.frames import apply
+from hilcell.geometry.inverse import ReachError
+from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array, HilcellError
+from hilcell.run.cell_session import CellSession
+from hilcell.run.clear_ways import check_poses
+from hilcell.run.procedure import Procedure, Step, Table
+from procedures.durations import flange_points, step
+from procedures.home import Home
+from procedures.station import HoldStation
+from procedures.world_frame import WorldFrame
+
+TABLE = "recheck"
+MARGIN = 0.05  # of the volume's sides: poses keep off its faces
+GOLDEN = 1.2207440846057596  # root of x^4 = x + 1: its powers spread points evenly in space
+
+
+class Recheck:
+    """Measures the poses; one that stands out is measured once more before it counts."""
+
+    name = "recheck"
+    needs = "a calibration of this cell, {W}, its station held"
+    moves = "the robot to corrected poses spread over the calibrated volume"
+    measures = "the flange reflector at every pose"
+    yields = "whether the calibration is still valid, is updated, or is to be made again"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse a calibration that is missing, and poses out of reach."""
+        joints_rad = commands_rad(cell, calibration_named(cell, TABLE), seed)
+        check_poses(cell, cell.station_named(cell.grid.station), joints_rad, "re-check pose")
+        return step(self.name, len(joints_rad), [flange_points(cell, joints_rad)])
+
+    def perform(self, session: CellSession) -> None:
+        """Keep the calibration, measure, judge."""
+        cell = session.cell
+        calibration = use(session, TABLE)
+        station = cell.station_named(cell.grid.station)
+        targets_mm = places_mm(calibration, cell.recheck.poses, session.seed)
+        nominal_mm = apply(session.log.matrix("base"), targets_mm)
+        joints_rad = commands_rad(cell, calibration, session.seed)
+        ids = [PointId("recheck", number=n) for n in range(len(targets_mm))]
+        for n, id in enumerate(ids):
+            session.flange_point(id, station, joints_rad[n], nominal_mm=nominal_mm[n])
+        found = rechecked_run(session.log)
+        if found.verdict == "redo" and not session.log.point(ids[found.worst]).retaken:
+            n = found.worst
+            session.event("outlier measured again", key=ids[n].key)
+            again = joints_rad[n], nominal_mm[n]
+            session.flange_point(ids[n], station, again[0], nominal_mm=again[1], retake=True)
+        result = self.result(session.log)["recheck"]
+        session.verdict(
+            "recheck",
+            holds=result["verdict"] == "valid",
+            verdict=result["verdict"],
+            drift_mm=result["drift_mm"],
+            drift_u_mm=result["drift_u_mm"],
+        )
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the judgement and its figures."""
+        return recheck_result(log)
+
+
+def use(session: CellSession, table: str) -> Calibration:
+    """Return the calibration that this run uses; keep it, and its base frame, in the journal."""
+    calibration = calibration_in(session.log)
+    if calibration is None:
+        calibration = calibration_named(session.cell, table)
+        path = getattr(session.cell, table).calibration
+        session.event(USED, **record_of(calibration, path))
+    if "base" not in session.log.frames:
+        entry = calibration.stations[session.cell.grid.station]
+        session.frame("base", np.array(entry.T_W_B), calibration=calibration.provenance.latest)
+    return calibration
+
+
+def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
+    """Return targets (N, 3) in {B}, evenly spread over the volume, elsewhere for each seed."""
+    low_mm, high_mm = (
+        np.array(corner) for corner in (calibration.validity.low_mm, calibration.validity.high_mm)
+    )
+    begin = np.random.default_rng([seed, 230]).uniform(size=3)
+    steps = GOLDEN ** -np.arange(1.0, 4.0)
+    share = (begin + np.outer(np.arange(count), steps)) % 1.0
+    places: Array = low_mm + (MARGIN + (1 - 2 * MARGIN) * share) * (high_mm - low_mm)
+    return places
+
+
+def commands_rad(cell: Cell, calibration: Calibration, seed: int) -> Array:
+    """Return the joints (N, 6) of the corrected poses; raises `HilcellError` out of reach."""
+    poses = poses_at(calibration, places_mm(calibration, cell.recheck.poses, seed))
+    poses[:, :3, 3] = corrected(calibration.grid(), poses, calibration.error_model())
+    try:
+        return cell.robot.nominal().joints_for(poses)
+    except ReachError as error:
+        raise HilcellError(f"re-check pose: {error}", code="HC-C10") from error
+
+
+def recheck_table(result: dict[str, Any]) -> Table:
+    """Return every pose's error beside the predicted one, and the verdict."""
+    found = result["recheck"]
+    rows = [
+        [
+            each["pose"],
+            *(f"{value:.0f}" for value in each["at_mm"]),
+            f"{each['error_mm']:.4f}",
+            f"{each['bound_mm']:.4f}",
+            f"{each['left_mm']:.4f}",
+        ]
+        for each in found["poses"]
+    ]
+    headers = ["pose", "x mm", "y mm", "z mm", "error mm", "predicted mm (95 %)", "base moved mm"]
+    return headers, rows
+
+
+def recheck_words(result: dict[str, Any]) -> str:
+    """Return the verdict in words."""
+    return str(result["recheck"]["text"])
+
+
+RECHECK = Procedure(
+    "recheck",
+    "a few corrected poses: does the calibration still hold?",
+    (Home(), WorldFrame(), HoldStation(), Recheck()),
+    recheck_table,
+    words=recheck_words,
+    uses=TABLE,
+)

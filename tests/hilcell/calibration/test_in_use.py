@@ -1,0 +1,111 @@
+"""Which calibration a procedure starts from, and which it refuses before anything moves."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from hilcell.calibration.file import write_calibration
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.in_use import NoCalibration, calibration_named, with_calibration
+from hilcell.calibration.validity import Unfit
+from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.in_use import RecheckTable
+from hilcell.cell.settings import SettingsError
+from hilcell.journal.runs import CALIBRATION, JOURNAL
+from hilcell.ports import HilcellError
+from tests.hilcell.calibration.calibrations import calibration
+
+CELL = load_cell("paper")
+
+
+def made(runs: Path, name: str, **provenance: Any) -> Calibration:
+    """Write a run with a calibration of the cell, simulated as it is."""
+    folder = runs / name
+    folder.mkdir()
+    (folder / JOURNAL).touch()
+    here: dict[str, Any] = {"cell": CELL.name, "digest": CELL.digest, "simulated": True}
+    found = calibration(**(here | {"run": name} | provenance))
+    write_calibration(found, folder / CALIBRATION)
+    return found
+
+
+def using(named: str = "") -> Cell:
+    return msgspec.structs.replace(CELL, recheck=RecheckTable(calibration=named))
+
+
+def test_the_newest_calibration_of_this_cell_is_taken(tmp_path: Path) -> None:
+    made(tmp_path, "1-old")
+    made(tmp_path, "2-new")
+    made(tmp_path, "3-other-cell", cell="another")
+    later = tmp_path / "4-no-calibration"
+    later.mkdir()
+    (later / JOURNAL).touch()
+    for seconds, folder in enumerate(sorted(tmp_path.iterdir())):
+        _written(folder / JOURNAL, seconds)
+    cell = with_calibration(using(), "recheck", tmp_path)
+    assert Path(cell.recheck.calibration) == tmp_path / "2-new" / CALIBRATION
+    assert calibration_named(cell, "recheck").provenance.run == "2-new"
+    assert cell.digest == CELL.digest
+
+
+def _written(path: Path, seconds: int) -> None:
+    os.utime(path, (1_000_000 + seconds, 1_000_000 + seconds))
+
+
+@pytest.mark.parametrize("how", ["1-old", "1-", "file"])
+def test_a_run_or_its_file_may_be_named(tmp_path: Path, how: str) -> None:
+    made(tmp_path, "1-old")
+    made(tmp_path, "2-new")
+    named = str(tmp_path / "1-old" / CALIBRATION) if how == "file" else how
+    cell = with_calibration(using(named), "recheck", tmp_path)
+    assert calibration_named(cell, "recheck").provenance.run == "1-old"
+
+
+def test_no_calibration_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(NoCalibration, match="`hilcell run calibrate` first"):
+        with_calibration(using(), "recheck", tmp_path)
+    with pytest.raises(HilcellError, match="is not in"):
+        with_calibration(using("nothing"), "recheck", tmp_path)
+    made(tmp_path, "1-old")
+    (tmp_path / "1-old" / CALIBRATION).unlink()
+    with pytest.raises(NoCalibration, match="run 1-old wrote no calibration"):
+        with_calibration(using("1-old"), "recheck", tmp_path)
+    with pytest.raises(NoCalibration, match=r"--set recheck\.calibration=RUN"):
+        calibration_named(using(), "recheck")
+
+
+@pytest.mark.parametrize(
+    ("provenance", "said"),
+    [
+        ({"sign_checked": False}, "sign check"),
+        ({"simulated": False}, "it is of a real cell, this is a simulated one"),
+    ],
+)
+def test_an_unfit_one_is_refused(tmp_path: Path, provenance: dict[str, Any], said: str) -> None:
+    made(tmp_path, "1-old", **provenance)
+    with pytest.raises(Unfit, match=said):
+        with_calibration(using(), "recheck", tmp_path)
+
+
+def test_a_file_alone_must_be_of_the_same_cell_file(tmp_path: Path) -> None:
+    made(tmp_path, "1-old", digest="d" * 64)
+    alone = tmp_path / "alone.json"
+    (tmp_path / "1-old" / CALIBRATION).rename(alone)
+    with pytest.raises(Unfit, match="digest dddddddddddd"):
+        with_calibration(using(str(alone)), "recheck", tmp_path)
+
+
+def test_an_old_one_is_no_reason(tmp_path: Path) -> None:
+    made(tmp_path, "1-old", written="2020-01-01T00:00:00Z")
+    with_calibration(using(), "recheck", tmp_path)
+
+
+def test_a_changed_file_is_refused(tmp_path: Path) -> None:
+    made(tmp_path, "1-old")
+    path = tmp_path / "1-old" / CALIBRATION
+    path.write_text(path.read_text().replace('"pitch_mm": 450', '"pitch_mm": 451'))
+    with pytest.raises(SettingsError, match="seal"):
+        with_calibration(using(), "recheck", tmp_path)

@@ -1,0 +1,120 @@
+"""A calibration that holds is found to, one that drifted is not; errors of known covariance."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.recheck import (
+    NotJudged,
+    Rechecked,
+    judged,
+)
+from hilcell.geometry.frames import apply, matrix
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.ports import Array
+
+RNG = np.random.default_rng(230)
+TARGETS_MM = np.array([1850.0, 0.0, 950.0]) + RNG.uniform(-400.0, 400.0, (7, 3))
+OWN_MM = 0.02
+FRAME_MM = 0.03  # of the shift that moves all poses together
+OWN_MM2 = np.tile(np.diag([1.0, 1.0, 1.5]) * OWN_MM**2, (7, 1, 1))
+COMMON_MM2 = np.array(np.kron(np.ones((7, 7)), FRAME_MM**2 * np.eye(3)), dtype=np.float64)
+
+
+def found(errors_mm: Array) -> Rechecked:
+    return Rechecked(TARGETS_MM, errors_mm, OWN_MM2, COMMON_MM2)
+
+
+def noise_mm(rng: np.random.Generator) -> Array:
+    """Return errors (7, 3) of just that covariance."""
+    covariance = found(np.zeros((7, 3))).covariance_mm2
+    drawn: Array = rng.multivariate_normal(np.zeros(21), covariance).reshape(7, 3)
+    return drawn
+
+
+def moved_mm(shift_mm: list[float], turn_rad: list[float]) -> Array:
+    """Return how far a motion of the base carries the targets."""
+    T = matrix(from_rotvec(np.array(turn_rad)), np.array(shift_mm))
+    by_mm: Array = apply(T, TARGETS_MM) - TARGETS_MM
+    return by_mm
+
+
+def test_a_calibration_that_holds_is_refused_as_rarely_as_stated() -> None:
+    rng = np.random.default_rng(1)
+    verdicts = [judged(found(noise_mm(rng))) for _ in range(2000)]
+    wrong = sum(each.verdict != "valid" for each in verdicts)
+    assert 8 <= wrong <= 34  # of 20 expected, 3 sigma
+    assert np.mean([each.moved.chi2 for each in verdicts]) == pytest.approx(6.0, abs=0.25)
+    assert np.mean([each.rest.chi2 for each in verdicts]) == pytest.approx(15.0, abs=0.4)
+
+
+def test_a_base_that_moved_is_an_update_with_its_motion() -> None:
+    rng = np.random.default_rng(2)
+    shift, turn = [0.3, -0.1, 0.05], [1e-4, 0.0, -2e-4]
+    off, sizes = [], []
+    for _ in range(200):
+        judgement = judged(found(moved_mm(shift, turn) + noise_mm(rng)))
+        assert judgement.verdict in ("update", "redo")
+        off.append(judgement.motion - np.array([*shift, *turn]))
+        sizes.append(judgement.shift_mm)
+        covariance = judgement.covariance
+    # In standard deviations the misses are as the posterior says.
+    squares = np.einsum("ni,ij,nj->n", np.array(off), np.linalg.inv(covariance), np.array(off))
+    assert squares.mean() == pytest.approx(6.0, rel=0.2)
+    at_middle = np.linalg.norm(moved_mm(shift, turn).mean(axis=0))
+    assert np.mean(sizes) == pytest.approx(at_middle, abs=0.02)
+
+
+def test_the_base_where_it_stands_now_takes_the_motion_away() -> None:
+    judgement = judged(found(moved_mm([0.4, 0.0, -0.2], [0.0, 3e-4, 1e-4])))
+    assert judgement.verdict == "update"
+    np.testing.assert_allclose(
+        apply(judgement.base, TARGETS_MM) - TARGETS_MM,
+        moved_mm([0.4, 0.0, -0.2], [0.0, 3e-4, 1e-4]),
+        atol=0.02,
+    )
+    assert np.abs(judgement.left_mm).max() < 0.02
+    assert judgement.drift_mm > 5 * judgement.drift_u_mm
+
+
+def test_one_pose_that_no_motion_explains_is_a_redo_and_named() -> None:
+    errors_mm = noise_mm(np.random.default_rng(3))
+    errors_mm[4] += [0.0, 0.25, 0.0]
+    judgement = judged(found(errors_mm))
+    assert judgement.verdict == "redo"
+    assert judgement.worst == 4
+
+
+def test_a_frame_that_is_known_badly_moves_no_base() -> None:
+    """The same shift of all poses: frames explain it where they are uncertain by as much."""
+    shifted_mm = np.tile([0.08, 0.0, 0.0], (7, 1))
+    exact = Rechecked(TARGETS_MM, shifted_mm, OWN_MM2, np.zeros((21, 21)))
+    vague = Rechecked(TARGETS_MM, shifted_mm, OWN_MM2, 9 * COMMON_MM2)
+    assert judged(exact).verdict == "update"
+    assert judged(vague).verdict == "valid"
+    assert judged(vague).u_mm > judged(exact).u_mm
+
+
+def test_no_drift_is_nought_with_a_finite_uncertainty() -> None:
+    judgement = judged(found(np.zeros((7, 3))))
+    assert judgement.drift_mm == 0.0
+    assert 0.01 < judgement.drift_u_mm < 0.1
+    assert judgement.chi2 == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"own_mm2": np.full((7, 3, 3), np.nan)}, "states no covariance"),
+        ({"errors_mm": np.full((7, 3), np.nan)}, "not finite"),
+        ({"errors_mm": np.zeros((3, 3))}, "3 poses, wanted at least 4"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(change: dict[str, Any], said: str) -> None:
+    values = {
+        "targets_mm": TARGETS_MM, "errors_mm": np.zeros((7, 3)), "own_mm2": OWN_MM2,
+        "common_mm2": COMMON_MM2,
+    }  # fmt: skip
+    with pytest.raises(NotJudged, match=said):
+        judged(Rechecked(**(values | change)))

@@ -1,0 +1,58 @@
+"""A calibration is checked again on the machine that it was made on, after its zero was lost."""
+
+import json
+from pathlib import Path
+
+from hilcell.calibration.file import read_calibration
+from hilcell.journal.runs import CALIBRATION
+from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets, simulation
+from tests.whole.golden import GoldenRuns
+from tests.whole.trace import judge
+
+LOST = '[[fault]]\nname = "robot.lost_zero"\nvalue = 0.02\n'  # 0.35 mrad: 0.7 mm at the cube
+
+
+def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_path: Path) -> None:
+    faults, runs = tmp_path / "faults.toml", tmp_path / "runs"
+    faults.write_text(LOST)
+    with simulation("--seed", "1", "--speed", "max", "--faults", str(faults)) as cell:
+        words = SMALL | {"simulation.address": cell.control}
+        first = words | {"recheck.calibration": str(golden["small"].folder)}
+        done = hilcell("run", "recheck", "--json", "--name", "R", "--runs", runs, *sets(first))
+        again = hilcell("run", "recheck", "--json", "--runs", runs, *sets(words))
+    found = end_of(done)["result"]["recheck"]
+    assert done.returncode == 1, done.stderr
+    assert found["verdict"] == "update"
+    assert abs(found["shift_mm"] - 0.65) < 3 * found["u_mm"]
+    assert judge(events(done.stdout)) == []
+    assert sum(event["kind"] == "point" for event in events(done.stdout)) <= 10
+    updated = read_calibration(runs / "R" / CALIBRATION)
+    assert [update.run for update in updated.provenance.updates] == ["R"]
+    assert updated.provenance.run == "small"
+    found = end_of(again)["result"]["recheck"]
+    assert again.returncode == 0, again.stderr
+    assert (found["verdict"], found["calibration"]) == ("valid", "R")
+    shown = command("show", "R", "--runs", runs)
+    assert "Update: the robot's base has moved" in shown.stderr
+    page = tmp_path / "report.html"
+    assert command("report", "R", "--runs", runs, "-o", page).returncode == 0
+    assert "Update: the robot" in page.read_text()
+    targets, out = tmp_path / "t.csv", tmp_path / "o.csv"
+    targets.write_text("name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,0,0,1200,0,75,0\n")
+    done = command("compensate", "R", targets, "--station", "S1100", "-o", out, "--runs", runs)
+    assert done.returncode == 0, done.stderr
+
+
+def test_without_a_calibration_nothing_begins(tmp_path: Path) -> None:
+    done = command("run", "recheck", "--json", "--runs", tmp_path)
+    assert done.returncode == 2
+    assert "`hilcell run calibrate` first" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dry_run_has_ten_points(golden: GoldenRuns, tmp_path: Path) -> None:
+    words = SMALL | {"recheck.calibration": str(golden["small"].folder)}
+    done = command("run", "recheck", "--dry-run", "--json", "--runs", tmp_path, *sets(words))
+    plan = json.loads(done.stdout.splitlines()[-1])["result"]
+    assert plan["points"] == 10
+    assert plan["duration_s"] < 120
