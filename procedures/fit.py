@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+
 from hilcell.calibration.frames import grid_of, measured_of, outlying_vertices
 from hilcell.cell.file import Cell
-from hilcell.compensation.choice import choose, cross_validate
+from hilcell.compensation.choice import chosen
+from hilcell.compensation.kinematic import curves_used
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
@@ -42,9 +45,14 @@ class Fit:
         session.reach("fit")
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return the method and its cross-validation."""
-        loocv = cross_validate(measured_of(log))
-        return {
-            "method": choose(loocv),
-            "fit": {"loocv": loocv, "outliers": outlying_vertices(log)},
+        """Return the method, its cross-validation and the reasons."""
+        measured = measured_of(log)
+        choice = chosen(measured)
+        fit = {
+            "loocv": choice.figures,
+            "reason": choice.reason,
+            "refused": choice.refused,
+            "curves": msgspec.to_builtins(curves_used(measured)),
+            "outliers": outlying_vertices(log),
         }
+        return {"method": choice.model, "fit": fit}

@@ -1,0 +1,5 @@
+"""Tests of everything, on one thread of linear algebra as the command has it."""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is imported

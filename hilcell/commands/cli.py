@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
+import os
 import re
 import sys
 from collections.abc import Sequence
@@ -414,6 +415,8 @@ def _assignment(text: str) -> tuple[str, str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     args = _parser().parse_args(arguments)
+    # Many small matrices: a second thread of the linear algebra makes them up to 30 times slower.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     module, _, function = args.act.partition(":")
     try:
         act = getattr(importlib.import_module(f"hilcell.{module}"), function)

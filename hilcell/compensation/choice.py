@@ -1,25 +1,75 @@
-"""The models that a calibration chooses from, and the choice by cross-validation."""
+"""The models that a calibration chooses from, and the choice by cross-validation.
+
+A model is judged by how far it misses poses that it did not learn from: by their mean and by the
+largest, each relative to the best of all models, because the best in the mean may be bad somewhere.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from hilcell.compensation.interpolation import Idw, Trilinear
+from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import LearntModel
+from hilcell.compensation.nominal import Nominal
 from hilcell.geometry.statistics import figures_of, lengths_mm
+from hilcell.identification.readings import IdentificationError
 
-MODELS: dict[str, type[LearntModel]] = {"idw": Idw, "trilinear": Trilinear}
+NOMINAL = "nominal"
+MODELS: dict[str, type[LearntModel]] = {
+    NOMINAL: Nominal,
+    "idw": Idw,
+    "trilinear": Trilinear,
+    "kinematic": Kinematic,
+}
 
 
-def cross_validate(measured: Measured) -> dict[str, dict[str, float]]:
-    """Return mean, p95 and max (mm) of the misses at poses left out, by model."""
-    return {
-        name: figures_of(lengths_mm(model.left_out_mm(measured)))._asdict()
-        for name, model in MODELS.items()
-    }
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The model chosen and why; by model mean, p95 and max (mm) of the misses at poses left out,
+    and why others could not be learnt.
+    """
+
+    model: str
+    reason: str
+    figures: dict[str, dict[str, float]]
+    refused: dict[str, str]
+
+
+def chosen(measured: Measured) -> Choice:
+    """Return the choice among all models; raises `HilcellError` where none can be learnt."""
+    figures, refused = {}, {}
+    for name, model in MODELS.items():
+        try:
+            figures[name] = figures_of(lengths_mm(model.left_out_mm(measured)))._asdict()
+        except IdentificationError as error:
+            refused[name] = str(error)
+    name = choose(figures)
+    return Choice(name, _reason(name, figures), figures, refused)
 
 
 def choose(figures: Mapping[str, Mapping[str, float]]) -> str:
-    """Return the model with the least mean of `cross_validate`."""
-    return min(figures, key=lambda name: figures[name]["mean"])
+    """Return the model of least mean and largest miss; one that does not beat nominal is not."""
+    best = {kind: min(each[kind] for each in figures.values()) for kind in ("mean", "max")}
+    return min(
+        (name for name in figures if name == NOMINAL or not _beaten(figures, name)),
+        key=lambda name: sum(_relative(figures[name][kind], best[kind]) for kind in best),
+    )
+
+
+def _beaten(figures: Mapping[str, Mapping[str, float]], name: str) -> bool:
+    """Whether nominal positions are as good as a model in the mean."""
+    return NOMINAL in figures and not figures[name]["mean"] < figures[NOMINAL]["mean"]
+
+
+def _relative(value: float, best: float) -> float:
+    return value / best if best > 0.0 else float(value > 0.0)
+
+
+def _reason(name: str, figures: Mapping[str, Mapping[str, float]]) -> str:
+    listed = ", ".join(f"{each} {of['mean']:.4f} / {of['max']:.4f}" for each, of in figures.items())
+    if name == NOMINAL:
+        return f"no model beats nominal positions at poses left out: mean / max mm {listed}"
+    return f"least mean and largest miss at poses left out: mean / max mm {listed}"

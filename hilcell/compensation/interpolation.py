@@ -92,7 +92,7 @@ class Interpolation(ABC):
             ("vertex_covariance_mm2", vertices, (*grid.shape, 3, 3)),
             ("residual_covariance_mm2", residual, (3, 3)),
         ):
-            _check_covariance(name, covariance, shape)
+            check_covariance(name, covariance, shape)
         return cls(MeasuredGrid(grid, errors_mm, vertices), residual)
 
     def parameters(self) -> dict[str, Any]:
@@ -212,7 +212,8 @@ def _residual_mm2(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
     return residual
 
 
-def _check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
+def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
+    """Raise `ModelError` where an array of a shape (..., 3, 3) is no covariances."""
     if found.shape != shape or not np.isfinite(found).all():
         counts = " x ".join(map(str, shape))
         raise ModelError(f"{name}: wanted {counts} finite numbers")

@@ -36,6 +36,12 @@ class TransmissionCurve:
         basis: Array = pairs.reshape(*phase.shape[:-1], 2 * len(self.cycles))
         return basis
 
+    def slope(self, joint_rad: Array) -> Array:
+        """Return d(basis)/dq (..., 2K) at commanded angles (...)."""
+        pairs = self.basis(joint_rad).reshape(*np.shape(joint_rad), len(self.cycles), 2)
+        turned = np.stack([-pairs[..., 1], pairs[..., 0]], axis=-1) * self.cycles[:, None]
+        return turned.reshape(*np.shape(joint_rad), 2 * len(self.cycles))
+
     def evaluate(self, joint_rad: Array) -> Array:
         """Return the joint's error (...) in rad at commanded angles (...)."""
         error: Array = self.basis(joint_rad) @ self.amplitude_rad.ravel()

@@ -95,7 +95,7 @@ def put(path: str, value: Any) -> Callable[[Any], None]:
 @pytest.mark.parametrize(
     ("path", "value", "says"),
     [
-        ("method", "magic", "method: 'magic' is unknown; known here: idw, trilinear"),
+        ("method", "magic", "method: 'magic' is unknown; known here: nominal, idw, trilinear"),
         ("model.name", "idw", "model.name: 'idw', wanted the method's 'trilinear'"),
         ("model.parameters", {}, "model.parameters: no covariances of a lattice"),
         ("model.parameters.vertex_covariance_mm2", [], "wanted 3 x 3 x 3 x 3 x 3 finite numbers"),

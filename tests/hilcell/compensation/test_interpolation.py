@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from hilcell.compensation.choice import choose, cross_validate
+from hilcell.compensation.choice import chosen
 from hilcell.compensation.grid import Grid, GridError, MeasuredGrid, OutsideGrid
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import ModelError
@@ -176,10 +176,11 @@ def test_cross_validation_of_one_cell_is_refused() -> None:
 
 
 def test_the_better_method_is_chosen() -> None:
-    figures = cross_validate(measured(GRID, GRID.vertices_mm() * 0.001))
+    choice = chosen(measured(GRID, GRID.vertices_mm() * 0.001))
+    figures = choice.figures
     assert figures["trilinear"]["max"] < 1e-9 < figures["idw"]["mean"] <= figures["idw"]["p95"]
-    assert choose(figures) == "trilinear"
-    assert choose({"idw": {"mean": 0.1}, "trilinear": {"mean": 0.2}}) == "idw"
+    assert choice.model == "trilinear"
+    assert "no pose" in choice.refused["nominal"]
 
 
 # -- covariance ------------------------------------------------------------------------------------

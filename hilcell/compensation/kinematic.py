@@ -1,0 +1,304 @@
+"""The identified robot as a model of errors: nominal joints in, what its kinematics then miss.
+
+The curves of axis sweeps are used only where they predict static poses better that no sweep saw:
+with a wrong abscissa they make a calibration worse than none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import msgspec
+import numpy as np
+
+from hilcell.compensation.grid import Grid
+from hilcell.compensation.measured import Measured
+from hilcell.compensation.model import ModelError, Prediction
+from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.robot import NominalRobot
+from hilcell.geometry.statistics import lengths_mm
+from hilcell.identification.curve import TransmissionCurve
+from hilcell.identification.estimate import Estimate, identify
+from hilcell.identification.kinematics import Kinematics, Placed, State
+from hilcell.identification.noise import Noise
+from hilcell.identification.observability import observability
+from hilcell.identification.prediction import predict
+from hilcell.identification.readings import IdentificationError, Readings
+
+FOLDS = 5  # each fifth pose is predicted by the others
+MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
+MOST_CYCLES = 1e4
+ASSUMED = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
+
+
+class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The nominal robot: rows of six, the tool point's frame (4, 4), posture and limits (2, 6)."""
+
+    a_mm: list[float]
+    alpha_rad: list[float]
+    d_mm: list[float]
+    offset_rad: list[float]
+    sign: list[float]
+    tool: list[list[float]]
+    status: int
+    limits_rad: list[list[float]]
+    reference_rad: list[float]
+
+
+class CurveEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Waves of a transmission curve; their amplitudes are among the values."""
+
+    axis: int
+    cycles: list[float]
+
+
+class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Whether the sweeps' curves are used and why: mean misses (mm) of poses left out."""
+
+    used: bool
+    reason: str
+    with_mm: float | None = None
+    without_mm: float | None = None
+
+
+class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The identified robot.
+
+    ``base`` (4, 4), ``reflector_mm`` (3,), ``values`` by name (V,), and the ``covariance`` (P, P)
+    of base, reflector and values; noise; how many directions of the parameters the poses determine,
+    and how much better the best than the worst; poses that were struck out as gross.
+    """
+
+    robot: RobotEntry
+    gravity: bool
+    waves: bool
+    curves: list[CurveEntry]
+    base: list[list[float]]
+    reflector_mm: list[float]
+    names: list[str]
+    values: list[float]
+    covariance: list[list[float]]
+    reading_mm: float
+    joint_rad: list[float]
+    decision: CurvesUsed
+    directions: int
+    condition: float
+    outliers: list[int]
+
+
+@dataclass(frozen=True, eq=False)
+class Kinematic:
+    """Errors by identified kinematics. The covariance covers the parameters, the repeatability of
+    one visit, and what no parameter describes, both as the static poses show them.
+    """
+
+    robot: NominalRobot
+    kinematics: Kinematics
+    state: State
+    covariance: Array
+    noise: Noise
+    decision: CurvesUsed
+    directions: int
+    condition: float
+    outliers: list[int]
+
+    @classmethod
+    def learn(cls, measured: Measured) -> Self:
+        """Return the robot identified from the static poses and, if they help, the curves.
+
+        Raises `IdentificationError`.
+        """
+        estimate, decision = _identified(measured)
+        known = observability(estimate.system)
+        return cls(
+            measured.robot,
+            estimate.kinematics,
+            estimate.state,
+            estimate.system.covariance,
+            estimate.noise,
+            decision,
+            known.directions,
+            known.condition,
+            np.flatnonzero(estimate.outliers[:, 0]).tolist(),
+        )
+
+    @classmethod
+    def left_out_mm(cls, measured: Measured) -> Array:
+        """Return predicted less measured errors (M, 3), each fifth of the poses left out in turn.
+
+        Gross readings, which nothing was learnt from, are not among them.
+        """
+        return -_left_out_mm(_identified(measured)[0])
+
+    def predict(self, poses: Array) -> Prediction:
+        """Return the errors at nominal poses (N, 4, 4) in {B}; raises `ReachError`."""
+        joints = self.robot.joints_for(poses)
+        found_mm, covariance_mm2 = predict(
+            self.kinematics, self.state, self.covariance, self.noise, joints
+        )
+        return Prediction(found_mm[:, 0] - poses[:, :3, 3], covariance_mm2[:, 0])
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the identified robot."""
+        arm, robot = self.robot.arm, self.robot
+        placed = self.kinematics.placed
+        entry = Parameters(
+            RobotEntry(
+                arm.a_mm.tolist(), arm.alpha_rad.tolist(), arm.d_mm.tolist(),
+                arm.offset_rad.tolist(), arm.sign.tolist(), arm.tool.tolist(), robot.status,
+                robot.limits_rad.tolist(), robot.reference_rad.tolist(),
+            ),
+            self.kinematics.gravity,
+            self.kinematics.waves,
+            [CurveEntry(curve.axis, curve.cycles.tolist()) for curve in self.kinematics.curves],
+            self.state.T.tolist(),
+            self.state.smr_mm[0].tolist(),
+            self.kinematics.names[placed:],
+            self.state.values.tolist(),
+            self.covariance.tolist(),
+            self.noise.reading_mm,
+            self.noise.joint_rad.tolist(),
+            self.decision,
+            self.directions,
+            self.condition,
+            self.outliers,
+        )  # fmt: skip
+        found: dict[str, Any] = msgspec.to_builtins(entry)
+        return found
+
+    @classmethod
+    def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
+        """Return the model as `parameters` keeps it; the grid's errors are not needed."""
+        try:
+            entry = msgspec.convert(parameters, Parameters)
+        except msgspec.ValidationError as error:
+            raise ModelError(f"no identified robot: {error}") from error
+        robot = _robot(entry.robot)
+        curves = tuple(_curve(curve) for curve in entry.curves)
+        kinematics = Kinematics(robot.arm, 1, entry.gravity, entry.waves, curves)
+        placed, size = kinematics.placed, len(kinematics.names)
+        covariance = _numbers("covariance", entry.covariance, (size, size), MOST_MM)
+        _check_covariance(covariance)
+        state = State(
+            _frame("base", entry.base),
+            _numbers("reflector_mm", [entry.reflector_mm], (1, 3), MOST_MM),
+            _numbers("values", entry.values, (size - placed,), MOST_MM),
+            np.zeros(placed),
+        )
+        scatter = _numbers(
+            "reading_mm and joint_rad", [entry.reading_mm, *entry.joint_rad], (7,), MOST_MM
+        )
+        if not (scatter >= 0.0).all():
+            raise ModelError("reading_mm and joint_rad: a standard deviation below zero")
+        noise = Noise(float(scatter[0]), scatter[1:])
+        return cls(
+            robot, kinematics, state, covariance, noise, entry.decision, entry.directions,
+            entry.condition, entry.outliers,
+        )  # fmt: skip
+
+
+ROWS = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "sign")
+
+
+def curves_used(measured: Measured) -> CurvesUsed:
+    """Return whether the curves are used, and why; also where no robot can be identified."""
+    try:
+        return _identified(measured)[1]
+    except IdentificationError as error:
+        return CurvesUsed(False, f"not used: {error}")
+
+
+def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
+    """Return the identification, with curves only if poses left out are predicted better."""
+    readings = Readings(
+        measured.poses.joints_rad,
+        measured.poses.actual_mm[:, None],
+        np.nan_to_num(measured.poses.covariance_mm2)[:, None],
+    )
+    arm = measured.robot.arm
+    kinematics = Kinematics(arm, assumed=ASSUMED)
+    start = kinematics.start(np.eye(4), arm.tool[None, :3, 3])
+    without = identify(kinematics, readings, start)
+    curves = tuple(curve for curve in measured.curves if len(curve.cycles))
+    if not curves:
+        found = "found no wave" if measured.curves else "were not made"
+        return without, CurvesUsed(False, f"not used: axis sweeps {found}")
+    kinematics = replace(kinematics, curves=curves)
+    start = kinematics.start(without.state.T, without.state.smr_mm)
+    with_ = identify(kinematics, readings, start)
+    both = [float(lengths_mm(_left_out_mm(each)).mean()) for each in (with_, without)]
+    used = both[0] < both[1]
+    reason = (
+        f"{'used' if used else 'not used'}: static poses that no sweep saw, left out in turn, are "
+        f"missed by {both[0]:.4f} mm in the mean with the curves and by {both[1]:.4f} mm without"
+    )
+    return (with_ if used else without), CurvesUsed(used, reason, *both)
+
+
+def _left_out_mm(estimate: Estimate) -> Array:
+    """Return measured less predicted (M, 3) of the poses learnt from."""
+    fold = np.arange(len(estimate.readings)) % FOLDS
+    folds = [np.flatnonzero(fold == each).astype(np.int_) for each in range(FOLDS)]
+    left: Array = estimate.system.left_out_mm(folds)[:, 0][~estimate.outliers[:, 0]]
+    return left
+
+
+def _robot(entry: RobotEntry) -> NominalRobot:
+    rows = {name: _numbers(f"robot.{name}", getattr(entry, name), (6,), MOST_MM) for name in ROWS}
+    if not (np.abs(rows["sign"]) == 1.0).all():
+        raise ModelError("robot.sign: wanted 1 or -1")
+    if entry.status not in range(8):
+        raise ModelError(f"robot.status {entry.status}, wanted 0 .. 7")
+    return NominalRobot(
+        Arm(**rows, tool=_frame("robot.tool", entry.tool)),
+        entry.status,
+        _numbers("robot.limits_rad", entry.limits_rad, (2, 6), MOST_RAD),
+        _numbers("robot.reference_rad", entry.reference_rad, (6,), MOST_RAD),
+    )
+
+
+def _curve(entry: CurveEntry) -> TransmissionCurve:
+    if entry.axis not in range(6):
+        raise ModelError(f"curves: axis {entry.axis}, wanted 0 .. 5")
+    count = len(entry.cycles)
+    cycles = _numbers("curves.cycles", entry.cycles, (count,), MOST_CYCLES)
+    zeros = np.zeros((2 * count, 2 * count))
+    return TransmissionCurve(
+        entry.axis, cycles, np.zeros((count, 2)), zeros, 0.0, 0.0, -np.pi, np.pi, 0.0
+    )
+
+
+def _frame(name: str, rows: list[list[float]]) -> Array:
+    T = _numbers(name, rows, (4, 4), MOST_MM)
+    R = T[:3, :3]
+    rigid = np.abs(R @ R.T - np.eye(3)).max() <= RIGID and np.linalg.det(R) > 0
+    if not (rigid and np.array_equal(T[3], [0, 0, 0, 1])):
+        raise ModelError(f"{name}: is not rigid")
+    return T
+
+
+RIGID = 1e-6  # of a rotation matrix times its transpose
+SYMMETRIC = 1e-9  # of the parameters' correlations
+
+
+def _check_covariance(covariance: Array) -> None:
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.outer(sigma, sigma)
+    if not (np.abs(covariance - covariance.T) <= SYMMETRIC * scale).all():
+        raise ModelError("covariance: not symmetric")
+    positive = np.where(sigma > 0.0, sigma, 1.0)
+    if not np.linalg.eigvalsh(covariance / np.outer(positive, positive)).min() >= -SYMMETRIC:
+        raise ModelError("covariance: a variance below zero")
+
+
+def _numbers(name: str, found: Any, shape: tuple[int, ...], most: float) -> Array:
+    try:
+        values = np.array(found, dtype=float)
+    except (ValueError, TypeError) as error:
+        raise ModelError(f"{name}: no numbers: {error}") from error
+    if values.shape != shape or not (np.abs(values) <= most).all():
+        counts = " x ".join(map(str, shape)) or "one"
+        raise ModelError(f"{name}: wanted {counts} finite numbers within +-{most:g}")
+    return values

@@ -1,0 +1,138 @@
+"""The most probable kinematics of measured poses, robust against gross readings.
+
+Gauss-Newton with the analytic Jacobian and priors. First under a loss whose pull fades with
+distance (Cauchy), which a few gross readings do not move; those are then struck out and named,
+and the noise is estimated from the rest by marginal likelihood.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hilcell.identification.kinematics import Kinematics, State
+from hilcell.identification.noise import Noise
+from hilcell.identification.readings import Bools, IdentificationError, Readings
+from hilcell.identification.system import System
+
+LEAST_POSES = 20
+ITERATIONS, SETTLED_MM = 30, 1e-6
+ROBUST_STEPS = 12
+CAUCHY = 2.5  # scales from which on a reading's pull fades
+MEDIAN_LENGTH = 1.5382  # of a 3-D normal vector of unit variance
+FIRST_SCALE_MM, LEAST_SCALE_MM = 0.5, 0.005
+GROSS = 8.0  # scales, and standard deviations of its prediction, that no good reading misses by
+POSE_GROSS = 4.0  # the same for all of a pose, by the root of its coordinates' mean square
+ROUNDS = 4  # of noise and outliers
+NOISE_STEPS, NOISE_SETTLED = 40, 0.01
+MOST_OUTLIERS = 0.2  # share beyond which the good readings are not known
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The state and noise found, the system at the solution, and ``outliers`` (M, K)."""
+
+    kinematics: Kinematics
+    readings: Readings
+    state: State
+    noise: Noise
+    system: System
+    outliers: Bools
+
+
+def identify(kinematics: Kinematics, readings: Readings, start: State) -> Estimate:
+    """Return the most probable kinematics from `LEAST_POSES` poses or more.
+
+    Raises `IdentificationError` where there are fewer, where the steps do not settle, and where
+    too many readings are gross.
+    """
+    poses = int(np.count_nonzero(readings.known.any(axis=1)))
+    if poses < LEAST_POSES:
+        raise IdentificationError(
+            f"kinematics: {poses} poses, wanted at least {LEAST_POSES}; measure more"
+        )
+    state, outliers = _robust(kinematics, readings, start)
+    noise = Noise.typical()
+    for _ in range(ROUNDS):
+        _refuse_too_many(outliers, readings)
+        kept = readings.without(outliers)
+        state = solve(kinematics, kept, state, noise)
+        noise = estimate_noise(kinematics, kept, state, noise)
+        state = solve(kinematics, kept, state, noise)
+        system = System.at(kinematics, state, kept, noise)
+        more = _gross(system)
+        if not more.any():
+            break
+        outliers = outliers | more
+    _refuse_too_many(outliers, readings)
+    return Estimate(kinematics, readings.without(outliers), state, noise, system, outliers)
+
+
+def solve(kinematics: Kinematics, readings: Readings, state: State, noise: Noise) -> State:
+    """Return the most probable state under a noise; raises `IdentificationError`."""
+    for _ in range(ITERATIONS):
+        system = System.at(kinematics, state, readings, noise)
+        state = kinematics.moved(state, system.step)
+        if system.moves_mm <= SETTLED_MM:
+            return state
+    raise IdentificationError(
+        f"kinematics do not settle: the last of {ITERATIONS} steps moves a reflector by "
+        f"{system.moves_mm:.3g} mm, wanted <= {SETTLED_MM:g} mm; check robot, units and joint signs"
+    )
+
+
+def estimate_noise(kinematics: Kinematics, readings: Readings, state: State, noise: Noise) -> Noise:
+    """Return the noise of greatest marginal likelihood, linearised at a state."""
+    found = kinematics.linearised(state, readings.joints_rad)
+    for _ in range(NOISE_STEPS):
+        system = System.of(kinematics, state, readings, noise, found)
+        before = noise
+        noise = noise.improved(system.weighted, system.precision, found.by_joint, system.known)
+        if noise.changed(before) <= NOISE_SETTLED:
+            break
+    return noise
+
+
+def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[State, Bools]:
+    """Return a state that gross readings did not move, and these readings (M, K)."""
+    scale_mm = FIRST_SCALE_MM
+    lengths_mm = np.zeros(readings.known.shape)
+    for _ in range(ROBUST_STEPS):
+        excess = scale_mm**2 * (lengths_mm / (CAUCHY * scale_mm)) ** 2
+        weighted = replace(
+            readings,
+            covariance_mm2=readings.covariance_mm2 + excess[..., None, None] * np.eye(3),
+        )
+        independent = Noise(scale_mm, np.full(6, 1e-9))
+        system = System.at(kinematics, state, weighted, independent)
+        state = kinematics.moved(state, system.step)
+        missed = readings.xyz_mm - kinematics.positions_mm(state, readings.joints_rad)
+        lengths_mm = np.linalg.norm(np.where(readings.known[..., None], missed, 0.0), axis=-1)
+        spent = float(np.sum(1.0 - np.einsum("mii->mi", system.precision * system.noise_mm2)))
+        rows = 3 * np.count_nonzero(readings.known)
+        share = max(1.0 - spent / rows, 0.1)
+        middle_mm = float(np.median(lengths_mm[readings.known]))
+        scale_mm = max(middle_mm / MEDIAN_LENGTH / share**0.5, LEAST_SCALE_MM)
+    return state, lengths_mm > GROSS * scale_mm
+
+
+def _gross(system: System) -> Bools:
+    """Return the readings (M, K) that all others contradict: single ones, or else whole poses."""
+    readings, poses = system.distances()
+    single: Bools = system.known & (readings > GROSS**2)
+    if single.any():
+        return single
+    coordinates = 3 * system.known.sum(axis=1)
+    whole = poses > (GROSS**2 + POSE_GROSS**2 * np.maximum(coordinates - 3, 0))
+    bad: Bools = system.known & whole[:, None]
+    return bad
+
+
+def _refuse_too_many(outliers: Bools, readings: Readings) -> None:
+    bad, all_ = int(np.count_nonzero(outliers)), int(np.count_nonzero(readings.known))
+    if not bad <= MOST_OUTLIERS * all_:
+        raise IdentificationError(
+            f"kinematics: {bad} of {all_} readings contradict the others, wanted at most "
+            f"{MOST_OUTLIERS:.0%}; check that poses and readings belong together"
+        )

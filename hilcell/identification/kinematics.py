@@ -1,0 +1,243 @@
+"""A robot with kinematic errors: its unknown parameters, and where its reflectors then are.
+
+Unknown are the base frame, the reflectors on the flange, the link parameters after Denavit,
+Hartenberg and Hayati, the deflection of axes 2 and 3 by gravity, one and two waves a revolution
+of each joint, and the amplitudes and shift of given transmission curves. Many of them do the same
+to a tool point (d of the parallel axes 2 and 3, base and first link, reflector and last link);
+priors decide between those, so the parameters may be arbitrary where the positions are not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hilcell.geometry.frames import cross_matrix
+from hilcell.geometry.jacobian import KINDS, parameter_jacobian
+from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.identification import gravity
+from hilcell.identification.curve import TransmissionCurve
+
+LENGTH_MM, ANGLE_RAD = 1.0, 2e-3  # prior sigmas of link parameters
+GRAVITY_RAD = 0.5e-3  # of the deflection at full load
+WAVE_RAD = 50e-6  # of the amplitudes of one and two waves a revolution
+SHIFT_PER_CYCLE = 1e-12  # a shift known exactly is known to this
+BASE, LINKS = 6, 30
+ORDERS = (1, 2)
+LINK_KINDS = ("a", "alpha", "d", "offset", "beta")
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Values of what is unknown: base frame {B} in the readings' frame (4, 4), reflectors (K, 3)
+    on the flange, and the joints' and links' parameters (V,) as differences from nominal.
+
+    ``moved`` (P - V,) is how far base and reflectors have come from where they were assumed.
+    """
+
+    T: Array
+    smr_mm: Array
+    values: Array
+    moved: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Positions (M, K, 3), their derivatives by all parameters (M, K, 3, P), by joints
+    (M, K, 3, 6).
+    """
+
+    positions_mm: Array
+    by_parameter: Array
+    by_joint: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Standard deviations of where base and reflectors are assumed to be."""
+
+    base_mm: float = 1000.0
+    base_rad: float = 1.0
+    reflector_mm: float = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class Kinematics:
+    """Which errors a robot may have. ``arm`` is nominal, its tool frame is not used.
+
+    P parameters are ordered: base (shift in mm, rotation vector about its origin), reflectors,
+    links by kind and row, then as far as they are wanted gravity, waves, curves.
+    """
+
+    arm: Arm
+    reflectors: int = 1
+    gravity: bool = True
+    waves: bool = True
+    curves: tuple[TransmissionCurve, ...] = ()
+    assumed: Placed = Placed()
+
+    @property
+    def placed(self) -> int:
+        """Return how many parameters place base and reflectors."""
+        return BASE + 3 * self.reflectors
+
+    @property
+    def names(self) -> list[str]:
+        """Return the parameters' names, with units."""
+        names = [f"base {axis} mm" for axis in "xyz"] + [f"base r{axis} rad" for axis in "xyz"]
+        names += [f"reflector {k + 1} {axis} mm" for k in range(self.reflectors) for axis in "xyz"]
+        for kind, field in zip(LINK_KINDS, KINDS, strict=True):
+            unit = "mm" if field.endswith("mm") else "rad"
+            names += [f"{kind}{row + 1} {unit}" for row in range(6)]
+        if self.gravity:
+            names += [f"{name} rad" for name in gravity.NAMES]
+        if self.waves:
+            names += [
+                f"axis {axis + 1}: {wave} {order}q rad"
+                for axis in range(6)
+                for order in ORDERS
+                for wave in ("cos", "sin")
+            ]
+        for curve in self.curves:
+            axis = f"axis {curve.axis + 1}"
+            names += [f"{axis}: {w} {n:g}q rad" for n in curve.cycles for w in ("cos", "sin")]
+            names.append(f"{axis}: shift rad")
+        return names
+
+    def prior(self) -> tuple[Array, Array]:
+        """Return the parameters' prior mean (P,) and covariance (P, P).
+
+        Base and reflectors count from where they were assumed.
+        """
+        links = [LENGTH_MM if kind.endswith("mm") else ANGLE_RAD for kind in KINDS]
+        assumed = self.assumed
+        sigmas = [
+            *[assumed.base_mm] * 3, *[assumed.base_rad] * 3,
+            *[assumed.reflector_mm] * (3 * self.reflectors),
+            *np.repeat(links, 6), *[GRAVITY_RAD] * (len(gravity.AXES) if self.gravity else 0),
+            *[WAVE_RAD] * (12 * len(ORDERS) if self.waves else 0),
+        ]  # fmt: skip
+        size = len(sigmas) + sum(2 * len(curve.cycles) + 1 for curve in self.curves)
+        mean, covariance = np.zeros(size), np.zeros((size, size))
+        at = len(sigmas)
+        covariance[:at, :at] = np.diag(np.square(sigmas))
+        for curve in self.curves:
+            end = at + 2 * len(curve.cycles)
+            mean[at:end], mean[end] = curve.amplitude_rad.ravel(), curve.shift_rad
+            covariance[at:end, at:end] = curve.covariance_rad2
+            covariance[end, end] = max(curve.shift_sigma_rad, SHIFT_PER_CYCLE) ** 2
+            at = end + 1
+        return mean, covariance
+
+    def start(self, T: Array, smr_mm: Array) -> State:
+        """Return the nominal robot at a base (4, 4) with reflectors (K, 3)."""
+        return State(T, smr_mm, self.prior()[0][self.placed :], np.zeros(self.placed))
+
+    def flat(self, state: State) -> Array:
+        """Return the state's parameters (P,)."""
+        return np.concatenate([state.moved, state.values])
+
+    def moved(self, state: State, step: Array) -> State:
+        """Return the state after a step (P,)."""
+        R = from_rotvec(step[3:6])
+        T = state.T.copy()
+        T[:3, :3] = R @ T[:3, :3]
+        T[:3, 3] += step[:3]
+        smr_mm = state.smr_mm + step[BASE : self.placed].reshape(-1, 3)
+        moved = state.moved + step[: self.placed]
+        return State(T, smr_mm, state.values + step[self.placed :], moved)
+
+    def arm_of(self, state: State) -> Arm:
+        """Return the arm with the state's link parameters, its tool point on the flange."""
+        by_kind = state.values[:LINKS].reshape(len(KINDS), 6)
+        changed = {kind: getattr(self.arm, kind) + by_kind[n] for n, kind in enumerate(KINDS)}
+        return replace(self.arm, tool=np.eye(4), **changed)
+
+    def joints_of(self, state: State, joints_rad: Array) -> Array:
+        """Return the joint angles (M, 6) that the links really have at commanded ones (M, 6)."""
+        return self._bent(state, joints_rad)[0]
+
+    def positions_mm(self, state: State, joints_rad: Array) -> Array:
+        """Return where the reflectors are (M, K, 3) at commanded joints (M, 6)."""
+        flange = state.T @ forward(self.arm_of(state), self.joints_of(state, joints_rad))
+        return _carried(flange, state.smr_mm)
+
+    def linearised(self, state: State, joints_rad: Array) -> Linearised:
+        """Return the positions with their derivatives."""
+        arm = self.arm_of(state)
+        joints, basis, axes = self._bent(state, joints_rad)
+        flange = forward(arm, joints)
+        R = state.T[:3, :3]
+        levers_mm = np.einsum("mij,kj->mki", flange[:, :3, :3], state.smr_mm)
+        J = parameter_jacobian(arm, joints)[..., :LINKS]
+        links = J[:, None, :3] - cross_matrix(levers_mm) @ J[:, None, 3:]
+        links = R @ links
+        by_joint = arm.sign * links[..., 3 * 6 : 4 * 6]  # a joint turns as its offset does
+        positions = _carried(state.T @ flange, state.smr_mm)
+        count, placed = len(joints), self.placed
+        derivatives = np.zeros((count, self.reflectors, 3, placed + LINKS + len(axes)))
+        derivatives[..., :3] = np.eye(3)
+        derivatives[..., 3:BASE] = -cross_matrix(positions - state.T[:3, 3])
+        turned = R @ flange[:, :3, :3]
+        for k in range(self.reflectors):
+            derivatives[:, k, :, BASE + 3 * k : BASE + 3 * k + 3] = turned
+        derivatives[..., placed : placed + LINKS] = links
+        derivatives[..., placed + LINKS :] = (
+            by_joint[..., np.array(axes, dtype=int)] * basis[:, None, None, :]
+        )
+        return Linearised(positions, derivatives, by_joint)
+
+    def _bent(self, state: State, joints_rad: Array) -> tuple[Array, Array, list[int]]:
+        """Return the true joints (M, 6), and by parameter behind the links how much it turns a
+        joint (M, V - 30) and which.
+        """
+        joints = np.asarray(joints_rad, dtype=float)
+        blocks: list[Array] = []
+        axes: list[int] = []
+        if self.gravity:
+            blocks.append(gravity.gravity_basis(self.arm, joints))
+            axes += gravity.AXES
+        if self.waves:
+            blocks.append(_waves(joints))
+            axes += [axis for axis in range(6) for _ in range(2 * len(ORDERS))]
+        values = state.values[LINKS:]
+        linear = len(axes)
+        for curve in self.curves:
+            size = 2 * len(curve.cycles)
+            amplitude, shift = values[linear : linear + size], values[linear + size]
+            shifted, at = replace(curve, shift_rad=float(shift)), joints[:, curve.axis]
+            blocks += [shifted.basis(at), shifted.slope(at) @ amplitude[:, None]]
+            axes += [curve.axis] * (size + 1)
+            linear += size + 1
+        basis = np.concatenate(blocks, axis=1) if blocks else np.zeros((len(joints), 0))
+        true = joints.copy()
+        turns = self._linear(values)
+        for axis in range(6):
+            own = np.array(axes, dtype=int) == axis
+            true[:, axis] += basis[:, own] @ (values * turns)[own]
+        return true, basis, axes
+
+    def _linear(self, values: Array) -> Array:
+        """Return 1 for the values that multiply their basis, 0 for shifts, which are in it."""
+        linear = np.ones(len(values))
+        end = len(values) - sum(2 * len(curve.cycles) + 1 for curve in self.curves)
+        for curve in self.curves:
+            end += 2 * len(curve.cycles)
+            linear[end] = 0.0
+            end += 1
+        return linear
+
+
+def _waves(joints: Array) -> Array:
+    """Return cos q, sin q, cos 2q, sin 2q of each joint in turn (M, 24)."""
+    angles = joints[..., None] * np.array(ORDERS)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(len(joints), -1)
+
+
+def _carried(flange: Array, smr_mm: Array) -> Array:
+    """Return points (M, K, 3) given on flanges (M, 4, 4)."""
+    carried: Array = np.einsum("mij,kj->mki", flange[:, :3, :3], smr_mm)
+    carried += flange[:, None, :3, 3]
+    return carried

@@ -1,0 +1,173 @@
+"""The linear-Gaussian system of one Gauss-Newton step, of readings and prior.
+
+With readings r = A x + v, x ~ N(m, Q) and v ~ N(0, C), block by block of a pose, the posterior is
+found from the whitened rows by one orthogonal factorisation. P is the inverse of the readings'
+whole covariance A Q A' + C; with it every pose's prediction by all others follows without another
+solution: r_F less its prediction is (P_FF)^-1 (P r)_F for poses F left out together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hilcell.geometry.kinematics import Array
+from hilcell.identification.kinematics import Kinematics, Linearised, State
+from hilcell.identification.noise import Noise
+from hilcell.identification.readings import Bools, Ints, Readings
+
+JITTER = 1e-9  # of a prior's correlation, so that a singular one has a root
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Rows of M poses with N = 3 K readings each; rows of unknown readings are zero.
+
+    ``design`` (M, N, P), ``residual_mm`` (M, N), ``noise_mm2`` (M, N, N) with a variance of 1 in
+    unknown rows; ``prior_root`` (P, P) whitens the prior, ``pull`` (P,) is its whitened residual.
+    """
+
+    design: Array
+    residual_mm: Array
+    noise_mm2: Array
+    prior_root: Array
+    pull: Array
+    by_joint: Array
+    known: Bools
+
+    @classmethod
+    def at(cls, kinematics: Kinematics, state: State, readings: Readings, noise: Noise) -> System:
+        """Return the system linearised at a state."""
+        found = kinematics.linearised(state, readings.joints_rad)
+        return cls.of(kinematics, state, readings, noise, found)
+
+    @classmethod
+    def of(
+        cls,
+        kinematics: Kinematics,
+        state: State,
+        readings: Readings,
+        noise: Noise,
+        found: Linearised,
+    ) -> System:
+        """Return the system of a linearisation that is known."""
+        known = readings.known
+        count = len(readings)
+        mask = known[..., None]
+        residual = np.where(mask, readings.xyz_mm - found.positions_mm, 0.0)
+        design = np.where(mask[..., None], found.by_parameter, 0.0)
+        mean, covariance = kinematics.prior()
+        root = _root(covariance)
+        pull = root @ (mean - kinematics.flat(state))
+        return cls(
+            design.reshape(count, -1, design.shape[-1]),
+            residual.reshape(count, -1),
+            noise.covariance(found.by_joint, readings.covariance_mm2, known),
+            root,
+            pull,
+            found.by_joint,
+            known,
+        )
+
+    @cached_property
+    def _factor(self) -> tuple[Array, Array, Array]:
+        """Return the posterior's root R (P, P), the step (P,) and the noise's roots (M, N, N)."""
+        root = np.linalg.cholesky(self.noise_mm2)
+        size = self.design.shape[2]
+        both = np.concatenate([self.design, self.residual_mm[..., None]], axis=2)
+        rows = np.linalg.solve(root, both).reshape(-1, size + 1)
+        prior = np.column_stack([self.prior_root, self.pull])
+        both = np.asarray(np.linalg.qr(np.concatenate([rows, prior]), mode="r"))
+        R: Array = both[:size, :size]
+        return R, np.linalg.solve(R, both[:size, size]), np.asarray(root)
+
+    @property
+    def step(self) -> Array:
+        """Return the step (P,) to the most probable parameters."""
+        return self._factor[1]
+
+    @property
+    def moves_mm(self) -> float:
+        """Return by how much the step moves a reflector's coordinate at most."""
+        return float(np.abs(self.design @ self.step).max())
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Return the parameters' posterior covariance (P, P)."""
+        inverse = np.linalg.inv(self._factor[0])
+        covariance: Array = inverse @ inverse.T
+        return covariance
+
+    @cached_property
+    def _precision_parts(self) -> tuple[Array, Array]:
+        """Return C^-1 (M, N, N), and S (M, N, P) with P = C^-1 - S S'."""
+        inverse = np.linalg.inv(self.noise_mm2)
+        S: Array = inverse @ self.design @ np.linalg.inv(self._factor[0])
+        return np.asarray(inverse), S
+
+    @cached_property
+    def weighted(self) -> Array:
+        """Return P r (M, N)."""
+        left = self.residual_mm - self.design @ self.step
+        weighted: Array = np.einsum("mij,mj->mi", self._precision_parts[0], left)
+        return weighted
+
+    @cached_property
+    def precision(self) -> Array:
+        """Return the blocks of P (M, N, N)."""
+        inverse, S = self._precision_parts
+        blocks: Array = inverse - S @ np.swapaxes(S, 1, 2)
+        return blocks
+
+    @property
+    def evidence(self) -> float:
+        """Return the log marginal likelihood of the readings, but for a constant of their count."""
+        R, step, root = self._factor
+        left = self.residual_mm - self.design @ step
+        chi2 = float(np.sum(left * self.weighted))
+        chi2 += float(np.sum((self.pull - self.prior_root @ step) ** 2))
+        log_noise = 2.0 * float(np.log(np.einsum("mii->mi", root)).sum())
+        log_posterior = 2.0 * float(np.log(np.abs(np.diag(R))).sum())
+        log_prior = 2.0 * float(np.linalg.slogdet(self.prior_root)[1])
+        return -0.5 * (chi2 + log_noise + log_posterior - log_prior)
+
+    def left_out_mm(self, folds: Iterable[Ints]) -> Array:
+        """Return measured less predicted (M, K, 3), by folds (F,) of poses left out together.
+
+        NaN where nothing was measured, and in poses of no fold.
+        """
+        inverse, S = self._precision_parts
+        count, rows = self.residual_mm.shape
+        missed: Array = np.full((count, rows), np.nan)
+        for fold in folds:
+            size = len(fold) * rows
+            P = -(S[fold].reshape(size, -1) @ S[fold].reshape(size, -1).T)
+            for n, pose in enumerate(fold):
+                at = slice(n * rows, (n + 1) * rows)
+                P[at, at] += inverse[pose]
+            missed[fold] = np.linalg.solve(P, self.weighted[fold].ravel()).reshape(-1, rows)
+        return np.where(self.known[..., None], missed.reshape(count, -1, 3), np.nan)
+
+    def distances(self) -> tuple[Array, Array]:
+        """Return squared Mahalanobis distances of the readings (M, K) and of whole poses (M,), each
+        from what all others predict.
+        """
+        g = self.weighted
+        poses = np.einsum("mi,mi->m", g, np.linalg.solve(self.precision, g[..., None])[..., 0])
+        readings = np.empty(self.known.shape)
+        for k in range(self.known.shape[1]):
+            at = slice(3 * k, 3 * k + 3)
+            own = np.linalg.solve(self.precision[:, at, at], g[:, at, None])[..., 0]
+            readings[:, k] = np.einsum("mi,mi->m", g[:, at], own)
+        return readings, poses
+
+
+def _root(covariance: Array) -> Array:
+    """Return W (P, P) with W'W the inverse of a covariance."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    correlation = covariance / np.outer(sigma, sigma) + JITTER * np.eye(len(sigma))
+    root: Array = np.linalg.inv(np.linalg.cholesky(correlation)) / sigma
+    return root

@@ -1,0 +1,190 @@
+"""The identified robot as a model: what it predicts, when curves are used, its JSON form."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.cell.file import load_cell
+from hilcell.compensation.choice import MODELS, choose, chosen
+from hilcell.compensation.grid import Grid
+from hilcell.compensation.kinematic import Kinematic, curves_used
+from hilcell.compensation.measured import Measured, StaticPoses
+from hilcell.compensation.model import ModelError
+from hilcell.compensation.nominal import Nominal
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import lengths_mm
+from hilcell.identification.curve import TransmissionCurve
+from hilcell.identification.kinematics import Kinematics, State
+from hilcell.identification.readings import IdentificationError
+from tests.hilcell.compensation.models import lattice
+
+CELL = load_cell("paper")
+ROBOT = CELL.robot.nominal()
+ORIENTED = CELL.grid.centre.matrix()
+GRID = Grid(ORIENTED[:3, 3] - 400.0, 400.0, (3, 3, 3))
+WAVES = TransmissionCurve(
+    0, np.array([33.0, 160.0]), np.array([[40e-6, -30e-6], [25e-6, 35e-6]]), 9e-12 * np.eye(4),
+    0.0, 1e-3, -np.pi, np.pi, 1e-6,
+)  # fmt: skip
+
+
+def poses_at(points_mm: Array) -> Array:
+    poses = np.tile(ORIENTED, (len(points_mm), 1, 1))
+    poses[:, :3, 3] = points_mm
+    return poses
+
+
+def drawn_mm(seed: int, count: int) -> Array:
+    return ORIENTED[:3, 3] + np.random.default_rng(seed).uniform(-400.0, 400.0, (count, 3))
+
+
+def truth(points_mm: Array, noise_mm: float = 0.0, *, errors: bool = True) -> tuple[Array, Array]:
+    """Return commanded joints and actual positions of one crooked robot with waves in axis 1."""
+    kinematics = Kinematics(ROBOT.arm, waves=False, curves=(WAVES,))
+    rng = np.random.default_rng(4)
+    mean, covariance = kinematics.prior()
+    values = mean + errors * rng.standard_normal(len(mean)) * np.sqrt(np.diag(covariance))
+    joints = ROBOT.joints_for(poses_at(points_mm))
+    if not errors:
+        kinematics, values = replace(kinematics, curves=()), np.zeros(len(mean) - 5)
+    state = State(
+        np.eye(4),
+        ROBOT.arm.tool[None, :3, 3],
+        values[kinematics.placed :],
+        np.zeros(kinematics.placed),
+    )
+    if errors:
+        state.values[-5:] = [*WAVES.amplitude_rad.ravel(), 0.0]
+    actual_mm = kinematics.positions_mm(state, joints)[:, 0]
+    return joints, actual_mm + noise_mm * rng.standard_normal(actual_mm.shape)
+
+
+def measured(
+    count: int, *curves: TransmissionCurve, errors: bool = True, noise_mm: float = 0.01
+) -> Measured:
+    """Return the grid's 27 vertices, and all in all ``count`` poses."""
+    vertices = GRID.vertices_mm()
+    points_mm = np.vstack([vertices.reshape(-1, 3), drawn_mm(1, 200)])
+    joints, actual_mm = truth(points_mm, noise_mm, errors=errors)
+    grid = lattice(GRID, (actual_mm[:27] - points_mm[:27]).reshape(vertices.shape), noise_mm**2)
+    own = np.tile(noise_mm**2 * np.eye(3), (count, 1, 1))
+    poses = StaticPoses(joints[:count], points_mm[:count], actual_mm[:count], own)
+    return Measured(grid, ROBOT, poses, curves)
+
+
+def missed_mm(model: Kinematic) -> Array:
+    points_mm = drawn_mm(9, 60)
+    return lengths_mm(model.predict(poses_at(points_mm)).error_mm + points_mm - truth(points_mm)[1])
+
+
+def test_unseen_poses_are_predicted_within_their_bounds() -> None:
+    model = Kinematic.learn(measured(64))
+    points_mm = drawn_mm(9, 60)
+    found = model.predict(poses_at(points_mm))
+    left = truth(points_mm)[1] - points_mm - found.error_mm
+    squares = np.einsum(
+        "ni,ni->n", left, np.linalg.solve(found.covariance_mm2, left[..., None])[..., 0]
+    )
+    assert lengths_mm(left).mean() < 0.08
+    assert 0.3 < squares.mean() / 3 < 2.0
+
+
+def test_curves_that_help_are_used() -> None:
+    without, with_ = Kinematic.learn(measured(64)), Kinematic.learn(measured(64, WAVES))
+    assert with_.decision.used
+    assert "no sweep saw" in with_.decision.reason
+    assert missed_mm(with_).mean() < 0.7 * missed_mm(without).mean()
+
+
+def test_curves_that_harm_are_not_used() -> None:
+    wrong = replace(WAVES, amplitude_rad=-2.0 * WAVES.amplitude_rad, shift_sigma_rad=1e-6)
+    decision = curves_used(measured(64, wrong))
+    assert not decision.used
+    assert decision.with_mm is not None
+    assert decision.without_mm is not None
+    assert decision.with_mm > decision.without_mm
+    flat = replace(
+        WAVES, cycles=np.zeros(0), amplitude_rad=np.zeros((0, 2)), covariance_rad2=np.zeros((0, 0))
+    )
+    assert "no wave" in curves_used(measured(64, flat)).reason
+    assert "not made" in curves_used(measured(64)).reason
+
+
+def test_too_few_poses_are_refused_and_another_model_is_chosen() -> None:
+    few = measured(19)
+    with pytest.raises(IdentificationError, match="19 poses, wanted at least 20"):
+        Kinematic.learn(few)
+    assert "19 poses" in curves_used(few).reason
+    choice = chosen(few)
+    assert "19 poses" in choice.refused["kinematic"]
+    assert choice.model in {"idw", "trilinear"}
+
+
+def test_the_kinematic_model_is_chosen_where_it_is_best() -> None:
+    choice = chosen(measured(64))
+    assert choice.model == "kinematic"
+    assert set(choice.figures) == set(MODELS)
+    assert "left out" in choice.reason
+
+
+def test_nominal_is_kept_where_nothing_beats_it() -> None:
+    choice = chosen(measured(64, errors=False, noise_mm=0.05))
+    assert choice.model == "nominal"
+    assert "no model beats nominal" in choice.reason
+    model = Nominal.learn(measured(64, errors=False, noise_mm=0.05))
+    found = model.predict(poses_at(drawn_mm(1, 3)))
+    assert not found.error_mm.any()
+    np.testing.assert_allclose(np.trace(found.covariance_mm2[0]) / 3, 0.05**2, rtol=0.3)
+
+
+def test_the_largest_miss_counts_beside_the_mean() -> None:
+    figures = {
+        "nominal": {"mean": 9.0, "max": 9.0},
+        "idw": {"mean": 0.110, "max": 0.30},
+        "trilinear": {"mean": 0.105, "max": 0.60},
+    }
+    assert choose(figures) == "idw"
+
+
+def test_a_model_from_its_file_predicts_the_same() -> None:
+    model = Kinematic.learn(measured(64, WAVES))
+    kept = json.loads(json.dumps(model.parameters()))
+    again = Kinematic.restore(GRID, np.zeros((3, 3, 3, 3)), kept)
+    poses = poses_at(drawn_mm(2, 5))
+    np.testing.assert_array_equal(again.predict(poses).error_mm, model.predict(poses).error_mm)
+    np.testing.assert_allclose(
+        again.predict(poses).covariance_mm2, model.predict(poses).covariance_mm2, rtol=1e-12
+    )
+    assert again.parameters() == model.parameters()
+
+
+@pytest.fixture(scope="module")
+def kept() -> dict[str, Any]:
+    return Kinematic.learn(measured(64, WAVES)).parameters()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda p: p.pop("base"), "no identified robot"),
+        (lambda p: p.update(more=1), "no identified robot"),
+        (lambda p: p["base"][0].__setitem__(0, 2.0), "base: is not rigid"),
+        (lambda p: p["values"].pop(), "values: wanted"),
+        (lambda p: p["values"].__setitem__(3, float("nan")), "values: wanted"),
+        (lambda p: p["covariance"][0].__setitem__(1, 5.0), "not symmetric"),
+        (lambda p: p["covariance"][0].__setitem__(0, -1.0), "covariance"),
+        (lambda p: p["curves"][0].__setitem__("axis", 6), "axis 6, wanted 0 .. 5"),
+        (lambda p: p["robot"]["sign"].__setitem__(0, 0.5), "sign: wanted 1 or -1"),
+        (lambda p: p["robot"]["limits_rad"].pop(), "limits_rad: wanted 2 x 6"),
+        (lambda p: p.update(reading_mm=-1.0), "reading_mm"),
+        (lambda p: p["robot"].update(status=9), "status 9, wanted 0 .. 7"),
+    ],
+)
+def test_damaged_parameters_are_refused(kept: dict[str, Any], change: Any, says: str) -> None:
+    damaged = json.loads(json.dumps(kept))
+    change(damaged)
+    with pytest.raises(ModelError, match=says):
+        Kinematic.restore(GRID, np.zeros((3, 3, 3, 3)), damaged)

@@ -1,0 +1,126 @@
+"""What is identified of robots with known errors, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hilcell.geometry.statistics import lengths_mm
+from hilcell.identification.estimate import Estimate, identify
+from hilcell.identification.kinematics import Kinematics
+from hilcell.identification.observability import observability
+from hilcell.identification.prediction import predict
+from hilcell.identification.readings import IdentificationError, Readings
+from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
+
+KINEMATICS = Kinematics(ARM, 1)
+
+
+def found(robot: Robot, readings: Readings) -> Estimate:
+    kinematics = robot.kinematics
+    start = kinematics.start(T_L_B, SMR_MM[: kinematics.reflectors] + 3.0)
+    return identify(kinematics, readings, start)
+
+
+def missed_mm(estimate: Estimate, robot: Robot, seed: int = 77) -> np.ndarray:
+    joints = robot.joints_rad(seed, 50)
+    wanted = robot.kinematics.positions_mm(robot.state, joints)
+    return lengths_mm(
+        (estimate.kinematics.positions_mm(estimate.state, joints) - wanted).reshape(-1, 3)
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_unseen_poses_of_a_crooked_robot_are_predicted(seed: int) -> None:
+    robot = Robot.drawn(KINEMATICS, seed)
+    estimate = found(robot, robot.measured(seed, 80, 0.005, 5e-6))
+    assert missed_mm(estimate, robot).mean() < 0.02
+    assert not estimate.outliers.any()
+
+
+def test_twenty_poses_are_enough() -> None:
+    robot = Robot.drawn(KINEMATICS, 5)
+    assert missed_mm(found(robot, robot.measured(1, 20, 0.01)), robot).mean() < 0.4
+
+
+def test_noise_is_found() -> None:
+    robot = Robot.drawn(Kinematics(ARM, 3), 2)
+    noise = found(robot, robot.measured(3, 200, 0.03, 40e-6)).noise
+    assert noise.reading_mm == pytest.approx(0.03, rel=0.1)
+    np.testing.assert_allclose(noise.joint_rad[:3], 40e-6, rtol=0.3)
+
+
+def test_bounds_cover_unseen_readings() -> None:
+    """Squared distances over their predicted variances are 1 in the mean."""
+    ratios = []
+    for seed in range(6):
+        robot = Robot.drawn(KINEMATICS, seed)
+        estimate = found(robot, robot.measured(seed, 40, 0.02, 20e-6))
+        test = robot.measured(900 + seed, 60, 0.02, 20e-6)
+        at, covariance = predict(
+            estimate.kinematics, estimate.state, estimate.system.covariance, estimate.noise,
+            test.joints_rad,
+        )  # fmt: skip
+        left = (test.xyz_mm - at)[:, 0]
+        ratios.append(
+            np.einsum(
+                "mi,mi->m", left, np.linalg.solve(covariance[:, 0], left[..., None])[..., 0]
+            ).mean()
+            / 3
+        )
+    assert 0.7 < np.mean(ratios) < 1.3
+
+
+@pytest.mark.parametrize("reflectors", [1, 3])
+def test_gross_readings_are_named_and_move_nothing(reflectors: int) -> None:
+    robot = Robot.drawn(Kinematics(ARM, reflectors), 4)
+    clean = robot.measured(1, 60, 0.01, 10e-6)
+    rng, bad = np.random.default_rng(5), np.zeros(clean.known.shape, dtype=bool)
+    bad[rng.choice(60, 3, replace=False), rng.integers(0, reflectors, 3)] = True
+    spoilt = replace(
+        clean, xyz_mm=clean.xyz_mm + 5.0 * bad[..., None] * rng.standard_normal((60, 1, 3))
+    )
+    estimate = found(robot, spoilt)
+    assert np.array_equal(estimate.outliers, bad)
+    exact = found(robot, clean.without(bad))
+    np.testing.assert_allclose(missed_mm(estimate, robot), missed_mm(exact, robot), atol=1e-4)
+
+
+def test_a_shifted_curve_is_found() -> None:
+    waves = curve(1, (31.0, 62.0, 170.0), 3)
+    robot = Robot.drawn(Kinematics(ARM, 1, curves=(waves,)), 1)
+    shift = robot.kinematics.names.index("axis 2: shift rad") - robot.kinematics.placed
+    robot.state.values[shift] = 350e-6
+    estimate = found(robot, robot.measured(1, 64, 0.001))
+    column = robot.kinematics.placed + shift
+    sigma = np.sqrt(estimate.system.covariance[column, column])
+    assert estimate.state.values[shift] == pytest.approx(350e-6, abs=3 * sigma)
+    assert sigma < 0.5 * waves.shift_sigma_rad
+
+
+def test_too_few_poses_are_refused() -> None:
+    robot = Robot.drawn(KINEMATICS, 1)
+    with pytest.raises(IdentificationError, match="19 poses, wanted at least 20"):
+        found(robot, robot.measured(1, 19))
+
+
+def test_shuffled_poses_are_refused() -> None:
+    robot = Robot.drawn(KINEMATICS, 1)
+    readings = robot.measured(1, 40, 0.01)
+    with pytest.raises(IdentificationError, match=r"contradict|settle"):
+        found(robot, replace(readings, joints_rad=readings.joints_rad[::-1]))
+
+
+def test_a_joint_that_never_moves_leaves_its_own_parameters_to_the_prior() -> None:
+    robot = Robot.drawn(KINEMATICS, 1)
+    readings = robot.measured(1, 40, 0.01)
+    joints = readings.joints_rad.copy()
+    joints[:, 2] = joints[0, 2]
+    still = replace(
+        readings, joints_rad=joints, xyz_mm=KINEMATICS.positions_mm(robot.state, joints)
+    )
+    moving = observability(found(robot, readings).system)
+    known = observability(found(robot, still).system)
+    assert known.directions < moving.directions
+    beta = KINEMATICS.names.index("alpha3 rad")
+    assert known.ratio[beta] > moving.ratio[beta]

@@ -1,0 +1,92 @@
+"""Positions and derivatives against differences; the parameters' order against their names."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hilcell.geometry.frames import apply
+from hilcell.geometry.kinematics import forward
+from hilcell.identification.gravity import AXES, gravity_basis
+from hilcell.identification.kinematics import Kinematics
+from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
+
+seeds = st.integers(0, 2**32 - 1)
+CURVES = (curve(0, (31.0, 170.0), 1), curve(2, (62.5,), 2))
+
+
+@given(seeds)
+@settings(max_examples=10)
+def test_derivatives_are_those_of_the_positions(seed: int) -> None:
+    robot = Robot.drawn(Kinematics(ARM, 2, curves=CURVES), seed)
+    joints = robot.joints_rad(seed, 3)
+    found = robot.kinematics.linearised(robot.state, joints)
+    np.testing.assert_allclose(
+        found.positions_mm, robot.kinematics.positions_mm(robot.state, joints), atol=1e-9
+    )
+    for column, name in enumerate(robot.kinematics.names):
+        step = 1e-2 if name.endswith("mm") else 1e-6
+        change = step * np.eye(len(robot.kinematics.names))[column]
+        high, low = (
+            robot.kinematics.positions_mm(robot.kinematics.moved(robot.state, s * change), joints)
+            for s in (1, -1)
+        )
+        wanted = (high - low) / (2 * step)
+        size = 1.0 if name.endswith("mm") else 3000.0
+        np.testing.assert_allclose(
+            found.by_parameter[..., column], wanted, atol=3e-6 * size, err_msg=name
+        )
+
+
+@given(seeds)
+@settings(max_examples=10)
+def test_derivatives_by_joints_are_those_of_the_positions(seed: int) -> None:
+    robot = Robot.drawn(Kinematics(ARM, 2, waves=False, gravity=False), seed)
+    joints = robot.joints_rad(seed, 3)
+    found = robot.kinematics.linearised(robot.state, joints).by_joint
+    for axis in range(6):
+        step = 1e-6 * np.eye(6)[axis]
+        high, low = (robot.kinematics.positions_mm(robot.state, joints + s * step) for s in (1, -1))
+        np.testing.assert_allclose(found[..., axis], (high - low) / 2e-6, atol=1e-2)
+
+
+def test_a_robot_without_errors_is_nominal() -> None:
+    kinematics = Kinematics(ARM, 3)
+    robot = Robot.drawn(kinematics, 1)
+    joints = robot.joints_rad(1, 4)
+    found = kinematics.positions_mm(kinematics.start(T_L_B, SMR_MM), joints)
+    flange = forward(ARM, joints)
+    for k, smr in enumerate(SMR_MM):
+        wanted = [apply(T_L_B, apply(each, smr[None]))[0] for each in flange]
+        np.testing.assert_allclose(found[:, k], wanted, atol=1e-9)
+
+
+def test_names_are_as_many_as_parameters() -> None:
+    for kinematics in (
+        Kinematics(ARM),
+        Kinematics(ARM, 3, False, False),
+        Kinematics(ARM, 1, curves=CURVES),
+    ):
+        mean, covariance = kinematics.prior()
+        assert len(kinematics.names) == len(mean) == len(covariance)
+        assert len(set(kinematics.names)) == len(mean)
+
+
+def test_a_curve_turns_its_own_joint() -> None:
+    kinematics = Kinematics(ARM, gravity=False, waves=False, curves=CURVES)
+    state = kinematics.start(T_L_B, SMR_MM[:1])
+    joints = Robot(kinematics, state).joints_rad(1, 5)
+    turned = kinematics.joints_of(state, joints) - joints
+    np.testing.assert_allclose(turned[:, 0], CURVES[0].evaluate(joints[:, 0]), atol=1e-15)
+    np.testing.assert_allclose(turned[:, 2], CURVES[1].evaluate(joints[:, 2]), atol=1e-15)
+    assert not turned[:, [1, 3, 4, 5]].any()
+
+
+@pytest.mark.parametrize("axis", [1, 2])
+def test_gravity_loads_a_horizontal_link_most(axis: int) -> None:
+    """With the arm stretched out level both cosines are 1 and both sines 0."""
+    joints = np.zeros((1, 6))
+    joints[0, 2] = np.arctan2(ARM.a_mm[2], ARM.d_mm[3])  # the forearm's line, not its tube
+    loads = gravity_basis(ARM, joints)[0]
+    own = loads[[n for n, each in enumerate(AXES) if each == axis]]
+    np.testing.assert_allclose(np.abs(own), [1.0, 0.0] * (len(own) // 2), atol=1e-9)
