@@ -123,7 +123,7 @@ ROWS = (
         "fig7.tool.u", None, "mm",
         lambda log, r: max(each["tool_uncertainty_mm"] for each in r["stations"].values()),
         limits.rigid_slide,
-        "a nest was moved between two stations",
+        "a nest that was moved between two stations stays in the fit",
     ),
     Row(
         "fig8.ratio", 4, "", at("frame_repeatability", "ratio"), limits.better_at_all,

@@ -1,11 +1,13 @@
 """{S} at every station from nests on the slide (section 4.2, eqs 14-17, Fig 7).
 
 All nests averaged, best fit: the lever arm to the tool multiplies every angle. The station's frame
-and the reference's both carry noise, and both count.
+and the reference's both carry noise, and both count. Distances between nests do not depend on any
+frame: a nest that has moved against the others is found by them, and left out.
 """
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -19,10 +21,11 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
+from hilcell.geometry.rigidity import Moved, moved_points
 from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
-from hilcell.ports import Array
+from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
 from procedures.durations import floor_points, leg, park_s, readings, step
@@ -31,6 +34,7 @@ from procedures.world_frame import check_control_points
 
 THREE, FEW = "three_points", 3
 THREE_SAMPLES = 3  # the paper does not state how many readings it took of each
+LEAST_NESTS = 4  # of three, nobody can say which has moved
 
 
 class StationFrames:
@@ -80,7 +84,10 @@ class StationFrames:
         few = [three_point(session, station, nest) for nest in nests[:FEW]]
         three_mm = apply(session.log.matrix("world"), positions_mm(few))
         session.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
+        moved = moved_nests(session.log, station, reference)
+        left_out = check_nests(session.cell, station, moved)
         fit = station_fit(session.log, station, reference)
+        cube_mm = check_accepted(session.cell, station, fit)
         session.frame(
             f"station.{station.name}",
             fit.T,
@@ -88,23 +95,29 @@ class StationFrames:
             rms_mm=fit.rms_mm,
             strip_mm=session.log.select("slide", station.name)[-1].strip_mm,
             tool_uncertainty_mm=tool_uncertainty_mm(session.cell, fit),
+            cube_uncertainty_mm=cube_mm,
+            left_out=left_out,
         )
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return frame, strip reading and predicted tool-point uncertainty per station."""
         return {
             "stations": {
-                station.name: {
-                    "strip_mm": log.frames[f"station.{station.name}"]["strip_mm"],
-                    "T_W_S": log.frames[f"station.{station.name}"]["matrix"],
-                    "rms_mm": log.frames[f"station.{station.name}"]["rms_mm"],
-                    "tool_uncertainty_mm": log.frames[f"station.{station.name}"][
-                        "tool_uncertainty_mm"
-                    ],
-                }
+                station.name: _figures(log.frames[f"station.{station.name}"])
                 for station in log.cell.station
             }
         }
+
+
+def _figures(frame: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "strip_mm": frame["strip_mm"],
+        "T_W_S": frame["matrix"],
+        "rms_mm": frame["rms_mm"],
+        "tool_uncertainty_mm": frame["tool_uncertainty_mm"],
+        "cube_uncertainty_mm": frame.get("cube_uncertainty_mm"),  # not in journals of old
+        "left_out": frame.get("left_out", []),
+    }
 
 
 def three_point(session: CellSession, station: Station, nest: Nest) -> Point:
@@ -132,14 +145,77 @@ def station_fit(log: Log, station: Station, reference: Station) -> RigidFit:
     """Return the fit of T_W_S.
 
     At the reference eqs 14-16 on its first three nests define {S}; elsewhere {S} is the best fit
-    of all nests to where they were in the reference's {S}.
+    of all nests that have not moved to where they were in the reference's {S}.
     """
     at_reference_mm = slide_in_world_mm(log, reference)
     T_S_W = inverse(three_point_frame(*at_reference_mm[:3]))
-    noise_mm2 = slide_noise_mm2(log, station) + slide_noise_mm2(log, reference)
+    kept = list(moved_nests(log, station, reference).kept)
     return rigid_fit(
-        apply(T_S_W, at_reference_mm), slide_in_world_mm(log, station), weights=noise_mm2
+        apply(T_S_W, at_reference_mm)[kept],
+        slide_in_world_mm(log, station)[kept],
+        weights=_pair_noise_mm2(log, station, reference)[kept],
     )
+
+
+def moved_nests(log: Log, station: Station, reference: Station) -> Moved:
+    """Return which nests have moved on the slide between reference and station."""
+    return moved_points(
+        slide_in_world_mm(log, reference),
+        slide_in_world_mm(log, station),
+        _pair_noise_mm2(log, station, reference),
+    )
+
+
+def check_nests(cell: Cell, station: Station, moved: Moved) -> list[str]:
+    """Return the names of nests to be left out; refuse a station where too few remain."""
+    names = [cell.layout.slide[n].name for n in moved.moved]
+    if names and len(moved.kept) < LEAST_NESTS:
+        raise DeviceError(
+            "HC-T61",
+            "Tracker",
+            f"station frame {station.name}",
+            f"slide nests {', '.join(names)} have moved against the others: a distance changed "
+            f"by {moved.worst_mm:.3f} mm",
+            wanted=f"<= {moved.limit_mm:.3f} mm, or {LEAST_NESTS} nests that agree",
+            act="see that every reflector sits in its own nest and is clean, that no nest is "
+            "loose; then start a new run",
+            fields={
+                "station": station.name,
+                "nests": names,
+                "moved_mm": moved.worst_mm,
+                "limit_mm": moved.limit_mm,
+                "kept": len(moved.kept),
+            },
+        )
+    return names
+
+
+def check_accepted(cell: Cell, station: Station, fit: RigidFit) -> float:
+    """Return the tool point's uncertainty at the cube's worst corner; refuse one too large."""
+    found_mm, limit_mm = cube_uncertainty_mm(cell, fit), cell.layout.max_tool_std_mm
+    if not found_mm <= limit_mm:
+        raise DeviceError(
+            "HC-T62",
+            "Tracker",
+            f"station frame {station.name}",
+            f"the tool point would be uncertain by {found_mm:.3f} mm (3-D, 1 sigma) at the cube's "
+            "worst corner",
+            wanted=f"<= {limit_mm:.3f} mm (layout.max_tool_std_mm)",
+            act="clean and tighten nests and reflectors, take more readings (layout.nest_samples) "
+            "or nests further apart, then start a new run",
+            fields={
+                "station": station.name,
+                "found_mm": found_mm,
+                "limit_mm": limit_mm,
+                "rms_mm": fit.rms_mm,
+            },
+        )
+    return found_mm
+
+
+def _pair_noise_mm2(log: Log, station: Station, reference: Station) -> Array:
+    """Return the covariances (N, 3, 3) in {W} of each nest at the station less at the reference."""
+    return slide_noise_mm2(log, station) + slide_noise_mm2(log, reference)
 
 
 def slide_noise_mm2(log: Log, station: Station) -> Array:
@@ -153,6 +229,17 @@ def slide_noise_mm2(log: Log, station: Station) -> Array:
 
 def tool_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:
     """Return the 1-sigma uncertainty of the grid's centre as carried by the station frame."""
+    return point_uncertainty(fit, _in_slide_mm(cell, cell.grid.centre.matrix()[None, :3, 3])[0])
+
+
+def cube_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:
+    """Return the same at the worst corner of the cube, where it is largest in all of the cube."""
+    signs = np.array(list(product((-0.5, 0.5), repeat=3)))
+    corners_mm = cell.grid.centre.matrix()[:3, 3] + signs * np.array(cell.grid.size_mm)
+    return max(point_uncertainty(fit, corner) for corner in _in_slide_mm(cell, corners_mm))
+
+
+def _in_slide_mm(cell: Cell, points_mm: Array) -> Array:
+    """Return points (N, 3) of {B} in {S}, both nominal."""
     nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
-    T_S_B = inverse(three_point_frame(*nests_mm[:3]))
-    return point_uncertainty(fit, apply(T_S_B, cell.grid.centre.matrix()[None, :3, 3])[0])
+    return apply(inverse(three_point_frame(*nests_mm[:3])), points_mm)

@@ -16,6 +16,7 @@ from hilcell.calibration.influence import NoBound
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
+from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
@@ -26,6 +27,7 @@ from procedures import enough_targets
 from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_targets, joints_for, poses_at
 from procedures.repeatability import floor
+from procedures.touch import base_for_commands, touch_result, touch_spans
 from procedures.world_frame import check_control_points
 
 WAYS = ("before", "idw", "chosen")  # as it is, by the paper's method, by the chosen one
@@ -51,27 +53,24 @@ class Validate:
             spans.append(leg(cell, here, station))
             for how in ways(cell):
                 spans += [floor_points(cell)] if how in controlled(cell) else []
-                spans.append(flange_points(cell, joints_rad[: planned(cell, how)]))
-                points += spans[-1].measured
+                measured = touch_spans(cell, station) if how == "chosen" else []
+                measured.append(flange_points(cell, joints_rad[: planned(cell, how)]))
+                spans += measured
+                points += sum(span.measured for span in measured)
             here = station
         return step(self.name, points, spans)
 
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
-        measured, grid = measured_of(session.log), grid_of(session.cell)
+        measured = measured_of(session.log)
         paper = MODELS["idw"].learn(measured)
         chosen = MODELS[str(session.log.verdicts["fit"]["method"])].learn(measured)
+        models = {"idw": paper, "chosen": chosen}
         for name, targets_mm in targets(session.cell, session.seed).items():
             station = session.cell.station_named(name)
-            by_paper_mm = by_paper(session, station, targets_mm)
-            commands = {
-                "before": targets_mm,
-                "idw": corrected(grid, poses_at(session.cell, by_paper_mm), paper),
-                "chosen": corrected(grid, poses_at(session.cell, targets_mm), chosen),
-            }
             for how in ways(session.cell):
                 for numbers in rounds(session.log, name, how, len(targets_mm)):
-                    self._send(session, station, how, numbers, targets_mm, commands[how])
+                    self._send(session, station, how, numbers, targets_mm, models.get(how))
         self._judge(session)
         session.reach("validate")
 
@@ -82,17 +81,24 @@ class Validate:
         how: str,
         numbers: range,
         targets_mm: Array,
-        command: Array,
+        model: ErrorModel | None,
     ) -> None:
         ids = [PointId("validate", station=station.name, how=how, number=n) for n in numbers]
         if all(session.log.find(id) for id in ids):
             return
         if numbers[0] == 0 and not session.log.find(ids[0]) and how in controlled(session.cell):
             check_control_points(session)
-        nominal_mm = apply(session.frames.base_in_world(station), targets_mm[numbers])
-        joints = joints_for(session.cell, command[numbers])
-        for id, joint, nominal in zip(ids, joints, nominal_mm, strict=True):
-            session.flange_point(id, station, joint, nominal_mm=nominal)
+        wanted_mm = targets_mm[numbers]
+        nominal_mm = apply(session.frames.base_in_world(station), wanted_mm)
+        joints_rad, visit = np.zeros((len(ids), 6)), -1
+        for n, id in enumerate(ids):
+            session.retake_waiting()  # at another station, it ends the visit
+            session.hold_station(station)
+            if visit != session.log.visit:
+                sent_mm = command(session, station, how, wanted_mm, model)
+                joints_rad = joints_for(session.cell, sent_mm)
+                visit = session.log.visit
+            session.flange_point(id, station, joints_rad[n], nominal_mm=nominal_mm[n])
 
     def _judge(self, session: CellSession) -> None:
         limits = session.cell.validation
@@ -118,7 +124,7 @@ class Validate:
         figures = self._figures(log)
         for where, found in _coverage(log, _places(log.cell)).items():
             figures[where]["bounds"] = found.figures
-        return {"validation": figures}
+        return {"validation": figures} | touch_result(log)
 
     def _figures(self, log: Log) -> dict[str, dict[str, Any]]:
         places = _places(log.cell)
@@ -151,10 +157,23 @@ def _coverage(log: Log, places: dict[str, list[str]]) -> dict[str, Coverage]:
         return {}
 
 
-def by_paper(session: CellSession, station: Station, targets_mm: Array) -> Array:
-    """Return targets (N, 3) in {B} where the paper's three-point frame takes {B} to be."""
-    T_W_B = session.frames.base_in_world(station)
-    return apply(inverse(session.frames.base_by_three_points(station)) @ T_W_B, targets_mm)
+def command(
+    session: CellSession, station: Station, how: str, targets_mm: Array, model: ErrorModel | None
+) -> Array:
+    """Return where to send the robot, (N, 3) in {B}, for targets (N, 3) of the station frame's {B}.
+
+    The targets' places in {W} are fixed before the visit. The paper takes the robot's base from
+    three slide points, the chosen way from the touch poses of this visit.
+    """
+    if model is None:
+        return targets_mm
+    frames = session.frames
+    if how == "idw":
+        T_W_B = frames.base_by_three_points(station)
+    else:
+        T_W_B = base_for_commands(session, station, model)
+    at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
+    return corrected(grid_of(session.cell), poses_at(session.cell, at_mm), model)
 
 
 def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:

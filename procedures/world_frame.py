@@ -46,6 +46,7 @@ class WorldFrame:
         nests = session.cell.layout.floor
         points = [session.floor_point(PointId("world", nest=nest.name), nest) for nest in nests]
         measured_mm = positions_mm(points)
+        check_places(session.cell, measured_mm)
         check_distances(session.cell, measured_mm)
         session.frame("world", world_from_tracker(session.cell, measured_mm))
 
@@ -58,6 +59,38 @@ def world_from_tracker(cell: Cell, measured_mm: Array) -> Array:
     """Return T_W_L (4, 4): the three first floor nests span {W} after eqs 14-16."""
     nominal_mm = np.array([nest.xyz_mm for nest in cell.layout.floor])
     return three_point_frame(*nominal_mm[:3]) @ inverse(three_point_frame(*measured_mm[:3]))
+
+
+def check_places(cell: Cell, measured_mm: Array) -> None:
+    """Refuse nests that were seen outside the tracker's search for them.
+
+    Distances do not tell that two nests changed places in a symmetric triangle; places do.
+    """
+    nests, limit_mm = cell.layout.floor, cell.tracker.find_radius_mm
+    nominal_mm = np.array([nest.xyz_mm for nest in nests])
+    expected_mm = apply(inverse(cell.tracker.pose.matrix()), nominal_mm)
+    off_mm = np.linalg.norm(measured_mm[:, None] - expected_mm[None], axis=-1)
+    for nest, row_mm, found_mm in zip(nests, off_mm, np.diag(off_mm), strict=True):
+        if found_mm <= limit_mm:
+            continue
+        near = zip(nests, row_mm, strict=True)
+        at = [other.name for other, each_mm in near if each_mm <= limit_mm]
+        where = f", where {at[0]} is expected" if at else ""
+        raise DeviceError(
+            "HC-T32",
+            "Tracker",
+            "world frame",
+            f"{nest.name} was seen {found_mm:.1f} mm from its expected place{where}",
+            wanted=f"<= {limit_mm:.1f} mm (tracker.find_radius_mm)",
+            act="nests swapped, or the tracker does not stand as tracker.pose says; check, then "
+            "resume",
+            fields={
+                "nest": nest.name,
+                "off_mm": float(found_mm),
+                "limit_mm": limit_mm,
+                "seen_at": at[:1],
+            },
+        )
 
 
 def check_distances(cell: Cell, measured_mm: Array) -> None:

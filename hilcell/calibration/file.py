@@ -30,7 +30,7 @@ from hilcell.calibration.frames import Frames, measured_of
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
-from hilcell.geometry.frames import apply, inverse, pose_from_zyx, zyx_from_pose
+from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
 from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
 from hilcell.writing import write_whole
@@ -39,6 +39,7 @@ SCHEMA = 2  # 2: sealed, and since then with the model's own table; 1: neither
 UNSEALED = 1
 SEAL = "seal"
 ORIENTATION_TOLERANCE_DEG = 2.0
+NAMED = 5  # targets that one message names
 
 
 def calibration_of(log: Log, run: str) -> Calibration:
@@ -160,20 +161,21 @@ def compensate_targets(
     if station not in calibration.stations:
         known = ", ".join(calibration.stations)
         raise HilcellError(f"station {station!r} is not calibrated; calibrated: {known}")
-    far = [name for name, at in zip(names, targets, strict=True) if not np.abs(at).max() <= MOST_MM]
-    if far:
+    far = np.flatnonzero(~(np.abs(targets).max(axis=1) <= MOST_MM))
+    if len(far):
+        named = ", ".join(names[n] for n in far[:NAMED])
         raise HilcellError(
             f"{len(far)} targets are not in the cell, wanted within +-{MOST_MM:g} mm and deg: "
-            f"{', '.join(far[:5])}"
+            f"{named}"
         )
     T_W_B = np.array(calibration.stations[station].T_W_B)
-    poses = np.array([pose_from_zyx(*target) for target in targets])
+    poses = poses_from_zyx(targets)
     in_base = inverse(T_W_B) @ poses
     _refuse_turned(calibration, in_base, names)
     model = calibration.error_model()
     command = corrected(calibration.grid(), in_base, model, names=names)
     poses[:, :3, 3] = apply(T_W_B, command)
-    return np.array([zyx_from_pose(pose) for pose in poses])
+    return zyx_from_pose(poses)
 
 
 def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> None:
@@ -181,13 +183,10 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
     cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], wanted) - 1.0) / 2.0
     turned_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     limit_deg = calibration.validity.orientation_tolerance_deg
-    far = [
-        f"{name} by {turn:.2f} deg"
-        for name, turn in zip(names, turned_deg, strict=True)
-        if not turn <= limit_deg
-    ]
-    if far:
+    far = np.flatnonzero(~(turned_deg <= limit_deg))
+    if len(far):
+        named = ", ".join(f"{names[n]} by {turned_deg[n]:.2f} deg" for n in far[:NAMED])
         raise HilcellError(
             f"{len(far)} of {len(names)} targets turned away from the calibrated orientation, "
-            f"wanted <= {limit_deg} deg: {', '.join(far[:5])}; calibrate with their orientation"
+            f"wanted <= {limit_deg} deg: {named}; calibrate with their orientation"
         )

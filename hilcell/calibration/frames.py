@@ -58,6 +58,20 @@ class Frames:
             return shift @ base
         return self._carried("station", station)
 
+    def touched(self, station: Station) -> bool:
+        """Whether the base was touched at ``station`` since the slide last moved."""
+        frame = self._log.frames.get(f"touch.{station.name}")
+        return frame is not None and frame["visit"] == self._log.visit
+
+    def base_on_visit(self, station: Station) -> Array:
+        """Return T_W_B (4, 4) as touched on this visit, else `base_in_world`.
+
+        Commands are made with it; a target's place in {W} is never.
+        """
+        if self.touched(station):
+            return self._log.matrix(f"touch.{station.name}")
+        return self.base_in_world(station)
+
     def base_by_three_points(self, station: Station) -> Array:
         """Return T_W_B (4, 4) as the paper has it: {S} from three points alone."""
         return self._carried("three_points", station)

@@ -57,8 +57,8 @@ __all__ = [
     "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "EnvelopeTable", "Frozen",
     "GridTable", "Joint", "KeepOut", "Layout", "Nest", "PlanTable", "Pose", "RailTable",
     "RobotTable", "SettleTable", "SimulationTable", "Six", "Station", "SurveyTable",
-    "TrackerTable", "UncertaintyTable", "ValidationTable", "arm_from_joints", "built_in_cells",
-    "load_cell",
+    "TouchTable", "TrackerTable", "UncertaintyTable", "ValidationTable", "arm_from_joints",
+    "built_in_cells", "load_cell",
 ]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it
@@ -275,6 +275,12 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
     max_tolerance_mm: Size = 1.0
 
 
+class TouchTable(Frozen, frozen=True, kw_only=True):
+    """Poses by which a station is measured again after each stop; 0: none."""
+
+    poses: Annotated[int, Meta(ge=0, le=100)] = 8
+
+
 class CampaignTable(Frozen, frozen=True, kw_only=True):
     """A list of poses to drive, with the reflectors and where the tracker expects them."""
 
@@ -313,6 +319,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     survey: SurveyTable = field(default_factory=SurveyTable)
     validation: ValidationTable = field(default_factory=ValidationTable)
     plan: PlanTable = field(default_factory=PlanTable)
+    touch: TouchTable = field(default_factory=TouchTable)
     settle: SettleTable = field(default_factory=SettleTable)
     keep_out: list[KeepOut] = field(default_factory=list)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
@@ -396,7 +403,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)
-        values["layout"].pop("reflectors")  # by hand or not, the cell is the same
+        values.pop("touch")  # how it is measured and judged: the cell is the same
+        for key in ("reflectors", "max_tool_std_mm"):
+            values["layout"].pop(key)
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
     def station_named(self, name: str) -> Station:

@@ -41,6 +41,7 @@ class Layout(Frozen, frozen=True, kw_only=True):
     slide: list[Nest]
     nest_tolerance_mm: Size = 5.0
     nest_samples: Count = 10
+    max_tool_std_mm: Size = 0.1
     reflectors: Literal["mounted", "by_hand"] = "mounted"
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ from hilcell.calibration.bounds import target_bounds
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.compensation.targets import write_rows
-from hilcell.geometry.frames import pose_from_zyx
+from hilcell.geometry.frames import poses_from_zyx
 from hilcell.ports import Array
 from hilcell.writing import NotWritten
 
@@ -25,9 +25,8 @@ def bounds_of_targets(
     calibration: Calibration, station: str, targets: Array, temperature_c: float | None
 ) -> Found:
     """Return the bounds of corrected targets (N, 6) in {W}, or why there are none."""
-    poses = np.array([pose_from_zyx(*target) for target in targets])
     try:
-        return target_bounds(calibration, station, poses, temperature_c)
+        return target_bounds(calibration, station, poses_from_zyx(targets), temperature_c)
     except NoBound as reason:
         return reason
 

@@ -116,6 +116,14 @@ def pose_from_zyx(
     return matrix(R, np.array([x_mm, y_mm, z_mm]))
 
 
+def poses_from_zyx(values: ArrayLike) -> Array:
+    """Return the frames (N, 4, 4) of rows (N, 6) of X, Y, Z (mm), A, B, C (deg)."""
+    rows = np.asarray(values, dtype=float)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = from_zyx(rows[:, 3:]), rows[:, :3]
+    return poses
+
+
 def zyx_from_pose(T: Array) -> Array:
     """Return X, Y, Z (mm), A, B, C (deg) of frames (..., 4, 4) as (..., 6); A = 0 at B = +-90."""
     R = T[..., :3, :3]

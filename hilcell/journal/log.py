@@ -186,6 +186,7 @@ class Log:
         self.end: dict[str, Any] | None = None
         self.fault = ""
         self.moved = False  # in this session
+        self.visit = 0  # one more with each order to the slide: a touched base is of one visit
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
         self.link: LinkRecord | None = None  # of the last session that ended
         self.seated = ""  # the place of a reflector that is carried by hand
@@ -220,6 +221,7 @@ class Log:
                 self.end = body
             case "intent":
                 self.moved = True
+                self.visit += str(body.get("action", "")).startswith("rail.")
 
     def _take_event(self, body: dict[str, Any]) -> None:
         match body.get("what"):

@@ -12,6 +12,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
     ``station`` is set where the same thing is measured at several stations; ``side`` is +1 for an
     approach from above, -1 from below; ``target`` is a reflector that the cell file does not know.
+    ``visit`` is the `Log.visit` of a point that holds for one stop of the slide only.
     """
 
     kind: str
@@ -28,6 +29,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
     side: int = 0
     nest: str = ""
     target: str = ""
+    visit: int | None = None
 
     @property
     def key(self) -> str:
@@ -35,6 +37,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
         side = {1: "+", -1: "-"}.get(self.side, "")
         parts = (
             self.station,
+            "" if self.visit is None else f"v{self.visit}",
             "" if self.turn is None else f"{self.session}-{self.turn}",
             "-".join(map(str, self.vertex)),
             self.pose,

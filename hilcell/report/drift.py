@@ -86,6 +86,8 @@ def frame_changes(first: Side, second: Side) -> list[Change]:
     """Return how far the base and the station frames, as both runs have them, moved in {W}."""
     found: list[Change] = []
     for key, frame in first.log.frames.items():
+        if "visit" in frame:  # two stops are never the same
+            continue
         if "covariance" in frame and "covariance" in second.log.frames.get(key, {}):
             place = key.replace(".", " ")
             limits = _frame_limits(first, second, key)

@@ -56,7 +56,10 @@ def report_html(facts: Facts) -> str:
             own_sheet=None if validation_of(facts) else tables.own_table(facts),
             drawings=drawings(facts),
             frame_sheets=present(
-                tables.stations(facts), tables.circles(facts), tables.frames(facts)
+                tables.stations(facts),
+                tables.touches(facts),
+                tables.circles(facts),
+                tables.frames(facts),
             ),
             budget=budget,
             budget_sheets=tables.budget_sheets(budget) if budget else [],

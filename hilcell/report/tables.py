@@ -86,6 +86,8 @@ STATIONS: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
     Column("strip, found", lambda row: row[1]["strip_mm"], "mm", ".2f"),
     Column("fit rms", lambda row: row[1]["rms_mm"], "mm", ".4f"),
     Column("tool point u", lambda row: row[1]["tool_uncertainty_mm"], "mm", ".4f"),
+    Column("worst corner u", lambda row: row[1].get("cube_uncertainty_mm"), "mm", ".4f"),
+    Column("nests left out", lambda row: ", ".join(row[1].get("left_out", [])) or "none"),
 )
 
 
@@ -93,8 +95,36 @@ def stations(facts: Facts) -> Sheet | None:
     """Return the quality of each station's frame."""
     found = ((each, facts.log.frames.get(f"station.{each.name}")) for each in facts.cell.station)
     rows = ((station, frame) for station, frame in found if frame is not None)
-    note = "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ."
+    note = (
+        "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ. Left out: nests "
+    )
+    note += "whose distances to the others changed since the grid's station."
     return sheet("Stations", STATIONS, rows, note)
+
+
+# A station, and the record of the last visit on which its base was touched.
+TOUCHES: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
+    Column("station", lambda row: row[0].name),
+    Column("poses", lambda row: row[1]["poses"], form="d"),
+    Column("along the rail", lambda row: row[1]["along_rail_mm"], "mm", "+.4f"),
+    Column("shift", lambda row: float(np.linalg.norm(row[1]["shift_mm"])), "mm", ".4f"),
+    Column("turn", lambda row: float(np.linalg.norm(row[1]["turn_urad"])), "µrad", ".1f"),
+    Column("u before", lambda row: row[1]["u_before_mm"], "mm", ".4f"),
+    Column("u after", lambda row: row[1]["u_after_mm"], "mm", ".4f"),
+    Column("pull", lambda row: row[1]["pull"], "σ", ".1f"),
+)
+
+
+def touches(facts: Facts) -> Sheet | None:
+    """Return what the touch poses found at each station."""
+    found = ((each, facts.log.frames.get(f"touch.{each.name}")) for each in facts.cell.station)
+    rows = ((station, frame) for station, frame in found if frame is not None)
+    note = (
+        "By how much the base was moved for the commands of that visit, at the grid's centre. "
+        "u: tool point, 3D, 1 σ; pull: the correction in σ of what was known before. Targets "
+        "stay where the station frame has them."
+    )
+    return sheet("Touch poses", TOUCHES, rows, note)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.geometry.frames import apply, inverse
 from hilcell.ports import Array, DeviceError, TrackerReading
 from hilcell.run.cell_session import CellSession
 from procedures.station_frames import StationFrames
-from procedures.world_frame import CONTROL_LIMIT_MM, WorldFrame, check_distances
+from procedures.world_frame import CONTROL_LIMIT_MM, WorldFrame, check_distances, check_places
 from tests.hilcell.run.bed import CELL, PLAN, Bed
 from tests.hilcell.run.rig import Points, procedure
 
@@ -30,6 +31,18 @@ def test_other_distances_are_refused(measured_mm: Array) -> None:
     with pytest.raises(DeviceError) as raised:
         check_distances(CELL, measured_mm)
     assert raised.value.code == "HC-T32"
+
+
+def test_nests_that_changed_places_are_seen_by_their_places() -> None:
+    """F2 and F3 lie equally far from F1: no distance changes, but {W} would be mirrored."""
+    seen_mm = apply(inverse(CELL.tracker.pose.matrix()), NESTS_MM) + 3.0
+    check_places(CELL, seen_mm)
+    check_distances(CELL, seen_mm[[0, 2, 1]])
+    with pytest.raises(DeviceError, match=r"F2 .* where F3 is expected") as raised:
+        check_places(CELL, seen_mm[[0, 2, 1]])
+    assert raised.value.code == "HC-T32"
+    with pytest.raises(DeviceError):
+        check_places(CELL, seen_mm + np.diag([0.0, np.nan, 0.0]))
 
 
 def test_no_world_is_framed_by_nests_that_stand_otherwise(

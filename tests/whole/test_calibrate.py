@@ -37,6 +37,10 @@ def test_the_end_event_has_the_figures(golden: GoldenRuns) -> None:
     assert set(result["fit"]["loocv"]) >= {"idw", "trilinear"}
     for station in result["stations"].values():
         assert 0.0 < station["tool_uncertainty_mm"] < 0.1
+    for place in result["validation"].values():
+        bounds = place["bounds"]
+        assert 0.85 <= bounds["coverage"] <= 1.0
+        assert place["chosen"]["mean"] < bounds["mean_mm"] <= bounds["max_mm"] < 0.5
 
 
 @pytest.mark.parametrize("name", ["small", *sweep("calibration", "paper")])

@@ -25,11 +25,12 @@ from hilcell.compensation.similarity import Pairs
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.rigidity import Moved
 from hilcell.geometry.statistics import figures_of
 from hilcell.journal.log import Log, positions_mm
 from hilcell.planning.plan import HolePlan
 from hilcell.ports import Array
-from procedures import paper_figures, paper_stations, rail_survey
+from procedures import paper_figures, paper_stations, rail_survey, station_frames
 from procedures.base_frame import circle_of
 from procedures.paper import paper_table
 from procedures.paper_rows import ROWS, Row
@@ -299,8 +300,12 @@ def test_a_point_of_a_sweep_measured_while_axis_2_moves(paper: PaperRun) -> None
     assert "fig6.circle.rms" in failing(framed(other, frames))
 
 
-def test_a_nest_that_was_moved_between_stations(paper: PaperRun) -> None:
+def test_a_nest_that_was_moved_between_stations_stays_in_the_fit(
+    paper: PaperRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
     log, cell = paper.log, paper.log.cell
+    all_kept = Moved((), tuple(range(len(cell.layout.slide))), 0.0, 0.0)
+    monkeypatch.setattr(station_frames, "moved_nests", lambda *_: all_kept)
     nest = log.points["slide/S300/P4"]
     other = changed(log, [placed(nest, np.array(nest.xyz_mm) + [0.0, 0.0, 0.1])])
     fit = station_fit(other, cell.station_named("S300"), cell.station_named(REFERENCE))

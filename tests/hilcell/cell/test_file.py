@@ -271,6 +271,12 @@ def test_the_digest_leaves_out_how_long_devices_take() -> None:
     assert load_cell("paper", times).digest == load_cell("paper").digest
 
 
+def test_the_digest_leaves_out_how_stations_are_measured_and_judged() -> None:
+    """Calibrations written before there were touch poses keep their cell."""
+    judged = {"touch.poses": "20", "layout.max_tool_std_mm": "0.05"}
+    assert load_cell("paper", judged).digest == load_cell("paper").digest
+
+
 def test_an_override_may_be_bare_text() -> None:
     cell = load_cell("paper", {"rail.options.channel": "socket://127.0.0.1:1"})
     assert cell.rail.options["channel"] == "socket://127.0.0.1:1"

@@ -31,6 +31,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[survey]": cell.SurveyTable,
     "[validation]": cell.ValidationTable,
     "[plan]": cell.PlanTable,
+    "[touch]": cell.TouchTable,
     "[settle]": cell.SettleTable,
     "[[keep_out]]": cell.KeepOut,
     "[uncertainty]": cell.UncertaintyTable,

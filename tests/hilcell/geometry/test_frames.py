@@ -12,6 +12,7 @@ from hilcell.geometry.frames import (
     inverse,
     point_uncertainty,
     pose_from_zyx,
+    poses_from_zyx,
     rigid_fit,
     three_point_frame,
     zyx_from_pose,
@@ -203,3 +204,10 @@ def test_inverse_agrees_with_scipy(T: np.ndarray) -> None:
         inverse(T), RigidTransform.from_matrix(T).inv().as_matrix(), atol=1e-8
     )
     np.testing.assert_allclose(inverse(np.array([T, T]))[1], inverse(T))
+
+
+def test_many_poses_are_those_of_each_row() -> None:
+    rows = np.random.default_rng(4).uniform(-170.0, 170.0, (5, 6))
+    one_by_one = np.array([pose_from_zyx(*row) for row in rows])
+    np.testing.assert_array_equal(poses_from_zyx(rows), one_by_one)
+    np.testing.assert_array_equal(zyx_from_pose(one_by_one), [zyx_from_pose(T) for T in one_by_one])

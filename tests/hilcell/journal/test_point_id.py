@@ -98,3 +98,19 @@ def test_points_are_selected_by_fields() -> None:
         (log.select("validate", "S300", how="idw"), []),
     ):
         assert [point.key for point in found] == wanted
+
+
+def test_a_point_of_one_visit_says_so_in_its_key_and_not_in_its_group() -> None:
+    id = PointId("touch", station="S300", visit=7, number=3)
+    assert (id.key, id.group) == ("touch/S300/v7/003", "touch")
+    assert msgspec.json.decode(msgspec.json.encode(id), type=PointId) == id
+
+
+def test_a_visit_lasts_until_the_slide_is_sent_anywhere() -> None:
+    def intent(seq: int, action: str) -> Record:
+        return Record(seq, "", "intent", "", {"action": action})
+
+    log = Log([intent(1, "rail.home"), intent(2, "rail.approach"), intent(3, "robot.move")])
+    assert log.visit == 2
+    log.take(intent(4, "rail.move"))
+    assert log.visit == 3

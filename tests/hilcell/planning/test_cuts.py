@@ -56,7 +56,7 @@ def test_any_prices_prove_a_bound(seed: int, count: int, cuts: int) -> None:
     assert program.proven()[0] <= least(points) + 1e-6
 
 
-@settings(max_examples=4)
+@settings(max_examples=2)
 @given(seeds)
 def test_every_tour_respects_every_cut(seed: int) -> None:
     """In rounds as the bound takes them, on rows that cross; subtours, blossoms and stars."""

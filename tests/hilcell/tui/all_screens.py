@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from textual.command import CommandPalette
+from textual.command import CommandList, CommandPalette
 from textual.pilot import Pilot
 
 from hilcell.journal.index import RunRow
@@ -174,8 +174,10 @@ async def _point(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, 
 
 async def _palette(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
     await press(pilot, "ctrl+p", *"alarm")
-    await settle(pilot)
     assert isinstance(app.screen, CommandPalette)
+    # Only half a second after the search it says that nothing was found.
+    while not app.screen.query_one(CommandList).option_count:
+        await settle(pilot)
     seen = {"palette": look(app)}
     app.pop_screen()
     await settle(pilot)

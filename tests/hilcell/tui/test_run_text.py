@@ -28,6 +28,7 @@ from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingSession
 from tests.hilcell.tui.sample_runs import BEGAN, PROMPT, fresh, measuring, sample_runs
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
+BOUNDS = {"coverage": 0.963, "mean_mm": 0.2171, "max_mm": 0.3}
 
 
 def view_of(name: str) -> RunView:
@@ -221,6 +222,19 @@ def test_interlocks_name_the_first_that_is_blocked() -> None:
 def test_a_finished_run_says_its_figures_there() -> None:
     line = run_text.interlocks(view_of("done"), 80).plain
     assert line == "in tolerance: mean |e| mm  S1100 1.200 -> 0.110"
+
+
+def test_a_finished_run_says_its_bounds_in_place_of_its_last_point() -> None:
+    view = view_of("done")
+    assert "last validate" in run_text.step(view, 80).plain
+    assert view.log.end is not None
+    place = view.log.end["result"]["validation"]["S1100"]
+    end = {"result": {"validation": {"S1100": place | {"bounds": BOUNDS}}}}
+    view.log.end = view.log.end | end
+    line = run_text.step(view, 80).plain
+    assert len(line) <= 80
+    assert "last" not in line
+    assert line.endswith("  S1100: 95 % bound 0.217 mm, 96 % in")
 
 
 @pytest.mark.parametrize(

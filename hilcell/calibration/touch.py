@@ -1,0 +1,112 @@
+"""The robot's base on this visit of a station, found by touch poses after the stop.
+
+The strip lets a slide come back only within its tolerance, and the station frame carries the noise
+of its nests. So the robot carries its reflector to a few corrected poses; how far it lands from
+where the station frame expects it says where the base is now. The prior is the station
+frame with its covariance, and the strip's slip.
+
+A target's place in {W} is not moved by this, only the command is. Targets are fixed before the
+visit (`Frames.base_in_world`); were they carried by the corrected base, an error of the
+base would cancel in every figure that judges it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hilcell.calibration.errors import visits_mm
+from hilcell.calibration.frame_covariance import base_covariance
+from hilcell.calibration.frames import Frames
+from hilcell.cell.file import Cell, Station
+from hilcell.geometry.frame_update import FrameUpdate, updated_frame
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.statistics import pooled_std_mm, reading_variances_mm2
+from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array
+
+MARGIN_SHARE = 0.05  # of the cube's edges, off each face
+# Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
+STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+HOLDS = 2  # the strip's slip is that of the visit less that of the stop when it was framed
+
+
+def touch_count(cell: Cell) -> int:
+    """Return how many poses are touched after a stop; none where time counts more."""
+    return 0 if cell.plan.quick else cell.touch.poses
+
+
+def touch_targets_mm(cell: Cell) -> Array:
+    """Return the touch poses' targets (N, 3) in {B}, spread through the cube."""
+    number = np.arange(touch_count(cell))[:, None]
+    share = (0.5 + number * STEPS) % 1.0
+    size_mm = np.array(cell.grid.size_mm)
+    targets: Array = cell.grid.centre.matrix()[:3, 3] + size_mm * (
+        (1.0 - 2.0 * MARGIN_SHARE) * (share - 0.5)
+    )
+    return targets
+
+
+def touch_ids(cell: Cell, station: Station, visit: int) -> list[PointId]:
+    """Return the identities of the touch poses' points on one visit."""
+    return [
+        PointId("touch", station=station.name, visit=visit, number=n)
+        for n in range(touch_count(cell))
+    ]
+
+
+def touched_base(
+    log: Log, station: Station, points: list[Point], covariance_mm2: Array
+) -> FrameUpdate:
+    """Return T_W_B on the visit in which ``points`` were touched.
+
+    ``covariance_mm2`` (N, 3, 3) in {B} are those of the model's predictions there; the robot's
+    repeatability and the tracker's noise are added from the log.
+    """
+    T_W_B = Frames(log.cell, log).base_in_world(station)
+    T_W_L, R = log.matrix("world"), T_W_B[:3, :3]
+    nominal_mm = np.array([point.nominal_mm for point in points])
+    noise_mm2 = np.einsum("ij,njk,lk->nil", R, covariance_mm2, R) + _visit_noise_mm2(log, points)
+    return updated_frame(
+        T_W_B,
+        visit_covariance(log, station),
+        apply(inverse(T_W_B), nominal_mm),
+        apply(T_W_L, positions_mm(points)),
+        noise_mm2,
+    )
+
+
+def visit_covariance(log: Log, station: Station) -> Array:
+    """Return the covariance (6, 6) of T_W_B on a visit of the station, before it is touched.
+
+    That of the station frame (`hilcell.calibration.frame_covariance`) and the strip's slip: shift
+    of {B}'s origin (mm), rotation vector (rad) about it, axes of {W}.
+    """
+    return base_covariance(log, station) + slip_covariance(log.cell)
+
+
+def slip_covariance(cell: Cell) -> Array:
+    """Return the covariance (6, 6) by which a station that is held again may have moved.
+
+    Along the rail; a hold is proven to twice the strip's tolerance (interlock I2).
+    """
+    sigma_mm = math.sqrt(HOLDS / 3.0) * 2.0 * cell.rail.strip_tolerance_mm
+    along = np.append(np.array(cell.layout.rail_direction), np.zeros(3))
+    covariance: Array = sigma_mm**2 * np.outer(along, along)
+    return covariance
+
+
+def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:
+    """Return the covariances (N, 3, 3) in {W} of single visits, the readings' noise in them.
+
+    From the visits of the repeatability's places; where none were made, from the readings alone.
+    """
+    clouds_mm = visits_mm(log)
+    if clouds_mm:
+        return np.tile(pooled_std_mm(clouds_mm) ** 2 * np.eye(3), (len(points), 1, 1))
+    R = log.matrix("world")[:3, :3]
+    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
+    noise_mm2: Array = np.einsum("ij,nj,kj->nik", R, variances_mm2, R)
+    return noise_mm2

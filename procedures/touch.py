@@ -1,0 +1,136 @@
+"""Touch poses after a stop: the robot carries its reflector to a few corrected targets.
+
+They absorb the strip's slip of this visit. The commands that follow on this visit are made with
+the base that they find; the targets' places in {W} stay where they were defined before.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.frames import grid_of
+from hilcell.calibration.touch import (
+    touch_count,
+    touch_ids,
+    touch_targets_mm,
+    touched_base,
+    visit_covariance,
+)
+from hilcell.cell.file import Cell, Station
+from hilcell.compensation.correction import corrected
+from hilcell.compensation.model import ErrorModel
+from hilcell.geometry.frame_update import FrameUpdate
+from hilcell.geometry.frames import apply, cross_matrix
+from hilcell.geometry.rotations import to_rotvec
+from hilcell.journal.log import Log
+from hilcell.ports import Array, DeviceError
+from hilcell.run.cell_session import CellSession
+from hilcell.run.procedure import Span
+from procedures.durations import flange_points
+from procedures.plan import check_targets, joints_for, poses_at
+
+MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
+
+
+def touch_spans(cell: Cell, station: Station) -> list[Span]:
+    """Return the span of one visit's touch poses, if there are any; refuse any out of reach."""
+    if not touch_count(cell):
+        return []
+    what = f"touch pose at {station.name}"
+    return [flange_points(cell, check_targets(cell, station, touch_targets_mm(cell), what))]
+
+
+def base_for_commands(session: CellSession, station: Station, model: ErrorModel) -> Array:
+    """Return T_W_B (4, 4) on this visit, for commands, touched first where it was not yet."""
+    if touch_count(session.cell):
+        session.retake_waiting()
+        session.hold_station(station)
+        if not session.frames.touched(station):
+            _touch(session, station, model)
+    return session.frames.base_on_visit(station)
+
+
+def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
+    cell, log = session.cell, session.log
+    targets_mm, T_W_B = touch_targets_mm(cell), session.frames.base_in_world(station)
+    poses = poses_at(cell, targets_mm)
+    joints_rad = joints_for(cell, corrected(grid_of(cell), poses, model))
+    nominal_mm = apply(T_W_B, targets_mm)
+    points, visit = [], -1
+    while log.visit != visit:  # a retake at another station ends the visit
+        visit = log.visit
+        points = [
+            session.flange_point(id, station, joint_rad, nominal_mm=at_mm)
+            for id, joint_rad, at_mm in zip(
+                touch_ids(cell, station, visit), joints_rad, nominal_mm, strict=True
+            )
+        ]
+    found = touched_base(log, station, points, model.predict(poses).covariance_mm2)
+    check_agreement(station, found)
+    session.frame(
+        f"touch.{station.name}",
+        found.T,
+        visit=visit,
+        covariance=found.covariance,
+        poses=len(points),
+        left_out=[points[n].key for n in found.left_out],
+        pull=found.pull,
+        misfit=found.misfit,
+        **_found(cell, T_W_B, visit_covariance(log, station), found),
+    )
+
+
+def check_agreement(station: Station, found: FrameUpdate) -> None:
+    """Refuse touch poses that contradict the station frame."""
+    if found.pull <= MOST_PULL and found.misfit <= MOST_MISFIT:
+        return
+    raise DeviceError(
+        "HC-T63",
+        "Tracker",
+        f"touch poses at {station.name}",
+        f"they move the base by {found.pull:.1f} sigma of the station frame and leave "
+        f"{found.misfit:.1f} sigma of their own",
+        wanted=f"<= {MOST_PULL:.0f} and <= {MOST_MISFIT:.0f} sigma",
+        act="a nest, the strip, the tool or an axis' zero has changed; check them, then start a "
+        "new run",
+        fields={
+            "station": station.name,
+            "pull": found.pull,
+            "most_pull": MOST_PULL,
+            "misfit": found.misfit,
+            "most_misfit": MOST_MISFIT,
+        },
+    )
+
+
+def _found(cell: Cell, before: Array, covariance: Array, found: FrameUpdate) -> dict[str, Any]:
+    """Return how far the base was moved, at the cube's centre, and its uncertainty there."""
+    centre_mm = cell.grid.centre.matrix()[None, :3, 3]
+    shift_mm = (apply(found.T, centre_mm) - apply(before, centre_mm))[0]
+    turn_rad = to_rotvec(found.T[:3, :3] @ before[:3, :3].T)
+    J = np.hstack([np.eye(3), -cross_matrix(before[:3, :3] @ centre_mm[0])])
+    u_mm = [float(np.sqrt(np.trace(J @ each @ J.T))) for each in (covariance, found.covariance)]
+    return {
+        "shift_mm": shift_mm,
+        "along_rail_mm": float(shift_mm @ cell.layout.rail_direction),
+        "turn_urad": 1e6 * turn_rad,
+        "u_before_mm": u_mm[0],
+        "u_after_mm": u_mm[1],
+    }
+
+
+def touch_result(log: Log) -> dict[str, Any]:
+    """Return what the touch poses found at each station, where they were used."""
+    keys = ("poses", "shift_mm", "along_rail_mm", "turn_urad", "u_before_mm", "u_after_mm")
+    frames = {
+        station.name: log.frames[f"touch.{station.name}"]
+        for station in log.cell.station
+        if f"touch.{station.name}" in log.frames
+    }
+    found = {
+        name: {key: frame[key] for key in (*keys, "pull", "misfit", "left_out")}
+        for name, frame in frames.items()
+    }
+    return {"touch": found} if found else {}

@@ -1,0 +1,144 @@
+"""Station frames: nests that moved are left out and named, uncertain stations are refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.cell.file import Cell, Nest, Station, load_cell
+from hilcell.geometry.frames import apply, matrix
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.journal.log import Point
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array, DeviceError
+from procedures.station_frames import StationFrames, cube_uncertainty_mm, station_fit
+from tests.procedures.test_sign_check import FakeBench
+
+CELL = load_cell("paper")
+NOISE_MM = 0.01  # of one reading, 1 sigma
+LEAN_RAD = 1e-4  # of the slide at the far stations
+
+
+class Slide(FakeBench):
+    """A slide whose nests are seen with noise; ``moved_mm`` by station and nest."""
+
+    def __init__(self, cell: Cell = CELL, seed: int = 1) -> None:
+        super().__init__()
+        self.cell = cell
+        self.keep("plan", "", msgspec.to_builtins(self.log.inputs) | {
+            "cell": msgspec.to_builtins(cell)
+        })  # fmt: skip
+        self.moved_mm: dict[tuple[str, str], Array] = {}
+        self._rng = np.random.default_rng(seed)
+
+    def base(self, station: Station) -> Array:
+        """Return where the slide, as the cell file's {B}, really is in {W}."""
+        lean = 0.0 if station.name == self.cell.grid.station else LEAN_RAD
+        T = self.cell.layout.nominal_base(station.rail_mm)
+        return matrix(from_rotvec(np.array([lean, -lean, lean])) @ T[:3, :3], T[:3, 3] + lean)
+
+    def slide_point(self, id: PointId, station: Station, nest: Nest, *, samples: int) -> Point:
+        at_mm = apply(self.base(station), nest.xyz_mm[None])[0]
+        at_mm += self._rng.normal(0.0, NOISE_MM / np.sqrt(samples), 3)
+        at_mm += self.moved_mm.get((station.name, nest.name), 0.0)
+        self._point(id, at_mm, station=station.name, samples=samples, std_mm=[NOISE_MM] * 3,
+                    strip_mm=station.strip_mm)  # fmt: skip
+        return self.log.point(id)
+
+    def frame(self, key: str, at: Array, **facts: Any) -> None:
+        plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in facts.items()}
+        self.keep("frame", key, {"matrix": at.tolist()} | plain)
+
+    def hold_station(self, station: Station) -> None: ...
+
+    def park_robot(self) -> None: ...
+
+    def reach(self, trigger: str) -> None: ...
+
+
+def bench_of(**layout: str) -> Any:
+    return Slide(load_cell("paper", {f"layout.{k}": v for k, v in layout.items()}))
+
+
+def off_mm(bench: Any, name: str) -> float:
+    """How far the cube's centre is carried from where the slide really takes it."""
+    here, there = (bench.cell.station_named(n) for n in (bench.cell.grid.station, name))
+    centre_mm = bench.cell.grid.centre.matrix()[None, :3, 3]
+    T = bench.log.matrix(f"station.{name}") @ np.linalg.inv(
+        bench.log.matrix(f"station.{here.name}")
+    )
+    carried = apply(T @ bench.base(here), centre_mm) - apply(bench.base(there), centre_mm)
+    return float(np.linalg.norm(carried))
+
+
+def test_every_station_is_framed_with_all_nests() -> None:
+    bench: Any = Slide()
+    StationFrames().perform(bench)
+    for name, figures in StationFrames().result(bench.log)["stations"].items():
+        assert figures["left_out"] == []
+        assert 0.01 < figures["tool_uncertainty_mm"] < figures["cube_uncertainty_mm"] < 0.05
+        assert off_mm(bench, name) < 3 * figures["tool_uncertainty_mm"]
+
+
+@pytest.mark.parametrize("nest", ["P1", "P6"])
+def test_a_nest_that_moved_is_left_out_and_named(nest: str) -> None:
+    """Left in, 0.2 mm of one nest of eight would turn the tool by some tenths."""
+    bench: Any = Slide()
+    bench.moved_mm["S300", nest] = np.array([0.15, -0.2, 0.1])
+    StationFrames().perform(bench)
+    found = StationFrames().result(bench.log)["stations"]
+    assert {name: each["left_out"] for name, each in found.items()} == {
+        "S300": [nest], "S1100": [], "S1900": [],
+    }  # fmt: skip
+    assert off_mm(bench, "S300") < 3 * found["S300"]["tool_uncertainty_mm"]
+
+
+def test_a_nest_that_was_badly_seated_at_the_grids_station_counts_nowhere_else() -> None:
+    bench: Any = Slide()
+    bench.moved_mm["S1100", "P4"] = np.array([0.0, 0.2, 0.1])
+    StationFrames().perform(bench)
+    found = StationFrames().result(bench.log)["stations"]
+    assert [found[name]["left_out"] for name in ("S300", "S1900")] == [["P4"], ["P4"]]
+
+
+def test_too_few_nests_that_agree_refuse_the_station() -> None:
+    nests = "[" + ", ".join(
+        f'{{ name = "{n.name}", x_mm = {n.x_mm}, y_mm = {n.y_mm}, z_mm = {n.z_mm} }}'
+        for n in CELL.layout.slide[:4]
+    ) + "]"  # fmt: skip
+    bench = bench_of(slide=nests)
+    bench.moved_mm["S300", "P2"] = np.array([0.15, -0.2, 0.1])
+    with pytest.raises(DeviceError) as raised:
+        StationFrames().perform(bench)
+    assert raised.value.code == "HC-T61"
+    assert raised.value.fields["nests"] == ["P2"]
+    assert "station.S300" not in bench.log.frames
+
+
+def test_an_uncertain_station_is_refused_with_its_figure_and_the_next_act() -> None:
+    bench = bench_of(max_tool_std_mm="0.01")
+    with pytest.raises(DeviceError) as raised:
+        StationFrames().perform(bench)
+    assert raised.value.code == "HC-T62"
+    assert "would be uncertain by 0.01" in str(raised.value)
+    assert "layout.nest_samples" in str(raised.value)
+    assert not [name for name in bench.log.frames if name.startswith("station.")]
+
+
+def test_the_worst_corner_is_the_worst_of_the_cube() -> None:
+    bench: Any = Slide()
+    StationFrames().perform(bench)
+    log, cell = bench.log, bench.cell
+    fit = station_fit(log, cell.station_named("S300"), cell.station_named("S1100"))
+    worst_mm = cube_uncertainty_mm(cell, fit)
+    rng = np.random.default_rng(4)
+    inside = load_cell("paper", {"grid.size_mm": "[300.0, 300.0, 300.0]"})
+    assert cube_uncertainty_mm(inside, fit) < worst_mm
+    from hilcell.geometry.frames import point_uncertainty
+    from procedures.station_frames import _in_slide_mm
+
+    points_mm = cell.grid.centre.matrix()[:3, 3] + rng.uniform(-450.0, 450.0, (50, 3))
+    assert max(point_uncertainty(fit, p) for p in _in_slide_mm(cell, points_mm)) <= worst_mm

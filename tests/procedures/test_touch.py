@@ -1,0 +1,267 @@
+"""Touch poses absorb the slip of a visit, and no figure is judged by the base that they find."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.calibration.frames import Frames, grid_of, measured_of
+from hilcell.calibration.touch import touch_targets_mm, visit_covariance
+from hilcell.cell.file import Cell, Station, load_cell
+from hilcell.compensation.choice import MODELS
+from hilcell.geometry.frames import apply, matrix
+from hilcell.geometry.kinematics import forward
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.journal.log import Log, Point
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array, DeviceError
+from procedures.touch import base_for_commands, touch_result, touch_spans
+from procedures.validate import Validate
+from tests.procedures.test_sign_check import BASE, FakeBench, error_mm
+
+SETTINGS = {"grid.pitch_mm": "450.0", "validation.per_cell": "1", "validation.others": "8"}
+CELL = load_cell("paper", SETTINGS)
+FAR = CELL.station_named("S300")
+HERE = CELL.station_named(CELL.grid.station)
+SLIP_MM = 0.03
+COVARIANCE = np.diag([1e-4] * 3 + [1e-10] * 3)
+
+
+class Visits(FakeBench):
+    """A robot of known error on a slide that comes back ``slip_mm`` beside its station.
+
+    ``turned`` (4, 4) is what the base really does besides, at every station.
+    """
+
+    def __init__(self, cell: Cell = CELL) -> None:
+        super().__init__()
+        self.cell = cell
+        values = msgspec.to_builtins(cell)
+        self.keep("plan", "", msgspec.to_builtins(self.log.inputs) | {"cell": values})
+        self.frames = Frames(cell, self.log)
+        self.slip_mm, self.turned = SLIP_MM, np.eye(4)
+        self.held: Station | None = None
+        self.waiting: list[Station] = []  # where points are re-measured next
+        rng = np.random.default_rng(9283)
+        for place, number in product(range(3), range(10)):
+            id = PointId("repeatability", place=place, number=number)
+            self._point(id, 1000.0 * place + rng.normal(0.0, 0.01, 3))
+        for station in cell.station:
+            shift = np.eye(4)
+            shift[1, 3] = station.strip_mm
+            for kind in ("station", "three_points"):
+                facts = {"tool_uncertainty_mm": 0.02, "strip_mm": station.strip_mm}
+                self.frame(f"{kind}.{station.name}", shift, covariance=COVARIANCE, **facts)
+        self.keep("verdict", "fit", {"holds": True, "method": "trilinear", "loocv": {}})
+
+    def frame(self, key: str, at: Array, **facts: Any) -> None:
+        self.keep("frame", key, msgspec.to_builtins({"matrix": at.tolist()} | {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in facts.items()
+        }))  # fmt: skip
+
+    def hold_station(self, station: Station) -> None:
+        if self.held != station:
+            self.held = station
+            self.keep("intent", "", {"action": "rail.approach", "station": station.name})
+
+    def retake_waiting(self) -> bool:
+        if not self.waiting:
+            return False
+        self.hold_station(self.waiting.pop())
+        return True
+
+    def reach(self, trigger: str) -> None:
+        pass
+
+    def measured(self, id: PointId, joints_rad: Array, at_mm: Array, nominal_mm: Array) -> None:
+        if id.kind == "grid":
+            super().measured(id, joints_rad, at_mm, nominal_mm)
+            return
+        assert self.held is not None
+        base = self.frames.base_in_world(self.held)
+        seen_mm = apply(self.turned @ base, (at_mm + error_mm(at_mm[None])[0])[None])[0]
+        seen_mm[1] += self.slip_mm
+        self._point(
+            id, seen_mm, nominal_mm=nominal_mm.tolist(), station=self.held.name,
+            commanded_deg=np.degrees(joints_rad).tolist(), std_mm=[0.01] * 3,
+        )  # fmt: skip
+
+    def flange_point(
+        self, id: PointId, station: Any, joints_rad: Array, *, nominal_mm: Array
+    ) -> Point:
+        self.retake_waiting()
+        if known := self.log.find(id):
+            return known
+        self.hold_station(station)
+        self.measured(id, joints_rad, forward(CELL.robot.arm(), joints_rad)[:3, 3], nominal_mm)
+        return self.log.point(id)
+
+
+def chosen_mm(bench: Any) -> dict[str, float]:
+    """Return the mean error by station after `Validate`, the chosen way."""
+    Validate().perform(bench)
+    found = Validate().result(bench.log)["validation"]
+    return {name: found[name]["chosen"]["mean"] for name in ("S1100", "S300", "S1900")}
+
+
+def bench_of(**settings: str) -> Any:
+    return Visits(load_cell("paper", SETTINGS | {f"touch.{k}": v for k, v in settings.items()}))
+
+
+def model_of(log: Log) -> Any:
+    return MODELS["trilinear"].learn(measured_of(log))
+
+
+def test_the_poses_are_in_the_cube_and_spread() -> None:
+    assert CELL.touch.poses == 8
+    grid, targets_mm = grid_of(CELL), touch_targets_mm(CELL)
+    grid.check_inside(targets_mm)
+    assert len(targets_mm) == 8
+    assert (np.ptp(targets_mm, axis=0) > 500.0).all()
+    apart_mm = np.linalg.norm(targets_mm[:, None] - targets_mm[None], axis=-1)
+    assert apart_mm[~np.eye(8, dtype=bool)].min() > 250.0
+
+
+def test_without_touch_poses_the_slip_stays_in_the_figures() -> None:
+    for name, mean_mm in chosen_mm(bench_of(poses="0")).items():
+        assert mean_mm == pytest.approx(SLIP_MM, abs=1e-3), name
+
+
+def test_touch_poses_absorb_the_slip() -> None:
+    bench = bench_of()
+    for name, mean_mm in chosen_mm(bench).items():
+        assert mean_mm < 0.35 * SLIP_MM, name
+    found = touch_result(bench.log)["touch"]
+    assert found["S300"]["along_rail_mm"] == pytest.approx(SLIP_MM, abs=0.35 * SLIP_MM)
+    assert found["S300"]["u_after_mm"] < 0.7 * found["S300"]["u_before_mm"]
+
+
+def test_the_base_that_is_found_does_not_judge_itself() -> None:
+    """A touched base that is wrong by 0.4 mm shows in full: targets stay where they were."""
+    bench = bench_of()
+    right = bench.frames.base_on_visit
+
+    def wrong(station: Station) -> Array:
+        base: Array = right(station).copy()
+        base[2, 3] += 0.4
+        return base
+
+    bench.frames.base_on_visit = wrong
+    assert all(mean_mm > 0.38 for mean_mm in chosen_mm(bench).values())
+
+
+def test_targets_and_the_ways_beside_are_as_without_touch_poses() -> None:
+    with_, without = bench_of(), bench_of(poses="0")
+    for bench in (with_, without):
+        Validate().perform(bench)
+    for how in ("before", "idw"):
+        for one, other in zip(
+            with_.log.select("validate", how=how),
+            without.log.select("validate", how=how),
+            strict=True,
+        ):
+            assert one.nominal_mm == pytest.approx(other.nominal_mm)
+            assert one.commanded_deg == pytest.approx(other.commanded_deg)
+    one_mm, other_mm = (
+        np.array([point.nominal_mm for point in bench.log.select("validate", how="chosen")])
+        for bench in (with_, without)
+    )
+    np.testing.assert_allclose(one_mm, other_mm)
+
+
+def test_a_new_stop_is_touched_again_and_a_visit_once() -> None:
+    bench: Any = Visits()
+    model = model_of(bench.log)
+    first = base_for_commands(bench, FAR, model)
+    np.testing.assert_array_equal(base_for_commands(bench, FAR, model), first)
+    assert len(bench.log.select("touch")) == 8
+    bench.hold_station(HERE)
+    assert not bench.frames.touched(FAR)
+    np.testing.assert_array_equal(bench.frames.base_on_visit(FAR), bench.frames.base_in_world(FAR))
+    bench.slip_mm = -SLIP_MM
+    again = base_for_commands(bench, FAR, model)
+    assert len(bench.log.select("touch")) == 16
+    assert again[1, 3] < bench.frames.base_in_world(FAR)[1, 3] < first[1, 3]
+
+
+def test_a_resumed_run_measures_only_what_is_missing_of_a_visit() -> None:
+    bench: Any = Visits()
+    model = model_of(bench.log)
+    flange_point = bench.flange_point
+    sent: list[PointId] = []
+
+    def dies(id: PointId, *words: Any, **named: Any) -> Point:
+        if len(sent) == 5:
+            raise KeyboardInterrupt
+        sent.append(id)
+        point: Point = flange_point(id, *words, **named)
+        return point
+
+    bench.flange_point = dies
+    with pytest.raises(KeyboardInterrupt):
+        base_for_commands(bench, FAR, model)
+    bench.flange_point = flange_point
+    base_for_commands(bench, FAR, model)
+    assert len(bench.log.select("touch")) == 8
+
+
+def test_a_retake_at_another_station_ends_the_visit() -> None:
+    """Poses of two stops are never mixed."""
+    bench: Any = Visits()
+    model, point = model_of(bench.log), bench._point
+
+    def asked(id: PointId, xyz_mm: Array, **robot: Any) -> None:
+        point(id, xyz_mm, **robot)
+        if len(bench.log.select("touch")) == 3:
+            bench.waiting = [HERE]
+
+    bench._point = asked
+    base_for_commands(bench, FAR, model)
+    assert bench.frames.touched(FAR)
+    visit = bench.log.frames["touch.S300"]["visit"]
+    assert visit == bench.log.visit
+    assert sum(each.id.visit == visit for each in bench.log.select("touch")) == 8
+
+
+@pytest.mark.parametrize("turn_rad", [[0.0, 0.0, 1e-4], [0.0, 1e-4, 0.0]], ids=["A1", "A2"])
+def test_a_lost_zero_is_refused(turn_rad: list[float]) -> None:
+    """A turn of axis 1 is a slip that is too large; one of axis 2 is no slip."""
+    bench: Any = Visits()
+    R, origin_mm = from_rotvec(np.array(turn_rad)), BASE[:3, 3]
+    bench.turned = matrix(R, origin_mm - R @ origin_mm)
+    with pytest.raises(DeviceError) as raised:
+        base_for_commands(bench, HERE, model_of(bench.log))
+    assert raised.value.code == "HC-T63"
+    assert "touch.S1100" not in bench.log.frames
+
+
+def test_the_covariance_of_the_base() -> None:
+    bench: Any = Visits()
+    log = bench.log
+    slip, far = visit_covariance(log, HERE), visit_covariance(log, FAR)
+    assert np.linalg.matrix_rank(slip) == 1
+    assert slip[1, 1] == pytest.approx(2 * 0.02**2 / 3)
+    assert (np.linalg.eigvalsh(far) > 0).all()
+    lever_mm = bench.frames.base_in_world(FAR)[:3, 3] - [0.0, 300.0, 0.0]
+    assert far[2, 2] == pytest.approx(1e-4 + 1e-10 * (lever_mm[0] ** 2 + lever_mm[1] ** 2))
+    base_for_commands(bench, FAR, model_of(log))
+    after = np.array(log.frames["touch.S300"]["covariance"])
+    assert np.trace(after[:3, :3]) < np.trace(far[:3, :3])
+    np.testing.assert_array_equal(visit_covariance(log, FAR), far)
+
+
+@pytest.mark.parametrize(("poses", "spans"), [("0", 0), ("8", 1), ("20", 1)])
+def test_the_plan_counts_them(poses: str, spans: int) -> None:
+    cell = load_cell("paper", {"touch.poses": poses})
+    assert [span.measured for span in touch_spans(cell, FAR)] == [int(poses)] * spans
+    plain = Validate().plan(load_cell("paper", {"touch.poses": "0"}), 1)
+    planned = Validate().plan(cell, 1)
+    assert planned.points - plain.points == 3 * int(poses)
+    assert (planned.duration_s > plain.duration_s) == bool(spans)
+    quick = load_cell("paper", {"touch.poses": poses, "plan.quick": "true"})
+    assert touch_spans(quick, FAR) == []
