@@ -231,6 +231,15 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     fit.add_argument("--train", required=True, metavar="A.csv", help="measured rows to learn from")
     fit.add_argument("--test", metavar="B.csv", help="rows to judge by (default: cross-validation)")
+    fit.add_argument(
+        "--urdf-out", default="", metavar="FILE", help="write the URDF with the identified arm"
+    )
+    fit.add_argument(
+        "--dh-out",
+        default="",
+        metavar="FILE",
+        help="write its DH table: CSV, or .json with covariance",
+    )
     _json_option(fit, "one object")
     compensate = _command(
         commands, "compensate", "commands.files:compensate", "correct targets by a calibration"

@@ -63,3 +63,27 @@ def test_a_tip_is_one_of_a_urdf(folder: Path, capsys: pytest.CaptureFixture[str]
     assert "no joint leads to link nose" in capsys.readouterr().err
     assert fit(folder, "robot.toml", "--tip", "tool0") == 2
     assert "--tip tool0 names a link of a URDF" in capsys.readouterr().err
+
+
+def test_the_identified_arm_is_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, table = folder / "c.urdf", folder / "dh.csv"
+    assert fit(folder, "robot.urdf", "--urdf-out", str(out), "--dh-out", str(table), "--json") == 0
+    printed = capsys.readouterr()
+    rigid = json.loads(printed.out)["rigid"]
+    assert 0 < rigid["mean_mm"] < rigid["p95_mm"] < rigid["max_mm"] < 0.2
+    line = f"By itself it leaves mean {rigid['mean_mm']:.4f}, p95 {rigid['p95_mm']:.4f}, max"
+    assert line in printed.err
+    assert f"the identified arm is in {out} and {table}" in printed.err
+    assert line in out.read_text()
+    assert "40 rows of train.csv" in out.read_text()
+    assert len(table.read_text().splitlines()) == 31
+    assert fit(folder, "c.urdf") == 0
+
+
+def test_inputs_are_never_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (folder / "robot.urdf").read_bytes()
+    assert fit(folder, "robot.urdf", "--urdf-out", str(folder / "robot.urdf")) == 2
+    assert "robot.urdf is what is read; write elsewhere" in capsys.readouterr().err
+    both = str(folder / "out")
+    assert fit(folder, "robot.urdf", "--urdf-out", both, "--dh-out", both) == 2
+    assert (folder / "robot.urdf").read_bytes() == before

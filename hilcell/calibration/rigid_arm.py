@@ -1,0 +1,118 @@
+"""The arm that DH rows and URDF can state: link parameters alone, without gravity and waves.
+
+It is identified by itself. The links of a model that has gravity too are others, and without it
+they would leave the mean deflection as an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilcell.calibration.fit import place
+from hilcell.calibration.robot_file import Measurements
+from hilcell.geometry.jacobian import KINDS
+from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
+from hilcell.identification.estimate import Estimate, identify
+from hilcell.identification.kinematics import LINKS, Kinematics
+from hilcell.identification.observability import DETERMINED
+from hilcell.identification.readings import Readings
+
+FOLDS = 5  # each fifth pose is predicted by the others
+UNITS = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A link parameter in mm or deg; ``u`` and ``prior_u`` are standard uncertainties."""
+
+    name: str
+    unit: str
+    nominal: float
+    identified: float
+    u: float
+    prior_u: float
+
+    @property
+    def determined(self) -> bool:
+        """Return whether the poses say more about it than the prior, by itself."""
+        return self.u < DETERMINED * self.prior_u
+
+
+@dataclass(frozen=True, eq=False)
+class RigidArm:
+    """The identified ``arm``; ``T_L_B`` (4, 4): its base in the tracker's frame.
+
+    ``smr_mm``: reflectors (3,) on the flange. ``covariance`` (30, 30) is the parameters', in their
+    units. ``left_out_mm`` (M, K, 3): measured less predicted by poses of other folds,
+    NaN where nothing was measured.
+    """
+
+    arm: Arm
+    T_L_B: Array
+    smr_mm: Mapping[str, Array]
+    parameters: list[Parameter]
+    covariance: Array
+    left_out_mm: Array
+
+    @property
+    def figures(self) -> Figures:
+        """Return the figures of what the arm leaves at poses of other folds."""
+        missed_mm = self.left_out_mm.reshape(-1, 3)
+        return figures_of(lengths_mm(missed_mm[np.isfinite(missed_mm).all(axis=1)]))
+
+
+def rigid_arm(nominal: Arm, rows: Measurements) -> RigidArm:
+    """Identify the arm from measured rows; raises `FitError`, `IdentificationError`."""
+    placed = place(nominal, rows)
+    names = sorted(placed.smr_mm)
+    readings = readings_of(rows, names)
+    kinematics = Kinematics(nominal, len(names), gravity=False, waves=False)
+    smr_mm = np.array([placed.smr_mm[name] for name in names])
+    found = identify(kinematics, readings, kinematics.start(placed.T_L_B, smr_mm))
+    parameters, covariance = _parameters(nominal, found)
+    fold = np.arange(len(readings)) % FOLDS
+    return RigidArm(
+        kinematics.arm_of(found.state),
+        found.state.T,
+        dict(zip(names, found.state.smr_mm, strict=True)),
+        parameters,
+        covariance,
+        found.system.left_out_mm([np.flatnonzero(fold == each) for each in range(FOLDS)]),
+    )
+
+
+def _parameters(nominal: Arm, found: Estimate) -> tuple[list[Parameter], Array]:
+    """Return the link parameters, and their covariance (30, 30) in the same units."""
+    kinematics, links = found.kinematics, slice(found.kinematics.placed, None)
+    labels = [name.split() for name in kinematics.names[links][:LINKS]]
+    scale = np.array([UNITS[unit][1] for _, unit in labels])
+    rows = [
+        getattr(arm, kind) for arm in (nominal, kinematics.arm_of(found.state)) for kind in KINDS
+    ]
+    before, after = np.array(rows).reshape(2, LINKS) * scale
+    covariance = found.system.covariance[links, links][:LINKS, :LINKS] * np.outer(scale, scale)
+    prior = kinematics.prior()[1][links, links][:LINKS, :LINKS] * np.outer(scale, scale)
+    u, prior_u = (np.sqrt(np.diag(each)) for each in (covariance, prior))
+    return [
+        Parameter(name, UNITS[unit][0], *map(float, values))
+        for (name, unit), *values in zip(labels, before, after, u, prior_u, strict=True)
+    ], covariance
+
+
+def readings_of(rows: Measurements, names: list[str]) -> Readings:
+    """Return one row a pose, one column a reflector; repeated readings are averaged."""
+    keys = list(zip(rows.pose, map(tuple, rows.joints_rad), strict=True))
+    order = {key: n for n, key in enumerate(dict.fromkeys(keys))}
+    pose = np.array([order[key] for key in keys])
+    which = np.array([names.index(each) for each in rows.target])
+    total, count = np.zeros((len(order), len(names), 3)), np.zeros((len(order), len(names), 1))
+    np.add.at(total, (pose, which), rows.xyz_mm)
+    np.add.at(count, (pose, which), 1.0)
+    joints = np.zeros((len(order), 6))
+    joints[pose] = rows.joints_rad
+    xyz_mm = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    return Readings(joints, xyz_mm, np.zeros((*xyz_mm.shape, 3)))

@@ -1,0 +1,122 @@
+"""The arm of a URDF and a DH table, judged by an independent reader of the files."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.arm_files import alone, write_dh, write_urdf
+from hilcell.calibration.rigid_arm import RigidArm, readings_of, rigid_arm
+from hilcell.calibration.robot_file import Measurements, Robot
+from hilcell.calibration.urdf_file import Urdf, read_urdf
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import figures_of
+from tests.hilcell.calibration.test_fit import IRB120, SMR_MM, T_L_B, measured
+from tests.hilcell.calibration.urdfs import PLAIN, reached_m
+
+NOISE_MM = 0.02  # of each coordinate of `measured`
+NAMES = list(SMR_MM)
+
+
+@pytest.fixture(scope="module")
+def urdf(tmp_path_factory: pytest.TempPathFactory) -> Urdf:
+    path = tmp_path_factory.mktemp("urdf") / "robot.urdf"
+    path.write_text(PLAIN)
+    return read_urdf(path)
+
+
+@pytest.fixture(scope="module")
+def found(urdf: Urdf) -> RigidArm:
+    return rigid_arm(urdf.arm(), measured(1, 60, NAMES))
+
+
+def seen_mm(text: bytes, T_L_root: Array, smr_mm: dict[str, Array], rows: Measurements) -> Array:
+    """Where a URDF has the rows' reflectors, in the tracker's frame."""
+    out = []
+    for joints, target in zip(rows.joints_rad, rows.target, strict=True):
+        tip = reached_m(text, {f"joint_{n + 1}": q for n, q in enumerate(joints)})
+        tip[:3, 3] *= 1000.0
+        out.append(apply(T_L_root @ tip, smr_mm[target][None])[0])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("form", ["urdf", "toml"])
+def test_a_calibrated_urdf_alone_predicts_other_poses(
+    urdf: Urdf, found: RigidArm, tmp_path: Path, form: str
+) -> None:
+    robot: Robot = urdf if form == "urdf" else IRB120
+    arm = found if form == "urdf" else rigid_arm(IRB120.arm(), measured(1, 60, NAMES))
+    write_urdf(tmp_path / "c.urdf", robot, arm, ["a remark"], inputs=[])
+    text = (tmp_path / "c.urdf").read_bytes()
+    assert b"a remark" in text
+    T_L_root = arm.T_L_B @ inverse(robot.base)
+    smr_mm = {n: apply(inverse(robot.tool), p[None])[0] for n, p in arm.smr_mm.items()}
+    rows = measured(2, 6, NAMES)
+    missed = np.linalg.norm(rows.xyz_mm - seen_mm(text, T_L_root, smr_mm, rows), axis=1)
+    assert missed.mean() < 2.5 * NOISE_MM
+    nominal = seen_mm(PLAIN.encode(), T_L_root, smr_mm, rows)
+    assert np.linalg.norm(rows.xyz_mm - nominal, axis=1).mean() > 10 * missed.mean()
+
+
+def test_the_comment_places_root_and_reflectors(
+    urdf: Urdf, found: RigidArm, tmp_path: Path
+) -> None:
+    write_urdf(tmp_path / "c.urdf", urdf, found, alone(figures_of(np.ones(3))), inputs=[])
+    head = (tmp_path / "c.urdf").read_text().split("-->")[1]
+    assert "By itself it leaves mean 1.0000, p95 1.0000, max 1.0000 mm" in head
+    line = next(each for each in head.splitlines() if "Root link" in each)
+    xyz = [float(word) for word in line.split(": ")[1].split(";")[0].split()]
+    np.testing.assert_allclose(xyz, T_L_B[:3, 3] / 1000.0, atol=2e-3)
+    line = next(each for each in head.splitlines() if "Reflector SMR2" in each)
+    xyz = [float(word) for word in line.split(": ")[1].split()]
+    np.testing.assert_allclose(np.linalg.norm(xyz), np.linalg.norm(SMR_MM["SMR2"]) / 1e3, atol=2e-3)
+
+
+def test_the_table_states_what_the_poses_determine(
+    urdf: Urdf, found: RigidArm, tmp_path: Path
+) -> None:
+    write_dh(tmp_path / "dh.csv", urdf, found, inputs=[])
+    lines = (tmp_path / "dh.csv").read_text().splitlines()
+    rows = {row["parameter"]: row for row in csv.DictReader(lines)}
+    assert len(rows) == 30
+    assert float(rows["a2"]["nominal"]) == pytest.approx(270.0)
+    assert rows["a2"]["unit"] == "mm"
+    assert rows["alpha3"]["unit"] == "deg"
+    true = np.random.default_rng(99).normal(0, 0.2, 6)  # the errors of a in `measured`
+    for number in (1, 2, 3):
+        row = rows[f"a{number}"]
+        assert row["determined"] == "yes"
+        error = float(row["identified"]) - float(row["nominal"])
+        assert abs(error - true[number - 1]) < 4 * float(row["u"]) + 0.02
+        assert float(row["u"]) < float(row["prior_u"])
+    assert rows["d1"]["determined"] == "no"  # the base's height does the same
+
+
+def test_the_json_table_has_the_covariance(urdf: Urdf, found: RigidArm, tmp_path: Path) -> None:
+    write_dh(tmp_path / "dh.json", urdf, found, inputs=[])
+    table = json.loads((tmp_path / "dh.json").read_text())
+    covariance = np.array(table["covariance"])
+    u = [each["u"] for each in table["parameters"]]
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), u, rtol=1e-9)
+    assert sorted(table["reflectors_mm"]) == sorted(SMR_MM)
+    np.testing.assert_array_equal(table["T_L_B"], found.T_L_B)
+
+
+def test_left_out_poses_are_predicted_to_the_noise(found: RigidArm) -> None:
+    missed = np.linalg.norm(found.left_out_mm, axis=-1)
+    assert missed.shape == (60, 3)
+    assert missed.mean() < 2.5 * NOISE_MM
+    assert found.figures.mean == pytest.approx(missed.mean())
+
+
+def test_readings_are_one_row_a_pose() -> None:
+    rows = measured(1, 3, ["SMR1", "SMR2"])
+    double = rows.at([0, 1, 2, 3, 5, 0])
+    double.xyz_mm[5] += 2.0
+    found = readings_of(double, ["SMR1", "SMR2"])
+    np.testing.assert_array_equal(found.joints_rad, rows.joints_rad[::2])
+    np.testing.assert_allclose(found.xyz_mm[0, 0], rows.xyz_mm[0] + 1.0)
+    np.testing.assert_array_equal(found.known, [[True, True], [True, True], [False, True]])
