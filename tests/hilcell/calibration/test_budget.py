@@ -28,7 +28,7 @@ def calibrated(folder: Path, **uncertainty: object) -> Writer:
     writer = Writer(folder, cell=plan["cell"]).began()
     for nest in load_cell("paper").layout.floor:
         writer.point(PointId("world", nest=nest.name), nest.xyz_mm, samples=4)
-    base = pose_from_zyx(-1850, 0, 300, 90, 0, 0)
+    base = pose_from_zyx(-1850, 0, 500, 90, 0, 0)  # 200 mm above the slide's origin
     writer.frame("base", matrix=base, covariance=COVARIANCE)
     for name, y_mm in (("S300", -800.0), ("S1100", 0.0), ("S1900", 800.0)):
         placed = pose_from_zyx(-1850, y_mm, 300, 0, 0, 0)
