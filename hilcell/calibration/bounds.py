@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.budget import in_validation, temperature
+from hilcell.calibration.budget import in_validation, temperature, touched
 from hilcell.calibration.errors import errors_of
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, Influence, NoBound, Uncertainty, bounds_of
@@ -63,7 +63,11 @@ def target_bounds(
     `NoBound` with the reason where the file states no budget, and `OutsideGrid`.
     """
     stated = _stated(calibration)
-    lines = [each for each in _lines(stated, station) if each.counts != "in validation"]
+    lines = [
+        each
+        for each in (*stated.lines, *stated.stations[station])
+        if each.counts != "in validation"
+    ]
     air = temperature(
         stated.growth_per_k, calibration.validity.temperature_c, stated.air_range_k, temperature_c
     )
@@ -94,11 +98,11 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
     found = errors_of(log, points)
     T_W_B = _base(calibration, station)
     in_base_mm = (found.nominal_mm - T_W_B[:3, 3]) @ T_W_B[:3, :3]
-    lines = [each for each in _lines(_stated(calibration), station) if each.counts != "in use"]
-    bounds = _bounds(
-        calibration, station, T_W_B @ _poses(calibration, in_base_mm),
-        [*lines, *in_validation(log, points)],
-    )  # fmt: skip
+    stated, on_visit = _stated(calibration), touched(log, log.cell.station_named(station))
+    placed = stated.stations[station] if on_visit is None else [on_visit]
+    lines = [each for each in (*stated.lines, *placed) if each.counts != "in use"]
+    poses = T_W_B @ _poses(calibration, in_base_mm)
+    bounds = _bounds(calibration, station, poses, [*lines, *in_validation(log, points)])
     return Coverage(found.norms_mm, bounds.radii_mm)
 
 
@@ -136,10 +140,6 @@ def _stated(calibration: Calibration) -> Uncertainty:
     if calibration.uncertainty.missing:
         raise NoBound(calibration.uncertainty.missing)
     return calibration.uncertainty
-
-
-def _lines(stated: Uncertainty, station: str) -> list[Influence]:
-    return [*stated.lines, *stated.stations[station]]
 
 
 def _bounds(

@@ -169,6 +169,20 @@ def _placed(log: Log, station: Station) -> list[Influence]:
     return [frame, _strip(log)]
 
 
+def touched(log: Log, station: Station) -> Influence | None:
+    """Return what placing the slide cost on the last visit, where touch poses measured it then."""
+    frame = log.frames.get(f"touch.{station.name}")
+    if frame is None:
+        return None
+    x_mm, y_mm, z_mm = log.matrix(f"touch.{station.name}")[:3, 3].tolist()
+    covariance = moved_frame(np.array(frame["covariance"], dtype=float))
+    how = f"station frame, strip and {frame['poses']} touch poses of the visit"
+    return Influence(
+        "Touched base", MEASURED, how, "5.2.2", "world", covariance, (x_mm, y_mm, z_mm),
+        counts="in validation",
+    )  # fmt: skip
+
+
 def _strip(log: Log) -> Influence:
     """Return the strip's two holds, of the calibration and of the visit, along the rail."""
     along = np.array(log.cell.layout.rail_direction)

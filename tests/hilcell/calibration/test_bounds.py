@@ -9,14 +9,22 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.bounds import Coverage, cube_bounds, target_bounds
+from hilcell.calibration.bounds import (
+    Coverage,
+    coverages,
+    cube_bounds,
+    target_bounds,
+    validated,
+)
 from hilcell.calibration.budget import TEMPERATURE, temperature
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.influence import ASSUMED, MODEL, Influence, NoBound, motion
-from hilcell.geometry.frames import pose_from_zyx
+from hilcell.calibration.influence import ASSUMED, MEASURED, MODEL, Influence, NoBound, motion
+from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.statistics import bounds95_mm
+from hilcell.journal.point_id import PointId
 from tests.hilcell.calibration.calibrations import LOW_MM, REPEATABILITY_MM, T_W_B, calibration
+from tests.hilcell.report.journals import Writer
 
 GOLDEN = Path(__file__).parent / "golden" / "calibration.json"
 TARGETS = np.array([pose_from_zyx(0, 0, 1200, 0, 75, 0), pose_from_zyx(50, 60, 1250, 0, 75, 0)])
@@ -116,3 +124,54 @@ def test_targets_outside_of_the_cube_are_refused() -> None:
     far[0, :3, 3] = LOW_MM - 5000.0
     with pytest.raises(Exception, match="outside the calibrated volume"):
         target_bounds(calibration(), "S1100", far)
+
+
+ERRORS_MM = (0.01, 0.5)
+
+
+def validation_run(folder: Path) -> Writer:
+    """Return a run whose two corrected targets at S1100 missed by `ERRORS_MM`."""
+    writer = Writer(folder).began()
+    writer.point(PointId("grid", vertex=(0, 0, 0)), (0, 0, 0))
+    places_mm = apply(T_W_B, LOW_MM + np.array([[100.0, 200, 300], [400, 300, 200]]))
+    for number, (at_mm, error_mm) in enumerate(zip(places_mm, ERRORS_MM, strict=True)):
+        id = PointId("validate", station="S1100", how="chosen", number=number)
+        writer.point(id, at_mm + (0, 0, error_mm), "S1100", nominal_mm=tuple(at_mm))
+    return writer
+
+
+def test_validated_errors_against_their_bounds(tmp_path: Path) -> None:
+    log = validation_run(tmp_path / "run").facts().log
+    found = validated(calibration(), log, "S1100")
+    assert found is not None
+    np.testing.assert_allclose(found.errors_mm, ERRORS_MM)
+    assert found.inside == 1
+    both = coverages(calibration(), log, {"S1100": ["S1100"], "all": ["S300", "S1100"]})
+    assert {place: each.inside for place, each in both.items()} == {"S1100": 1, "all": 1}
+    assert validated(calibration(), log, "S300") is None
+
+
+def test_limits_that_are_common_to_the_grid_do_not_widen_the_validation(tmp_path: Path) -> None:
+    log = validation_run(tmp_path / "run").facts().log
+    made = changed()
+    assert made.uncertainty is not None
+    limits = [
+        msgspec.structs.replace(each, covariance=motion(9.0))
+        for each in made.uncertainty.lines
+        if each.counts == "in use"
+    ]
+    found = validated(changed(lines=limits), log, "S1100")
+    assert found is not None
+    assert found.inside == 1
+
+
+def test_touch_poses_take_the_place_of_station_frame_and_strip(tmp_path: Path) -> None:
+    strip = Influence("Strip", MEASURED, "", "", "world", motion(9.0))
+    untouched, touched = (validation_run(tmp_path / name) for name in ("one", "two"))
+    covariance = np.diag([1e-6] * 3 + [1e-14] * 3)
+    touched.frame("touch.S1100", covariance=covariance, poses=8, visit=1)
+    found = [
+        validated(changed(stations={"S1100": [strip]}), writer.facts().log, "S1100")
+        for writer in (untouched, touched)
+    ]
+    assert [None if each is None else each.inside for each in found] == [2, 1]
