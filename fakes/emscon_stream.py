@@ -79,6 +79,8 @@ class SampleStream:
         now_s = self._truth.device_s(self._time.now_s())
         due = int((now_s - self._start_s) / self._separation_s)
         wanted = min(due, self._points) if self._points else due
+        if wanted == self._taken:
+            return False
         numbers = np.arange(self._taken + 1, wanted + 1)
         struck = next(
             (

@@ -6,6 +6,7 @@ from typing import Any
 
 from hilcell.geometry.statistics import Figures
 from hilcell.run.procedure import Procedure, Table
+from procedures.axis_sweeps import AxisSweeps, sweep_table
 from procedures.base_frame import BaseFrame
 from procedures.fit import Fit
 from procedures.frame_repeatability import FrameRepeatability, frame_repeatability_table
@@ -81,6 +82,12 @@ FRAME_REPEATABILITY = Procedure(
     (*TO_STATION, BaseFrame(), RobotGrid(), StationFrames(), FrameRepeatability()),
     frame_repeatability_table,
 )
+AXIS_SWEEPS = Procedure(
+    "axis-sweeps",
+    "slow sweeps of single axes, each gear's error",
+    (*TO_STATION, BaseFrame(), AxisSweeps()),
+    sweep_table,
+)
 BASE_FRAME = Procedure("base-frame", "frame {B}", (*TO_STATION, BaseFrame()), point_table)
 ROBOT_GRID = Procedure("robot-grid", "measure the robot's error on the grid", TO_GRID, point_table)
 STATION_FRAMES = Procedure(
@@ -95,6 +102,6 @@ SIGN_CHECK = Procedure(
 CALIBRATE = Procedure(
     "calibrate",
     "the paper's calibration, validated before and after at every station",
-    (*TO_GRID, Repeatability(), StationFrames(), Fit(), SignCheck(), Validate()),
+    (*TO_GRID, AxisSweeps(), Repeatability(), StationFrames(), Fit(), SignCheck(), Validate()),
     validation_table,
 )

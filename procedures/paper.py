@@ -9,6 +9,7 @@ from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Part, Procedure, Step, Table
+from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame
 from procedures.fit import Fit
 from procedures.frame_repeatability import FrameRepeatability
@@ -31,6 +32,7 @@ EXPERIMENTS: tuple[Part, ...] = (
     HoldStation(),
     BaseFrame(),
     RobotGrid(),
+    AxisSweeps(),
     Repeatability(),
     StationFrames(),
     FrameRepeatability(),

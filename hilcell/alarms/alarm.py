@@ -132,9 +132,18 @@ def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
                 yield _Moment(_cell(REFUSALS[what], what, found), t, seq)
             case "link" if log.link is not None and log.link.warning:
                 yield _Moment(_cell("HC-R12", "link", log.link.text), t, seq)
-            case "outlier measured again":
-                found = f"{body['key']} stands out from its neighbours and was measured again"
-                yield _Moment(_cell("HC-V05", "outlier", found), t, seq)
+            case "outlier measured again" | "curve":
+                yield from _of_points(body, t, seq)
+
+
+def _of_points(body: dict[str, Any], t: str, seq: int) -> Iterator[_Moment]:
+    """Yield the alarms of points and sweeps that were not as they should be."""
+    if body["what"] == "curve" and body["reason"]:
+        found = f"A{body['axis']}: {body['reason']}"
+        yield _Moment(_cell("HC-V06", "axis sweep", found), t, seq)
+    elif body["what"] != "curve":
+        found = f"{body['key']} stands out from its neighbours and was measured again"
+        yield _Moment(_cell("HC-V05", "outlier", found), t, seq)
 
 
 def _moments(

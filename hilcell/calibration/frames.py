@@ -146,7 +146,8 @@ def static_poses(log: Log) -> StaticPoses:
 
 def measured_of(log: Log) -> Measured:
     """Return everything that the models learn from."""
-    return Measured(measured_grid(log), log.cell.robot.nominal(), static_poses(log))
+    curves = tuple(record.curve() for record in log.curves.values() if record.holds)
+    return Measured(measured_grid(log), log.cell.robot.nominal(), static_poses(log), curves)
 
 
 def vertex_ids(grid: Grid) -> list[PointId]:

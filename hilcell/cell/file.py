@@ -30,6 +30,7 @@ from hilcell.cell.surroundings import (
     Surroundings,
     keep_out_problems,
 )
+from hilcell.cell.sweeps import SweepsTable
 from hilcell.cell.tables import (
     Acceleration,
     Angle,
@@ -57,8 +58,8 @@ __all__ = [
     "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "EnvelopeTable", "Frozen",
     "GridTable", "Joint", "KeepOut", "Layout", "Nest", "PlanTable", "Pose", "RailTable",
     "RobotTable", "SettleTable", "SimulationTable", "Six", "Station", "SurveyTable",
-    "TouchTable", "TrackerTable", "UncertaintyTable", "ValidationTable", "arm_from_joints",
-    "built_in_cells", "load_cell",
+    "SweepsTable", "TouchTable", "TrackerTable", "UncertaintyTable", "ValidationTable",
+    "arm_from_joints", "built_in_cells", "load_cell",
 ]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it
@@ -71,7 +72,7 @@ PACE = {
     "tracker": ("pointing_s", "reading_s"),
 }
 # Work that is done with the cell, and statements about it: none moves a measured point.
-NOT_THE_CELL = ("simulation", "plan", "keep_out", "uncertainty", "recheck", "targets")
+NOT_THE_CELL = ("simulation", "plan", "sweeps", "keep_out", "uncertainty", "recheck", "targets")
 LEAST_ARC_DEG = 10.0
 
 
@@ -317,6 +318,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     grid: GridTable
     base_frame: BaseFrameTable
     survey: SurveyTable = field(default_factory=SurveyTable)
+    sweeps: SweepsTable = field(default_factory=SweepsTable)
     validation: ValidationTable = field(default_factory=ValidationTable)
     plan: PlanTable = field(default_factory=PlanTable)
     touch: TouchTable = field(default_factory=TouchTable)

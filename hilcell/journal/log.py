@@ -15,6 +15,7 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.journal.asset import Asset, asset_of
+from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import PointId
@@ -192,6 +193,7 @@ class Log:
         self.seated = ""  # the place of a reflector that is carried by hand
         self.sights: dict[str, Seated] = {}
         self.streams: dict[str, StreamRecord] = {}
+        self.curves: dict[int, CurveRecord] = {}  # by axis, 1 to 6
         self.assets: list[Asset] = []  # that answered when they were last connected
         self.newest: Record | None = None
         for record in records:
@@ -238,6 +240,9 @@ class Log:
                     self.plan = msgspec.structs.replace(self.inputs, simulated=True)
             case "stream":
                 self.streams[body["key"]] = msgspec.convert(body, StreamRecord)
+            case "curve":
+                curve = msgspec.convert(body, CurveRecord)
+                self.curves[curve.axis] = curve
             case "seated":
                 sight = msgspec.convert(body, Seated)
                 self.seated, self.sights[sight.place] = sight.place, sight

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,14 +14,14 @@ from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
+from hilcell.report.curves import fig_curves
 from hilcell.report.facts import Facts
-from hilcell.report.svg import INK, MUTED, house_style, svg_of
+from hilcell.report.svg import INK, MUTED, axes_sheet, house_style, svg_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH_IN = 7.1  # the printable width of A4
 COLOURS = {"before": "#c26a2e", "idw": "#8796a5", "chosen": "#12507b"}
 MARKERS = {"before": "o", "idw": "^", "chosen": "o"}
 VIEWS = (("from above", 0, 1), ("from the side", 1, 2), ("from the front", 0, 2))
@@ -52,6 +52,11 @@ def drawings(facts: Facts) -> list[Drawing]:
         ("sorted", "Errors sorted", lambda: fig_sorted(facts)),
         ("volume", "Error vectors in the volume, from three sides", lambda: fig_volume(facts)),
         ("similarity", "Similarity of errors (eq 8)", lambda: fig_similarity(facts)),
+        (
+            "curves",
+            "Transmission errors of the gears, and their spectra",
+            lambda: fig_curves(facts),
+        ),
         ("rail", "Position error of the rail, both ways (Fig 1)", lambda: fig_1(facts)),
         ("slide", "Roll, pitch and yaw of the slide", lambda: fig_slide(facts)),
         ("frames", "Repeatability of base and station frames (Fig 8)", lambda: fig_8(facts)),
@@ -74,23 +79,6 @@ def _finished(facts: Facts, name: str, title: str, drawn: Drawn) -> Drawing:
         figure.text(0.5, 0.5, "SIMULATION", ha="center", va="center", fontsize=34, rotation=18,
                     color=MUTED, alpha=0.13, weight="bold")  # fmt: skip
     return Drawing(name, title, caption, svg_of(figure, name))
-
-
-def _sheet(height_in: float, rows: int = 1, columns: int = 1, **more: Any) -> tuple[Figure, Any]:
-    """Return a figure whose axes stand at the same places in every report."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH_IN, height_in))
-    axes = figure.subplots(rows, columns, squeeze=False, **more)
-    figure.subplots_adjust(
-        left=0.64 / WIDTH_IN,
-        right=1 - 0.42 / WIDTH_IN,
-        bottom=0.42 / height_in,
-        top=1 - 0.28 / height_in,
-        wspace=0.34 if columns > 2 else 0.1,
-        hspace=0.36,
-    )
-    return figure, axes
 
 
 def series_name(how: str, facts: Facts) -> str:
@@ -123,7 +111,7 @@ def fig_13(facts: Facts) -> Drawn | None:
 def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn | None:
     if not series:
         return None
-    figure, axes = _sheet(2.6)
+    figure, axes = axes_sheet(2.6)
     ax: Axes = axes[0, 0]
     for how, errors in series.items():
         _scatter(ax, how, errors.norms_mm, series_name(how, facts))
@@ -178,7 +166,7 @@ def fig_sorted(facts: Facts) -> Drawn | None:
         return None
     from matplotlib.ticker import LogFormatter
 
-    figure, axes = _sheet(2.5, 1, len(found), sharey=True)
+    figure, axes = axes_sheet(2.5, 1, len(found), sharey=True)
     for ax, (name, series) in zip(axes[0], found, strict=True):
         for how, errors in series.items():
             share = 100 * np.arange(1, len(errors) + 1) / len(errors)
@@ -210,7 +198,7 @@ def fig_volume(facts: Facts) -> Drawn | None:
     rows = _vector_rows(facts)
     if not rows:
         return None
-    figure, axes = _sheet(2.32 * len(rows) + 0.3, len(rows), 3)
+    figure, axes = axes_sheet(2.32 * len(rows) + 0.3, len(rows), 3)
     for (how, label, errors), line in zip(rows, axes, strict=True):
         scale = _magnification(errors)
         for ax, view in zip(line, VIEWS, strict=True):
@@ -291,7 +279,7 @@ def fig_1(facts: Facts) -> Drawn | None:
     survey = facts.result.get("rail_survey")
     if survey is None:
         return None
-    figure, axes = _sheet(2.6)
+    figure, axes = axes_sheet(2.6)
     ax: Axes = axes[0, 0]
     for way, how in (("forth", "chosen"), ("back", "before")):
         nominal_mm, error_mm = np.array(survey["curve"][way], dtype=float).reshape(-1, 2).T
@@ -323,7 +311,7 @@ def fig_slide(facts: Facts) -> Drawn | None:
     survey = facts.result.get("rail_survey")
     if survey is None:
         return None
-    figure, axes = _sheet(2.2)
+    figure, axes = axes_sheet(2.2)
     ax: Axes = axes[0, 0]
     nominal_mm = [stop[0] for stop in survey["curve"]["forth"]]
     for (name, how), style in zip(TURNS, ("-", "--", ":"), strict=True):
@@ -343,7 +331,7 @@ def fig_similarity(facts: Facts) -> Drawn | None:
     if not {"base", "fit"} <= facts.log.frames.keys() | facts.log.verdicts.keys():
         return None
     pairs = grid_pairs(facts.log)
-    figure, axes = _sheet(2.6, 1, 2, sharey=True)
+    figure, axes = axes_sheet(2.6, 1, 2, sharey=True)
     for ax, distance, name in (
         (axes[0, 0], np.degrees(pairs.joint_rad), "distance of joints, deg"),
         (axes[0, 1], pairs.cartesian_mm, "distance of vertices, mm"),
@@ -367,7 +355,7 @@ def fig_8(facts: Facts) -> Drawn | None:
     if found is None:
         return None
     stations = list(found["base"])
-    figure, axes = _sheet(2.5, 1, len(stations), sharey=True)
+    figure, axes = axes_sheet(2.5, 1, len(stations), sharey=True)
     for ax, station in zip(axes[0], stations, strict=True):
         for kind, how, shift in (("base", "before", -0.2), ("station", "chosen", 0.2)):
             off_mm = found[kind][station]
@@ -397,7 +385,7 @@ def fig_10(facts: Facts) -> Drawn | None:
     ways = [way for way in WAYS if any(len(along_rail_mm(facts.log, how, way)) for how in HELD)]
     if not ways:
         return None
-    figure, axes = _sheet(2.6, 1, len(ways), sharey=True)
+    figure, axes = axes_sheet(2.6, 1, len(ways), sharey=True)
     ranges = []
     for ax, way in zip(axes[0], ways, strict=True):
         for name, (how, label) in HELD.items():

@@ -13,6 +13,7 @@ from hilcell.report import tables
 from hilcell.report.budget import budget_of
 from hilcell.report.certificate import certificate, title
 from hilcell.report.columns import present
+from hilcell.report.curves import curves
 from hilcell.report.facts import Facts
 from hilcell.report.figures import drawings
 from hilcell.report.target_budget import target_budget, target_sheets
@@ -51,7 +52,10 @@ def report_html(facts: Facts) -> str:
             headlines=headlines(facts),
             certificate=certificate(facts, budget, targets),
             result_sheets=present(
-                tables.accuracy(facts), tables.paper_rows(facts), tables.verdicts(facts)
+                tables.accuracy(facts),
+                curves(facts),
+                tables.paper_rows(facts),
+                tables.verdicts(facts),
             ),
             own_sheet=None if validation_of(facts) else tables.own_table(facts),
             drawings=drawings(facts),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+WIDTH_IN = 7.1  # the printable width of A4
 INK, MUTED, GRID = "#1d2733", "#5d6975", "#e4e8ec"
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",  # text stays text: readable by search and by screen readers
@@ -62,6 +63,25 @@ def house_style() -> Iterator[None]:
         settings: Any = matplotlib.rcParams  # typed key by key, which a table of ours is not
         settings.update(_STYLE)
         yield
+
+
+def axes_sheet(
+    height_in: float, rows: int = 1, columns: int = 1, **more: Any
+) -> tuple[Figure, Any]:
+    """Return a figure whose axes stand at the same places in every report."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH_IN, height_in))
+    axes = figure.subplots(rows, columns, squeeze=False, **more)
+    figure.subplots_adjust(
+        left=0.64 / WIDTH_IN,
+        right=1 - 0.42 / WIDTH_IN,
+        bottom=0.42 / height_in,
+        top=1 - 0.28 / height_in,
+        wspace=0.34 if columns > 2 else 0.1,
+        hspace=0.36,
+    )
+    return figure, axes
 
 
 def svg_of(figure: Figure, name: str) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from operator import attrgetter, itemgetter
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from hilcell.calibration.errors import OTHERS, Errors, places, reduction, validation
@@ -15,6 +16,7 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.asset import Asset
+from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
 from hilcell.ports import Array
 from hilcell.report.budget import Budget
@@ -278,6 +280,8 @@ def _happened(record: Record) -> Pair:
     body = record.body
     if record.kind == "state":
         return f"{body['machine']}: {body['to'].replace('_', ' ')}", str(body.get("reason", ""))
+    if body["what"] == "curve":
+        return "curve", msgspec.convert(body, CurveRecord).words
     return body["what"], _facts_of(body)
 
 

@@ -125,6 +125,12 @@ class CellSession(RunContext):
             )
         return bool(waiting)
 
+    def flange_at(self, station: Station) -> None:
+        """Hold ``station`` and have the reflector on the flange."""
+        self.checkpoint()
+        self.hold_station(station)
+        self._operator.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
+
     def _flange_point(
         self,
         id: PointId,
@@ -134,9 +140,7 @@ class CellSession(RunContext):
         *,
         retake: bool,
     ) -> Point:
-        self.checkpoint()
-        self.hold_station(station)
-        self._operator.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
+        self.flange_at(station)
         robot = self.robot_to(joints_rad, id.key)
         expected = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
         samples, at_mm = self.cell.tracker.samples, expected[:3, 3]

@@ -132,6 +132,8 @@ class Forecast:
                 self._enter(body["to"])
             case "event" if body["what"] == "step":
                 self._begin(body["number"])
+            case "event" if body["what"] == "stream":
+                self._measure("sweep", again=False)
             case "point":
                 self._measure(body["group"], again=body.get("retaken", False))
             case "end":

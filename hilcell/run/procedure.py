@@ -31,6 +31,7 @@ class Step:
     points: int
     duration_s: float
     spans: tuple[Span, ...] = ()  # in their order; for the forecast
+    note: str = ""  # why an act does nothing
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+
 from hilcell.calibration.frames import Frames
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
+from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import RunJournal
@@ -46,6 +49,10 @@ class RunContext:
     def event(self, what: str, **facts: object) -> None:
         """Journal something worth knowing."""
         self._journal.append("event", "", {"what": what} | facts)
+
+    def curve(self, record: CurveRecord) -> None:
+        """Journal the result of an axis's sweeps."""
+        self.event("curve", **msgspec.to_builtins(record))
 
     def intend(self, key: str, action: str, **facts: object) -> None:
         """Journal what is about to be done."""

@@ -21,7 +21,7 @@ from hilcell.run.clear_ways import check_stated
 from hilcell.run.fresh_readings import fresh
 from hilcell.run.interlocks import check_joint_limits, robot_may_move
 
-PACE_S = 0.05  # between two questions for the joints: a controller bears 20 a second
+PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 
 
 @dataclass(frozen=True)

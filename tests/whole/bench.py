@@ -29,6 +29,7 @@ SMALL = {
     "validation.others": "8",
     "base_frame.points": "6",
     "layout.nest_samples": "2",
+    "sweeps.enabled": "false",
 }
 
 

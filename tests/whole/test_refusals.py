@@ -24,7 +24,7 @@ def free_port() -> int:
         (["--set", "grid.centre.x_mm=2600.0"], "12 of 64 poses are out of reach"),
         (["--set", "tracker.max_range_mm=4000.0"], "out of the tracker's range"),
         (["--set", "rail.driver=canopeen"], "is not installed; installed:"),
-        (["calibrat"], "'calibrat' is not installed; installed: base-frame, calibrate"),
+        (["calibrat"], "'calibrat' is not installed; installed: axis-sweeps, base-frame"),
         (["--set", "layout.slide=" + "[" + ", ".join(
             f'{{name="P{n}", x_mm={n + 1}00.0, y_mm=0.0, z_mm=0.0}}' for n in range(3)
         ) + "]"], "lie on one line"),

@@ -117,7 +117,7 @@ def check_one_motion(data: StreamData) -> None:
     times_s = data.device_s[beam][::50]
     speed_mm_s = path_mm / (times_s[-1] - times_s[0])
     radius_mm = float(np.linalg.norm(forward(CELL.robot.arm(), START_RAD)[:2, 3]))
-    assert speed_mm_s / radius_mm == pytest.approx(joint_rad_s, rel=0.002)
+    assert speed_mm_s / radius_mm == pytest.approx(joint_rad_s, rel=0.005)
 
 
 def test_the_same_seed_streams_the_same(tmp_path: Path) -> None:

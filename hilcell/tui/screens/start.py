@@ -176,6 +176,7 @@ def plan_lines(request: process.RunRequest, plan: dict[str, Any]) -> Content:
         f"{step['name']:<26}{step['points']:>7}  {duration(step['duration_s']):>9}"
         for step in plan["steps"]
     ]
+    rows += [f"  {step['note']}" for step in plan["steps"] if step.get("note")]
     rows.append(f"{'all':<26}{plan['points']:>7}  {duration(plan['duration_s']):>9}")
     who = (
         "somebody is here to be asked" if request.attended else "unattended: a question is a fault"

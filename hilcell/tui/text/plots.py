@@ -101,7 +101,22 @@ def strip_plot(log: Log) -> Plot:
     return Plot("strip: reading less station", "point", "mm", [Line("strip", values)], limit)
 
 
-PLOTS: tuple[Callable[[Log], Plot], ...] = (errors_plot, sorted_plot, repeat_plot, strip_plot)
+def curves_plot(log: Log) -> Plot:
+    """Return each axis's short-wave error over its sweep."""
+    lines = [
+        Line(f"A{axis}", [measured for _, measured, _ in record.shown])
+        for axis, record in log.curves.items()
+    ]
+    return Plot("short-wave error of the swept axes", "0.1 deg", "urad", lines)
+
+
+PLOTS: tuple[Callable[[Log], Plot], ...] = (
+    errors_plot,
+    sorted_plot,
+    repeat_plot,
+    strip_plot,
+    curves_plot,
+)
 
 
 MARKS = ("o", "+", "x")

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
+import msgspec
+
+from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.tui.widgets import Column, Row
@@ -118,6 +121,8 @@ def record_words(record: Record) -> str:
             return f"{record.key}{station}{again}"
         case "intent":
             return " ".join(filter(None, (str(body.get("action", "")), record.key, _facts(body))))
+        case "event" if body.get("what") == "curve":
+            return f"curve of {msgspec.convert(body, CurveRecord).words}"
         case "event":
             return f"{body.get('what')} {_facts(body)}".strip()
         case "end":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import msgspec
 import pytest
 
 from hilcell.alarms import Alarm, alarms_of
@@ -12,6 +13,8 @@ from hilcell.cell.devices import ConnectFailed
 from hilcell.cell.settings import SettingsError
 from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
 from hilcell.geometry.inverse import ReachError
+from hilcell.identification.sweeps import SweptAxis
+from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.log import Log
 from hilcell.run.cell_lock import CellLocked
 from tests.hilcell.alarms.journals import (
@@ -53,6 +56,8 @@ HELD = {"station": "S1100", "tries": 2, "rail_mm": 1100.0, "strip_mm": 1100.0}
 DONE = (CLOSED, state("finished"), ended(None, 0, "finished"))
 OVER = (*BEGUN, *DONE)
 
+REFUSED = msgspec.to_builtins(CurveRecord.of(SweptAxis(0, "upwards: 9 samples")))
+
 NO_FILE = "HC-J11"  # no record tells of it, but the run's folder
 
 # The alarm of each of these records; the sites that raise errors are another test's.
@@ -83,6 +88,7 @@ BY_EVENTS: dict[str, tuple[Row, ...]] = {
     "HC-V03": (*OVER, ("verdict", "station-repeatability", {"holds": False, "found_mm": 0.1})),
     "HC-V04": (point("a"), point("b", 22.5), *OVER),
     "HC-V05": (*BEGUN, event("outlier measured again", key="grid/1-2-3"), *DONE),
+    "HC-V06": (*BEGUN, event("curve", **REFUSED), *DONE),
     "HC-V99": (*OVER, ("verdict", "beauty", {"holds": False})),
 }
 

@@ -107,10 +107,12 @@ ORDINARY = {
     "seated",
     "screen back",
     "stream",
+    "axes not swept",
 }
 ALARMING = {
     "no reading", "safe stop", "closed", "command refused", "screen lost", "answer refused",
     "retake refused", "outlier measured again", "station held", "link",
+    "curve",
 }  # fmt: skip
 
 

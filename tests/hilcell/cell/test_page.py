@@ -29,6 +29,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[grid]": cell.GridTable,
     "[base_frame]": cell.BaseFrameTable,
     "[survey]": cell.SurveyTable,
+    "[sweeps]": cell.SweepsTable,
     "[validation]": cell.ValidationTable,
     "[plan]": cell.PlanTable,
     "[touch]": cell.TouchTable,

@@ -1,0 +1,246 @@
+"""One axis at constant speed, as a tracker's stream and the joints' readings show it.
+
+Tracker and robot have no clock in common. A sample was taken before it arrived, and a joint was
+read between question and answer; how long before is unknown. So a constant lag is left between
+both, which `hilcell.identification.sweeps` finds from the two directions of a sweep. Readings are
+never paired one by one: the joints give one straight line in time, the tracker its deviations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
+from hilcell.ports import HilcellError
+
+LEAST_SAMPLES, LEAST_READINGS = 100, 12
+LEAST_TURN_RAD = 0.15
+WINDOW_S = 0.5  # over which a speed is judged
+SPEED_SHARE = 0.1  # by which it may miss the sweep's: ripple of 100 urad reaches 6 %
+RAMP_RAD = float(np.radians(0.5))  # at each end, taken off with the ramps
+UNLIKE = 0.5  # share by which a step in time differs from the others
+JUMP_RAD = 5e-4  # of the axis over a gap, against its speed: more than ripple turns it
+UNEVEN_RAD = 3e-3  # of a joint's reading from the line in time
+OTHERS_RAD = 1e-3  # by which the other axes may seem to move
+RADIUS_MM = 20.0  # by which the reflector's circle may miss the nominal one
+SCALE = 0.01  # by which both speeds may differ
+SPIKE_SIGMA, SPIKES_SHARE, LEAST_SPIKE_RAD = 8.0, 0.02, 2e-5
+LOST_SHARE = 0.25
+
+
+class BadStream(HilcellError):
+    """A sweep whose streams cannot be used; the message names why."""
+
+    code = "HC-V06"
+
+
+@dataclass(frozen=True, slots=True)
+class SweepStream:
+    """One sweep of one axis: N samples of the tracker, M readings of the joints; times in s."""
+
+    device_s: Array  # (N,) the tracker's own clock
+    xyz_mm: Array  # (N, 3) in {B}
+    window_s: Array  # (N, 2) the cell's clock: between these the sample arrived
+    joints_rad: Array  # (M, 6)
+    asked_s: Array  # (M, 2) the cell's clock before and after each exchange
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """The part at constant speed: N samples in order of time.
+
+    ``joint_rad`` (N,) is where the controller's readings have the axis at each sample, but for the
+    lag; ``error_rad`` (N,) by how much more the tracker sees it turned. ``clock_s`` is the standard
+    uncertainty of the relation between both clocks, apart from its lag.
+    """
+
+    joint_rad: Array
+    error_rad: Array
+    speed_rad_s: float  # below 0 downwards
+    clock_s: float
+    lost: int  # samples that never came, or were spikes
+
+
+def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
+    """Return the motion of ``axis`` (0 to 5); raises `BadStream`."""
+    _check_numbers(stream)
+    angle_rad = turned_rad(stream, arm, axis)
+    inner = _between_ends(angle_rad)
+    time_s, angle_rad = (stream.device_s - stream.device_s[0])[inner], angle_rad[inner]
+    kept = _without_spikes(angle_rad)
+    time_s, angle_rad = time_s[kept], angle_rad[kept]
+    window_s = stream.window_s[inner][kept]
+    _check_even(time_s, angle_rad)
+    line = _joint_line(stream, axis, angle_rad)
+    seen_rad_s = float(np.polyfit(time_s, angle_rad, 1)[0])
+    if not abs(seen_rad_s / line.speed_rad_s - 1.0) <= SCALE:
+        raise BadStream(
+            f"the tracker sees the axis turn at {np.degrees(seen_rad_s):.4f} deg/s, the joints' "
+            f"readings at {np.degrees(line.speed_rad_s):.4f} deg/s, wanted equal within "
+            f"{100 * SCALE:g} %: angles or times are in other units, or a stream is another's"
+        )
+    offset_s, clock_s = _clock(time_s, window_s)
+    joint_rad = line.at_rad(time_s + offset_s)
+    separation_s = float(np.median(np.diff(time_s)))
+    wanted = round((time_s[-1] - time_s[0]) / separation_s) + 1
+    lost = wanted - len(time_s)
+    if not lost <= LOST_SHARE * wanted:
+        raise BadStream(
+            f"{lost} of {wanted} samples never came, wanted <= {100 * LOST_SHARE:g} %: see the "
+            "beam's way and the tracker's link"
+        )
+    return Motion(joint_rad, angle_rad - joint_rad, line.speed_rad_s, clock_s, lost)
+
+
+def turned_rad(stream: SweepStream, arm: Arm, axis: int) -> Array:
+    """Return the angle (N,) of ``axis`` by the reflector's place on its nominal circle."""
+    start_rad = np.median(stream.joints_rad, axis=0)
+    before = np.eye(4)
+    for link in link_transforms(arm, start_rad)[:axis]:
+        before = before @ link
+    z, origin_mm = before[:3, 2], before[:3, 3]
+    lever_mm = stream.xyz_mm - origin_mm
+    lever_mm = lever_mm - (lever_mm @ z)[:, None] * z
+    nominal_mm = forward(arm, start_rad)[:3, 3] - origin_mm
+    nominal_mm = nominal_mm - (nominal_mm @ z) * z
+    radius_mm, found_mm = np.linalg.norm(nominal_mm), np.median(np.linalg.norm(lever_mm, axis=1))
+    if not abs(found_mm - radius_mm) <= RADIUS_MM:
+        raise BadStream(
+            f"the reflector runs {found_mm:.1f} mm from axis {axis + 1}, wanted {radius_mm:.1f} "
+            f"+-{RADIUS_MM:g} mm: units are not mm and rad, or another axis or reflector moved"
+        )
+    ahead = nominal_mm / radius_mm
+    turned = np.arctan2(lever_mm @ np.cross(z, ahead), lever_mm @ ahead)
+    found: Array = start_rad[axis] + arm.sign[axis] * turned
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A joint in the cell's time."""
+
+    middle_s: float
+    middle_rad: float
+    speed_rad_s: float
+
+    def at_rad(self, cell_s: Array) -> Array:
+        found: Array = self.middle_rad + self.speed_rad_s * (cell_s - self.middle_s)
+        return found
+
+
+def _check_numbers(stream: SweepStream) -> None:
+    for name, values in (
+        ("times of the tracker", stream.device_s),
+        ("positions", stream.xyz_mm),
+        ("arrival windows", stream.window_s),
+        ("joints", stream.joints_rad),
+        ("times of the joints", stream.asked_s),
+    ):
+        if not bool(np.all(np.isfinite(values))):
+            raise BadStream(f"{name}: {np.sum(~np.isfinite(values))} values are not finite")
+    if not (len(stream.device_s) >= LEAST_SAMPLES and len(stream.joints_rad) >= LEAST_READINGS):
+        raise BadStream(
+            f"{len(stream.device_s)} samples and {len(stream.joints_rad)} joint readings, wanted "
+            f">= {LEAST_SAMPLES} and {LEAST_READINGS}: sweep further or sample faster"
+        )
+    if not bool(np.all(np.diff(stream.device_s) > 0)):
+        raise BadStream("the samples' times run back: the tracker's clock was set; sweep again")
+
+
+def _between_ends(angle_rad: Array) -> slice:
+    """Return the samples between the ramps."""
+    ends = np.array([np.median(angle_rad[:5]), np.median(angle_rad[-5:])])
+    if not abs(ends[1] - ends[0]) >= LEAST_TURN_RAD:
+        raise BadStream(
+            f"the axis turned by {np.degrees(ends[1] - ends[0]):.2f} deg, wanted >= "
+            f"{np.degrees(LEAST_TURN_RAD):.1f} deg: sweep further"
+        )
+    inner = np.flatnonzero(np.abs(angle_rad[:, None] - ends).min(axis=1) > RAMP_RAD)
+    return slice(int(inner[0]), int(inner[-1]) + 1)
+
+
+def _without_spikes(angle_rad: Array) -> NDArray[np.bool_]:
+    """Return which samples (N,) lie between their neighbours; many that do not are no spikes."""
+    near = np.lib.stride_tricks.sliding_window_view(angle_rad, 5)
+    off_rad = np.zeros(len(angle_rad))
+    off_rad[2:-2] = np.abs(near[:, 2] - np.median(near[:, [0, 1, 3, 4]], axis=1))
+    kept: NDArray[np.bool_] = off_rad <= SPIKE_SIGMA * 1.48 * np.median(off_rad) + LEAST_SPIKE_RAD
+    if not np.mean(~kept) <= SPIKES_SHARE:
+        raise BadStream(
+            f"{np.sum(~kept)} of {len(kept)} samples stand out from their neighbours, wanted <= "
+            f"{100 * SPIKES_SHARE:g} %: the beam or the reflector is not steady"
+        )
+    return kept
+
+
+def _check_even(time_s: Array, angle_rad: Array) -> None:
+    """Refuse an axis that was slowed, and a time that steps while the axis turns on."""
+    steps_s = np.diff(time_s)
+    speed_rad_s = float(np.median(np.diff(angle_rad) / steps_s))
+    for n in np.flatnonzero(np.abs(steps_s / np.median(steps_s) - 1.0) > UNLIKE):
+        turned_s = (angle_rad[n + 1] - angle_rad[n]) / speed_rad_s
+        if not abs(turned_s - steps_s[n]) * abs(speed_rad_s) <= JUMP_RAD:
+            raise BadStream(
+                f"the tracker's time steps by {steps_s[n]:.3f} s after sample {n + 1}, while the "
+                f"axis turns for {turned_s:.3f} s: its clock jumped, or the axis paused; sweep "
+                "again"
+            )
+    ahead = np.searchsorted(time_s, time_s + WINDOW_S)
+    first = np.flatnonzero(ahead < len(time_s))
+    last = ahead[first]
+    speeds = (angle_rad[last] - angle_rad[first]) / (time_s[last] - time_s[first])
+    worst = int(np.argmax(np.abs(speeds / speed_rad_s - 1.0)))
+    if not abs(speeds[worst] / speed_rad_s - 1.0) <= SPEED_SHARE:
+        raise BadStream(
+            f"the axis turned at {np.degrees(speeds[worst]):.3f} deg/s near "
+            f"{np.degrees(angle_rad[first[worst]]):.2f} deg, at {np.degrees(speed_rad_s):.3f} "
+            "deg/s elsewhere: it was slowed, or the tracker's clock jumped; sweep again"
+        )
+
+
+def _joint_line(stream: SweepStream, axis: int, angle_rad: Array) -> _Line:
+    """Return the line through the axis's readings where the tracker saw it at constant speed."""
+    others = np.delete(stream.joints_rad, axis, axis=1)
+    moved_rad = np.ptp(others, axis=0).max()
+    if not moved_rad <= OTHERS_RAD:
+        raise BadStream(
+            f"another axis turned by {np.degrees(moved_rad):.3f} deg during the sweep, wanted <= "
+            f"{np.degrees(OTHERS_RAD):.3f} deg"
+        )
+    read_rad, middle_s = stream.joints_rad[:, axis], stream.asked_s.mean(axis=1)
+    waited_s = np.ptp(stream.asked_s, axis=1)
+    low, high = sorted((angle_rad[0], angle_rad[-1]))
+    edge = 0.02 * (high - low)
+    used = (read_rad > low + edge) & (read_rad < high - edge)
+    used &= waited_s <= 4.0 * np.median(waited_s) + 1e-4
+    if not np.count_nonzero(used) >= LEAST_READINGS:
+        raise BadStream(
+            f"{np.count_nonzero(used)} joint readings at constant speed, wanted >= "
+            f"{LEAST_READINGS}: the joints are another sweep's, or were asked for too rarely"
+        )
+    read_rad, middle_s = read_rad[used], middle_s[used]
+    centre_s = float(middle_s.mean())
+    slope, middle = np.polyfit(middle_s - centre_s, read_rad, 1)
+    off_rad = np.abs(read_rad - middle - slope * (middle_s - centre_s))
+    if not off_rad.max() <= UNEVEN_RAD:
+        raise BadStream(
+            f"a joint reading is {np.degrees(off_rad.max()):.3f} deg off the constant speed, "
+            f"wanted <= {np.degrees(UNEVEN_RAD):.3f} deg: the axis paused or a clock jumped; "
+            "sweep again"
+        )
+    return _Line(centre_s, float(middle), float(slope))
+
+
+def _clock(time_s: Array, window_s: Array) -> tuple[float, float]:
+    """Return how far the cell's clock is ahead of ``time_s``, and its standard uncertainty.
+
+    A sample had been taken when it arrived: the quickest arrivals tell the offset best. The
+    tracker's clock runs 100 ppm wrong at most, which is nothing over a sweep.
+    """
+    late_s = window_s[:, 1] - time_s
+    halves = np.array_split(late_s, 2)
+    quickest_s = [float(half.min()) for half in halves]
+    return float(np.mean(quickest_s)), abs(quickest_s[0] - quickest_s[1]) / 2.0

@@ -1,0 +1,293 @@
+"""Periodic errors in two records of one joint, one a direction: which are there, and how large.
+
+Both records have smooth errors of their own, and lie apart along the joint by twice a shift. What
+both directions share is signal; by what they differ is noise, at any frequency: so the noise may
+be coloured and need not be known beforehand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import rms
+
+LOWEST, HIGHEST = 24.0, 560.0  # cycles per joint revolution
+CHANCE = 1e-3  # that any line at all is found where there is none
+MOST_LINES = 16
+OVERSAMPLED = 4  # trial frequencies in one width of a line
+APART = 0.6  # widths of a line, between two of them
+SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 24, 3), 1e-5)
+# 1 sigma of the joint's harmonics below the lowest line
+FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
+GROWN = 1.2  # rms of all lines over that of what smooth errors leave: more is trade with those
+LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
+STEPS = 12
+SETTLED = 1e-4  # of a line's width
+FREED = 1.5  # variance of a line with its frequency free over that with a known one, in the mean
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """Both directions below one another: joint, error and direction of N samples."""
+
+    joint_rad: Array  # (N,) as read, not yet shifted
+    error_rad: Array  # (N,)
+    side: Array  # (N,) 1 upwards, -1 downwards
+
+    @property
+    def middle_rad(self) -> float:
+        """Return the middle of the joint's range."""
+        return float(self.joint_rad.max() + self.joint_rad.min()) / 2.0
+
+    @property
+    def half_rad(self) -> float:
+        """Return half the joint's range."""
+        return float(np.ptp(self.joint_rad)) / 2.0
+
+    @property
+    def width(self) -> float:
+        """Return the width of a line, in cycles per revolution."""
+        return np.pi / self.half_rad
+
+    def angle_rad(self, shift_rad: float) -> Array:
+        """Return the joint (N,) from its middle, each direction shifted."""
+        found: Array = self.joint_rad + shift_rad * self.side - self.middle_rad
+        return found
+
+    def smooth(self) -> Array:
+        """Return columns (N, P) of smooth errors, each direction's own, in units of 1 sigma."""
+        angle = self.angle_rad(0.0)
+        columns = [np.full_like(angle, FREE_RAD), FREE_RAD * angle / self.half_rad]
+        for order, sigma in SMOOTH_RAD.items():
+            columns += [sigma * np.cos(order * angle), sigma * np.sin(order * angle)]
+        both = np.stack(columns, axis=1)
+        up = (self.side > 0)[:, None]
+        return np.hstack([both * up, both * ~up])
+
+    def frequencies(self, oversampled: int) -> Array:
+        """Return frequencies (F,), a part of a line's width apart."""
+        steps_rad = np.abs(np.diff(self.joint_rad))
+        highest = min(HIGHEST, 0.8 * np.pi / float(np.median(steps_rad)))
+        count = int((highest - LOWEST) / self.width * oversampled)
+        return np.linspace(LOWEST, highest, max(count, 4))
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """How far each direction lies behind, and its standard uncertainty, in rad."""
+
+    rad: float
+    sigma_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The variance of white noise as strong as the noise at a frequency; its log is a parabola."""
+
+    coefficients: Array  # (3,)
+    covariance: Array  # (3, 3)
+
+    def variance_rad2(self, cycles: Array) -> Array:
+        """Return the variances (...) at frequencies (...)."""
+        found: Array = np.exp(_powers_of_log(cycles) @ self.coefficients)
+        return found
+
+    def chance(self, powers_rad2: Array, cycles: Array) -> Array:
+        """Return how likely noise has such powers (F,), of two degrees of freedom, or larger.
+
+        The noise is known from few frequencies itself: F distribution with 2 and 2 / u^2 degrees,
+        u of the variance's logarithm.
+        """
+        X = _powers_of_log(cycles)
+        degrees = 1.0 / np.einsum("fi,ij,fj->f", X, self.covariance, X)
+        ratio = powers_rad2 / 2.0 / self.variance_rad2(cycles)
+        found: Array = (1.0 + ratio / degrees) ** -degrees
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """K lines about the records' middle, and what they leave of N samples."""
+
+    cycles: Array  # (K,) per revolution
+    amplitude_rad: Array  # (K, 2) of cosine and sine
+    shift: Shift
+    left_rad: Array  # (N,)
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The lines that are no chance, with their covariance (2K, 2K).
+
+    ``differ_rad`` is the largest amplitude by which the directions differ at one frequency, 0
+    where that may be chance.
+    """
+
+    lines: Lines
+    covariance_rad2: Array
+    differ_rad: float
+
+
+class Trial:
+    """Waves of many frequencies (F,) at the samples, at one shift: good enough to find lines."""
+
+    def __init__(self, records: Records, shift: Shift) -> None:
+        self.cycles = records.frequencies(OVERSAMPLED)
+        self.apart = slice(None, None, OVERSAMPLED)  # of them, as good as independent
+        phases = records.angle_rad(shift.rad)[:, None] * self.cycles
+        self.waves = np.stack([np.cos(phases), np.sin(phases)])  # (2, N, F)
+        self.normal = np.einsum("inf,jnf->fij", self.waves, self.waves)
+        self.side = records.side
+
+    def powers(self, known: Known, *, differ: bool) -> tuple[Array, Array]:
+        """Return the sum of squares (F,) that each wave alone explains, and amplitudes (F, 2).
+
+        ``differ``: of waves that have opposite signs in both directions.
+        """
+        signs = self.side if differ else np.ones_like(self.side)
+        across = known.root @ ((known.columns * signs[:, None]).T @ self.waves)  # (2, P, F)
+        normal = self.normal - np.einsum("ipf,jpf->fij", across, across)
+        right = np.einsum("inf,n->fi", self.waves, known.left_rad * signs)
+        amplitude = np.linalg.solve(normal, right[..., None])[..., 0]
+        powers: Array = np.einsum("fi,fi->f", right, amplitude)
+        return powers, amplitude
+
+
+class Known:
+    """Smooth errors and the lines so far: columns (N, P) with priors of 1 sigma = 1, fitted."""
+
+    def __init__(self, records: Records, lines: Lines) -> None:
+        waves = LINE_RAD * _waves(records.angle_rad(lines.shift.rad), lines.cycles)
+        self.columns = np.hstack([records.smooth(), waves])
+        variance = float(np.mean(lines.left_rad**2))
+        normal = self.columns.T @ self.columns + variance * np.eye(self.columns.shape[1])
+        self.root = np.linalg.inv(np.linalg.cholesky(normal))
+        explained = self.root.T @ (self.root @ (self.columns.T @ records.error_rad))
+        self.left_rad = records.error_rad - self.columns @ explained
+
+
+def search(records: Records, shift: Shift) -> Found:
+    """Find lines one by one, each the strongest against the noise, until chance explains the rest.
+
+    ``shift`` is known beforehand; the lines improve it.
+    """
+    trial, lines = Trial(records, shift), without_lines(records, shift)
+    smooth_left_rad = rms(lines.left_rad)
+    while True:
+        known = Known(records, lines)
+        noise, differ_rad = _difference(trial, known)
+        powers, amplitude = trial.powers(known, differ=False)
+        chance = len(powers) * noise.chance(powers, trial.cycles)
+        for cycles in lines.cycles:
+            chance[np.abs(trial.cycles - cycles) < APART * records.width] = 1.0
+        best = int(np.argmin(chance))
+        rest = noise_of(powers[trial.apart], trial.cycles[trial.apart])
+        found = Found(lines, _covariance(known, lines, (noise, rest)), differ_rad)
+        if len(lines.cycles) == MOST_LINES or not chance[best] < CHANCE:
+            return found
+        more = Lines(
+            np.append(lines.cycles, trial.cycles[best]),
+            np.vstack([lines.amplitude_rad, amplitude[best]]),
+            lines.shift,
+            lines.left_rad,
+        )
+        more = refined(records, more, shift)
+        if not _rms_rad(records, more) <= GROWN * smooth_left_rad:
+            return found
+        lines = more
+
+
+def without_lines(records: Records, shift: Shift) -> Lines:
+    """Return what smooth errors leave."""
+    return refined(records, Lines(np.zeros(0), np.zeros((0, 2)), shift, records.error_rad), shift)
+
+
+def refined(records: Records, lines: Lines, prior: Shift) -> Lines:
+    """Return the lines with amplitudes, frequencies and shift at their best together.
+
+    Gauss-Newton; smooth errors are found beside them.
+    """
+    cycles, amplitude, shift_rad = lines.cycles, lines.amplitude_rad, lines.shift.rad
+    sigma_rad, count = float(np.sqrt(np.mean(lines.left_rad**2))), len(cycles)
+    smooth = records.smooth()
+    for _ in range(STEPS):
+        angle = records.angle_rad(shift_rad)
+        waves = _waves(angle, cycles)
+        turned = waves[:, ::2] * amplitude[:, 1] - waves[:, 1::2] * amplitude[:, 0]
+        columns = np.hstack([
+            smooth,
+            LINE_RAD * waves,
+            records.width * angle[:, None] * turned,
+            prior.sigma_rad * (records.side * (turned @ cycles))[:, None],
+        ])  # fmt: skip
+        wanted = np.zeros(columns.shape[1])
+        wanted[-1] = (prior.rad - shift_rad) / prior.sigma_rad
+        normal = columns.T @ columns + sigma_rad**2 * np.eye(len(wanted))
+        found = np.linalg.solve(normal, columns.T @ records.error_rad + sigma_rad**2 * wanted)
+        left_rad = records.error_rad - columns @ found
+        sigma_rad = float(np.sqrt(np.mean(left_rad**2)))
+        first = smooth.shape[1]
+        amplitude = np.array(
+            LINE_RAD * found[first : first + 2 * count].reshape(-1, 2), dtype=float
+        )
+        step = np.clip(found[-1 - count : -1], -0.5, 0.5)
+        cycles = np.clip(cycles + records.width * step, LOWEST, HIGHEST)
+        shift_rad += prior.sigma_rad * float(found[-1])
+        if not np.any(np.abs(step) > SETTLED):
+            break
+    sigma = prior.sigma_rad * sigma_rad * float(np.sqrt(np.linalg.inv(normal)[-1, -1]))
+    return Lines(cycles, amplitude, Shift(shift_rad, sigma), left_rad)
+
+
+def noise_of(powers_rad2: Array, cycles: Array) -> Noise:
+    """Return the noise of sums of squares (F,) of two degrees of freedom at frequencies (F,).
+
+    They are exponentially distributed; maximum likelihood by Fisher's scoring.
+    """
+    mean = np.maximum(powers_rad2 / 2.0, 1e-24)
+    X = _powers_of_log(cycles)
+    found: Array = np.array([np.log(mean.mean()), 0.0, 0.0])
+    prior = np.diag([0.0, 0.5, 0.5])  # few frequencies tell no colour
+    for _ in range(50):
+        ratio = mean * np.exp(-X @ found)
+        step = np.linalg.solve(X.T @ X + prior, X.T @ (ratio - 1.0) - prior @ found)
+        found = found + np.clip(step, -1.0, 1.0)
+    return Noise(found, np.array(np.linalg.inv(X.T @ X + prior), dtype=float))
+
+
+def _powers_of_log(cycles: Array) -> Array:
+    x = 2.0 * np.log(np.asarray(cycles, dtype=float) / LOWEST) / np.log(HIGHEST / LOWEST) - 1.0
+    return np.stack([np.ones_like(x), x, x * x], axis=-1)
+
+
+def _waves(angle_rad: Array, cycles: Array) -> Array:
+    """Return cosines and sines (N, 2K) by turns."""
+    phases = angle_rad[:, None] * cycles
+    return np.stack([np.cos(phases), np.sin(phases)], axis=-1).reshape(len(angle_rad), -1)
+
+
+def _rms_rad(records: Records, lines: Lines) -> float:
+    waves = _waves(records.angle_rad(lines.shift.rad), lines.cycles)
+    return rms(waves @ lines.amplitude_rad.ravel())
+
+
+def _difference(trial: Trial, known: Known) -> tuple[Noise, float]:
+    """Return the noise by what the directions differ, and the largest line in the difference."""
+    powers, amplitude = trial.powers(known, differ=True)
+    noise = noise_of(powers[trial.apart], trial.cycles[trial.apart])
+    chance = len(powers) * noise.chance(powers, trial.cycles)
+    best = int(np.argmin(chance))
+    return noise, float(np.linalg.norm(amplitude[best])) if chance[best] < CHANCE else 0.0
+
+
+def _covariance(known: Known, lines: Lines, noises: tuple[Noise, ...]) -> Array:
+    """Return the covariance (2K, 2K) of the amplitudes, by the strongest noise at each line."""
+    first = known.columns.shape[1] - 2 * len(lines.cycles)
+    block = (known.root.T @ known.root)[first:, first:] * LINE_RAD**2
+    variance_rad2 = np.max([noise.variance_rad2(lines.cycles) for noise in noises], axis=0)
+    sigma = np.repeat(np.sqrt(variance_rad2), 2)
+    found: Array = FREED * block * np.outer(sigma, sigma)
+    return found

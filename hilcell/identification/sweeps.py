@@ -1,0 +1,211 @@
+"""From two sweeps of one axis, upwards and downwards, to its transmission curve.
+
+A lag between both streams looks like a constant error of the joint, of opposite sign in the two
+directions, and shifts the curve along the joint by as much. So the constants tell the lag, as far
+as lost motion lets them, and the lines of both directions improve it. The constant of a curve, its
+slope and its long waves are never used: frames, kinematics and gravity are in them, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.statistics import rms
+from hilcell.identification.curve import TransmissionCurve
+from hilcell.identification.motion import BadStream, Motion, SweepStream, motion_of
+from hilcell.identification.spectrum import (
+    Found,
+    Known,
+    Records,
+    Shift,
+    Trial,
+    search,
+    without_lines,
+)
+
+HALF_GAP_RAD = 1e-4  # 1 sigma of the lost motion that is taken for lag
+LONGEST_LAG_S = 0.25
+LEAST_OVERLAP = 0.8  # of the joint's range, swept in both directions
+DIFFERS = 0.5  # of the largest line: by how much the directions may differ
+SHIFT_SIGMA_RAD = 1e-5  # of the abscissa, besides the clocks': landing, reading cycle
+SPACING_RAD = float(np.radians(0.04))  # denser samples are averaged
+SHOWN_RAD = float(np.radians(0.1))  # one point of a picture
+
+
+@dataclass(frozen=True, slots=True)
+class SweptAxis:
+    """The result of one axis: a curve, or the reason why there is none, with figures.
+
+    ``shown_rad`` (B, 3) is for pictures: joint, short-wave error as measured, and by the curve;
+    ``spectrum`` (F, 2) are cycles per revolution and amplitudes in rad.
+    """
+
+    axis: int
+    reason: str = ""
+    curve: TransmissionCurve | None = None
+    lag_s: float = 0.0
+    lag_sigma_s: float = 0.0
+    noise_rad: float = 0.0
+    signal_rad: float = 0.0  # rms of the curve over the swept range
+    share: float = 0.0  # of the short-wave variance, explained by the curve
+    differ_rad: float = 0.0  # the largest line by which the directions differ
+    lost: int = 0  # samples
+    shown_rad: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    spectrum: Array = field(default_factory=lambda: np.zeros((0, 2)))
+
+
+def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> SweptAxis:
+    """Return the curve of ``axis`` (0 to 5) by its sweeps upwards and downwards, or why not."""
+    motions = []
+    for name, stream in (("upwards", up), ("downwards", down)):
+        try:
+            motions.append(motion_of(stream, arm, axis))
+        except BadStream as error:
+            return SweptAxis(axis, f"{name}: {error}")
+    rising, falling = motions
+    if not (rising.speed_rad_s > 0 > falling.speed_rad_s):
+        return SweptAxis(axis, "both sweeps turned the same way; wanted one upwards, one downwards")
+    try:
+        records, speed_rad_s = records_of(rising, falling), _speed(rising, falling)
+    except BadStream as error:
+        return SweptAxis(axis, str(error))
+    shift_rad = _offset(records)
+    if not abs(shift_rad) <= LONGEST_LAG_S * speed_rad_s:
+        return SweptAxis(
+            axis,
+            f"tracker and joints are {shift_rad / speed_rad_s:.3f} s apart, wanted <= "
+            f"{LONGEST_LAG_S:g} s: see the controller's and the tracker's load",
+            lag_s=shift_rad / speed_rad_s,
+        )
+    found = search(records, Shift(shift_rad, HALF_GAP_RAD))
+    return _judged(axis, records, found, rising, falling)
+
+
+def records_of(rising: Motion, falling: Motion) -> Records:
+    """Return both directions where both were swept; raises `BadStream`."""
+    both = (rising, falling)
+    low = max(float(motion.joint_rad.min()) for motion in both)
+    high = min(float(motion.joint_rad.max()) for motion in both)
+    widest = max(float(np.ptp(motion.joint_rad)) for motion in both)
+    if not high - low >= LEAST_OVERLAP * widest:
+        raise BadStream(
+            f"both directions share {np.degrees(high - low):.1f} deg of "
+            f"{np.degrees(widest):.1f} deg, wanted >= {100 * LEAST_OVERLAP:g} %: sweep one range"
+        )
+    joint, error, side = [], [], []
+    for motion, sign in ((rising, 1.0), (falling, -1.0)):
+        inside = (motion.joint_rad >= low) & (motion.joint_rad <= high)
+        thinned = _thinned(motion.joint_rad[inside], motion.error_rad[inside])
+        joint.append(thinned[0])
+        error.append(thinned[1])
+        side.append(np.full(len(thinned[0]), sign))
+    return Records(np.concatenate(joint), np.concatenate(error), np.concatenate(side))
+
+
+def _thinned(joint_rad: Array, error_rad: Array) -> tuple[Array, Array]:
+    """Return means of samples that are closer than a curve needs them."""
+    spacing_rad = float(np.median(np.abs(np.diff(joint_rad))))
+    size = max(1, int(SPACING_RAD / spacing_rad + 0.01))
+    whole = len(joint_rad) // size * size
+    joint, error = (each[:whole].reshape(-1, size).mean(axis=1) for each in (joint_rad, error_rad))
+    return joint, error
+
+
+def _speed(rising: Motion, falling: Motion) -> float:
+    """Return the speed of both sweeps; raises `BadStream` where they had two."""
+    up, down = rising.speed_rad_s, -falling.speed_rad_s
+    if not abs(up / down - 1.0) <= 0.02:
+        raise BadStream(
+            f"swept upwards at {np.degrees(up):.3f} deg/s, downwards at {np.degrees(down):.3f} "
+            "deg/s: sweep both at one speed"
+        )
+    return (up + down) / 2.0
+
+
+def _offset(records: Records) -> float:
+    """Return half the difference of both directions' means over their common range."""
+    up = records.side > 0
+    grid = np.linspace(records.joint_rad.min(), records.joint_rad.max(), 500)
+    means = []
+    for which in (up, ~up):
+        order = np.argsort(records.joint_rad[which])
+        joint, error = records.joint_rad[which][order], records.error_rad[which][order]
+        means.append(float(np.interp(grid, joint, error).mean()))
+    return (means[0] - means[1]) / 2.0
+
+
+def _judged(
+    axis: int, records: Records, found: Found, rising: Motion, falling: Motion
+) -> SweptAxis:
+    lines, speed_rad_s = found.lines, _speed(rising, falling)
+    curve = _curve(axis, records, found, speed_rad_s * max(rising.clock_s, falling.clock_s))
+    curve_rad = curve.evaluate(records.joint_rad + lines.shift.rad * records.side)
+    left, signal = float(np.mean(np.square(lines.left_rad))), rms(curve_rad) ** 2
+    largest_rad = float(np.linalg.norm(lines.amplitude_rad, axis=1).max(initial=0.0))
+    reason = ""
+    if not found.differ_rad <= DIFFERS * largest_rad:
+        reason = (
+            f"the directions differ by a line of {found.differ_rad * 1e6:.1f} urad, the largest "
+            f"that they share has {largest_rad * 1e6:.1f} urad: wanted <= {100 * DIFFERS:g} %"
+        )
+    return SweptAxis(
+        axis,
+        reason,
+        None if reason else curve,
+        lag_s=lines.shift.rad / speed_rad_s,
+        lag_sigma_s=lines.shift.sigma_rad / speed_rad_s,
+        noise_rad=float(np.sqrt(left)),
+        signal_rad=float(np.sqrt(signal)),
+        share=signal / (signal + left),
+        differ_rad=found.differ_rad,
+        lost=rising.lost + falling.lost,
+        shown_rad=_shown(records, found, curve),
+        spectrum=_spectrum(records, found),
+    )
+
+
+def _curve(axis: int, records: Records, found: Found, clocks_rad: float) -> TransmissionCurve:
+    """Return the curve of the joint itself: the lines are about the records' middle."""
+    order = np.argsort(found.lines.cycles)
+    cycles = found.lines.cycles[order]
+    angle = cycles * records.middle_rad
+    turn = np.zeros((2 * len(cycles), 2 * len(cycles)))
+    for k, (c, s) in enumerate(zip(np.cos(angle), np.sin(angle), strict=True)):
+        turn[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[c, -s], [s, c]]
+    rows = (2 * order[:, None] + np.arange(2)).ravel()
+    covariance = found.covariance_rad2[np.ix_(rows, rows)]
+    amplitude = turn @ found.lines.amplitude_rad[order].ravel()
+    return TransmissionCurve(
+        axis,
+        cycles,
+        amplitude.reshape(-1, 2),
+        turn @ covariance @ turn.T,
+        shift_rad=0.0,
+        shift_sigma_rad=float(np.hypot(SHIFT_SIGMA_RAD, clocks_rad)),
+        low_rad=float(records.joint_rad.min()),
+        high_rad=float(records.joint_rad.max()),
+        noise_rad=rms(found.lines.left_rad),
+    )
+
+
+def _shown(records: Records, found: Found, curve: TransmissionCurve) -> Array:
+    """Return joint, short-wave error and curve (B, 3), means of both directions."""
+    joint_rad = records.joint_rad + found.lines.shift.rad * records.side
+    by_curve = curve.evaluate(joint_rad)
+    number = ((joint_rad - joint_rad.min()) / SHOWN_RAD).astype(int)
+    count = np.bincount(number)
+    rows = [joint_rad, found.lines.left_rad + by_curve, by_curve]
+    sums = np.stack([np.bincount(number, weights=row) for row in rows], axis=1)
+    shown: Array = sums[count > 0] / count[count > 0, None]
+    return shown
+
+
+def _spectrum(records: Records, found: Found) -> Array:
+    """Return cycles and amplitudes (F, 2) of what both directions share, nothing taken out."""
+    shift = found.lines.shift
+    trial = Trial(records, shift)
+    amplitude = trial.powers(Known(records, without_lines(records, shift)), differ=False)[1]
+    return np.column_stack([trial.cycles, np.linalg.norm(amplitude, axis=1)])[::2]

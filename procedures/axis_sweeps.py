@@ -1,0 +1,196 @@
+"""Each gear's short-wave error, by slow sweeps of its axis alone with the tracker streaming."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.frames import grid_of
+from hilcell.cell.devices import abilities
+from hilcell.cell.file import Cell
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.kinematics import forward
+from hilcell.identification.motion import SweepStream
+from hilcell.identification.sweeps import swept_axis
+from hilcell.journal.curve_record import CurveRecord
+from hilcell.journal.log import Log
+from hilcell.journal.stream_file import read_stream
+from hilcell.ports import Array, NoReading
+from hilcell.run.cell_session import CellSession
+from hilcell.run.interlocks import check_joint_limits
+from hilcell.run.procedure import Span, Step, Table
+from hilcell.run.sweeping import SweepOrder, record_sweep
+from procedures.durations import robot_moves_s
+from procedures.plan import check_range, check_reach
+
+WAYS = ("up", "down")
+LATTICE = 7  # places along each edge of the cube, whose joints are swept
+SEEN_AT = 20  # places of a sweep at which the reflector must be in the tracker's range
+TRIES = 3
+STREAM_S = 1.5  # begin and end of a stream
+
+
+class AxisSweeps:
+    """Each axis turns alone, up and down, the others where the cube's middle has them.
+
+    A joint's lag behind the tracker has opposite signs upwards and downwards, so it is found.
+    """
+
+    name = "axis-sweeps"
+    needs = "the base frame, the grid's station held; a tracker that streams, a robot that sweeps"
+    moves = "single axes slowly, through the cube's middle"
+    measures = "the flange reflector, streaming"
+    yields = "the transmission curve of each axis"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse sweeps out of limits or out of the tracker's range; leave out what cannot be."""
+        if reason := left_out(cell):
+            return Step(self.name, 0, 0.0, note=reason)
+        station = cell.station_named(cell.grid.station)
+        seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
+        approach_rad = np.radians(cell.robot.approach_deg)
+        for axis in cell.sweeps.axes:
+            for way in WAYS:
+                start_rad, end_rad = ends_rad(cell, axis, way)
+                for joints_rad in (start_rad - approach_rad, end_rad):
+                    check_joint_limits(cell, joints_rad, f"A{axis} swept {way}")
+                path_rad = np.linspace(start_rad, end_rad, SEEN_AT)
+                at_mm = forward(cell.robot.arm(), path_rad)[:, :3, 3]
+                world_mm = apply(cell.layout.nominal_base(station.rail_mm), at_mm)
+                check_range(cell, world_mm, f"A{axis} swept {way}")
+                turn_deg = float(np.degrees(np.abs(end_rad - start_rad).max()))
+                seconds += float(robot_moves_s(cell, here_rad, start_rad - approach_rad))
+                seconds += float(robot_moves_s(cell, start_rad - approach_rad, start_rad))
+                seconds += cell.settle.robot_s + STREAM_S + turn_deg / cell.sweeps.speed_deg_s
+                here_rad = end_rad
+        count = len(WAYS) * len(cell.sweeps.axes)
+        return Step(self.name, 0, seconds, (Span("sweep", count, seconds),))
+
+    def perform(self, session: CellSession) -> None:
+        """Sweep, and journal each axis's curve as soon as it is known, once."""
+        cell = session.cell
+        if reason := left_out(cell):
+            session.event("axes not swept", reason=reason)
+            return
+        for axis in cell.sweeps.axes:
+            if axis not in session.log.curves:
+                up, down = (self._sweep(session, axis, way) for way in WAYS)
+                found = swept_axis(up, down, cell.robot.arm(), axis - 1)
+                session.curve(CurveRecord.of(found))
+
+    def _sweep(self, session: CellSession, axis: int, way: str) -> SweepStream:
+        """Return the stream of one sweep, in {B}."""
+        cell, key = session.cell, f"sweep/A{axis}/{way}"
+        station = cell.station_named(cell.grid.station)
+        T_W_B = session.frames.base_in_world(station)
+        if key not in session.log.streams:
+            session.flange_at(station)
+            start_rad, end_rad = ends_rad(cell, axis, way)
+            start_mm = (T_W_B @ forward(cell.robot.arm(), start_rad))[:3, 3]
+            order = SweepOrder(
+                key,
+                start_rad,
+                axis - 1,
+                float(end_rad[axis - 1]),
+                float(np.radians(cell.sweeps.speed_deg_s)),
+                session.frames.tracker_from_world(start_mm)[0],
+                cell.sweeps.rate_hz,
+            )
+            self._record(session, order)
+        data = read_stream(session.folder, session.log.streams[key])
+        T_B_L = inverse(T_W_B) @ session.frames.tracker_in_world()
+        xyz_mm = apply(T_B_L, data.xyz_mm)
+        return SweepStream(data.device_s, xyz_mm, data.window_s, data.joints_rad, data.asked_s)
+
+    def _record(self, session: CellSession, order: SweepOrder) -> None:
+        """Sweep; again where the beam was lost on the way, raises `NoReading` if it stays so."""
+        for tries in range(1, TRIES + 1):
+            try:
+                record_sweep(session, order)
+            except NoReading as error:
+                facts = {"reason": str(error), "error": error.of_point(order.key).facts()}
+                session.event("no reading", key=order.key, tries=tries, **facts)
+                if tries == TRIES:
+                    raise
+            else:
+                return
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the figures of each axis."""
+        if reason := left_out(log.cell):
+            return {"sweeps": {"left_out": reason, "axes": []}}
+        return {"sweeps": {"axes": [figures_of(record) for record in log.curves.values()]}}
+
+
+def left_out(cell: Cell) -> str:
+    """Return why no axis of the cell is swept; "" where some are."""
+    if not cell.sweeps.enabled:
+        return "sweeps.enabled is false in the cell file"
+    if not cell.sweeps.axes:
+        return "sweeps.axes names no axis in the cell file"
+    able = abilities(cell)
+    if not able["tracker_streams"]:
+        return f"tracker driver {cell.tracker.driver!r} does not stream"
+    if not able["robot_sweeps"]:
+        return f"robot driver {cell.robot.driver!r} does not sweep an axis"
+    return ""
+
+
+def ends_rad(cell: Cell, axis: int, way: str) -> tuple[Array, Array]:
+    """Return the joints (6,) at the begin and at the end of a sweep."""
+    low_rad, high_rad, middle_rad = cube_joints(cell)
+    margin_rad = np.radians(cell.sweeps.margin_deg)
+    ends = []
+    for value in (low_rad[axis - 1] - margin_rad, high_rad[axis - 1] + margin_rad):
+        joints_rad = middle_rad.copy()
+        joints_rad[axis - 1] = value
+        ends.append(joints_rad)
+    return (ends[0], ends[1]) if way == "up" else (ends[1], ends[0])
+
+
+def cube_joints(cell: Cell) -> tuple[Array, Array, Array]:
+    """Return the lowest and highest joints (6,) of the cube, and those at its middle."""
+    grid = grid_of(cell)
+    edges = np.linspace(grid.origin_mm, grid.far_mm, LATTICE).T
+    places_mm = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, 3)
+    joints_rad = check_reach(cell, places_mm, "cube")
+    return joints_rad.min(axis=0), joints_rad.max(axis=0), joints_rad[len(joints_rad) // 2]
+
+
+def figures_of(record: CurveRecord) -> dict[str, Any]:
+    """Return an axis's figures for a program to read."""
+    return {
+        "axis": record.axis,
+        "used": record.holds,
+        "reason": record.reason,
+        "range_deg": np.degrees([record.low_rad, record.high_rad]).tolist(),
+        "cycles": record.cycles,
+        "amplitude_urad": (record.amplitudes_rad * 1e6).tolist(),
+        "lag_ms": record.lag_s * 1e3,
+        "lag_u_ms": record.lag_sigma_s * 1e3,
+        "noise_urad": record.noise_rad * 1e6,
+        "signal_urad": record.signal_rad * 1e6,
+        "share": record.share,
+        "differ_urad": record.differ_rad * 1e6,
+        "lost": record.lost,
+    }
+
+
+def sweep_table(result: dict[str, Any]) -> Table:
+    """Return the swept axes with their lines, for a person to read."""
+    headers = ["axis", "used", "cycles: amplitude urad", "lag ms", "noise urad", "signal %"]
+    rows = []
+    for each in result["sweeps"]["axes"]:
+        pairs = zip(each["cycles"], each["amplitude_urad"], strict=True)
+        rows.append(
+            [
+                f"A{each['axis']}",
+                "yes" if each["used"] else each["reason"],
+                ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none",
+                f"{each['lag_ms']:.2f}",
+                f"{each['noise_urad']:.1f}",
+                f"{100 * each['share']:.0f}",
+            ]
+        )
+    return headers, rows

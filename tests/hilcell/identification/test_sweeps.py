@@ -1,0 +1,182 @@
+"""Streams of an axis become its transmission curve; streams that cannot be used are named."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hilcell.geometry.kinematics import Array
+from hilcell.identification.motion import SweepStream
+from hilcell.identification.sweeps import SweptAxis, swept_axis
+from tests.hilcell.identification.axis_streams import (
+    ARM,
+    Axis,
+    Ripple,
+    none,
+    periodic,
+)
+
+URAD = 1e-6
+
+
+def swept(axis: Axis) -> SweptAxis:
+    return swept_axis(*axis.streams(), ARM, axis.axis)
+
+
+def left_urad(axis: Axis, found: SweptAxis) -> float:
+    """Return the rms of the curve's error over the range, its long waves taken off."""
+    assert found.curve is not None, found.reason
+    low, high = axis.range_rad
+    q = np.linspace(low, high, 3000)[80:-80]
+    off = found.curve.evaluate(q) - axis.ripple(q)
+    off -= np.polyval(np.polyfit(q - q.mean(), off, 4), q - q.mean())
+    return float(np.sqrt(np.mean(off**2))) / URAD
+
+
+def lines(*lines: tuple[float, float, float]) -> Ripple:
+    """Return lines of cycles, amplitude in urad, phase."""
+
+    def curve(q: Array) -> Array:
+        return sum(
+            (URAD * size * np.sin(n * q + phase) for n, size, phase in lines), np.zeros_like(q)
+        )
+
+    return curve
+
+
+TWO = lines((41.0, 30.0, 0.4), (203.5, 25.0, 2.0))
+AXIS_1 = Axis(0, TWO, lag_s=0.02)
+FOUND_1 = swept(AXIS_1)
+
+
+def test_lines_of_an_unknown_gear_are_found_with_their_phase() -> None:
+    assert FOUND_1.curve is not None
+    np.testing.assert_allclose(FOUND_1.curve.cycles, [41.0, 203.5], atol=0.1)
+    assert left_urad(AXIS_1, FOUND_1) < 1.5
+    assert FOUND_1.share > 0.9
+    assert FOUND_1.curve.noise_rad < 8 * URAD
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+def test_a_lag_is_found_and_leaves_the_curve_where_it_is(lag_s: float) -> None:
+    axis = replace(AXIS_1, lag_s=lag_s)
+    found = swept(axis)
+    assert left_urad(axis, found) < 1.5
+    assert found.lag_s - FOUND_1.lag_s == pytest.approx(lag_s - 0.02, abs=0.002)
+
+
+@pytest.mark.parametrize("axis", [1, 2, 4])
+@pytest.mark.parametrize("size_urad", [15.0, 100.0])
+def test_other_axes_and_other_sizes(axis: int, size_urad: float) -> None:
+    rng = np.random.default_rng([axis, int(size_urad)])
+    tried = Axis(axis, periodic(rng, size_urad * URAD), seed=axis)
+    assert left_urad(tried, swept(tried)) < (4.0 if axis < 4 else 8.0)
+
+
+def test_a_gear_without_lines_has_a_curve_without_lines() -> None:
+    found = swept(Axis(0, none))
+    assert found.curve is not None
+    assert len(found.curve.cycles) == 0
+    assert found.differ_rad == 0.0
+
+
+def test_an_error_that_is_not_periodic_is_followed_where_it_was_swept() -> None:
+    axis = Axis(0, lambda q: 45 * URAD * np.sin(70 * q + 20 * q**2), lag_s=0.02)
+    assert left_urad(axis, swept(axis)) < 10.0  # of 32
+
+
+def test_the_covariance_states_the_curve_s_error() -> None:
+    squares = []
+    for seed in range(12):
+        axis = Axis(0, TWO, seed=seed)
+        curve = swept(axis).curve
+        assert curve is not None
+        q = np.linspace(*axis.range_rad, 40)[2:-2]
+        B = curve.basis(q)
+        variance = np.einsum("nk,kl,nl->n", B, curve.covariance_rad2, B)
+        squares.append(np.mean((curve.evaluate(q) - TWO(q)) ** 2 / variance))
+    assert 0.5 < np.mean(squares) < 2.5
+
+
+def test_lost_samples_and_single_spikes_are_survived() -> None:
+    up, down = AXIS_1.streams()
+    keep = np.ones(len(up.device_s), dtype=bool)
+    keep[200:215] = keep[400:440] = False
+    holey = only(up, keep)
+    holey.xyz_mm[[50, 300]] += 3.0
+    found = swept_axis(holey, down, ARM, 0)
+    assert left_urad(AXIS_1, found) < 1.5
+    assert found.lost >= 55
+
+
+def late(stream: SweepStream) -> Array:
+    return np.where(np.arange(len(stream.device_s)) > 300, 1.0, 0.0)
+
+
+def paused(up: SweepStream) -> SweepStream:
+    n = np.arange(len(up.xyz_mm))
+    return replace(up, xyz_mm=up.xyz_mm[np.where(n < 330, np.minimum(n, 300), n - 30)])
+
+
+def only(up: SweepStream, kept: NDArray[np.bool_]) -> SweepStream:
+    return replace(
+        up, device_s=up.device_s[kept], xyz_mm=up.xyz_mm[kept], window_s=up.window_s[kept]
+    )
+
+
+def thinned(up: SweepStream) -> SweepStream:
+    n = np.arange(len(up.device_s))
+    return only(up, (n < 450) | (n % 3 == 0))
+
+
+def not_finite(up: SweepStream) -> SweepStream:
+    return replace(up, xyz_mm=np.where(np.arange(len(up.xyz_mm))[:, None] == 7, np.nan, up.xyz_mm))
+
+
+def others_move(up: SweepStream) -> SweepStream:
+    ramp = np.linspace(0.0, 0.1, len(up.joints_rad))[:, None] * (np.arange(6) == 3)
+    return replace(up, joints_rad=up.joints_rad + ramp)
+
+
+SPOILT: dict[str, tuple[Callable[[SweepStream], SweepStream], str]] = {
+    "the clock jumps": (lambda up: replace(up, device_s=up.device_s + 2 * late(up)), "by 2.050 s"),
+    "by a little": (lambda up: replace(up, device_s=up.device_s + 0.04 * late(up)), "by 0.090 s"),
+    "back": (lambda up: replace(up, device_s=up.device_s - 0.2 * late(up)), "run back"),
+    "the axis pauses": (paused, "the axis paused"),
+    "metres": (lambda up: replace(up, xyz_mm=up.xyz_mm / 1000), "units are not mm"),
+    "inches": (lambda up: replace(up, xyz_mm=up.xyz_mm / 25.4), "units are not mm"),
+    "degrees": (lambda up: replace(up, joints_rad=np.degrees(up.joints_rad)), "units|wanted"),
+    "not finite": (not_finite, "positions: 3 values"),
+    "few": (lambda up: only(up, up.device_s < up.device_s[50]), "50 samples"),
+    "many lost": (thinned, "never came"),
+    "other axes turn": (others_move, "another axis turned by"),
+    "another sweep's joints": (lambda up: replace(up, asked_s=up.asked_s * 1.05), "deg/s, the j"),
+    "far apart": (lambda up: replace(up, asked_s=up.asked_s + 0.6), "s apart, wanted"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_stream_that_cannot_be_used_is_named(name: str) -> None:
+    spoil, words = SPOILT[name]
+    up, down = AXIS_1.streams()
+    found = swept_axis(spoil(up), down, ARM, 0)
+    assert found.curve is None
+    assert re.search(words, found.reason), found.reason
+
+
+def test_two_sweeps_of_one_direction_are_refused() -> None:
+    up, _ = AXIS_1.streams()
+    assert "turned the same way" in swept_axis(up, up, ARM, 0).reason
+
+
+def test_directions_that_differ_are_refused() -> None:
+    up = Axis(0, lines((41.0, 40.0, 0.0))).stream(1.0)
+    down = Axis(0, lines((90.0, 40.0, 0.0))).stream(-1.0)
+    found = swept_axis(up, down, ARM, 0)
+    assert found.curve is None
+    assert "directions differ" in found.reason
