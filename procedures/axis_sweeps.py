@@ -18,7 +18,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
 from hilcell.ports import Array, NoReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.interlocks import check_joint_limits
+from hilcell.run.clear_ways import check_sweep
 from hilcell.run.procedure import Span, Step, Table
 from hilcell.run.sweeping import SweepOrder, record_sweep
 from procedures.durations import robot_moves_s
@@ -29,6 +29,7 @@ LATTICE = 7  # places along each edge of the cube, whose joints are swept
 SEEN_AT = 20  # places of a sweep at which the reflector must be in the tracker's range
 TRIES = 3
 STREAM_S = 1.5  # begin and end of a stream
+QUICK_AXES, QUICK_SHARE = (1, 2, 3), 0.5  # of a quick plan: the middle of each range
 
 
 class AxisSweeps:
@@ -50,11 +51,10 @@ class AxisSweeps:
         station = cell.station_named(cell.grid.station)
         seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
         approach_rad = np.radians(cell.robot.approach_deg)
-        for axis in cell.sweeps.axes:
+        for axis in axes_of(cell):
             for way in WAYS:
                 start_rad, end_rad = ends_rad(cell, axis, way)
-                for joints_rad in (start_rad - approach_rad, end_rad):
-                    check_joint_limits(cell, joints_rad, f"A{axis} swept {way}")
+                check_sweep(cell, station, start_rad, end_rad, f"A{axis} swept {way}")
                 path_rad = np.linspace(start_rad, end_rad, SEEN_AT)
                 at_mm = forward(cell.robot.arm(), path_rad)[:, :3, 3]
                 world_mm = apply(cell.layout.nominal_base(station.rail_mm), at_mm)
@@ -64,7 +64,7 @@ class AxisSweeps:
                 seconds += float(robot_moves_s(cell, start_rad - approach_rad, start_rad))
                 seconds += cell.settle.robot_s + STREAM_S + turn_deg / cell.sweeps.speed_deg_s
                 here_rad = end_rad
-        count = len(WAYS) * len(cell.sweeps.axes)
+        count = len(WAYS) * len(axes_of(cell))
         return Step(self.name, 0, seconds, (Span("sweep", count, seconds),))
 
     def perform(self, session: CellSession) -> None:
@@ -73,7 +73,7 @@ class AxisSweeps:
         if reason := left_out(cell):
             session.event("axes not swept", reason=reason)
             return
-        for axis in cell.sweeps.axes:
+        for axis in axes_of(cell):
             if axis not in session.log.curves:
                 up, down = (self._sweep(session, axis, way) for way in WAYS)
                 found = swept_axis(up, down, cell.robot.arm(), axis - 1)
@@ -127,8 +127,10 @@ def left_out(cell: Cell) -> str:
     """Return why no axis of the cell is swept; "" where some are."""
     if not cell.sweeps.enabled:
         return "sweeps.enabled is false in the cell file"
-    if not cell.sweeps.axes:
-        return "sweeps.axes names no axis in the cell file"
+    if not axes_of(cell):
+        return f"sweeps.axes names none of {'axes 1 to 3' if cell.plan.quick else 'the axes'}"
+    if cell.surroundings is None:
+        return "they leave the grid's cube, and the cell file states no robot.envelope"
     able = abilities(cell)
     if not able["tracker_streams"]:
         return f"tracker driver {cell.tracker.driver!r} does not stream"
@@ -137,16 +139,20 @@ def left_out(cell: Cell) -> str:
     return ""
 
 
+def axes_of(cell: Cell) -> list[int]:
+    """Return the axes to sweep, 1 to 6: on a quick plan those that move the tool point most."""
+    return [axis for axis in cell.sweeps.axes if axis in QUICK_AXES or not cell.plan.quick]
+
+
 def ends_rad(cell: Cell, axis: int, way: str) -> tuple[Array, Array]:
     """Return the joints (6,) at the begin and at the end of a sweep."""
     low_rad, high_rad, middle_rad = cube_joints(cell)
-    margin_rad = np.radians(cell.sweeps.margin_deg)
-    ends = []
-    for value in (low_rad[axis - 1] - margin_rad, high_rad[axis - 1] + margin_rad):
-        joints_rad = middle_rad.copy()
-        joints_rad[axis - 1] = value
-        ends.append(joints_rad)
-    return (ends[0], ends[1]) if way == "up" else (ends[1], ends[0])
+    centre_rad = (low_rad[axis - 1] + high_rad[axis - 1]) / 2
+    half_rad = (high_rad[axis - 1] - low_rad[axis - 1]) / 2 + np.radians(cell.sweeps.margin_deg)
+    half_rad *= QUICK_SHARE if cell.plan.quick else 1.0
+    start_rad, end_rad = middle_rad.copy(), middle_rad.copy()
+    start_rad[axis - 1], end_rad[axis - 1] = centre_rad - half_rad, centre_rad + half_rad
+    return (start_rad, end_rad) if way == "up" else (end_rad, start_rad)
 
 
 def cube_joints(cell: Cell) -> tuple[Array, Array, Array]:
