@@ -34,7 +34,7 @@ def readings(cell: Cell, count: int, samples: int) -> Span:
 
 def floor_points(cell: Cell) -> Span:
     """Return the span of the floor nests, also where they prove that the tracker has not moved."""
-    return readings(cell, len(cell.layout.floor), cell.layout.nest_samples)
+    return readings(cell, len(cell.layout.floor), cell.nest_samples)
 
 
 def robot_moves_s(cell: Cell, from_rad: Array, to_rad: Array) -> Array:

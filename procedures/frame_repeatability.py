@@ -52,7 +52,7 @@ class FrameRepeatability:
                 code="HC-C10",
             )
         here, spans = other_stations(cell)[-1], []  # where the last step left the slide
-        six = readings(cell, SIX, MORE_READINGS * cell.layout.nest_samples)
+        six = readings(cell, SIX, MORE_READINGS * cell.nest_samples)
         for station in cell.station:
             check_circles(cell, station)
             spans += [leg(cell, here, station), six, sweeps(cell)]
@@ -66,7 +66,7 @@ class FrameRepeatability:
                 self._frame(session, station)
 
     def _frame(self, session: CellSession, station: Station) -> None:
-        samples = MORE_READINGS * session.cell.layout.nest_samples
+        samples = MORE_READINGS * session.cell.nest_samples
         for nest in session.cell.layout.slide[-SIX:]:
             id = PointId("six", station=station.name, nest=nest.name)
             session.slide_point(id, station, nest, samples=samples)

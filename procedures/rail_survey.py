@@ -33,7 +33,7 @@ class RailSurvey:
         """Return the step."""
         stops = 2 * len(steps_mm(cell))
         points = stops * (1 + len(cell.layout.slide))
-        seconds = points * measure_s(cell, cell.layout.nest_samples)
+        seconds = points * measure_s(cell, cell.nest_samples)
         seconds += rail_move_s(cell, cell.survey.from_mm - cell.rail.travel_min_mm)
         seconds += (stops - 2) * rail_move_s(cell, cell.survey.step_mm) + rail_move_s(cell, 0.0)
         return step(self.name, points, [Span("survey", points, seconds)])

@@ -62,7 +62,7 @@ class StationRepeatability:
         station = cell.station_named(cell.grid.station)
         away_s = rail_move_s(cell, APPROACH_MM)
         by_strip_s = approach_s(cell, station.rail_mm - APPROACH_MM, station)
-        each_s = away_s + measure_s(cell, cell.layout.nest_samples)
+        each_s = away_s + measure_s(cell, cell.nest_samples)
         visits = 2 * cell.survey.repeats
         plain = Span("plain approach", visits, visits * (each_s + away_s))
         by_strip = Span("strip approach", visits, visits * (each_s + by_strip_s))

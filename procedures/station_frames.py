@@ -57,47 +57,16 @@ class StationFrames:
             check_range(cell, world_mm, f"slide nests at {station.name}")
         here = cell.station_named(cell.grid.station)
         spans = [Span("park", 0, park_s(cell))]
-        for station in (here, *other_stations(cell)):
-            nests = readings(cell, len(nests_mm), cell.layout.nest_samples)
-            few = readings(cell, 3, THREE_SAMPLES)
-            spans += [leg(cell, here, station), floor_points(cell), nests, few]
+        for station in framed_together(cell):
+            spans += frame_spans(cell, here, station)
             here = station
-        return step(self.name, len(cell.station) * (len(nests_mm) + 3), spans)
+        return step(self.name, len(framed_together(cell)) * nest_points(cell), spans)
 
     def perform(self, session: CellSession) -> None:
         """Frame the grid's station first: its slide points define {S}."""
-        reference = session.cell.station_named(session.cell.grid.station)
-        for station in (reference, *other_stations(session.cell)):
-            if f"station.{station.name}" not in session.log.frames:
-                self._frame(session, station, reference)
+        for station in framed_together(session.cell):
+            frame_station(session, station)
         session.reach("frame_stations")
-
-    def _frame(self, session: CellSession, station: Station, reference: Station) -> None:
-        session.hold_station(station)
-        session.park_robot()
-        check_control_points(session)
-        nests, samples = session.cell.layout.slide, session.cell.layout.nest_samples
-        for number, nest in enumerate(nests):
-            session.slide_point(slide_id(station, nest), station, nest, samples=samples)
-            if session.cell.layout.by_hand and number < FEW:
-                three_point(session, station, nest)  # while the reflector is there
-        few = [three_point(session, station, nest) for nest in nests[:FEW]]
-        three_mm = apply(session.log.matrix("world"), positions_mm(few))
-        session.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
-        moved = moved_nests(session.log, station, reference)
-        left_out = check_nests(session.cell, station, moved)
-        fit = station_fit(session.log, station, reference)
-        cube_mm = check_accepted(session.cell, station, fit)
-        session.frame(
-            f"station.{station.name}",
-            fit.T,
-            covariance=fit.covariance,
-            rms_mm=fit.rms_mm,
-            strip_mm=session.log.select("slide", station.name)[-1].strip_mm,
-            tool_uncertainty_mm=tool_uncertainty_mm(session.cell, fit),
-            cube_uncertainty_mm=cube_mm,
-            left_out=left_out,
-        )
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return frame, strip reading and predicted tool-point uncertainty per station."""
@@ -107,6 +76,67 @@ class StationFrames:
                 for station in log.cell.station
             }
         }
+
+
+def framed_together(cell: Cell) -> list[Station]:
+    """Return the stations that are framed before any is validated, the grid's first.
+
+    A quick plan stops at each other station once: it is framed where it is validated.
+    """
+    reference = cell.station_named(cell.grid.station)
+    return [reference] if cell.plan.quick else [reference, *other_stations(cell)]
+
+
+def nest_points(cell: Cell) -> int:
+    """Return how many points frame a station."""
+    return len(cell.layout.slide) + (0 if cell.plan.quick else FEW)
+
+
+def frame_spans(cell: Cell, here: Station, there: Station) -> list[Span]:
+    """Return the spans of going to a station and framing it."""
+    nests = readings(cell, len(cell.layout.slide), cell.nest_samples)
+    few = [] if cell.plan.quick else [readings(cell, FEW, THREE_SAMPLES)]
+    return [leg(cell, here, there), floor_points(cell), nests, *few]
+
+
+def frame_station(session: CellSession, station: Station) -> None:
+    """Measure the slide's nests at a station and journal its frames, once."""
+    if f"station.{station.name}" in session.log.frames:
+        return
+    cell = session.cell
+    reference = cell.station_named(cell.grid.station)
+    session.hold_station(station)
+    session.park_robot()
+    check_control_points(session)
+    for number, nest in enumerate(cell.layout.slide):
+        id = slide_id(station, nest)
+        session.slide_point(id, station, nest, samples=cell.nest_samples)
+        if cell.layout.by_hand and number < FEW and not cell.plan.quick:
+            three_point(session, station, nest)  # while the reflector is there
+    if not cell.plan.quick:
+        _frame_by_three(session, station)
+    moved = moved_nests(session.log, station, reference)
+    left_out = check_nests(cell, station, moved)
+    fit = station_fit(session.log, station, reference)
+    cube_mm = check_accepted(cell, station, fit)
+    session.frame(
+        f"station.{station.name}",
+        fit.T,
+        covariance=fit.covariance,
+        rms_mm=fit.rms_mm,
+        strip_mm=session.log.select("slide", station.name)[-1].strip_mm,
+        tool_uncertainty_mm=tool_uncertainty_mm(cell, fit),
+        cube_uncertainty_mm=cube_mm,
+        left_out=left_out,
+    )
+
+
+def _frame_by_three(session: CellSession, station: Station) -> None:
+    """Measure and journal the paper's own frame."""
+    nests = session.cell.layout.slide[:FEW]
+    few = [three_point(session, station, nest) for nest in nests]
+    three_mm = apply(session.log.matrix("world"), positions_mm(few))
+    session.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
 
 
 def _figures(frame: dict[str, Any]) -> dict[str, Any]:

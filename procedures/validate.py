@@ -27,6 +27,7 @@ from procedures import enough_targets
 from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_targets, joints_for, poses_at
 from procedures.repeatability import floor
+from procedures.station_frames import frame_spans, frame_station, framed_together, nest_points
 from procedures.touch import base_for_commands, touch_result, touch_spans
 from procedures.world_frame import check_control_points
 
@@ -50,7 +51,11 @@ class Validate:
         for name, targets_mm in targets(cell, seed).items():
             station = cell.station_named(name)
             joints_rad = check_targets(cell, station, targets_mm, f"target at {name}")
-            spans.append(leg(cell, here, station))
+            if station in framed_together(cell):
+                spans.append(leg(cell, here, station))
+            else:
+                spans += frame_spans(cell, here, station)
+                points += nest_points(cell)
             for how in ways(cell):
                 spans += [floor_points(cell)] if how in controlled(cell) else []
                 measured = touch_spans(cell, station) if how == "chosen" else []
@@ -68,6 +73,7 @@ class Validate:
         models = {"idw": paper, "chosen": chosen}
         for name, targets_mm in targets(session.cell, session.seed).items():
             station = session.cell.station_named(name)
+            frame_station(session, station)
             for how in ways(session.cell):
                 for numbers in rounds(session.log, name, how, len(targets_mm)):
                     self._send(session, station, how, numbers, targets_mm, models.get(how))
@@ -191,9 +197,12 @@ def ways(cell: Cell) -> tuple[str, ...]:
 def controlled(cell: Cell) -> tuple[str, ...]:
     """Return the ways before which the tracker is proven.
 
-    Once a station where time counts, or where the reflector is carried by hand.
+    Once a station where the reflector is carried by hand. A quick plan has just proven it: with
+    the sign of the correction, and with each other station's frame.
     """
-    return WAYS[:1] if cell.plan.quick or cell.layout.by_hand else WAYS
+    if cell.plan.quick:
+        return ()
+    return WAYS[:1] if cell.layout.by_hand else WAYS
 
 
 def planned(cell: Cell, how: str) -> int | None:

@@ -21,7 +21,7 @@ from msgspec import Meta, field
 
 from hilcell.cell.in_use import RecheckTable, TargetsTable
 from hilcell.cell.layout import Layout, Nest
-from hilcell.cell.plan import PlanTable
+from hilcell.cell.plan import QUICK_NEST_SAMPLES, PlanTable
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
 from hilcell.cell.surroundings import (
     CapsuleTable,
@@ -390,6 +390,12 @@ class Cell(Frozen, frozen=True, kw_only=True):
         """Return what the arm keeps clear of; None where the file states nothing of it."""
         envelope = self.robot.envelope
         return None if envelope is None else Surroundings(self, envelope)
+
+    @property
+    def nest_samples(self) -> int:
+        """Return how many readings of a nest are averaged."""
+        samples = self.layout.nest_samples
+        return min(samples, QUICK_NEST_SAMPLES) if self.plan.quick else samples
 
     @cached_property
     def digest(self) -> str:

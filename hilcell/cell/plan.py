@@ -10,6 +10,7 @@ from msgspec import Meta
 
 from hilcell.cell.tables import Frozen
 
+QUICK_NEST_SAMPLES = 5
 Share = Annotated[float, Meta(ge=0.001, le=0.5)]
 
 

@@ -176,7 +176,7 @@ class CellSession(RunContext):
             return known
         self.checkpoint()
         self._operator.seat(nest.name, nest.xyz_mm)
-        samples = self.cell.layout.nest_samples
+        samples = self.cell.nest_samples
         reading = self._measuring.measure_in_world(id.key, nest.name, nest.xyz_mm, samples)
         return self._measuring.keep(id, "", reading)
 
@@ -205,7 +205,7 @@ class CellSession(RunContext):
             nests = {nest.name: nest.xyz_mm for nest in self.cell.layout.slide}
             expected = (T_W_B @ np.append(nests[name], 1.0))[:3]
         self._operator.seat(name, expected)
-        samples = self.cell.layout.nest_samples
+        samples = self.cell.nest_samples
         reading = self._measuring.measure_in_world(id.key, name, expected, samples)
         return self._measuring.keep(id, "", reading)
 
