@@ -59,7 +59,7 @@ class Update(msgspec.Struct, frozen=True):
     """
 
     run: str
-    what: Literal["base", "targets"]
+    what: Literal["base", "targets", "touch"]
     written: str
     points: int
     motion: list[float] = []

@@ -17,8 +17,9 @@ import math
 import numpy as np
 
 from hilcell.calibration.errors import visits_mm
-from hilcell.calibration.frame_covariance import base_covariance
+from hilcell.calibration.frame_covariance import base_covariance, world_covariance
 from hilcell.calibration.frames import Frames
+from hilcell.calibration.in_use import calibration_in
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frame_update import FrameUpdate, updated_frame
 from hilcell.geometry.frames import apply, inverse
@@ -30,6 +31,7 @@ from hilcell.ports import Array
 MARGIN_SHARE = 0.05  # of the cube's edges, off each face
 # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
 STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+SET_UPS = 2  # of the tracker: the calibration's and this run's
 HOLDS = 2  # the strip's slip is that of the visit less that of the stop when it was framed
 
 
@@ -81,10 +83,16 @@ def touched_base(
 def visit_covariance(log: Log, station: Station) -> Array:
     """Return the covariance (6, 6) of T_W_B on a visit of the station, before it is touched.
 
-    That of the station frame (`hilcell.calibration.frame_covariance`) and the strip's slip: shift
-    of {B}'s origin (mm), rotation vector (rad) about it, axes of {W}.
+    That of the station frame and the strip's slip: shift of {B}'s origin (mm), rotation vector
+    (rad) about it, axes of {W}. A run that uses a calibration of before has found {W} again, so
+    its error counts twice.
     """
-    return base_covariance(log, station) + slip_covariance(log.cell)
+    known = base_covariance(log, station) + slip_covariance(log.cell)
+    if calibration_in(log) is None:
+        return known
+    centring_mm2 = log.cell.uncertainty.smr_centring_limit_mm**2 / 3.0
+    at_mm = Frames(log.cell, log).base_in_world(station)[:3, 3]
+    return known + SET_UPS * world_covariance(log, at_mm, centring_mm2)
 
 
 def slip_covariance(cell: Cell) -> Array:
@@ -101,7 +109,8 @@ def slip_covariance(cell: Cell) -> Array:
 def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:
     """Return the covariances (N, 3, 3) in {W} of single visits, the readings' noise in them.
 
-    From the visits of the repeatability's places; where none were made, from the readings alone.
+    From the visits of the repeatability's places; else from the readings, and from the robot's
+    repeatability where a calibration of before states it.
     """
     clouds_mm = visits_mm(log)
     if clouds_mm:
@@ -109,4 +118,10 @@ def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:
     R = log.matrix("world")[:3, :3]
     variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
     noise_mm2: Array = np.einsum("ij,nj,kj->nik", R, variances_mm2, R)
+    used = calibration_in(log)
+    if used is not None and used.uncertainty is not None:
+        at_mm = np.array([point.nominal_mm for point in points])
+        for line in used.uncertainty.lines:
+            if line.alone and line.frame == "base":
+                noise_mm2 = noise_mm2 + line.at(log.matrix("base"), at_mm)
     return noise_mm2

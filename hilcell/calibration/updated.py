@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hilcell.calibration.budget import touched
 from hilcell.calibration.file import calibration_of
 from hilcell.calibration.form import Calibration, Update
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
@@ -27,6 +28,8 @@ def calibration_after(log: Log, run: str) -> Calibration:
     """Return the calibration of a log for which `Log.calibrates` holds."""
     if "fit" in log.verdicts:
         return calibration_of(log, run)
+    if "touch" in log.verdicts:
+        return _touched(used(log), log, run)
     return _rebased(used(log), rechecked_run(log), run)
 
 
@@ -46,6 +49,22 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
         line = Influence(BASE_UPDATE, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
         lines = [each for each in stated.lines if each.name != BASE_UPDATE]
         changes["uncertainty"] = msgspec.structs.replace(stated, lines=[*lines, line])
+    return msgspec.structs.replace(calibration, **changes)
+
+
+def _touched(calibration: Calibration, log: Log, run: str) -> Calibration:
+    """Return the calibration with the base of the station as touched on the run's visit."""
+    name = str(log.verdicts["touch"]["station"])
+    frame, entry = log.frames[f"touch.{name}"], calibration.stations[name]
+    entry = msgspec.structs.replace(entry, T_W_B=frame["matrix"])
+    update = Update(run, "touch", _now(), int(frame["poses"]))
+    stations = calibration.stations | {name: entry}
+    changes: dict[str, Any] = {"stations": stations, "provenance": _with(calibration, update)}
+    stated, line = calibration.uncertainty, touched(log, log.cell.station_named(name))
+    if stated is not None and not stated.missing and line is not None:
+        line = msgspec.structs.replace(line, counts="always")
+        placed = stated.stations | {name: [line]}
+        changes["uncertainty"] = msgspec.structs.replace(stated, stations=placed)
     return msgspec.structs.replace(calibration, **changes)
 
 

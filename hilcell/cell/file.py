@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, field
 
-from hilcell.cell.in_use import RecheckTable, TargetsTable
+from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
 from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.plan import QUICK_NEST_SAMPLES, PlanTable
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
@@ -72,7 +72,9 @@ PACE = {
     "tracker": ("pointing_s", "reading_s"),
 }
 # Work that is done with the cell, and statements about it: none moves a measured point.
-NOT_THE_CELL = ("simulation", "plan", "sweeps", "keep_out", "uncertainty", "recheck", "targets")
+NOT_THE_CELL = (
+    "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
+)  # fmt: skip
 LEAST_ARC_DEG = 10.0
 
 
@@ -276,12 +278,6 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
     max_tolerance_mm: Size = 1.0
 
 
-class TouchTable(Frozen, frozen=True, kw_only=True):
-    """Poses by which a station is measured again after each stop; 0: none."""
-
-    poses: Annotated[int, Meta(ge=0, le=100)] = 8
-
-
 class CampaignTable(Frozen, frozen=True, kw_only=True):
     """A list of poses to drive, with the reflectors and where the tracker expects them."""
 
@@ -411,8 +407,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)
-        values.pop("touch")  # how it is measured and judged: the cell is the same
-        for key in ("reflectors", "max_tool_std_mm"):
+        for key in ("reflectors", "max_tool_std_mm"):  # how it is measured and judged
             values["layout"].pop(key)
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 

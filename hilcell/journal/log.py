@@ -274,7 +274,8 @@ class Log:
     def calibrates(self) -> bool:
         """Whether the run ended with a calibration, which has a file of its own."""
         updated = self.verdicts.get("recheck", {}).get("verdict") == "update"
-        return self.state == "finished" and ("fit" in self.verdicts or updated)
+        made = not {"fit", "touch"}.isdisjoint(self.verdicts)
+        return self.state == "finished" and (made or updated)
 
     @property
     def cell(self) -> Cell:

@@ -1,0 +1,111 @@
+"""Before work at a station: its base frame as it stands on this visit, for corrected programs.
+
+{W} comes from the floor nests, so the tracker may stand elsewhere than it did when the
+calibration was made. The calibration is written again with the touched base of the station;
+`hilcell compensate` takes it like any other. It holds until the slide moves.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.in_use import NoCalibration, calibration_named
+from hilcell.cell.file import Cell, Station
+from hilcell.journal.log import Log
+from hilcell.ports import HilcellError
+from hilcell.run.cell_session import CellSession
+from hilcell.run.procedure import Procedure, Step, Table
+from procedures.durations import approach_s, step
+from procedures.home import Home
+from procedures.recheck import use
+from procedures.touch import base_for_commands, touch_result, touch_spans
+from procedures.world_frame import WorldFrame
+
+TABLE = "touch"
+
+
+class TouchStation:
+    """Holds the station, touches, keeps the base; the calibration is written when the run ends."""
+
+    name = "touch"
+    needs = "a calibration of this cell, {W}"
+    moves = "the slide to the station, the robot to corrected poses spread over the cube"
+    measures = "the flange reflector at every pose"
+    yields = "the station's base frame on this visit, in a calibration of its own"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse a station that is not calibrated, and poses out of reach."""
+        station = station_of(cell)
+        _entry(calibration_named(cell, TABLE), station)
+        touches = touch_spans(cell, station)
+        if not touches:
+            raise HilcellError(
+                "touch.poses is 0, or the plan is quick: nothing would be touched; give "
+                "--set touch.poses=8 without plan.quick",
+                code="HC-C10",
+            )
+        way_s = approach_s(cell, cell.rail.travel_min_mm, station)
+        planned = step(self.name, touches[0].measured, touches)
+        return Step(planned.name, planned.points, planned.duration_s + way_s)
+
+    def perform(self, session: CellSession) -> None:
+        """Adopt the calibration's frames, touch, and journal that it is done."""
+        calibration, station = use(session, TABLE), station_of(session.cell)
+        reference = session.cell.station_named(session.cell.grid.station)
+        for each in (reference, station):
+            key, entry = f"station.{each.name}", _entry(calibration, each)
+            if key not in session.log.frames:
+                T_W_S, covariance = np.array(entry.T_W_S), np.array(entry.covariance)
+                session.frame(key, T_W_S, covariance=covariance)
+        base_for_commands(session, station, calibration.error_model())
+        if "touch" not in session.log.verdicts:
+            session.verdict("touch", holds=True, station=station.name)
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return what the touch poses found."""
+        return touch_result(log)
+
+
+def station_of(cell: Cell) -> Station:
+    """Return the station that is touched; raises `SettingsError` for one that is unknown."""
+    return cell.station_named(cell.touch.station or cell.grid.station)
+
+
+def _entry(calibration: Calibration, station: Station) -> Any:
+    if station.name not in calibration.stations:
+        known = ", ".join(calibration.stations)
+        raise NoCalibration(
+            f"station {station.name} is not calibrated by run {calibration.provenance.latest}; "
+            f"calibrated: {known}"
+        )
+    return calibration.stations[station.name]
+
+
+def touch_table(result: dict[str, Any]) -> Table:
+    """Return by how much the base was moved, and its uncertainty before and after."""
+    headers = ["station", "poses", "along rail mm", "shift mm", "turn urad", "u before mm", "u mm"]
+    rows = [
+        [
+            name,
+            str(found["poses"]),
+            f"{found['along_rail_mm']:+.4f}",
+            f"{np.linalg.norm(found['shift_mm']):.4f}",
+            f"{np.linalg.norm(found['turn_urad']):.1f}",
+            f"{found['u_before_mm']:.4f}",
+            f"{found['u_after_mm']:.4f}",
+        ]
+        for name, found in result.get("touch", {}).items()
+    ]
+    return headers, rows
+
+
+TOUCH = Procedure(
+    "touch",
+    "before work at a station: its base frame on this visit, for corrected programs",
+    (Home(), WorldFrame(), TouchStation()),
+    touch_table,
+    uses=TABLE,
+)
