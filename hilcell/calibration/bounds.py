@@ -149,7 +149,8 @@ def _bounds(
     model_mm2 = calibration.error_model().predict(inverse(T_W_B) @ poses).covariance_mm2
     if not np.isfinite(model_mm2).all():
         raise NoBound(f"its error model {calibration.method} states no covariance; calibrate again")
-    return bounds_of(model_mm2, lines, T_W_B, poses)
+    samples = _stated(calibration).model_samples
+    return bounds_of(model_mm2, lines, T_W_B, poses, samples)
 
 
 def _poses(calibration: Calibration, places_mm: Array) -> Array:

@@ -26,6 +26,7 @@ from hilcell.calibration.influence import (
     Uncertainty,
     motion,
     moved_frame,
+    no_less_than_nought,
 )
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
@@ -37,6 +38,8 @@ from hilcell.ports import Array
 RECTANGULAR = 3.0  # a half-width's square over the variance (GUM 4.3.7)
 NO_VISITS = "the run visited no place again, so that the robot's repeatability is not known"
 TEMPERATURE = "Temperature of the arm"
+LARGE_AXES = [0, 1, 2]  # whose errors have levers of metres
+SAME_DEG = 0.1  # of a joint's angle: less than half the shortest wave of a gear
 
 
 def uncertainty_of(log: Log) -> Uncertainty:
@@ -57,7 +60,22 @@ def uncertainty_of(log: Log) -> Uncertainty:
         {station.name: _placed(log, station) for station in log.cell.station},
         stated.arm_growth_um_m_k * 1e-6,
         stated.air_range_k,
+        _model_samples(log),
     )
+
+
+def _model_samples(log: Log) -> int | None:
+    """Return from how many different poses the model's residual was estimated, if any.
+
+    Without the curves of axis sweeps it is mostly the gears', and repeats where a joint's angle
+    repeats: a grid of 64 poses may show no more than 16 different errors of axis 1.
+    """
+    points = log.select("grid")
+    if log.verdicts.get("fit", {}).get("curves", {}).get("used", False) or not points:
+        return len(points) or None
+    joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
+    angles = np.round(joints_deg[:, LARGE_AXES] / SAME_DEG)
+    return min(len(np.unique(each)) for each in angles.T)
 
 
 def _repeatability(log: Log) -> Influence:
@@ -67,13 +85,12 @@ def _repeatability(log: Log) -> Influence:
     left_mm = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds_mm]) @ R.T
     count = len(left_mm) - len(clouds_mm)
     scatter_mm2 = left_mm.T @ left_mm / count
-    robot_mm2 = _no_less_than_nought(
-        scatter_mm2 - _mean_reading_mm2(log.select("repeatability"), R)
-    )
+    robot_mm2 = no_less_than_nought(scatter_mm2 - _mean_reading_mm2(log.select("repeatability"), R))
     return Influence(
         "Robot repeatability", MEASURED,
         f"{len(left_mm)} visits of {len(clouds_mm)} places, less the readings' noise", "4.2.4",
-        "base", motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, count)), alone=True,
+        "base", motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, count)),
+        within_model=True, alone=True,
     )  # fmt: skip
 
 
@@ -255,13 +272,6 @@ def _mean_reading_mm2(points: Sequence[Point], R: Array) -> Array:
     """Return the mean covariance (3, 3) of averaged readings, turned by ``R`` (3, 3)."""
     turned: Array = R @ np.diag(_reading_mm2(points).mean(axis=0)) @ R.T
     return turned
-
-
-def _no_less_than_nought(covariance: Array) -> Array:
-    """Return the nearest covariance without negative variances."""
-    values, axes = np.linalg.eigh(covariance)
-    found: Array = (axes * np.maximum(values, 0.0)) @ axes.T
-    return found
 
 
 def _finite(freedom: float) -> float | None:

@@ -117,6 +117,8 @@ def _uncertainty(calibration: Calibration) -> Iterator[str]:
     if stated.stations.keys() != calibration.stations.keys():
         found = ", ".join(stated.stations) or "none"
         yield f"uncertainty.stations: of {found[:40]}, wanted the same as in stations"
+    if stated.model_samples is not None and not stated.model_samples > 0:
+        yield f"uncertainty.model_samples: {stated.model_samples}, wanted above 0"
     for name, value in (("growth_per_k", stated.growth_per_k), ("air_range_k", stated.air_range_k)):
         if not 0 <= value <= MOST_C:
             yield f"uncertainty.{name}: {value:g}, wanted 0 .. {MOST_C:g}"

@@ -8,7 +8,7 @@ frames whose rotation counts by its lever, for an arm that grows and for a beam 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from hilcell.geometry.frames import cross_matrix
-from hilcell.geometry.statistics import bounds95_mm, effective_freedom
+from hilcell.geometry.statistics import bounds95_mm, effective_freedom, trace_freedom
 from hilcell.ports import Array, HilcellError
 
 MEASURED, ASSUMED = "measured in this run", "stated assumption"
@@ -35,6 +35,8 @@ class Influence(msgspec.Struct, frozen=True):
     {T} of the target. ``freedom`` are the degrees of freedom of its estimate, None where it is
     taken as known. It may count for targets in use or in the run's validation alone. A
     line that is ``alone`` differs from visit to visit; the others move all targets together.
+    ``within_model``: the error model's covariance has it in, because the model was learnt from
+    single visits; only what exceeds it is then the model's.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Influence(msgspec.Struct, frozen=True):
     freedom: float | None = None
     counts: Counts = "always"
     alone: bool = False
+    within_model: bool = False
 
     def at(self, frames: Array, targets_mm: Array) -> Array:
         """Return the covariances (N, 3, 3) in {W} at targets (N, 3) in {W}.
@@ -107,14 +110,16 @@ class Uncertainty(msgspec.Struct, frozen=True):
     """The budget as a calibration file keeps it: lines for all stations and for each.
 
     ``growth_per_k`` is the arm's, whose temperature is known only where targets are corrected;
-    ``air_range_k`` is taken where no weather station measured. ``missing`` says in words why no
-    bound can be stated; then there are no lines.
+    ``air_range_k`` is taken where no weather station measured. The model's residual rests on
+    ``model_samples`` poses that differ. ``missing`` says in words why no bound can be stated; then
+    there are no lines.
     """
 
     lines: list[Influence] = []
     stations: dict[str, list[Influence]] = {}
     growth_per_k: float = 0.0
     air_range_k: float = 0.0
+    model_samples: int | None = None
     missing: str = ""
 
 
@@ -156,18 +161,19 @@ class Bounds:
 
 
 def bounds_of(
-    model_mm2: Array, influences: Iterable[Influence], T_W_B: Array, poses: Array
+    model_mm2: Array,
+    influences: Sequence[Influence],
+    T_W_B: Array,
+    poses: Array,
+    model_samples: int | None = None,
 ) -> Bounds:
     """Return the bounds of targets at poses (N, 4, 4) in {W}.
 
-    ``model_mm2`` (N, 3, 3) is the error model's covariance in {B}, which stands at ``T_W_B``.
+    ``model_mm2`` (N, 3, 3) is the error model's covariance in {B}, which stands at ``T_W_B``;
+    its residual was estimated from ``model_samples`` poses that differ, None: it is known.
     """
     R = T_W_B[:3, :3]
     frames = {"world": np.eye(4), "base": T_W_B, "tool": poses}
-    model = Part(
-        MODEL, MEASURED, "parameters and residual, as its covariance states them", "5.2.2",
-        R @ model_mm2 @ R.T, math.inf,
-    )  # fmt: skip
     parts = [
         Part(
             each.name, each.source, each.how, each.clause,
@@ -176,4 +182,22 @@ def bounds_of(
         )
         for each in influences
     ]  # fmt: skip
+    model_mm2 = R @ model_mm2 @ R.T
+    for each, part in zip(influences, parts, strict=True):
+        if each.within_model:
+            model_mm2 = no_less_than_nought(model_mm2 - part.covariance_mm2)
+    freedom = math.inf
+    if model_samples is not None:
+        freedom = trace_freedom(model_mm2.mean(axis=0), model_samples)
+    model = Part(
+        MODEL, MEASURED, "parameters and residual, as its covariance states them", "5.2.2",
+        model_mm2, freedom,
+    )  # fmt: skip
     return Bounds([model, *parts])
+
+
+def no_less_than_nought(covariances: Array) -> Array:
+    """Return the nearest covariances (..., 3, 3) without negative variances."""
+    values, axes = np.linalg.eigh(covariances)
+    found: Array = (axes * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(axes, -1, -2)
+    return found

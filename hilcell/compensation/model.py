@@ -27,7 +27,8 @@ class Prediction:
     """Errors e = actual - nominal (N, 3) at N targets, and their covariances (N, 3, 3), NaN where
     a calibration states none.
 
-    Frame and coverage are the model's.
+    The covariance covers parameters, residual and the repeatability of one visit, as far as the
+    data that the model learnt from show it. The frame is the model's.
     """
 
     error_mm: Array

@@ -81,6 +81,7 @@ def test_repeatability_is_pooled_and_turned_and_less_the_readings(log: Log) -> N
     np.testing.assert_allclose(shift_mm2(line)[:2, :2], wanted)
     np.testing.assert_allclose(shift_mm2(line)[2], 0.0, atol=1e-12)  # all of z is the readings'
     assert line.frame == "base"
+    assert line.within_model
     assert line.freedom is not None
     assert 16 < line.freedom < 32
 
@@ -201,3 +202,17 @@ def test_a_touched_base_has_its_own_covariance(tmp_path: Path) -> None:
     assert "8 touch poses" in line.how
     at_2_m = line.at(np.eye(4), np.array([[-1850.0, -800.0, 2500.0]]))[0]
     assert at_2_m[0, 0] == pytest.approx(1e-4 + 4e-10 * 2000.0**2)
+
+
+def test_the_model_rests_on_poses_whose_angles_differ(tmp_path: Path) -> None:
+    writer = calibrated(tmp_path / "few")
+    assert uncertainty_of(writer.facts().log).model_samples is None
+    writer = calibrated(tmp_path / "grid")
+    for number in range(8):
+        id = PointId("grid", vertex=(number, 0, 0))
+        axes_deg = (number % 3 + 0.001 * number, 10.0 * number, -5.0 * number, 0.0, 0.0, 0.0)
+        writer.point(id, (0, 0, 0), commanded_deg=axes_deg)
+    log = writer.facts().log
+    assert uncertainty_of(log).model_samples == 3  # of axis 1
+    log.verdicts["fit"] = {"curves": {"used": True}}  # what is left is no gear's
+    assert uncertainty_of(log).model_samples == 8

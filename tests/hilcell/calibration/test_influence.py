@@ -96,3 +96,21 @@ def test_few_samples_widen_the_bound() -> None:
 
     assert bound(np.inf) == pytest.approx(2.795, abs=1e-3)
     assert bound(10.0) == pytest.approx(3.336, abs=1e-3)  # sqrt(3 F(3, 10))
+
+
+def test_what_the_model_has_in_counts_once() -> None:
+    """Of 9, 4 and 1 mm2 repeatability has 4: the model keeps what exceeds it."""
+    visits = influence(motion(4.0), within_model=True)
+    model_mm2 = np.diag([9.0, 4.0, 1.0])[None]
+    found = bounds_of(model_mm2, [visits], np.eye(4), np.eye(4)[None])
+    np.testing.assert_allclose(found.parts[0].covariance_mm2[0], np.diag([5.0, 0, 0]), atol=1e-12)
+    np.testing.assert_allclose(found.covariance_mm2[0], np.diag([9.0, 4.0, 4.0]), atol=1e-12)
+
+
+def test_a_model_from_few_poses_has_few_degrees_of_freedom() -> None:
+    model_mm2 = np.eye(3)[None]
+    few, many = (
+        bounds_of(model_mm2, [], np.eye(4), np.eye(4)[None], samples) for samples in (4, None)
+    )
+    assert few.parts[0].freedom == pytest.approx(12.0)
+    assert few.radii_mm[0] > 1.1 * many.radii_mm[0]
