@@ -24,6 +24,7 @@ from hilcell.run.sweeping import SweepOrder, record_sweep
 from procedures.durations import robot_moves_s
 from procedures.plan import check_range, check_reach
 
+LEFT_OUT = "axes not swept"
 WAYS = ("up", "down")
 LATTICE = 7  # places along each edge of the cube, whose joints are swept
 SEEN_AT = 20  # places of a sweep at which the reflector must be in the tracker's range
@@ -71,7 +72,7 @@ class AxisSweeps:
         """Sweep, and journal each axis's curve as soon as it is known, once."""
         cell = session.cell
         if reason := left_out(cell):
-            session.event("axes not swept", reason=reason)
+            session.event(LEFT_OUT, reason=reason)
             return
         for axis in axes_of(cell):
             if axis not in session.log.curves:
@@ -117,10 +118,10 @@ class AxisSweeps:
                 return
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return the figures of each axis."""
-        if reason := left_out(log.cell):
-            return {"sweeps": {"left_out": reason, "axes": []}}
-        return {"sweeps": {"axes": [figures_of(record) for record in log.curves.values()]}}
+        """Return the figures of each axis, or why none was swept."""
+        said = [r.body["reason"] for r in log.events if r.body["what"] == LEFT_OUT]
+        axes = [figures_of(record) for record in log.curves.values()]
+        return {"sweeps": {"left_out": said[-1] if said else "", "axes": axes}}
 
 
 def left_out(cell: Cell) -> str:
