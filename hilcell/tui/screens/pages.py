@@ -21,7 +21,7 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.text.alarms import alarm_page, interlock_page
 from hilcell.tui.text.help import help_lines
-from hilcell.tui.text.plots import PLOTS, draw
+from hilcell.tui.text.plots import MOST_PLOTS, PLOTS, draw, plots_of
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.tables import COLUMNS, record_row
 from hilcell.tui.widgets import Row, Table, TextField, TextPanel
@@ -188,7 +188,7 @@ class PlotPage(Page):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("left", "turn(-1)", show=False),
         Binding("right", "turn(1)", show=False),
-        *[Binding(str(n), f"choose({n - 1})", show=False) for n in range(1, 5)],
+        *[Binding(str(n + 1), f"choose({n})", show=False) for n in range(MOST_PLOTS)],
     ]
 
     def __init__(self) -> None:
@@ -211,20 +211,27 @@ class PlotPage(Page):
         if state == self._seen or now_s - self._drawn_s < REDRAW_S:
             return
         self._seen, self._drawn_s = state, now_s
-        plot = PLOTS[self._chosen](view.log)
-        title = f"Plot {self._chosen + 1} of {len(PLOTS)}: {plot.title}"
+        plots = plots_of(view.log)
+        plot = plots[self._chosen](view.log)
+        title = f"Plot {self._chosen + 1} of {len(plots)}: {plot.title}"
         self.panel("title").show(Content.styled(title, "bold"))
         height = max(self.app.size.height - 4, 6)
         self.panel("plot").show(draw(plot, self.line_width, height))
 
     def action_turn(self, step: int) -> None:
         """Choose the next plot."""
-        self.action_choose((self._chosen + step) % 4)
+        self.action_choose((self._chosen + step) % self._count)
 
     def action_choose(self, index: int) -> None:
-        """Choose a plot."""
-        self._chosen, self._drawn_s = index, -REDRAW_S
-        self.show(self.application.view)
+        """Choose a plot, if there is one of that number."""
+        if index < self._count:
+            self._chosen, self._drawn_s = index, -REDRAW_S
+            self.show(self.application.view)
+
+    @property
+    def _count(self) -> int:
+        view = self.application.view
+        return len(plots_of(view.log) if view is not None else PLOTS)
 
 
 FILE = "report.html"

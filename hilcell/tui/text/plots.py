@@ -110,16 +110,16 @@ def curves_plot(log: Log) -> Plot:
     return Plot("short-wave error of the swept axes", "0.1 deg", "urad", lines)
 
 
-PLOTS: tuple[Callable[[Log], Plot], ...] = (
-    errors_plot,
-    sorted_plot,
-    repeat_plot,
-    strip_plot,
-    curves_plot,
-)
+PLOTS: tuple[Callable[[Log], Plot], ...] = (errors_plot, sorted_plot, repeat_plot, strip_plot)
+MOST_PLOTS = len(PLOTS) + 1
 
 
-MARKS = ("o", "+", "x")
+def plots_of(log: Log) -> tuple[Callable[[Log], Plot], ...]:
+    """Return the plots of a run: that of the curves where axes were swept."""
+    return (*PLOTS, curves_plot) if log.curves else PLOTS
+
+
+MARKS = ("o", "+", "x", "*", "#", "@")
 TICKS = 5
 
 

@@ -106,6 +106,17 @@ def test_nothing_is_predicted_without_a_plan_or_a_pace() -> None:
     assert tape.remaining_s == pytest.approx(8 * 0.5 + CLOSING_S)
 
 
+def test_streams_are_the_measurements_of_sweeps() -> None:
+    tape = Tape()
+    tape.plan([step("axis-sweeps", 0, 80.0, span("sweep", 4, 80.0))], None, real=True)
+    tape.start()
+    tape.step(1)
+    for left_s in (60.0, 40.0):
+        tape.pass_s(20.0)
+        tape.write("event", what="stream")
+        assert tape.remaining_s == pytest.approx(left_s + CLOSING_S)
+
+
 def test_time_since_the_last_point_counts_for_the_next_but_for_no_more() -> None:
     tape = Tape()
     tape.plan([step("grid", 10, 50.0)], None, real=True)

@@ -19,6 +19,7 @@ from hilcell.tui.text.tables import (
     record_row,
     record_words,
 )
+from tests.hilcell.journal.test_curve_record import FOUND, body_of
 from tests.hilcell.tui.all_screens import RUNS
 from tests.hilcell.tui.sample_runs import sample_runs
 
@@ -43,6 +44,12 @@ TOLD: list[tuple[Kind, str, dict[str, Any], str]] = [
         "connected devices device Rail serial 1; device Robot",
     ),
     ("event", "", {"what": "step", "name": "fit", "number": 6}, "step name fit, number 6"),
+    (
+        "event",
+        "",
+        body_of(FOUND),
+        "curve of A2: 31.6 urad at 40.0, 20.0 urad at 203.5; lag 12.3 ms",
+    ),
     ("end", "", {"state": "finished", "exit": 0, "result": {}}, "finished, exit 0"),
 ]
 

@@ -1,0 +1,55 @@
+"""An axis's result in the journal: rebuilt as it was, and said in one line."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from hilcell.identification.curve import TransmissionCurve
+from hilcell.identification.sweeps import SweptAxis
+from hilcell.journal.curve_record import CurveRecord
+from hilcell.journal.journal import Record
+from hilcell.journal.log import Log
+
+CURVE = TransmissionCurve(
+    axis=1,
+    cycles=np.array([40.0, 203.5]),
+    amplitude_rad=np.array([[30e-6, -10e-6], [0.0, 20e-6]]),
+    covariance_rad2=1e-12 * np.eye(4),
+    shift_rad=0.0,
+    shift_sigma_rad=50e-6,
+    low_rad=-1.0,
+    high_rad=0.2,
+    noise_rad=5e-6,
+)
+FOUND = SweptAxis(
+    1,
+    curve=CURVE,
+    lag_s=0.0123,
+    noise_rad=5e-6,
+    shown_rad=np.column_stack([np.linspace(-1.0, 0.2, 9), np.full((9, 2), 12e-6)]),
+    spectrum=np.array([[24.0, 1e-6], [25.0, 2e-6]]),
+)
+
+
+def body_of(found: SweptAxis) -> dict[str, object]:
+    body: dict[str, object] = msgspec.to_builtins(CurveRecord.of(found))
+    return {"what": "curve"} | body
+
+
+def test_a_log_has_the_curve_as_it_was() -> None:
+    log = Log([Record(1, "", "event", "", body_of(FOUND))])
+    found = log.curves[2].curve()
+    for name in ("axis", "shift_sigma_rad", "low_rad", "high_rad", "noise_rad"):
+        assert getattr(found, name) == getattr(CURVE, name)
+    q = np.linspace(-1.0, 0.2, 50)
+    np.testing.assert_array_equal(found.evaluate(q), CURVE.evaluate(q))
+    np.testing.assert_array_equal(found.covariance_rad2, CURVE.covariance_rad2)
+    assert log.curves[2].words == "A2: 31.6 urad at 40.0, 20.0 urad at 203.5; lag 12.3 ms"
+
+
+def test_a_result_without_a_curve_says_why() -> None:
+    record = CurveRecord.of(SweptAxis(4, "upwards: 9 samples"))
+    assert not record.holds
+    assert record.words == "A5 not used: upwards: 9 samples"
+    assert len(record.curve().cycles) == 0

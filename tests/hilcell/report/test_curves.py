@@ -1,0 +1,45 @@
+"""The report's table and pictures of swept axes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hilcell.identification.sweeps import SweptAxis
+from hilcell.report.curves import curves
+from hilcell.report.html import report_html
+from hilcell.tui.text.plots import PLOTS, curves_plot, draw, plots_of
+from tests.hilcell.journal.test_curve_record import FOUND, body_of
+from tests.hilcell.report.journals import validated_run
+from tests.hilcell.report.pages import Page
+
+
+def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r")
+    writer.journal.append("event", "", body_of(FOUND))
+    writer.journal.append("event", "", body_of(SweptAxis(4, "upwards: 9 samples")))
+    writer.state("calibration", "validated")
+    facts = writer.facts()
+    sheet = curves(facts)
+    assert sheet is not None
+    assert [row[:3] for row in sheet.rows] == [
+        ["A2", "40.0: 31.6, 203.5: 20.0", "yes"],
+        ["A5", "none", "no: upwards: 9 samples"],
+    ]
+    page = Page(report_html(facts))
+    assert "figure-curves" in page.ids
+    assert "Transmission errors" in page.text
+    assert "A2: 31.6 urad at 40.0" in page.text  # in the course of the run
+    plot = curves_plot(facts.log)
+    assert [line.name for line in plot.lines] == ["A2", "A5"]
+    assert "short-wave" in plot.title
+    assert plots_of(facts.log)[-1] is curves_plot
+    assert "A2" in draw(plot, 60, 12).plain
+
+
+def test_a_run_without_sweeps_has_neither(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r")
+    writer.state("calibration", "validated")
+    facts = writer.facts()
+    assert curves(facts) is None
+    assert "figure-curves" not in Page(report_html(facts)).ids
+    assert plots_of(facts.log) == PLOTS
