@@ -5,8 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fakes.arm_truth import ArmTruth
+from fakes.joint_errors import Ripple
+from fakes.machine import machine_of
+from fakes.noise import KeyedNoise
 from hilcell.calibration.errors import errors_of
 from hilcell.calibration.file import read_calibration
+from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.runs import CALIBRATION, read_log
 from tests.hilcell.compensation.models import level
@@ -49,6 +54,25 @@ def test_the_same_seed_gives_the_same_figures(
 ) -> None:
     again = hilcell("run", *RUNS[name], "--json", "--runs", tmp_path, limit_s=LIMIT_S)
     assert end_of(again)["result"] == golden[name].result
+
+
+def test_sweeps_find_the_lines_of_the_machine_s_gears(golden: GoldenRuns) -> None:
+    ripple = truth_of_ripple(3)
+    found = {each["axis"]: each for each in golden["calibration"].result["sweeps"]["axes"]}
+    assert sorted(found) == [1, 2, 3, 5]
+    for axis, each in found.items():
+        assert each["used"], each["reason"]
+        true = zip(ripple.cycles[axis - 1], ripple.amplitude_rad[axis - 1] * 1e6, strict=True)
+        large = sorted((n, size) for n, size in true if size > 5.0)
+        np.testing.assert_allclose(each["cycles"], [n for n, _ in large], atol=0.5)
+        np.testing.assert_allclose(each["amplitude_urad"], [a for _, a in large], atol=3.0)
+        assert abs(each["lag_ms"]) < 20.0
+
+
+def truth_of_ripple(seed: int) -> Ripple:
+    cell = load_cell("paper")
+    rng = KeyedNoise(seed).generator("arm")
+    return ArmTruth(machine_of(cell), cell.robot.smr_mm, rng).ripple
 
 
 def test_events_are_the_journal(golden: GoldenRuns) -> None:
