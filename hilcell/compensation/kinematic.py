@@ -27,6 +27,7 @@ from hilcell.identification.observability import observability
 from hilcell.identification.prediction import predict
 from hilcell.identification.readings import IdentificationError, Readings
 
+CLEARLY = 0.98  # of the mean miss of poses left out, for more parameters to be taken
 FOLDS = 5  # each fifth pose is predicted by the others
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
 MOST_CYCLES = 1e4
@@ -74,6 +75,7 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     robot: RobotEntry
     gravity: bool
     waves: bool
+    tool: bool
     curves: list[CurveEntry]
     base: list[list[float]]
     reflector_mm: list[float]
@@ -152,6 +154,7 @@ class Kinematic:
             ),
             self.kinematics.gravity,
             self.kinematics.waves,
+            self.kinematics.tool,
             [CurveEntry(curve.axis, curve.cycles.tolist()) for curve in self.kinematics.curves],
             self.state.T.tolist(),
             self.state.smr_mm[0].tolist(),
@@ -177,7 +180,9 @@ class Kinematic:
             raise ModelError(f"no identified robot: {error}") from error
         robot = _robot(entry.robot)
         curves = tuple(_curve(curve) for curve in entry.curves)
-        kinematics = Kinematics(robot.arm, 1, entry.gravity, entry.waves, curves)
+        kinematics = Kinematics(
+            robot.arm, gravity=entry.gravity, waves=entry.waves, tool=entry.tool, curves=curves
+        )
         placed, size = kinematics.placed, len(kinematics.names)
         covariance = _numbers("covariance", entry.covariance, (size, size), MOST_MM)
         _check_covariance(covariance)
@@ -192,7 +197,7 @@ class Kinematic:
         )
         if not (scatter >= 0.0).all():
             raise ModelError("reading_mm and joint_rad: a standard deviation below zero")
-        noise = Noise(float(scatter[0]), scatter[1:])
+        noise = Noise(float(scatter[0]), 0.0, scatter[1:])
         return cls(
             robot, kinematics, state, covariance, noise, entry.decision, entry.directions,
             entry.condition, entry.outliers,
@@ -220,7 +225,8 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
     arm = measured.robot.arm
     kinematics = Kinematics(arm, assumed=ASSUMED)
     start = kinematics.start(np.eye(4), arm.tool[None, :3, 3])
-    without = identify(kinematics, readings, start)
+    without = _better(identify(kinematics, readings, start), replace(kinematics, tool=True))
+    kinematics = without.kinematics
     curves = tuple(curve for curve in measured.curves if len(curve.cycles))
     if not curves:
         found = "found no wave" if measured.curves else "were not made"
@@ -228,13 +234,25 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
     kinematics = replace(kinematics, curves=curves)
     start = kinematics.start(without.state.T, without.state.smr_mm)
     with_ = identify(kinematics, readings, start)
-    both = [float(lengths_mm(_left_out_mm(each)).mean()) for each in (with_, without)]
+    both = [_mean_mm(each) for each in (with_, without)]
     used = both[0] < both[1]
     reason = (
         f"{'used' if used else 'not used'}: static poses that no sweep saw, left out in turn, are "
         f"missed by {both[0]:.4f} mm in the mean with the curves and by {both[1]:.4f} mm without"
     )
     return (with_ if used else without), CurvesUsed(used, reason, *both)
+
+
+def _better(estimate: Estimate, richer: Kinematics) -> Estimate:
+    """Return the identification of richer kinematics where poses left out clearly want it."""
+    start = richer.start(estimate.state.T, estimate.state.smr_mm)
+    other = identify(richer, estimate.readings, start)
+    return other if _mean_mm(other) < CLEARLY * _mean_mm(estimate) else estimate
+
+
+def _mean_mm(estimate: Estimate) -> float:
+    """Return the mean miss of poses left out."""
+    return float(lengths_mm(_left_out_mm(estimate)).mean())
 
 
 def _left_out_mm(estimate: Estimate) -> Array:

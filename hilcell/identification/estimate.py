@@ -53,7 +53,7 @@ def identify(kinematics: Kinematics, readings: Readings, start: State) -> Estima
             f"kinematics: {poses} poses, wanted at least {LEAST_POSES}; measure more"
         )
     state, outliers = _robust(kinematics, readings, start)
-    noise = Noise.typical()
+    noise = Noise.typical(kinematics.reflectors)
     for _ in range(ROUNDS):
         _refuse_too_many(outliers, readings)
         kept = readings.without(outliers)
@@ -104,8 +104,7 @@ def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[S
             readings,
             covariance_mm2=readings.covariance_mm2 + excess[..., None, None] * np.eye(3),
         )
-        independent = Noise(scale_mm, np.full(6, 1e-9))
-        system = System.at(kinematics, state, weighted, independent)
+        system = System.at(kinematics, state, weighted, Noise.independent(scale_mm))
         state = kinematics.moved(state, system.step)
         missed = readings.xyz_mm - kinematics.positions_mm(state, readings.joints_rad)
         lengths_mm = np.linalg.norm(np.where(readings.known[..., None], missed, 0.0), axis=-1)

@@ -1,8 +1,10 @@
-"""How gravity loads axes 2 and 3: the slopes of upper arm and forearm against the horizontal.
+"""How gravity loads the axes: by the arm's own weight, and by the weight of a tool.
 
 The base's z is taken as vertical, up or down. A link whose mass lies on its line loads an axis
-behind it by the cosine of its slope; mass beside the line adds the sine. So a coefficient is the
-joint's deflection (rad) where its load is greatest.
+behind it by the cosine of its slope against the horizontal; mass beside the line adds the sine. A
+tool loads every axis, by a lever to the flange and by one from there to its centre of mass, of
+which nothing is known: one coefficient for each of its coordinates. A coefficient is a joint's
+deflection (rad) where its load is greatest.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import numpy as np
 
 from hilcell.geometry.kinematics import Arm, Array, link_transforms
 
+LEAST_REACH_MM = 1.0
 AXES = (1, 1, 1, 1, 2, 2)
 NAMES = (
     "axis 2: cos upper arm",
@@ -19,6 +22,10 @@ NAMES = (
     "axis 2: sin forearm",
     "axis 3: cos forearm",
     "axis 3: sin forearm",
+)
+TOOL_AXES = tuple(axis for axis in range(6) for _ in range(4))
+TOOL_NAMES = tuple(
+    f"axis {axis + 1}: tool {lever}" for axis in range(6) for lever in ("flange", "x", "y", "z")
 )
 
 
@@ -39,6 +46,24 @@ def gravity_basis(arm: Arm, joints_rad: Array) -> Array:
         _lever(axis_3, fore),
         fore[..., 2],
     ]
+    return np.stack(columns, axis=-1)
+
+
+def tool_basis(arm: Arm, joints_rad: Array) -> Array:
+    """Return a tool's loads (..., 24), -1 .. 1: of each axis in turn by the flange's lever, over
+    the longest there is, and by a mass off the flange along its x, y and z.
+    """
+    links = link_transforms(arm, joints_rad)
+    frames = [np.broadcast_to(np.eye(4), links[..., 0, :, :].shape)]
+    for row in range(6):
+        frames.append(frames[-1] @ links[..., row, :, :])
+    lengths_mm = np.abs(arm.a_mm) + np.abs(arm.d_mm)
+    flange, columns = frames[6], []
+    for row in range(6):
+        reach_mm = max(float(lengths_mm[row:].sum()), LEAST_REACH_MM)
+        axis = frames[row][..., :3, 2]
+        columns.append(_lever(axis, (flange[..., :3, 3] - frames[row][..., :3, 3]) / reach_mm))
+        columns += [_lever(axis, flange[..., :3, n]) for n in range(3)]
     return np.stack(columns, axis=-1)
 
 

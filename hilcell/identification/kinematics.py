@@ -1,15 +1,16 @@
 """A robot with kinematic errors: its unknown parameters, and where its reflectors then are.
 
 Unknown are the base frame, the reflectors on the flange, the link parameters after Denavit,
-Hartenberg and Hayati, the deflection of axes 2 and 3 by gravity, one and two waves a revolution
-of each joint, and the amplitudes and shift of given transmission curves. Many of them do the same
-to a tool point (d of the parallel axes 2 and 3, base and first link, reflector and last link);
-priors decide between those, so the parameters may be arbitrary where the positions are not.
+Hartenberg and Hayati, the deflection of axes 2 and 3 by gravity and of all by a tool's weight, one
+and two waves a revolution of each joint, and the amplitudes and shift of given transmission curves.
+Many of them do the same to a tool point (d of the parallel axes 2 and 3, base and first link,
+reflector and last link); priors decide between those, so the parameters may be arbitrary where the
+positions are not.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -68,13 +69,15 @@ class Kinematics:
     """Which errors a robot may have. ``arm`` is nominal, its tool frame is not used.
 
     P parameters are ordered: base (shift in mm, rotation vector about its origin), reflectors,
-    links by kind and row, then as far as they are wanted gravity, waves, curves.
+    links by kind and row, then as far as they are wanted gravity, waves, tool, curves.
     """
 
     arm: Arm
     reflectors: int = 1
+    _: KW_ONLY
     gravity: bool = True
     waves: bool = True
+    tool: bool = False
     curves: tuple[TransmissionCurve, ...] = ()
     assumed: Placed = Placed()
 
@@ -100,6 +103,8 @@ class Kinematics:
                 for order in ORDERS
                 for wave in ("cos", "sin")
             ]
+        if self.tool:
+            names += [f"{name} rad" for name in gravity.TOOL_NAMES]
         for curve in self.curves:
             axis = f"axis {curve.axis + 1}"
             names += [f"{axis}: {w} {n:g}q rad" for n in curve.cycles for w in ("cos", "sin")]
@@ -118,6 +123,7 @@ class Kinematics:
             *[assumed.reflector_mm] * (3 * self.reflectors),
             *np.repeat(links, 6), *[GRAVITY_RAD] * (len(gravity.AXES) if self.gravity else 0),
             *[WAVE_RAD] * (12 * len(ORDERS) if self.waves else 0),
+            *[GRAVITY_RAD] * (len(gravity.TOOL_AXES) if self.tool else 0),
         ]  # fmt: skip
         size = len(sigmas) + sum(2 * len(curve.cycles) + 1 for curve in self.curves)
         mean, covariance = np.zeros(size), np.zeros((size, size))
@@ -202,6 +208,9 @@ class Kinematics:
         if self.waves:
             blocks.append(_waves(joints))
             axes += [axis for axis in range(6) for _ in range(2 * len(ORDERS))]
+        if self.tool:
+            blocks.append(gravity.tool_basis(self.arm, joints))
+            axes += gravity.TOOL_AXES
         values = state.values[LINKS:]
         linear = len(axes)
         for curve in self.curves:

@@ -1,8 +1,12 @@
 """How far readings scatter about a smooth model, and its estimate from the poses themselves.
 
-Two sources: the tracker's own beyond what the readings' covariance says, independent from reading
-to reading; and the joints' (repeatability, and short waves of gears that no parameter describes),
-common to all reflectors of a pose.
+Three sources: the tracker's own beyond what the readings' covariance says, independent from reading
+to reading; a shift common to all reflectors of a pose; and the joints' (repeatability, and short
+waves of gears that no parameter describes). One that is zero is absent and stays so.
+
+Several reflectors are not described by noise of the joints: where the wrist is nearly singular it
+claims that the robot cannot miss in some direction, and the few poses there outweigh all others
+(two real robots, `docs/decisions/0027-kinematic-identification.md`).
 """
 
 from __future__ import annotations
@@ -20,15 +24,23 @@ DOUBT = 4.0  # readings' worth of data that the typical values count for
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Standard deviations: of a coordinate of a reading, and of the joints (6,)."""
+    """Standard deviations: of a coordinate of a reading, of a pose, and of the joints (6,)."""
 
     reading_mm: float
+    pose_mm: float
     joint_rad: Array
 
     @classmethod
-    def typical(cls) -> Noise:
-        """Return what is assumed before anything is known."""
-        return cls(TYPICAL_MM, np.full(6, TYPICAL_RAD))
+    def typical(cls, reflectors: int) -> Noise:
+        """Return the sources that are estimated: the joints with one reflector, or else a shift."""
+        if reflectors == 1:
+            return cls(TYPICAL_MM, 0.0, np.full(6, TYPICAL_RAD))
+        return cls(TYPICAL_MM, TYPICAL_MM, np.zeros(6))
+
+    @classmethod
+    def independent(cls, reading_mm: float) -> Noise:
+        """Return noise of the readings alone."""
+        return cls(reading_mm, 0.0, np.zeros(6))
 
     def covariance(self, by_joint: Array, own_mm2: Array, known: Bools) -> Array:
         """Return the covariances (M, 3K, 3K) of the poses' readings.
@@ -36,10 +48,10 @@ class Noise:
         ``by_joint`` (M, K, 3, 6) and each reading's own covariance (M, K, 3, 3). An unknown
         reading (M, K) has variance 1 and no part in the others.
         """
-        count, reflectors = known.shape
-        levers = np.where(known[..., None, None], by_joint, 0.0).reshape(count, -1, 6)
+        levers, shifts = _joined(by_joint, known), _shifts(known)
         C: Array = np.einsum("mij,j,mkj->mik", levers, self.joint_rad**2, levers)
-        for k in range(reflectors):
+        C += self.pose_mm**2 * shifts @ np.swapaxes(shifts, 1, 2)
+        for k in range(known.shape[1]):
             at = slice(3 * k, 3 * k + 3)
             own = own_mm2[:, k] + self.reading_mm**2 * np.eye(3)
             C[:, at, at] += np.where(known[:, k, None, None], own, np.eye(3))
@@ -53,27 +65,48 @@ class Noise:
         sigma^2 <- sigma^2 sqrt(y'P V P y / tr P V) (Zhou et al., J. Comp. Graph. Stat. 2019).
         """
         rows = np.repeat(known, 3, axis=1)
-        levers = np.where(known[..., None, None], by_joint, 0.0).reshape(len(known), -1, 6)
         found = float(np.sum(np.where(rows, weighted, 0.0) ** 2))
         wanted = float(np.sum(np.where(rows, np.einsum("mii->mi", precision), 0.0)))
         reading = _step(self.reading_mm, found, wanted, TYPICAL_MM)
-        turned = np.einsum("mij,mi->mj", levers, weighted)
-        each_found = np.sum(turned**2, axis=0)
-        each_wanted = np.einsum("mij,mik,mkj->j", levers, precision, levers)
-        common = float(np.exp(np.mean(np.log(self.joint_rad))))
-        joint = [
-            _step(float(sigma), float(f), float(w), common)
-            for sigma, f, w in zip(self.joint_rad, each_found, each_wanted, strict=True)
-        ]
-        return Noise(reading, np.array(joint))
+        pose = self.pose_mm
+        if pose > 0.0:
+            of_pose = _components(_shifts(known), weighted, precision)
+            pose = _step(pose, float(of_pose[0].sum()), float(of_pose[1].sum()), TYPICAL_MM)
+        joint = self.joint_rad
+        if joint.all():
+            common = float(np.exp(np.mean(np.log(joint))))
+            pairs = zip(*_components(_joined(by_joint, known), weighted, precision), strict=True)
+            joint = np.array([
+                _step(float(sigma), float(f), float(w), common)
+                for sigma, (f, w) in zip(joint, pairs, strict=True)
+            ])  # fmt: skip
+        return Noise(reading, pose, joint)
 
     def changed(self, before: Noise) -> float:
-        """Return the largest relative change of a standard deviation."""
+        """Return the largest relative change of a standard deviation that is not zero."""
         now, then = (
-            np.append(self.joint_rad, self.reading_mm),
-            np.append(before.joint_rad, before.reading_mm),
+            np.array([noise.reading_mm, noise.pose_mm, *noise.joint_rad])
+            for noise in (self, before)
         )
-        return float(np.abs(np.log(now / then)).max())
+        return float(np.abs(np.log(now[now > 0.0] / then[now > 0.0])).max())
+
+
+def _components(factors: Array, weighted: Array, precision: Array) -> tuple[Array, Array]:
+    """Return y'P V P y and tr P V (J,) of the sources V = F F' by their factors (M, 3K, J)."""
+    found = np.sum(np.einsum("mij,mi->mj", factors, weighted) ** 2, axis=0)
+    wanted = np.sum(factors * (precision @ factors), axis=(0, 1))
+    return found, wanted
+
+
+def _joined(by_joint: Array, known: Bools) -> Array:
+    """Return the joints' levers (M, 3K, 6), zero for unknown readings."""
+    return np.where(known[..., None, None], by_joint, 0.0).reshape(len(known), -1, 6)
+
+
+def _shifts(known: Bools) -> Array:
+    """Return how a shift of the pose moves its readings (M, 3K, 3)."""
+    shifts = known[..., None, None] * np.eye(3)
+    return shifts.reshape(len(known), -1, 3)
 
 
 def _step(sigma: float, found: float, wanted: float, typical: float) -> float:

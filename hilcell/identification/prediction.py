@@ -32,4 +32,4 @@ def predict(
         covariances[part] = carried @ np.swapaxes(J, -1, -2)
         levers = found.by_joint * noise.joint_rad
         covariances[part] += levers @ np.swapaxes(levers, -1, -2)
-    return positions, covariances + noise.reading_mm**2 * np.eye(3)
+    return positions, covariances + (noise.reading_mm**2 + noise.pose_mm**2) * np.eye(3)

@@ -64,7 +64,7 @@ def test_a_robot_without_errors_is_nominal() -> None:
 def test_names_are_as_many_as_parameters() -> None:
     for kinematics in (
         Kinematics(ARM),
-        Kinematics(ARM, 3, False, False),
+        Kinematics(ARM, 3, gravity=False, waves=False),
         Kinematics(ARM, 1, curves=CURVES),
     ):
         mean, covariance = kinematics.prior()

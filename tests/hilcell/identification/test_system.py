@@ -10,7 +10,7 @@ from tests.hilcell.identification.robots import ARM, Robot, curve
 
 CLOSE = Placed(2.0, 2e-3, 2.0)  # so that the dense matrices are well conditioned
 KINEMATICS = Kinematics(ARM, 2, waves=False, curves=(curve(1, (40.0,)),), assumed=CLOSE)
-NOISE = Noise(0.02, np.array([30e-6, 20e-6, 10e-6, 50e-6, 40e-6, 60e-6]))
+NOISE = Noise(0.02, 0.01, np.array([30e-6, 20e-6, 10e-6, 50e-6, 40e-6, 60e-6]))
 
 
 @pytest.fixture(scope="module")
