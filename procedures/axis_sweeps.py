@@ -21,7 +21,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_sweep
 from hilcell.run.procedure import Span, Step, Table
 from hilcell.run.sweeping import SweepOrder, record_sweep
-from procedures.durations import robot_moves_s
+from procedures.durations import first_pass_percent, robot_moves_s
 from procedures.plan import check_range, check_reach
 
 LEFT_OUT = "axes not swept"
@@ -61,8 +61,10 @@ class AxisSweeps:
                 world_mm = apply(cell.layout.nominal_base(station.rail_mm), at_mm)
                 check_range(cell, world_mm, f"A{axis} swept {way}")
                 turn_deg = float(np.degrees(np.abs(end_rad - start_rad).max()))
-                seconds += float(robot_moves_s(cell, here_rad, start_rad - approach_rad))
-                seconds += float(robot_moves_s(cell, start_rad - approach_rad, start_rad))
+                percent = first_pass_percent(cell, start_rad[None])[0]
+                below_rad = start_rad - approach_rad
+                seconds += float(robot_moves_s(cell, here_rad, below_rad, percent))
+                seconds += float(robot_moves_s(cell, below_rad, start_rad, percent))
                 seconds += cell.settle.robot_s + STREAM_S + turn_deg / cell.sweeps.speed_deg_s
                 here_rad = end_rad
         count = len(WAYS) * len(axes_of(cell))

@@ -13,6 +13,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.ports import Array
+from hilcell.run.clear_ways import leaves_cube
 from hilcell.run.procedure import Span, Step
 
 SEEN_S = 0.06  # until a driver has looked often enough to see that a motion has ended
@@ -37,10 +38,15 @@ def floor_points(cell: Cell) -> Span:
     return readings(cell, len(cell.layout.floor), cell.nest_samples)
 
 
-def robot_moves_s(cell: Cell, from_rad: Array, to_rad: Array) -> Array:
-    """Return (N,) s for motions PTP between joints (N, 6): the slowest axis rules each."""
+def robot_moves_s(
+    cell: Cell, from_rad: Array, to_rad: Array, percent: Array | None = None
+) -> Array:
+    """Return (N,) s for motions PTP between joints (N, 6): the slowest axis rules each.
+
+    At ``percent`` (N,) of the axes' speed, or at the cell's.
+    """
     speeds_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
-    share = cell.robot.speed_percent / 100.0
+    share = (cell.robot.speed_percent if percent is None else percent) / 100.0
     at_full_speed_s = np.max(np.abs(to_rad - from_rad) / speeds_rad_s, axis=-1)
     ramp_s = cell.robot.ramp_s * share
     trapezoid_s = at_full_speed_s / share + ramp_s
@@ -54,11 +60,19 @@ def flange_points(cell: Cell, joints_rad: Array) -> Span:
     approach_rad = np.radians(cell.robot.approach_deg)
     safe_rad = np.radians(cell.robot.safe_deg)
     before_rad = np.vstack([safe_rad, joints_rad[:-1]])
-    there_s = robot_moves_s(cell, before_rad, joints_rad - approach_rad)
-    landing_s = robot_moves_s(cell, joints_rad - approach_rad, joints_rad)
+    percent = first_pass_percent(cell, joints_rad)
+    there_s = robot_moves_s(cell, before_rad, joints_rad - approach_rad, percent)
+    landing_s = robot_moves_s(cell, joints_rad - approach_rad, joints_rad, percent)
     at_each_s = cell.settle.robot_s + measure_s(cell, cell.tracker.samples)
     seconds = float(np.sum(there_s + landing_s)) + len(joints_rad) * at_each_s
     return Span("flange", len(joints_rad), seconds)
+
+
+def first_pass_percent(cell: Cell, joints_rad: Array) -> Array:
+    """Return the speeds (N,) to joints (N, 6) on the first pass: no plan knows of runs before."""
+    usual = cell.robot.speed_percent
+    slow = usual if cell.surroundings is None else min(cell.robot.first_pass_percent, usual)
+    return np.where(leaves_cube(cell, joints_rad), slow, usual)
 
 
 def park_s(cell: Cell) -> float:

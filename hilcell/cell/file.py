@@ -65,10 +65,10 @@ __all__ = [
 MOST_POINTS = 100_000  # of the grid, and of targets in it
 MOST_STEPS = 10_000
 MOST_STATIONS = 1000
-# Durations of devices: known to plans and drivers, and no part of what stands in the cell.
+# How fast and how long: known to plans and drivers, and no part of what stands in the cell.
 PACE = {
     "rail": ("homing_mm_s", "standstill_dwell_s"),
-    "robot": ("ramp_s",),
+    "robot": ("ramp_s", "first_pass_percent", "first_pass_pause"),
     "tracker": ("pointing_s", "reading_s"),
 }
 # Work that is done with the cell, and statements about it: none moves a measured point.
@@ -138,6 +138,8 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     approach_deg: Annotated[float, Meta(gt=0, le=90)] = 0.5
     joint_margin_deg: Annotated[float, Meta(ge=0, le=90)] = 2.0
     ramp_s: Annotated[float, Meta(ge=0, le=10)] = 0.5
+    first_pass_percent: Percent = 10.0
+    first_pass_pause: bool = True
     envelope: EnvelopeTable | None = None
     options: dict[str, Any] = field(default_factory=dict)
 

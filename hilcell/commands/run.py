@@ -40,6 +40,7 @@ from hilcell.commands.run_output import (
     print_end,
 )
 from hilcell.journal.engine_file import live_engine
+from hilcell.journal.index import read_index
 from hilcell.journal.journal import StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import (
@@ -63,6 +64,7 @@ from hilcell.run.runner import Runner, finish
 from hilcell.run.signals import stopped_by_signals
 from hilcell.writing import NotWritten
 
+RUNS_LOOKED_AT = 5  # for poses that were driven before
 SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms is the default)
 
 
@@ -82,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_dry_run(cell, procedure, plan, as_json=args.json)
         return 0
+    earlier = {"driven_by": _finished_runs(args.runs, cell)}
     name = args.name or new_run(procedure.name)
     folder: Path = args.runs / name
     with locked(lock_of_name(args.runs, cell.name), f"cell {cell.name}", name):
@@ -92,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         make_folder(folder)
         journal = RunJournal(folder / JOURNAL, name, create=True)
         output = _output(args.json, name, plan.points, journal)
-        journal.append("plan", "", _plan_record(cell, procedure, plan, args))
+        journal.append("plan", "", _plan_record(cell, procedure, plan, args) | earlier)
         try:
             return _perform(cell, procedure, journal, output, folder, args)
         except CellLocked:
@@ -151,6 +154,15 @@ def _check_of_simulator(cell: Cell, option: str, value: float | None) -> None:
             f"give {option} to its `hilcell sim`",
             code="HC-C17",
         )
+
+
+def _finished_runs(runs: Path, cell: Cell) -> list[str]:
+    """Return the newest finished runs of a cell that states its volumes: poses known from them."""
+    if cell.surroundings is None:
+        return []
+    rows = [row for row in read_index(runs) if row.state == "finished"]
+    same = [row.name for row in rows if (row.cell, row.serial) == (cell.name, cell.serial)]
+    return same[:RUNS_LOOKED_AT]
 
 
 def check_attended(cell: Cell, *, unattended: bool) -> None:

@@ -134,6 +134,10 @@ class ProgressOutput(RunOutput):
             self._print(f"{body['to'].replace('_', ' ')}")
         elif record.kind == "state" and body["to"] in WAITING:
             self._print(f"{body['to']}: {_waits_for(body)}hilcell resume goes on, ctrl-C stops")
+        elif record.kind == "event" and body["what"] == "first pass":
+            self._print(
+                f"{body['key']}: first pass outside of the cube, at {body['speed_percent']:g} %"
+            )
         elif record.kind == "event" and body["what"] == "no reading":
             self._print(f"{body['key']}: {body['reason']} (try {body['tries']})")
 

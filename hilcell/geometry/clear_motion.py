@@ -1,16 +1,18 @@
 """Whether an arm on a slide keeps a clearance on a whole motion: proven, and not only sampled.
 
 A posture is (7,): where the slide stands in mm, and six joints in rad; on a motion all seven go in
-step. Between two postures no point of the arm travels farther than `clearance.travel_mm` states. So
-a posture that has more clearance than wanted, by half of that, proves the motion around it; where
-it has less, the motion is halved and both halves are looked at. A motion counts as clear only when
-the parts that are proven make up the whole: a posture that is no number proves nothing.
+step. Between two postures no point of the arm travels farther than its levers allow
+(`clearance.levers_mm`). So a posture that has more clearance than wanted, by half of that, proves
+the motion around it; where it has less, the motion is halved and both halves are looked at. A
+motion counts as clear only when the parts that are proven make up the whole: a posture that is no
+number proves nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,8 +21,8 @@ from hilcell.geometry.clearance import (
     Boxes,
     Capsules,
     clearance_mm,
+    levers_mm,
     placed_mm,
-    travel_mm,
 )
 from hilcell.geometry.kinematics import Arm, Array
 
@@ -50,7 +52,7 @@ class Tightest:
     share: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Body:
     """An arm with its shape, among boxes that stand in {W} and boxes that ride on its slide.
 
@@ -115,7 +117,12 @@ class Body:
     def _travel_mm(self, start: Array, end: Array) -> Array:
         """Return how far (N, C) any point of a capsule's segment can travel in {W} at most."""
         way = np.abs(end - start)
-        return way[:, :1] + travel_mm(self.arm, self.capsules, way[:, 1:])
+        bound: Array = way[:, :1] + way[:, 1:] @ self._levers_mm.T
+        return bound
+
+    @cached_property
+    def _levers_mm(self) -> Array:
+        return levers_mm(self.arm, self.capsules)
 
     def _least_mm(self, postures: Array, enough_mm: Array) -> Array:
         """Return the clearance (N, C) from the nearest box."""

@@ -74,24 +74,23 @@ def placed_mm(arm: Arm, capsules: Capsules, joints_rad: Array) -> Array:
     return ends
 
 
-def travel_mm(arm: Arm, capsules: Capsules, turns_rad: Array) -> Array:
-    """Return how far (N, C) any point of a capsule's segment can travel on motions (N, 6) at most.
+def levers_mm(arm: Arm, capsules: Capsules) -> Array:
+    """Return how far (C, 6) any point of a capsule's segment can be from each axis at most.
 
-    The point turns about each axis before it at a distance that no posture makes longer than the
-    links between them: sum_j |turn_j| R_j bounds the length of its path.
+    No posture makes that longer than the links between; 0 for axes behind the capsule's link. So
+    a point travels at most sum_j |turn_j| lever_j on any motion.
     """
     lengths = np.hypot(arm.a_mm, arm.d_mm)
-    radii = np.zeros((len(capsules.link), 6))
+    levers = np.zeros((len(capsules.link), 6))
     for number, (link, ends) in enumerate(zip(capsules.link, capsules.ends_mm, strict=True)):
         joint, axis = _axis_in_link(arm, link - 1)
         arms = ends - joint
-        radii[number, link - 1] = np.linalg.norm(np.cross(arms, axis), axis=1).max()
+        levers[number, link - 1] = np.linalg.norm(np.cross(arms, axis), axis=1).max()
         beyond = np.linalg.norm(arms, axis=1).max()
         for row in range(link - 2, -1, -1):
-            radii[number, row] = abs(arm.a_mm[row]) + beyond
+            levers[number, row] = abs(arm.a_mm[row]) + beyond
             beyond += lengths[row]
-    bound: Array = np.abs(turns_rad) @ radii.T
-    return bound
+    return levers
 
 
 def _axis_in_link(arm: Arm, row: int) -> tuple[Array, Array]:

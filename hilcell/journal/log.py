@@ -16,6 +16,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.journal.asset import Asset, asset_of
 from hilcell.journal.curve_record import CurveRecord
+from hilcell.journal.driven import Driven
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import PointId
@@ -119,6 +120,9 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     points: int
     duration_s: float
     machine_seed: int | None = None
+    driven_by: list[
+        str
+    ] = []  # runs finished before, newest first: the poses that they drove are known
 
     @property
     def truth_seed(self) -> int | None:
@@ -188,6 +192,7 @@ class Log:
         self.fault = ""
         self.moved = False  # in this session
         self.visit = 0  # one more with each order to the slide: a touched base is of one visit
+        self.driven = Driven()
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
         self.link: LinkRecord | None = None  # of the last session that ended
         self.seated = ""  # the place of a reflector that is carried by hand
@@ -224,6 +229,7 @@ class Log:
             case "intent":
                 self.moved = True
                 self.visit += str(body.get("action", "")).startswith("rail.")
+        self.driven.take(record)
 
     def _take_event(self, body: dict[str, Any]) -> None:
         match body.get("what"):

@@ -41,8 +41,9 @@ class CellSession(RunContext):
         *,
         checkpoint: Callable[[], None],
         ask: Ask,
+        pause: Callable[[str], None] = lambda reason: None,
     ) -> None:
-        super().__init__(cell, devices, clock, journal, checkpoint)
+        super().__init__(cell, devices, clock, journal, checkpoint, pause)
         self._motion = Motion(self)
         self._measuring = Measuring(self, self._motion, ask)
         self._operator = Operator(self, self._motion, self._measuring, ask)

@@ -9,6 +9,7 @@ import numpy as np
 from hilcell.cell.file import Station
 from hilcell.ports import Array, RailReading, RobotReading
 from hilcell.run.clear_ways import check_way, stops_on_way
+from hilcell.run.first_pass import FirstPass
 from hilcell.run.fresh_readings import fresh
 from hilcell.run.interlocks import (
     check_joint_limits,
@@ -28,6 +29,7 @@ class Motion:
         self._run = run
         self.held: Station | None = None
         self._last: RobotReading | None = None  # since which the robot has not moved
+        self._first_pass = FirstPass(run)
 
     # -- the rail -----------------------------------------------------------------------------
 
@@ -111,7 +113,7 @@ class Motion:
         self._last = now
         self.check_way(rail, safe_rad, "park")
         self._run.intend("", "robot.park")
-        return self._drive(safe_rad)
+        return self._drive(safe_rad, self._run.cell.robot.speed_percent)
 
     def robot_to(self, joints_rad: Array, what: str) -> RobotReading:
         """Go to joints (6,), every axis from below, and settle.
@@ -119,11 +121,13 @@ class Motion:
         Coming from one side on every axis takes the joints' backlash out of the error.
         """
         check_joint_limits(self._run.cell, joints_rad, what)
-        rail = self._fresh_rail()
-        robot_may_move(self._run.cell, rail, self.held, time.monotonic())
+        rail = self._rail_under_robot()
+        speed_percent = self._first_pass.speed_percent(rail.strip_mm, joints_rad, what)
+        rail = self._rail_under_robot(rail)  # the run may have paused
         stops = self._stops(rail, joints_rad, what)
-        self._run.intend(what, "robot.move", joints_deg=np.degrees(joints_rad))
-        reading = [self._drive(stop) for stop in stops][-1]
+        place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
+        self._run.intend(what, "robot.move", **place)
+        reading = [self._drive(stop, speed_percent) for stop in stops][-1]
         self._run.clock.wait(self._run.cell.settle.robot_s)
         return reading
 
@@ -131,6 +135,13 @@ class Motion:
         """Refuse a motion from where the robot rests to joints (6,) that is not clear."""
         if self._run.cell.surroundings is not None:
             check_way(self._run.cell, rail.strip_mm, self._resting_rad(), joints_rad, what)
+
+    def _rail_under_robot(self, taken: RailReading | None = None) -> RailReading:
+        """Return a young reading of a slide that is held where the robot may move."""
+        limit_s = self._run.cell.settle.reading_age_s
+        rail = fresh(self._run.devices.rail.read, limit_s, taken)
+        robot_may_move(self._run.cell, rail, self.held, time.monotonic())
+        return rail
 
     def _stops(self, rail: RailReading, joints_rad: Array, what: str) -> list[Array]:
         """Return where to go, in turn, on the way to joints (6,)."""
@@ -146,7 +157,6 @@ class Motion:
         check_rests(self._run.cell, robot, time.monotonic())
         return robot.joints_rad
 
-    def _drive(self, joints_rad: Array) -> RobotReading:
-        speed_percent = self._run.cell.robot.speed_percent
+    def _drive(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         self._last = self._run.devices.robot.move_to(joints_rad, speed_percent)
         return self._last

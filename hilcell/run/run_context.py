@@ -19,7 +19,10 @@ from hilcell.run.states import CALIBRATION, StateMachine
 
 
 class RunContext:
-    """Used by the worker thread alone. ``checkpoint`` pauses the run where it was asked to."""
+    """Used by the worker thread alone.
+
+    ``checkpoint`` pauses the run where it was asked to, ``pause`` pauses an attended run.
+    """
 
     def __init__(
         self,
@@ -28,10 +31,11 @@ class RunContext:
         clock: Clock,
         journal: RunJournal,
         checkpoint: Callable[[], None],
+        pause: Callable[[str], None],
     ) -> None:
         self.cell, self.devices, self.clock = cell, devices, clock
         self.log, self.frames = journal.log, Frames(cell, journal.log)
-        self.checkpoint = checkpoint
+        self.checkpoint, self.pause = checkpoint, pause
         self._journal = journal
         self._calibration = StateMachine(CALIBRATION, journal)
 

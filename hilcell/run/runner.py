@@ -35,7 +35,7 @@ from hilcell.run.retake import retake_refusal
 from hilcell.run.signals import signals_as_commands
 from hilcell.run.states import RUN, StateMachine
 from hilcell.run.stopping import SafeStop, close_all, facts_of_problems
-from hilcell.run.worker import Asked, AtRest, Ended, Message, Proven, Started, Worker
+from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
 
 SIGNAL_S = 0.05
 PARTS = ("device", "operation", "found", "wanted", "act")  # of a fault, for readers of schema 1
@@ -205,6 +205,8 @@ class Runner:
             case AtRest() if self._gate.resting and self._life.allows("rest"):
                 reason = {"reason": self._why_paused} if self._why_paused else {}
                 self._life.fire("rest", **reason)
+            case Halted(reason):
+                self._pause(reason)
             case Asked(prompt, cause):
                 error = {} if cause is None else {"error": cause.facts()}
                 self._life.fire("suspend", reason=prompt.reason, prompt=prompt, **error)

@@ -38,6 +38,13 @@ class AtRest:
 
 
 @dataclass(frozen=True, slots=True)
+class Halted:
+    """The worker will stand before the gate, which it has closed: somebody has to watch now."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class Asked:
     """The worker asks the operator, and waits; ``cause`` where an error made it ask."""
 
@@ -57,7 +64,7 @@ class Ended:
     error: Exception | None
 
 
-Message = Started | AtRest | Asked | Proven | Ended
+Message = Started | AtRest | Halted | Asked | Proven | Ended
 
 
 class Worker:
@@ -127,6 +134,7 @@ class Worker:
             self._journal,
             checkpoint=self._checkpoint,
             ask=self._ask,
+            pause=self._pause,
         )
         self._procedure.perform(self.session)
 
@@ -156,6 +164,13 @@ class Worker:
         """Wait here while the run is paused; the point in flight is always finished first."""
         self._check_end()
         self.gate.passage(self._at_rest)
+
+    def _pause(self, reason: str) -> None:
+        """Pause before something that somebody has to watch; a run that nobody attends goes on."""
+        if not self._unattended:
+            self.gate.close()
+            self._send(Halted(reason))
+            self._checkpoint()
 
     def _at_rest(self) -> None:
         """Keep the devices' readings fresh while the run waits."""

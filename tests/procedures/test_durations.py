@@ -15,7 +15,10 @@ from fakes.time import PlantTime
 from hilcell.cell.file import Station, load_cell
 from hilcell.run.procedure import Step
 from procedures import durations
+from procedures.durations import first_pass_percent, flange_points
 from procedures.paper import EXPERIMENTS
+from procedures.plan import joints_for
+from procedures.repeatability import places_mm
 
 CELL = load_cell("paper")
 STEPS = {part.name: part.plan(CELL, 1) for part in EXPERIMENTS}
@@ -99,3 +102,14 @@ def test_a_robot_twice_as_fast_shortens_what_it_moves_and_nothing_else() -> None
     assert sooner["validate"] < 0.95 * STEPS["validate"].duration_s
     assert sooner["world-frame"] == STEPS["world-frame"].duration_s
     assert sooner["rail-survey"] == STEPS["rail-survey"].duration_s
+
+
+def test_a_plan_counts_with_the_first_pass() -> None:
+    """Poses outside of the cube are driven to slowly; those in it are not."""
+    home = np.radians([CELL.robot.home_deg])
+    cube = joints_for(CELL, places_mm(CELL))[:1]
+    usual = CELL.robot.speed_percent
+    assert first_pass_percent(CELL, np.vstack([home, cube])).tolist() == [10.0, usual]
+    slow = load_cell("paper", {"robot.first_pass_percent": "5.0"})
+    assert flange_points(slow, home).duration_s > flange_points(CELL, home).duration_s
+    assert flange_points(slow, cube).duration_s == flange_points(CELL, cube).duration_s
