@@ -227,17 +227,15 @@ def temperature(
     ``range_c`` was measured while the grid was; the check of validity allows its margin more.
     ``now_c`` is the temperature where it is known: then its distance from the middle counts.
     """
-    rate = f"{growth_per_k * 1e6:g} µm/(m·K)"
     if range_c is None:
         half_k, how = air_range_k / 2, f"no weather station, ±{air_range_k / 2:g} K taken"
     elif now_c is not None:
         off_k = now_c - sum(range_c) / 2
-        how = f"{rate}, {off_k:+.2f} K from the grid's mean"
-        return _growth((growth_per_k * off_k) ** 2, how, "4.3.7")
+        return _growth(growth_per_k, off_k**2, f"{off_k:+.2f} K from the grid's mean", "4.3.7")
     else:
         half_k = (range_c[1] - range_c[0]) / 2 + TEMPERATURE_MARGIN_K
         how = f"±{half_k:.2f} K allowed: the grid's range and {TEMPERATURE_MARGIN_K:g} K more"
-    return _growth((growth_per_k * half_k) ** 2 / RECTANGULAR, f"{rate}, {how}", "4.3.7")
+    return _growth(growth_per_k, half_k**2 / RECTANGULAR, how, "4.3.7")
 
 
 def in_validation(log: Log, points: Sequence[Point]) -> list[Influence]:
@@ -255,13 +253,17 @@ def in_validation(log: Log, points: Sequence[Point]) -> list[Influence]:
         return [readings]
     off_k = rms(np.array(found_c) - np.mean(grid_c))
     growth_per_k = log.cell.uncertainty.arm_growth_um_m_k * 1e-6
-    how = f"{growth_per_k * 1e6:g} µm/(m·K), {off_k:.2f} K from the grid's mean"
-    return [readings, _growth((growth_per_k * off_k) ** 2, how, "4.2.2")]
+    how = f"{off_k:.2f} K from the grid's mean"
+    return [readings, _growth(growth_per_k, off_k**2, how, "4.2.2")]
 
 
-def _growth(variance: float, how: str, clause: str) -> Influence:
-    return Influence(TEMPERATURE, f"{MEASURED}, and {ASSUMED}", how, clause, "base",
-                     motion(growth=variance))  # fmt: skip
+def _growth(limit_per_k: float, variance_k2: float, how: str, clause: str) -> Influence:
+    """Return the growth of an arm that follows the room by any share, from none to wholly."""
+    rate = f"0 .. {limit_per_k * 1e6:g} µm/(m·K)"
+    return Influence(
+        TEMPERATURE, f"{MEASURED}, and {ASSUMED}", f"{rate}, {how}", clause, "base",
+        motion(growth=limit_per_k**2 / RECTANGULAR * variance_k2),
+    )  # fmt: skip
 
 
 def _reading_mm2(points: Sequence[Point]) -> Array:

@@ -20,8 +20,8 @@ class UncertaintyTable(Frozen, frozen=True, kw_only=True):
     """Stated contributions, replaced by certificates and data sheets where there are any.
 
     The tracker's limit is ``tracker_limit_mm`` in each direction, and across the beam
-    ``tracker_limit_um_m`` times the range besides. ``arm_growth_um_m_k`` is that of aluminium:
-    of the materials of arms it expands most. ``drill_offset_mm`` is where the tool works,
+    ``tracker_limit_um_m`` times the range besides. ``arm_growth_um_m_k`` is the most, that
+    of aluminium: an arm lags the room. ``drill_offset_mm`` is where the tool works,
     from the reflector's centre, with the axes of {T}.
     """
 

@@ -177,7 +177,7 @@ def test_readings_and_air_of_the_validation(tmp_path: Path) -> None:
     log = writer.facts().log
     readings, air = in_validation(log, log.select("validate"))
     np.testing.assert_allclose(shift_mm2(readings), 0.01**2 * np.eye(3))
-    assert math.sqrt(air.covariance[6][6]) == pytest.approx(23e-6 * 1.0)  # 1 K, rms
+    assert math.sqrt(3 * air.covariance[6][6]) == pytest.approx(23e-6 * 1.0)  # 1 K, rms
 
 
 def test_air_that_was_not_measured_is_no_line(tmp_path: Path) -> None:
