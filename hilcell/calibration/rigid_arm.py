@@ -11,17 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.fit import place
+from hilcell.calibration.identified import identified
 from hilcell.calibration.robot_file import Measurements
 from hilcell.geometry.jacobian import KINDS
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
-from hilcell.identification.estimate import Estimate, identify
-from hilcell.identification.kinematics import LINKS, Kinematics
+from hilcell.identification.estimate import Estimate
+from hilcell.identification.kinematics import LINKS
 from hilcell.identification.observability import DETERMINED
-from hilcell.identification.readings import Readings
 
-FOLDS = 5  # each fifth pose is predicted by the others
 UNITS = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
 
 
@@ -67,21 +65,16 @@ class RigidArm:
 
 def rigid_arm(nominal: Arm, rows: Measurements) -> RigidArm:
     """Identify the arm from measured rows; raises `FitError`, `IdentificationError`."""
-    placed = place(nominal, rows)
-    names = sorted(placed.smr_mm)
-    readings = readings_of(rows, names)
-    kinematics = Kinematics(nominal, len(names), gravity=False, waves=False)
-    smr_mm = np.array([placed.smr_mm[name] for name in names])
-    found = identify(kinematics, readings, kinematics.start(placed.T_L_B, smr_mm))
-    parameters, covariance = _parameters(nominal, found)
-    fold = np.arange(len(readings)) % FOLDS
+    found = identified(nominal, rows, gravity=False, waves=False)
+    estimate = found.estimate
+    parameters, covariance = _parameters(nominal, estimate)
     return RigidArm(
-        kinematics.arm_of(found.state),
-        found.state.T,
-        dict(zip(names, found.state.smr_mm, strict=True)),
+        estimate.kinematics.arm_of(estimate.state),
+        found.base,
+        found.smr_mm,
         parameters,
         covariance,
-        found.system.left_out_mm([np.flatnonzero(fold == each) for each in range(FOLDS)]),
+        found.left_out_mm,
     )
 
 
@@ -101,18 +94,3 @@ def _parameters(nominal: Arm, found: Estimate) -> tuple[list[Parameter], Array]:
         Parameter(name, UNITS[unit][0], *map(float, values))
         for (name, unit), *values in zip(labels, before, after, u, prior_u, strict=True)
     ], covariance
-
-
-def readings_of(rows: Measurements, names: list[str]) -> Readings:
-    """Return one row a pose, one column a reflector; repeated readings are averaged."""
-    keys = list(zip(rows.pose, map(tuple, rows.joints_rad), strict=True))
-    order = {key: n for n, key in enumerate(dict.fromkeys(keys))}
-    pose = np.array([order[key] for key in keys])
-    which = np.array([names.index(each) for each in rows.target])
-    total, count = np.zeros((len(order), len(names), 3)), np.zeros((len(order), len(names), 1))
-    np.add.at(total, (pose, which), rows.xyz_mm)
-    np.add.at(count, (pose, which), 1.0)
-    joints = np.zeros((len(order), 6))
-    joints[pose] = rows.joints_rad
-    xyz_mm = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-    return Readings(joints, xyz_mm, np.zeros((*xyz_mm.shape, 3)))

@@ -240,6 +240,16 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FILE",
         help="write its DH table: CSV, or .json with covariance",
     )
+    fit.add_argument(
+        "--correct", default="", metavar="TARGETS.csv|PROGRAM", help="correct poses or joints"
+    )
+    fit.add_argument(
+        "--tool", default="", metavar="TARGET", help="the reflector that targets are meant for"
+    )
+    fit.add_argument(
+        "-o", "--output", default="", metavar="OUT", help="corrected targets, or program"
+    )
+    _bounds_option(fit)
     _json_option(fit, "one object")
     compensate = _command(
         commands, "compensate", "commands.files:compensate", "correct targets by a calibration"
@@ -273,12 +283,7 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="DAYS",
         help="refuse an older calibration (default: 180)",
     )
-    compensate.add_argument(
-        "--bounds",
-        default="",
-        metavar="FILE.csv",
-        help="also write the 95 %% bound of each target's error, and u of its coordinates",
-    )
+    _bounds_option(compensate)
     _runs_option(compensate)
 
 
@@ -332,6 +337,15 @@ def _watch_options(parser: argparse.ArgumentParser) -> None:
         "--screen",
         action="store_true",
         help="a screen has ordered this: nothing moves before one attends",
+    )
+
+
+def _bounds_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--bounds",
+        default="",
+        metavar="FILE.csv",
+        help="also write the 95 %% bound of each target's error, and u of its coordinates",
     )
 
 

@@ -7,9 +7,11 @@ from pathlib import Path
 
 from hilcell.calibration.fit import FitResult, methods_table
 from hilcell.calibration.fit import fit as fit_rows
+from hilcell.calibration.identified import identified
 from hilcell.calibration.robot_file import Measurements, Robot, read_measurements, read_robot
 from hilcell.calibration.urdf_file import read_urdf
 from hilcell.cell.settings import SettingsError
+from hilcell.commands.fit_targets import correct, job_of
 from hilcell.commands.output import print_json, print_message, print_table
 
 URDF = ".urdf"
@@ -21,9 +23,13 @@ def fit(args: argparse.Namespace) -> int:
     train = read_measurements(Path(args.train))
     test = read_measurements(Path(args.test)) if args.test else None
     inputs = [Path(each) for each in (args.robot, args.train, args.test) if each]
+    job = job_of(args, train, inputs)
     result = fit_rows(robot, train, test)
-    wants_arm = args.urdf_out or args.dh_out
-    more = {"rigid": _write_arm(args, robot, train, inputs)} if wants_arm else {}
+    more: dict[str, object] = {}
+    if args.urdf_out or args.dh_out:
+        more["rigid"] = _write_arm(args, robot, train, inputs)
+    if job:
+        more["corrected"] = correct(job, robot, identified(robot.arm(), train), train)
     if args.json:
         print_json({**result, **more})
     else:

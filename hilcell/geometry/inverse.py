@@ -124,21 +124,33 @@ def refine_inverse(arm: Arm, pose: ArrayLike, start_rad: ArrayLike) -> Array:
     `ReachError` where it does not arrive.
     """
     poses = np.asarray(pose, dtype=float)
-    joints = np.broadcast_to(np.asarray(start_rad, dtype=float), (*poses.shape[:-2], 6)).copy()
-    scale = np.array([1.0, 1.0, 1.0, *[max(float(np.abs(arm.a_mm).max()), 1.0)] * 3])
-    for _ in range(REFINE_STEPS):
-        error = _pose_error(poses, forward(arm, joints))
-        if _arrived(error).all():
-            return joints
-        J = joint_jacobian(arm, joints) * scale[:, None] / scale[3]
-        scaled = error * scale / scale[3]
+    start = np.broadcast_to(np.asarray(start_rad, dtype=float), (*poses.shape[:-2], 6))
+    flat = poses.reshape(-1, 4, 4)
+    joints, arrived = refined(arm, flat, start.reshape(-1, 6))
+    left_mm = np.linalg.norm(_pose_error(flat, forward(arm, joints))[:, :3], axis=-1)
+    _refuse_unreachable(np.where(arrived, 0.0, left_mm))
+    return joints.reshape(start.shape)
+
+
+def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
+    """Return joints (N, 6) as `refine_inverse`, and which of them have arrived (N,)."""
+    joints, arrived = start_rad.copy(), np.zeros(len(poses), dtype=bool)
+    length_mm = max(float(np.abs(arm.a_mm).max()), 1.0)
+    scale = np.array([1.0, 1.0, 1.0, *[length_mm] * 3]) / length_mm
+    for _ in range(REFINE_STEPS + 1):
+        error = _pose_error(poses[~arrived], forward(arm, joints[~arrived]))
+        there = _arrived(error)
+        arrived[~arrived] = there
+        if arrived.all():
+            break
+        left = joints[~arrived]
+        J = joint_jacobian(arm, left) * scale[:, None]
+        scaled = error[~there] * scale
         damping = 0.5 * np.sum(scaled**2, axis=-1) + 1e-15
         normal = np.swapaxes(J, -1, -2) @ J + damping[..., None, None] * np.eye(6)
         gradient = np.einsum("...ij,...i->...j", J, scaled)
-        joints = joints + np.linalg.solve(normal, gradient[..., None])[..., 0]
-    error = _pose_error(poses, forward(arm, joints))
-    _refuse_unreachable(np.where(_arrived(error), 0.0, np.linalg.norm(error[..., :3], axis=-1)))
-    return joints
+        joints[~arrived] = left + np.linalg.solve(normal, gradient[..., None])[..., 0]
+    return joints, arrived
 
 
 def _solved(arm: Arm, poses: Array, status: int) -> tuple[Array, Array]:

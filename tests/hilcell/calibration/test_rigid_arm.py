@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.arm_files import alone, write_dh, write_urdf
-from hilcell.calibration.rigid_arm import RigidArm, readings_of, rigid_arm
+from hilcell.calibration.identified import readings_of
+from hilcell.calibration.rigid_arm import RigidArm, rigid_arm
 from hilcell.calibration.robot_file import Measurements, Robot
 from hilcell.calibration.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import apply, inverse

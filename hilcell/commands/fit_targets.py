@@ -1,0 +1,135 @@
+"""Targets that ``fit`` corrects: a list of poses or joints, or a robot program."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hilcell.calibration.influence import bounds_of
+from hilcell.calibration.robot_file import Measurements, Robot
+from hilcell.calibration.robot_targets import (
+    MOST_KNOWN,
+    Reach,
+    RobotTargets,
+    read_robot_targets,
+    targets_of,
+    with_tool_point,
+    write_joints,
+    write_poses,
+)
+from hilcell.calibration.tool_errors import Fitted, tool_errors, tool_point_mm
+from hilcell.cell.settings import SettingsError
+from hilcell.commands.bounds import summary, write_bounds
+from hilcell.commands.output import print_message
+from hilcell.compensation.programs import Program, load_program, write_program
+from hilcell.geometry.frames import inverse, zyx_from_pose
+from hilcell.geometry.inverse import ReachError
+from hilcell.ports import Array
+
+MARGIN_RAD = np.radians(5.0)  # beyond the measured joints that still counts as within
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """Targets to correct, their tool point, and the files to write."""
+
+    source: Path
+    out: Path
+    bounds: Path | None
+    tool: str
+    inputs: list[Path]
+
+
+def job_of(args: argparse.Namespace, train: Measurements, inputs: list[Path]) -> Job | None:
+    """Return what the command line asks for, or nothing; raises `SettingsError`."""
+    if not args.correct:
+        if args.output or args.bounds:
+            raise SettingsError("fit", ["--output and --bounds want --correct TARGETS"])
+        return None
+    if not args.output:
+        raise SettingsError("fit", ["--correct wants --output OUT"])
+    names = sorted(set(train.target))
+    if not args.tool and len(names) > 1:
+        raise SettingsError("fit", [f"--tool says which is the tool point: {', '.join(names)}"])
+    tool = args.tool or names[0]
+    if tool not in names:
+        raise SettingsError("fit", [f"--tool {tool}: measured were {', '.join(names)}"])
+    source = Path(args.correct)
+    bounds = Path(args.bounds) if args.bounds else None
+    return Job(source, Path(args.output), bounds, tool, [*inputs, source])
+
+
+def correct(job: Job, robot: Robot, fitted: Fitted, train: Measurements) -> dict[str, object]:
+    """Correct the targets and write them, print a summary, and return it with their frames.
+
+    Raises `HilcellError`.
+    """
+    point_mm = tool_point_mm(robot, fitted, job.tool)
+    arm = with_tool_point(replace(robot.arm(), tool=robot.tool), point_mm)
+    known = np.unique(train.joints_rad, axis=0)
+    known = known[:: len(known) // MOST_KNOWN + 1]
+    reach = Reach(arm, robot.base, known, robot.limits_rad)
+    program = load_program(job.source)
+    if program is None:
+        targets, as_joints = read_robot_targets(job.source, reach)
+    else:
+        targets, as_joints = targets_of(program.names, program.values(), reach), False
+    errors = tool_errors(robot, fitted, job.tool, targets.joints_rad)
+    command = targets.corrected(errors.error_mm)
+    found = bounds_of(errors.covariance_mm2, [], np.eye(4), targets.poses)
+    joints = reach.near(command, targets.joints_rad, targets.names) if as_joints else None
+    if program is not None and program.needs_arm:
+        _check_program(program, reach, command, job.source.name)
+    inputs = job.inputs
+    if job.bounds:
+        write_bounds(job.bounds, found, targets.names, job.out, inputs=inputs)
+        inputs = [*inputs, job.bounds]
+    written = [job.out]
+    if program is not None:
+        written = write_program(program, command[:, :3, 3], job.source, job.out, inputs=inputs)
+    elif joints is not None:
+        write_joints(job.out, targets.names, joints, inputs=inputs)
+    else:
+        write_poses(job.out, targets.names, command, inputs=inputs)
+    for note in program.notes if program else ():
+        print_message(f"{job.source.name}: {note}")
+    where = " ".join(f"{each:.4f}" for each in point_mm)
+    print_message(
+        f"{len(targets.names)} targets of {job.tool} (tool point {where} mm) corrected into "
+        + " and ".join(map(str, written))
+    )
+    print_message(summary(found, targets.names))
+    _warn_outside(targets, train)
+    return {
+        "targets": len(targets.names),
+        "tool": job.tool,
+        "tool_mm": point_mm.tolist(),
+        "root_in_tracker": (fitted.base @ inverse(robot.base)).tolist(),
+        "bound95_median_mm": float(np.median(found.radii_mm)),
+        "bound95_max_mm": float(found.radii_mm.max()),
+    }
+
+
+def _check_program(program: Program, reach: Reach, command: Array, name: str) -> None:
+    """Refuse whole turns of joints that would change, where the arm's form lets them be known."""
+    try:
+        program.check_joints(reach.arm, reach.base, zyx_from_pose(command))
+    except ReachError as error:
+        print_message(f"{name}: {program.needs_arm} were not checked: {error}")
+
+
+def _warn_outside(targets: RobotTargets, train: Measurements) -> None:
+    """Say which joints go beyond those that were measured: nothing was learnt there."""
+    low, high = train.joints_rad.min(axis=0) - MARGIN_RAD, train.joints_rad.max(axis=0) + MARGIN_RAD
+    beyond = ~((targets.joints_rad >= low) & (targets.joints_rad <= high))
+    if beyond.any():
+        axes = ", ".join(f"A{axis + 1}" for axis in np.flatnonzero(beyond.any(axis=0)))
+        count = int(np.count_nonzero(beyond.any(axis=1)))
+        first = targets.names[int(np.flatnonzero(beyond.any(axis=1))[0])]
+        print_message(
+            f"{count} targets, {first} the first, are beyond the joints that were measured "
+            f"({axes}); errors there are extrapolated"
+        )

@@ -1,0 +1,180 @@
+"""`fit --correct`: commands that bring the tool of a robot with errors to its targets."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.robot_file import Measurements
+from hilcell.calibration.robot_targets import write_joints, write_poses
+from hilcell.calibration.urdf_file import Urdf, read_urdf
+from hilcell.commands.cli import main
+from hilcell.compensation.targets import read_named_rows, read_targets
+from hilcell.geometry.chain import chain_forward
+from hilcell.geometry.frames import apply, inverse, matrix, pose_from_zyx, poses_from_zyx
+from hilcell.geometry.inverse import refine_inverse
+from hilcell.geometry.kinematics import Array, forward
+from tests.hilcell.calibration.test_fit import IRB120
+from tests.hilcell.calibration.urdfs import PLAIN
+from tests.hilcell.commands.test_fit import write_rows
+
+T_L_B = pose_from_zyx(2200, -150, -600, 170, 2, -1)
+SMR_MM = {"SMR1": np.array([0.2, -0.8, 120.5]), "SMR2": np.array([75.2, 90.6, 213.4])}
+NAMES = [f"H{n}" for n in range(12)]
+NOISE_MM = 0.01
+
+
+def reached_mm(joints_rad: Array, target: str) -> Array:
+    """Where a robot with errors has its reflector (N, 3), in the tracker's frame."""
+    rng, arm = np.random.default_rng(7), IRB120.arm()
+    true = replace(
+        arm,
+        a_mm=arm.a_mm + rng.normal(0, 0.4, 6),
+        offset_rad=arm.offset_rad + rng.normal(0, 1e-3, 6),
+        alpha_rad=arm.alpha_rad + rng.normal(0, 7e-4, 6),
+    )
+    flange = T_L_B @ forward(true, joints_rad)
+    reached: Array = flange[:, :3, 3] + flange[:, :3, :3] @ SMR_MM[target]
+    return reached
+
+
+def drawn(seed: int, count: int) -> Array:
+    """Joints away from a stretched wrist."""
+    low, high = np.radians([-60, -30, -30, -60, 30, -60]), np.radians([60, 40, 40, 60, 80, 60])
+    return np.random.default_rng(seed).uniform(low, high, (count, 6))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a robot and 40 measured poses of two reflectors."""
+    folder = tmp_path_factory.mktemp("fit")
+    (folder / "robot.urdf").write_text(PLAIN)
+    joints, names = np.repeat(drawn(1, 40), 2, axis=0), ["SMR1", "SMR2"] * 40
+    xyz_mm = np.empty((80, 3))
+    for n, name in enumerate(SMR_MM):
+        xyz_mm[n::2] = reached_mm(joints[n::2], name)
+    xyz_mm += np.random.default_rng(3).normal(0, NOISE_MM, xyz_mm.shape)
+    labels = [str(n // 2) for n in range(80)]
+    write_rows(folder / "train.csv", Measurements(labels, names, joints, xyz_mm))
+    return folder
+
+
+@pytest.fixture
+def urdf(folder: Path) -> Urdf:
+    return read_urdf(folder / "robot.urdf")
+
+
+def fit(folder: Path, *words: str | Path) -> int:
+    robot, train = str(folder / "robot.urdf"), str(folder / "train.csv")
+    return main(["fit", "--robot", robot, "--train", train, "--json", *map(str, words)])
+
+
+def wanted_mm(found: dict[str, list[list[float]]], poses: Array) -> Array:
+    """Where the targets (N, 4, 4) of the root are in the tracker's frame."""
+    return apply(np.array(found["root_in_tracker"]), poses[:, :3, 3])
+
+
+def tool_of(found: dict[str, list[float]]) -> Array:
+    return matrix(np.eye(3), np.array(found["tool_mm"]))
+
+
+def test_corrected_poses_bring_the_tool_to_its_targets(
+    folder: Path, urdf: Urdf, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    targets, out, bounds = tmp_path / "t.csv", tmp_path / "c.csv", tmp_path / "b.csv"
+    joints = drawn(2, len(NAMES))
+    still = np.zeros(6)
+    flange = inverse(chain_forward(urdf.chain, still)) @ forward(IRB120.arm(), still)
+    about = matrix(np.eye(3), apply(flange, SMR_MM["SMR2"][None])[0])
+    poses = chain_forward(urdf.chain, joints) @ about
+    write_poses(targets, NAMES, poses, inputs=[])
+    assert fit(folder, "--correct", targets, "--tool", "SMR2", "-o", out, "--bounds", bounds) == 0
+    printed = capsys.readouterr()
+    found = json.loads(printed.out)["corrected"]
+    assert (found["targets"], found["tool"]) == (12, "SMR2")
+    arm = replace(urdf.arm(), tool=urdf.tool @ tool_of(found))
+    missed = {}
+    for name, path in (("before", targets), ("after", out)):
+        command = poses_from_zyx(read_targets(path)[1])
+        at = refine_inverse(arm, inverse(urdf.base) @ command, joints)
+        missed[name] = np.linalg.norm(reached_mm(at, "SMR2") - wanted_mm(found, poses), axis=1)
+    assert missed["before"].mean() > 0.3
+    assert missed["after"].max() < 0.05
+    rows = read_named_rows(bounds, [["name", "bound95_mm", "u_x_mm", "u_y_mm", "u_z_mm"]], "rows")
+    radii = np.array(rows.values)[:, 0]
+    assert (missed["after"] < radii).mean() > 0.8
+    assert 0.005 < radii.max() < 0.1
+    assert found["bound95_max_mm"] == pytest.approx(radii.max(), abs=1e-4)
+    assert "95 % bounds of the corrected targets: median" in printed.err
+    assert "12 targets of SMR2 (tool point" in printed.err
+
+
+def test_corrected_joints_bring_the_tool_to_its_targets(
+    folder: Path, urdf: Urdf, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    targets, out = tmp_path / "t.csv", tmp_path / "c.csv"
+    joints = drawn(2, len(NAMES))
+    write_joints(targets, NAMES, joints, inputs=[])
+    assert fit(folder, "--correct", targets, "--tool", "SMR1", "-o", out) == 0
+    found = json.loads(capsys.readouterr().out)["corrected"]
+    poses = chain_forward(urdf.chain, joints) @ tool_of(found)
+    header = [["name", *(f"j{n}_deg" for n in range(1, 7))]]
+    command = np.radians(read_named_rows(out, header, "targets").values)
+    assert np.abs(command - joints).max() < 0.02
+    missed = np.linalg.norm(reached_mm(command, "SMR1") - wanted_mm(found, poses), axis=1)
+    assert missed.max() < 0.05
+    before = np.linalg.norm(reached_mm(joints, "SMR1") - wanted_mm(found, poses), axis=1)
+    assert before.mean() > 0.3
+
+
+def test_a_program_is_corrected_in_place(
+    folder: Path, urdf: Urdf, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    about = matrix(np.eye(3), np.array([0.0, 0.0, 120.0]))
+    poses = chain_forward(urdf.chain, drawn(2, 2)) @ about
+    write_poses(tmp_path / "t.csv", ["a", "b"], poses, inputs=[])
+    values = read_targets(tmp_path / "t.csv")[1]
+    lines = [
+        "LIN {" + ",".join(f"{n} {v:.4f}" for n, v in zip("XYZABC", row, strict=True)) + "}"
+        for row in values
+    ]
+    (tmp_path / "drill.src").write_text("\n".join(["DEF drill()", *lines, "END", ""]))
+    words = ("--tool", "SMR1", "--correct")
+    assert fit(folder, *words, tmp_path / "t.csv", "-o", tmp_path / "c.csv") == 0
+    assert fit(folder, *words, tmp_path / "drill.src", "-o", tmp_path / "out.src") == 0
+    assert "drill.src" in capsys.readouterr().err
+    written = (tmp_path / "out.src").read_text().splitlines()
+    for line, wanted in zip(written[1:3], read_targets(tmp_path / "c.csv")[1], strict=True):
+        numbers = [float(each.split()[1].rstrip("}")) for each in line[5:].split(",")]
+        np.testing.assert_allclose(numbers, wanted, atol=2e-4)
+
+
+def test_targets_beyond_what_was_measured_are_named(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    joints = drawn(2, 3)
+    joints[1, 0] = np.radians(100.0)
+    write_joints(tmp_path / "t.csv", ["a", "b", "c"], joints, inputs=[])
+    out = tmp_path / "c.csv"
+    assert fit(folder, "--correct", tmp_path / "t.csv", "--tool", "SMR1", "-o", out) == 0
+    said = capsys.readouterr().err
+    assert "1 targets, b the first, are beyond the joints that were measured (A1)" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--correct", "t.csv"], "--correct wants --output OUT"),
+        (["-o", "c.csv"], "want --correct TARGETS"),
+        (["--bounds", "c.csv"], "want --correct TARGETS"),
+        (["--correct", "t.csv", "-o", "c.csv"], "--tool says which is the tool point: SMR1, SMR2"),
+        (["--correct", "t.csv", "-o", "c.csv", "--tool", "X"], "--tool X: measured were SMR1"),
+    ],
+)
+def test_incomplete_orders_are_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
+) -> None:
+    assert fit(folder, *words) == 2
+    assert says in capsys.readouterr().err
