@@ -8,6 +8,7 @@ from hilcell.geometry.statistics import Figures
 from hilcell.run.procedure import Procedure, Table
 from procedures.axis_sweeps import AxisSweeps, sweep_table
 from procedures.base_frame import BaseFrame
+from procedures.chosen_poses import ChosenPoses
 from procedures.fit import Fit
 from procedures.frame_repeatability import FrameRepeatability, frame_repeatability_table
 from procedures.home import Home
@@ -102,6 +103,15 @@ SIGN_CHECK = Procedure(
 CALIBRATE = Procedure(
     "calibrate",
     "the paper's calibration, validated before and after at every station",
-    (*TO_GRID, AxisSweeps(), Repeatability(), StationFrames(), Fit(), SignCheck(), Validate()),
+    (
+        *TO_GRID,
+        AxisSweeps(),
+        ChosenPoses(),
+        Repeatability(),
+        StationFrames(validated=True),
+        Fit(),
+        SignCheck(),
+        Validate(),
+    ),
     validation_table,
 )

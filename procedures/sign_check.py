@@ -26,8 +26,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
 from procedures.durations import flange_points, floor_points, leg, step
-from procedures.plan import check_targets, joints_for, poses_at
-from procedures.station_frames import framed_together
+from procedures.plan import check_targets, joints_for, other_stations, poses_at
 from procedures.world_frame import check_control_points
 
 CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
@@ -49,7 +48,8 @@ class SignCheck:
         cells = list(product(*(range(count - 1) for count in grid.shape)))
         there, middles_mm = cell.station_named(cell.grid.station), middle_mm(grid, np.array(cells))
         joints_rad = check_targets(cell, there, middles_mm, "middle of a grid cell")
-        back = leg(cell, framed_together(cell)[-1], there)
+        last = there if cell.plan.quick else [there, *other_stations(cell)][-1]
+        back = leg(cell, last, there)
         both = flange_points(cell, joints_rad[[0] * len(IDS)])
         return step(self.name, len(IDS), [back, floor_points(cell), both])
 

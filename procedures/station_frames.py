@@ -49,6 +49,10 @@ class StationFrames:
     measures = "every slide nest at every station"
     yields = "the slide in {W} at every station, with the tool point's uncertainty"
 
+    def __init__(self, *, validated: bool = False) -> None:
+        """``validated``: all stations are validated afterwards, on a quick plan framed then."""
+        self._validated = validated
+
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse nests out of the tracker's range at any station."""
         nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
@@ -57,16 +61,22 @@ class StationFrames:
             check_range(cell, world_mm, f"slide nests at {station.name}")
         here = cell.station_named(cell.grid.station)
         spans = [Span("park", 0, park_s(cell))]
-        for station in framed_together(cell):
+        stations = self._stations(cell)
+        for station in stations:
             spans += frame_spans(cell, here, station)
             here = station
-        return step(self.name, len(framed_together(cell)) * nest_points(cell), spans)
+        return step(self.name, len(stations) * nest_points(cell), spans)
 
     def perform(self, session: CellSession) -> None:
         """Frame the grid's station first: its slide points define {S}."""
-        for station in framed_together(session.cell):
+        for station in self._stations(session.cell):
             frame_station(session, station)
         session.reach("frame_stations")
+
+    def _stations(self, cell: Cell) -> list[Station]:
+        reference = cell.station_named(cell.grid.station)
+        later = self._validated and cell.plan.quick
+        return [reference] if later else [reference, *other_stations(cell)]
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return frame, strip reading and predicted tool-point uncertainty per station."""
@@ -76,15 +86,6 @@ class StationFrames:
                 for station in log.cell.station
             }
         }
-
-
-def framed_together(cell: Cell) -> list[Station]:
-    """Return the stations that are framed before any is validated, the grid's first.
-
-    A quick plan stops at each other station once: it is framed where it is validated.
-    """
-    reference = cell.station_named(cell.grid.station)
-    return [reference] if cell.plan.quick else [reference, *other_stations(cell)]
 
 
 def nest_points(cell: Cell) -> int:

@@ -27,7 +27,7 @@ from procedures import enough_targets
 from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_targets, joints_for, poses_at
 from procedures.repeatability import floor
-from procedures.station_frames import frame_spans, frame_station, framed_together, nest_points
+from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch import base_for_commands, touch_result, touch_spans
 from procedures.world_frame import check_control_points
 
@@ -51,11 +51,11 @@ class Validate:
         for name, targets_mm in targets(cell, seed).items():
             station = cell.station_named(name)
             joints_rad = check_targets(cell, station, targets_mm, f"target at {name}")
-            if station in framed_together(cell):
-                spans.append(leg(cell, here, station))
-            else:
+            if cell.plan.quick and here != station:  # one stop, to frame and to validate
                 spans += frame_spans(cell, here, station)
                 points += nest_points(cell)
+            else:
+                spans.append(leg(cell, here, station))
             for how in ways(cell):
                 spans += [floor_points(cell)] if how in controlled(cell) else []
                 measured = touch_spans(cell, station) if how == "chosen" else []

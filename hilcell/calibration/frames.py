@@ -127,8 +127,8 @@ def measured_grid(log: Log) -> MeasuredGrid:
 
 
 def static_poses(log: Log) -> StaticPoses:
-    """Return the poses at which the robot's error was measured, as commanded."""
-    points = log.select("grid")
+    """Return the poses at which the robot's error was measured, as commanded: grid, and free."""
+    points = [*log.select("grid"), *log.select("pose")]
     T_B_W = inverse(log.matrix("base"))
     T_B_L = T_B_W @ log.matrix("world")
     variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])

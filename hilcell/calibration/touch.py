@@ -36,8 +36,8 @@ HOLDS = 2  # the strip's slip is that of the visit less that of the stop when it
 
 
 def touch_count(cell: Cell) -> int:
-    """Return how many poses are touched after a stop; none where time counts more."""
-    return 0 if cell.plan.quick else cell.touch.poses
+    """Return how many poses are touched after a stop."""
+    return cell.touch.poses
 
 
 def touch_targets_mm(cell: Cell) -> Array:

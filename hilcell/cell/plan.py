@@ -8,7 +8,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from hilcell.cell.tables import Frozen
+from hilcell.cell.tables import Frozen, Size
 
 QUICK_NEST_SAMPLES = 5
 Share = Annotated[float, Meta(ge=0.001, le=0.5)]
@@ -22,6 +22,9 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     reject_risk: Share = 0.05
     share_above_max: Share = 0.1
     most_targets: Annotated[int, Meta(ge=8, le=1000)] = 96
+    bound_mm: Size = 0.06
+    most_poses: Annotated[int, Meta(ge=0, le=100)] = 12
+    turn_deg: Annotated[float, Meta(ge=0, le=45)] = 15.0
 
 
 def coarsest_pitch_mm(cells: Sequence[int], pitch_mm: float) -> float:

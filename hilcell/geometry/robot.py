@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hilcell.geometry.inverse import posture
+from hilcell.geometry.inverse import Bools, posture, reachable
 from hilcell.geometry.kinematics import Arm, Array
 
 
@@ -20,3 +20,7 @@ class NominalRobot:
     def joints_for(self, poses: Array) -> Array:
         """Return joints (N, 6) in rad for {T} in {B} (N, 4, 4); raises `ReachError`."""
         return posture(self.arm, poses, self.status, self.limits_rad, self.reference_rad)
+
+    def reachable(self, poses: Array) -> Bools:
+        """Return which poses (N, 4, 4) `joints_for` accepts, (N,)."""
+        return reachable(self.arm, poses, self.status, self.limits_rad, self.reference_rad)

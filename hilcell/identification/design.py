@@ -1,0 +1,88 @@
+"""Where to measure next: the poses that make predictions over a volume certain soonest.
+
+Everything is linear and Gaussian about what is known: poses and places of the volume are rows of
+the identification, and measuring a pose changes the parameters' covariance by a known amount
+before it is measured (I-optimal design: least mean variance of the predictions; Pukelsheim 2006,
+"Optimal Design of Experiments", chapter 9). Greedy: each pose is the best one after those before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import bounds95_mm
+
+REST = 1.1  # of the bound that is left with all parameters known: below, poses gain little
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """M positions: their derivatives by P parameters (M, 3, P), and what else they scatter by,
+    ``noise_mm2`` (M, 3, 3).
+    """
+
+    by_parameter: Array
+    noise_mm2: Array
+
+    def covariance_mm2(self, covariance: Array) -> Array:
+        """Return the positions' covariances (M, 3, 3) by that of the parameters (P, P)."""
+        J = self.by_parameter
+        total: Array = J @ covariance @ np.swapaxes(J, 1, 2) + self.noise_mm2
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Chosen candidates in their order, and the mean 95 % bound before and after each (mm)."""
+
+    chosen: list[int]
+    bounds_mm: list[float]
+
+
+def design(
+    candidates: Rows, volume: Rows, covariance: Array, *, bound_mm: float, most: int
+) -> Design:
+    """Return the poses to measure until the mean bound over the volume is at most ``bound_mm``.
+
+    Or until more of them would gain little, or until there are ``most``.
+    """
+    count = len(volume.by_parameter)
+    rows = volume.by_parameter.reshape(-1, volume.by_parameter.shape[-1])
+    weight = rows.T @ rows / count
+    enough_mm = max(bound_mm, REST * _mean_bound_mm(volume, np.zeros_like(covariance)))
+    chosen: list[int] = []
+    bounds_mm = [_mean_bound_mm(volume, covariance)]
+    most = min(most, len(candidates.by_parameter))
+    while bounds_mm[-1] > enough_mm and len(chosen) < most:
+        gains_mm2 = _gains_mm2(candidates, covariance, weight)
+        gains_mm2[chosen] = -1.0  # a second visit says less about what no parameter describes
+        best = int(np.argmax(gains_mm2))
+        J, noise_mm2 = candidates.by_parameter[best], candidates.noise_mm2[best]
+        covariance = _updated(covariance, J, noise_mm2)
+        chosen.append(best)
+        bounds_mm.append(_mean_bound_mm(volume, covariance))
+    return Design(chosen, bounds_mm)
+
+
+def _gains_mm2(candidates: Rows, covariance: Array, weight: Array) -> Array:
+    """Return by how much each candidate (M,) would lower the mean variance over the volume."""
+    J = candidates.by_parameter
+    carried = J @ covariance
+    spread_mm2 = carried @ np.swapaxes(J, 1, 2) + candidates.noise_mm2
+    lowered = carried @ weight @ np.swapaxes(carried, 1, 2)
+    gains: Array = np.trace(np.linalg.solve(spread_mm2, lowered), axis1=1, axis2=2)
+    return gains
+
+
+def _updated(covariance: Array, J: Array, noise_mm2: Array) -> Array:
+    carried = J @ covariance
+    spread_mm2 = carried @ J.T + noise_mm2
+    updated: Array = covariance - carried.T @ np.linalg.solve(spread_mm2, carried)
+    return 0.5 * (updated + updated.T)
+
+
+def _mean_bound_mm(volume: Rows, covariance: Array) -> float:
+    return float(bounds95_mm(volume.covariance_mm2(covariance)).mean())

@@ -1,0 +1,133 @@
+"""Poses beside the grid, chosen by what is known of the robot after grid and sweeps.
+
+Each is the one of many candidates that makes the predicted errors in the cube certain soonest;
+positions and the tool's turn are free. It ends when the predicted bound is low enough.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.frames import grid_of, measured_of
+from hilcell.cell.file import Cell
+from hilcell.compensation.kinematic import Kinematic
+from hilcell.geometry.frames import apply
+from hilcell.geometry.kinematics import forward
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.identification.design import Design, Rows, design
+from hilcell.identification.readings import IdentificationError
+from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array
+from hilcell.run.cell_session import CellSession
+from hilcell.run.clear_ways import clear_poses
+from hilcell.run.procedure import Step
+from procedures.durations import flange_points, step
+from procedures.plan import poses_at
+
+CANDIDATES, PLACES = 128, 64
+CHOSEN = "poses chosen"
+
+
+class ChosenPoses:
+    """Drives to the poses of a quick plan that say most beside its coarse grid."""
+
+    name = "chosen-poses"
+    needs = "the grid, and the sweeps where there are any"
+    moves = "the robot in the cube, the tool turned"
+    measures = "the flange reflector at every chosen pose"
+    yields = "more certain kinematics"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Return the longest that it may take: which poses, only the grid's errors tell."""
+        if not cell.plan.quick:
+            return Step(self.name, 0, 0.0)
+        joints_rad = candidates_rad(cell)[: cell.plan.most_poses]
+        return step(self.name, len(joints_rad), [flange_points(cell, joints_rad)])
+
+    def perform(self, session: CellSession) -> None:
+        """Choose once, then measure."""
+        if not session.cell.plan.quick:
+            return
+        event = _chosen(session.log) or self._choose(session)
+        station = session.cell.station_named(session.cell.grid.station)
+        joints_rad = np.radians(event["joints_deg"]).reshape(-1, 6)
+        nominal_mm = forward(session.cell.robot.arm(), joints_rad)[:, :3, 3]
+        world_mm = apply(session.frames.base_in_world(station), nominal_mm)
+        for number, (joints, at_mm) in enumerate(zip(joints_rad, world_mm, strict=True)):
+            session.flange_point(PointId("pose", number=number), station, joints, nominal_mm=at_mm)
+
+    def _choose(self, session: CellSession) -> dict[str, Any]:
+        joints_rad = candidates_rad(session.cell)
+        try:
+            found = choice(session.log, joints_rad)
+        except IdentificationError as error:
+            found = Design([], [])
+            session.event("no poses chosen", reason=str(error), error=error.facts())
+        chosen_deg = np.degrees(joints_rad[found.chosen])
+        session.event(CHOSEN, joints_deg=chosen_deg, bounds_mm=found.bounds_mm)
+        return {"joints_deg": chosen_deg}
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the mean 95 % bound over the cube as predicted before and after each pose."""
+        if not log.cell.plan.quick:
+            return {}
+        event = _chosen(log)
+        return {"chosen_poses": {"bounds_mm": event["bounds_mm"] if event else []}}
+
+
+def choice(log: Log, joints_rad: Array) -> Design:
+    """Return which of the candidates (N, 6) to measure; raises `IdentificationError`."""
+    plan, cell = log.cell.plan, log.cell
+    measured = measured_of(log)
+    model = Kinematic.learn(measured)
+    reading_mm2 = np.nanmean(measured.poses.covariance_mm2, axis=0)
+    grid = grid_of(cell)
+    places_mm = grid.origin_mm + _spread(PLACES, 3) * (grid.far_mm - grid.origin_mm)
+    places_rad = cell.robot.nominal().joints_for(poses_at(cell, places_mm))
+    return design(
+        rows_of(model, joints_rad, reading_mm2),
+        rows_of(model, places_rad, np.zeros((3, 3))),
+        model.covariance,
+        bound_mm=plan.bound_mm,
+        most=plan.most_poses,
+    )
+
+
+def rows_of(model: Kinematic, joints_rad: Array, reading_mm2: Array) -> Rows:
+    """Return the reflector's positions at joints (N, 6) as rows, read with a covariance (3, 3)."""
+    found = model.kinematics.linearised(model.state, joints_rad)
+    one = (len(joints_rad), 1)
+    own_mm2 = np.broadcast_to(reading_mm2, (*one, 3, 3))
+    noise_mm2 = model.noise.covariance(found.by_joint, own_mm2, np.ones(one, dtype=bool))
+    return Rows(found.by_parameter[:, 0], noise_mm2)
+
+
+def candidates_rad(cell: Cell) -> Array:
+    """Return joints (N, 6) of poses in the cube that can be driven to, each other one turned."""
+    grid, station = grid_of(cell), cell.station_named(cell.grid.station)
+    drawn = _spread(CANDIDATES, 6)
+    poses = poses_at(cell, grid.origin_mm + drawn[:, :3] * (grid.far_mm - grid.origin_mm))
+    turns = (2.0 * drawn[:, 3:] - 1.0) * np.radians(cell.plan.turn_deg) / np.sqrt(3.0)
+    turns[::2] = 0.0
+    poses[:, :3, :3] = from_rotvec(turns) @ poses[:, :3, :3]
+    robot = cell.robot.nominal()
+    joints_rad = robot.joints_for(poses[robot.reachable(poses)])
+    found: Array = joints_rad[clear_poses(cell, station, joints_rad)]
+    return found
+
+
+def _chosen(log: Log) -> dict[str, Any] | None:
+    return next((each.body for each in log.events if each.body["what"] == CHOSEN), None)
+
+
+def _spread(count: int, dimensions: int) -> Array:
+    """Return points (N, D) that fill the unit cube evenly, however few (Roberts' sequence)."""
+    root = 2.0
+    for _ in range(50):
+        root = (1.0 + root) ** (1.0 / (dimensions + 1))
+    steps = root ** -np.arange(1.0, dimensions + 1)
+    points: Array = (0.5 + np.outer(np.arange(1, count + 1), steps)) % 1.0
+    return points

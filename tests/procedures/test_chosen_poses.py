@@ -1,0 +1,93 @@
+"""Free poses of a quick plan: where they may be, and that a resumed run takes the same ones."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from hilcell.calibration.frames import grid_of
+from hilcell.cell.file import load_cell
+from hilcell.geometry.kinematics import forward
+from hilcell.geometry.rotations import to_rotvec
+from hilcell.identification.design import Design
+from hilcell.identification.readings import IdentificationError
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array
+from hilcell.run.cell_session import CellSession
+from hilcell.run.clear_ways import clear_poses
+from procedures import chosen_poses
+from procedures.chosen_poses import CANDIDATES, ChosenPoses, candidates_rad
+
+QUICK = load_cell("paper", {"plan.quick": "true"})
+STATION = QUICK.station_named(QUICK.grid.station)
+
+
+class Journal:
+    """A session that measures nothing, and remembers events and what was asked for."""
+
+    def __init__(self) -> None:
+        self.cell = QUICK
+        self.log = SimpleNamespace(cell=QUICK, events=[])
+        self.frames = SimpleNamespace(base_in_world=lambda station: np.eye(4))
+        self.sent: list[tuple[str, list[float]]] = []
+
+    def event(self, what: str, **facts: Any) -> None:
+        plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in facts.items()}
+        self.log.events.append(SimpleNamespace(body={"what": what} | plain))
+
+    def flange_point(self, id: PointId, station: object, joints_rad: Array, **_: object) -> None:
+        self.sent.append((id.key, np.degrees(joints_rad).round(9).tolist()))
+
+
+def test_candidates_fill_the_cube_and_each_other_one_is_turned() -> None:
+    found = forward(QUICK.robot.arm(), candidates_rad(QUICK))
+    grid, centre = grid_of(QUICK), QUICK.grid.centre.matrix()
+    assert len(found) > 0.9 * CANDIDATES
+    assert (found[:, :3, 3] >= grid.origin_mm).all()
+    assert (found[:, :3, 3] <= grid.far_mm).all()
+    assert np.ptp(found[:, :3, 3], axis=0).min() > 800.0
+    turns_deg = np.degrees(np.linalg.norm(to_rotvec(found[:, :3, :3] @ centre[:3, :3].T), axis=-1))
+    assert turns_deg.max() <= QUICK.plan.turn_deg + 1e-6
+    assert 0.4 < np.mean(turns_deg > 1.0) < 0.6
+
+
+def test_no_candidate_is_turned_where_nothing_is_stated_of_the_surroundings() -> None:
+    bare = replace(QUICK, robot=replace(QUICK.robot, envelope=None), keep_out=[])
+    joints_rad = candidates_rad(bare)
+    assert 0.4 * CANDIDATES < len(joints_rad) < 0.6 * CANDIDATES
+    assert clear_poses(bare, STATION, joints_rad).all()
+
+
+def test_poses_are_chosen_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    journal = Journal()
+    session = cast("CellSession", journal)
+    monkeypatch.setattr(chosen_poses, "choice", lambda log, rad: Design([5, 2], [0.3, 0.2, 0.1]))
+    ChosenPoses().perform(session)
+    first = list(journal.sent)
+    assert [key for key, _ in first] == ["pose/000", "pose/001"]
+    wanted_deg = np.degrees(candidates_rad(QUICK))[[5, 2]]
+    np.testing.assert_allclose([joints for _, joints in first], wanted_deg, atol=1e-8)
+    monkeypatch.setattr(chosen_poses, "choice", lambda log, rad: Design([7], [0.1, 0.1]))
+    ChosenPoses().perform(session)  # resumed, with more known by now
+    assert journal.sent == first + first
+    assert ChosenPoses().result(session.log)["chosen_poses"]["bounds_mm"] == [0.3, 0.2, 0.1]
+
+
+def test_a_robot_that_is_not_identified_gets_no_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(log: object, rad: object) -> Design:
+        raise IdentificationError("too few")
+
+    journal = Journal()
+    monkeypatch.setattr(chosen_poses, "choice", refuse)
+    ChosenPoses().perform(cast("CellSession", journal))
+    assert journal.sent == []
+    assert journal.log.events[0].body["reason"] == "too few"
+
+
+def test_a_full_plan_has_none() -> None:
+    assert ChosenPoses().plan(load_cell("paper"), 1).duration_s == 0.0
+    assert 0 < ChosenPoses().plan(QUICK, 1).points <= QUICK.plan.most_poses
