@@ -6,6 +6,7 @@ import argparse
 import signal
 import sys
 import threading
+from typing import Any
 
 import msgspec
 
@@ -28,10 +29,11 @@ def check(args: argparse.Namespace) -> int:
     procedure: Procedure = load_entry("procedures", "calibrate")
     plan = procedure.plan(cell, seed=1)
     able = abilities(cell)
-    facts = able | {
+    facts: dict[str, Any] = able | {
         "cell": cell.name,
         "digest": cell.digest,
         "stations": [station.name for station in cell.station],
+        "keep_out": [volume.name for volume in cell.keep_out],
         "points": plan.points,
         "duration_s": plan.duration_s,
         "ok": True,
@@ -40,7 +42,8 @@ def check(args: argparse.Namespace) -> int:
         f"{args.cell}: cell {cell.name} is sound; calibrate measures {plan.points} points "
         f"in {plan.duration_s / 60:.0f} min; "
         f"this tracker streams: {_word(able['tracker_streams'])}, "
-        f"this robot sweeps an axis: {_word(able['robot_sweeps'])}"
+        f"this robot sweeps an axis: {_word(able['robot_sweeps'])}; "
+        f"the arm keeps clear of: {', '.join(facts['keep_out']) or 'nothing that is stated'}"
     )
     print_answer(facts, words, as_json=args.json)
     return 0

@@ -187,8 +187,8 @@ def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float
         "HC-B34",
         "Robot",
         f"{what}{of}",
-        f"link {nearest.link} comes within {nearest.clearance_mm:.0f} mm of keep-out "
-        f"{nearest.volume}, at {axes} deg, rail {at[0]:.0f} mm",
+        f"link {nearest.link} {_how_near(nearest.clearance_mm)} keep-out {nearest.volume}, at "
+        f"{axes} deg, rail {at[0]:.0f} mm",
         wanted=f">= {wanted_mm:.0f} mm",
         act="choose another pose, or correct keep_out or robot.envelope in the cell file",
         fields={
@@ -201,3 +201,7 @@ def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float
             "rail_mm": at[0],
         },
     )
+
+
+def _how_near(clearance_mm: float) -> str:
+    return "is in" if clearance_mm < 0.0 else f"comes within {clearance_mm:.0f} mm of"

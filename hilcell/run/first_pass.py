@@ -54,8 +54,8 @@ class FirstPass:
     @cached_property
     def _earlier(self) -> list[Driven]:
         """Return where the runs before this one were driven; a deleted one proves nothing."""
-        found = []
-        for name in self._run.log.inputs.driven_by:
+        found, plan = [], self._run.log.plan
+        for name in plan.driven_by if plan else []:
             try:
                 found.append(read_log(self._run.folder.parent / name).driven)
             except StorageError as error:

@@ -68,14 +68,26 @@ def test_a_way_through_a_volume_is_refused_with_all_that_matters() -> None:
     error = caught.value
     assert error.code == "HC-B34"
     assert error.operation == "sweep of axis 1"
-    assert "comes within -" in error.found
-    assert "mm of keep-out part, at A1 " in error.found
-    assert error.found.endswith("rail 1100 mm")
+    assert error.found == (
+        "link 4 is in keep-out part, at A1 -0.9, A2 -90.0, A3 90.0, A4 0.0, A5 -30.0, A6 0.0 deg, "
+        "rail 1100 mm"
+    )
     assert error.wanted == ">= 60 mm"
     assert "correct keep_out or robot.envelope" in error.act
     assert error.fields["keep_out"] == "part"
-    assert error.fields["link"] in range(2, 7)
+    assert error.fields["link"] == 4
     assert float(str(error.fields["clearance_mm"])) < 0.0
+
+
+def test_a_pose_too_near_says_how_near() -> None:
+    with pytest.raises(Blocked) as caught:
+        check_poses(wall_beside(HOME, 43.0), S1100, np.array([SAFE, HOME, HOME]), "place at S1100")
+    assert str(caught.value) == (
+        "Robot: place at S1100 (way 2, and 1 more of 3): link 6 comes within 58 mm of keep-out "
+        "part, at A1 -0.5, A2 -90.5, A3 89.5, A4 -0.5, A5 -30.5, A6 -0.5 deg, rail 1100 mm, "
+        "wanted >= 60 mm; choose another pose, or correct keep_out or robot.envelope in the cell "
+        "file"
+    )
 
 
 def test_the_volumes_are_where_the_rail_leaves_them() -> None:
@@ -200,9 +212,7 @@ def test_poses_beyond_a_limit_are_refused() -> None:
 def test_the_slide_rides_with_a_safe_pose_that_is_clear_everywhere() -> None:
     check_rides(CELL)
     check_rides(bare(CELL))
-    with pytest.raises(
-        Blocked, match=r"Robot: ride at the safe pose: .* of keep-out part, .* rail"
-    ):
+    with pytest.raises(Blocked, match=r"ride at the safe pose: .* is in keep-out part, .* rail"):
         check_rides(with_box(CELL, -350.0, 1500.0, 1500.0, (300.0, 60.0, 4000.0)))
 
 

@@ -81,12 +81,13 @@ def test_the_same_pose_at_another_place_is_not_known(tmp_path: Path) -> None:
     bed = Watched(tmp_path)
 
     def act(session: CellSession, number: int) -> None:
-        session.robot_to(OUT, "here")
+        for joints in (OUT, CUBE, OUT, CUBE):
+            session.robot_to(joints, "here")
         bed.rail.position_mm += 6.0
         session.robot_to(OUT, "there")
 
     assert bed.run(procedure(Points(1, act))) == 0
-    assert bed.speeds == [SLOW] * 4
+    assert bed.speeds == [SLOW] * 2 + [USUAL] * 6 + [SLOW] * 2
 
 
 def test_a_resumed_run_knows_only_motions_that_came_to_their_end(tmp_path: Path) -> None:
@@ -99,8 +100,8 @@ def test_a_resumed_run_knows_only_motions_that_came_to_their_end(tmp_path: Path)
 
     bed.run(procedure(Points(1, lost)))
     bed.speeds.clear()
-    run(bed, OUT, HOME)
-    assert bed.speeds == [SLOW, SLOW, USUAL, USUAL]
+    run(bed, HOME, OUT)
+    assert bed.speeds == [USUAL, USUAL, SLOW, SLOW]
 
 
 def test_a_finished_run_s_poses_are_known_to_the_next(
