@@ -102,7 +102,8 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
     placed = stated.stations[station] if on_visit is None else [on_visit]
     lines = [each for each in (*stated.lines, *placed) if each.counts != "in use"]
     poses = T_W_B @ _poses(calibration, in_base_mm)
-    bounds = _bounds(calibration, station, poses, [*lines, *in_validation(log, points)])
+    lines += in_validation(log, points, touched_before=on_visit is not None)
+    bounds = _bounds(calibration, station, poses, lines)
     return Coverage(found.norms_mm, bounds.radii_mm)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 
 from hilcell.calibration.errors import visits_mm
@@ -238,8 +239,13 @@ def temperature(
     return _growth(growth_per_k, half_k**2 / RECTANGULAR, how, "4.3.7")
 
 
-def in_validation(log: Log, points: Sequence[Point]) -> list[Influence]:
-    """Return what the measured errors of validation points have besides: readings, their air."""
+def in_validation(
+    log: Log, points: Sequence[Point], *, touched_before: bool = False
+) -> list[Influence]:
+    """Return what the measured errors of validation points have besides: readings, their air.
+
+    Touch poses take the arm's growth in with the base, but for its change over the cube.
+    """
     R = log.matrix("world")[:3, :3]
     readings = Influence(
         "Tracker, readings", MEASURED, f"scatter of the readings of {len(points)} points", "4.2.3",
@@ -254,7 +260,12 @@ def in_validation(log: Log, points: Sequence[Point]) -> list[Influence]:
     off_k = rms(np.array(found_c) - np.mean(grid_c))
     growth_per_k = log.cell.uncertainty.arm_growth_um_m_k * 1e-6
     how = f"{off_k:.2f} K from the grid's mean"
-    return [readings, _growth(growth_per_k, off_k**2, how, "4.2.2")]
+    grown = _growth(growth_per_k, off_k**2, how, "4.2.2")
+    if touched_before:
+        x_mm, y_mm, z_mm = log.cell.grid.centre.matrix()[:3, 3].tolist()
+        how = f"{grown.how}, but for what the touch poses took in"
+        grown = msgspec.structs.replace(grown, how=how, origin_mm=(x_mm, y_mm, z_mm))
+    return [readings, grown]
 
 
 def _growth(limit_per_k: float, variance_k2: float, how: str, clause: str) -> Influence:

@@ -178,6 +178,10 @@ def test_readings_and_air_of_the_validation(tmp_path: Path) -> None:
     readings, air = in_validation(log, log.select("validate"))
     np.testing.assert_allclose(shift_mm2(readings), 0.01**2 * np.eye(3))
     assert math.sqrt(3 * air.covariance[6][6]) == pytest.approx(23e-6 * 1.0)  # 1 K, rms
+    assert air.origin_mm == (0.0, 0.0, 0.0)
+    (_, rest) = in_validation(log, log.select("validate"), touched_before=True)
+    assert rest.covariance == air.covariance
+    assert rest.origin_mm == (1850.0, 0.0, 950.0)  # the cube's centre
 
 
 def test_air_that_was_not_measured_is_no_line(tmp_path: Path) -> None:
