@@ -42,13 +42,22 @@ def validation_table(result: dict[str, Any]) -> Table:
 
 def station_table(result: dict[str, Any]) -> Table:
     """Return the quality of each station's frame."""
-    headers = ["station", "strip mm", "fit rms mm", "tool point u mm"]
+    headers = [
+        "station",
+        "strip mm",
+        "fit rms mm",
+        "tool point u mm",
+        "worst corner u mm",
+        "left out",
+    ]
     rows = [
         [
             name,
             f"{each['strip_mm']:.2f}",
             f"{each['rms_mm']:.4f}",
             f"{each['tool_uncertainty_mm']:.4f}",
+            "" if each["cube_uncertainty_mm"] is None else f"{each['cube_uncertainty_mm']:.4f}",
+            ", ".join(each["left_out"]) or "none",
         ]
         for name, each in result["stations"].items()
     ]

@@ -19,6 +19,7 @@ from hilcell.geometry.rotations import from_rotvec
 LEAST_MM = 1e-4  # no reading is better
 OUTLYING = 25.0  # squared, in sigmas of the typical point
 TYPICAL = 2.366  # median of chi2 of three coordinates
+BELIEF = 6.0  # coordinates: so much counts the stated size of the covariances
 LEAVE_AT_MOST = 4  # one of so many points may be left out
 
 
@@ -46,7 +47,7 @@ def updated_frame(
 
     ``covariance`` (6, 6) of ``T``, which may be singular: shift of a's origin and rotation
     vector about it, axes of b. ``covariances_mm2`` (N, 3, 3) of each ``b - T a``, axes of b;
-    they are widened where the residuals exceed them. Raises `FrameError` on what is not finite.
+    their size is corrected by the residuals. Raises `FrameError` on what is not finite.
     """
     _check(T, covariance, a_mm, b_mm, covariances_mm2)
     R = covariances_mm2 + LEAST_MM**2 * np.eye(3)
@@ -64,17 +65,17 @@ def updated_frame(
         if enough or squares[worst] <= OUTLYING * typical:
             break
         kept.pop(worst)
-    pull = math.sqrt(max(0.0, solved.chi2 - float(squares.sum())))  # before anything is widened
-    excess = float(squares.sum()) / (3 * len(kept) - solved.spent)
-    if excess > 1.0:
-        solved = _solved(covariance, J[kept], off_mm[kept], excess * R[kept])
+    pull = math.sqrt(max(0.0, solved.chi2 - float(squares.sum())))  # of the covariances as stated
+    freedom, chi2 = 3 * len(kept) - solved.spent, float(squares.sum())
+    size = (BELIEF + chi2) / (BELIEF + freedom)
+    solved = _solved(covariance, J[kept], off_mm[kept], size * R[kept])
     return FrameUpdate(
         matrix(from_rotvec(solved.x[3:]) @ T[:3, :3], T[:3, 3] + solved.x[:3]),
         solved.covariance,
         off_mm - J @ solved.x,
         tuple(n for n in range(len(off_mm)) if n not in kept),
         pull,
-        math.sqrt(excess),
+        math.sqrt(chi2 / freedom),
     )
 
 
