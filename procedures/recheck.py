@@ -13,7 +13,8 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import USED, calibration_in, calibration_named, record_of
-from hilcell.calibration.rechecked import poses_at, recheck_result, rechecked_run
+from hilcell.calibration.rechecked import recheck_result, rechecked_run
+from hilcell.calibration.visit import poses_at
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.geometry.frames import apply

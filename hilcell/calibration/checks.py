@@ -36,6 +36,7 @@ def problems_of(calibration: Calibration) -> list[str]:
         *_stations(calibration.stations),
         *_uncertainty(calibration),
         *_updates(calibration),
+        *_targets(calibration),
     ]
     return found or list(_model(calibration))
 
@@ -139,6 +140,28 @@ def _updates(calibration: Calibration) -> Iterator[str]:
             yield f"{at}: motion of {len(update.motion)} numbers, wanted {wanted[0]}"
         elif update.motion:
             yield from _within(f"{at}: motion", update.motion, MOST_ERROR_MM, "mm")
+
+
+def _targets(calibration: Calibration) -> Iterator[str]:
+    if calibration.targets is None:
+        return
+    variance_mm2 = calibration.targets.variance_mm2
+    if not 0 < variance_mm2 <= MOST_ERROR_MM**2:
+        yield f"targets.variance_mm2: {variance_mm2:g}, wanted above 0"
+    for each in calibration.targets.passes:
+        at, count = f"targets of run {each.run[:40]}", len(each.names)
+        for name, values, shape, most in (
+            ("poses", each.poses, (count, 6), MOST_MM),
+            ("remainders_mm", each.remainders_mm, (count, 3), MOST_ERROR_MM),
+            ("own_mm2", each.own_mm2, (count, 3, 3), MOST_ERROR_MM**2),
+        ):
+            found = _array(values)
+            if found.shape != shape or not np.abs(found).max() <= most:
+                yield f"{at}: {name}: wanted {count} rows of finite numbers within +-{most:g}"
+            elif name == "own_mm2" and not np.linalg.eigvalsh(found).min() > 0:
+                yield f"{at}: own_mm2: a variance that is not above 0"
+        if not _is_covariance(_array(each.common)):
+            yield f"{at}: common: wanted a covariance of {SIZE} x {SIZE} finite numbers"
 
 
 def _is_covariance(found: Array) -> bool:

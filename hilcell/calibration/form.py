@@ -5,6 +5,7 @@ All lengths mm, frames as homogeneous matrices; the errors of the grid stand in 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, Literal
 
 import msgspec
@@ -15,6 +16,8 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import ErrorModel
+from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
+from hilcell.geometry.frames import poses_from_zyx
 
 
 class StationEntry(msgspec.Struct, frozen=True):
@@ -103,10 +106,57 @@ class ModelEntry(msgspec.Struct, frozen=True):
     parameters: dict[str, Any]
 
 
+class TargetPass(msgspec.Struct, frozen=True):
+    """Targets measured in one run: names, commanded poses x, y, z (mm), a, b, c (deg) in {B}, what
+    the model left of the error there (N, 3) in mm, its covariance (N, 3, 3) from visit and reading,
+    and that of the frames (7, 7) as in `Influence`, about the origin of {B}.
+    """
+
+    run: str
+    names: list[str]
+    poses: list[tuple[float, float, float, float, float, float]]
+    remainders_mm: list[tuple[float, float, float]]
+    own_mm2: list[list[list[float]]]
+    common: list[list[float]]
+
+    def without(self, names: Collection[str]) -> TargetPass:
+        """Return the pass without some targets."""
+        kept = [n for n, name in enumerate(self.names) if name not in names]
+        return msgspec.structs.replace(
+            self,
+            names=[self.names[n] for n in kept],
+            poses=[self.poses[n] for n in kept],
+            remainders_mm=[self.remainders_mm[n] for n in kept],
+            own_mm2=[self.own_mm2[n] for n in kept],
+        )
+
+    def measured(self) -> Pass:
+        """Return the pass as arrays."""
+        return Pass(
+            poses_from_zyx(np.array(self.poses, dtype=float).reshape(-1, 6)),
+            np.array(self.remainders_mm, dtype=float).reshape(-1, 3),
+            np.array(self.own_mm2, dtype=float).reshape(-1, 3, 3),
+            np.array(self.common, dtype=float),
+        )
+
+
+class Targets(msgspec.Struct, frozen=True):
+    """Passes over targets, and the variance of one coordinate of the model's error by which they
+    are folded in.
+    """
+
+    variance_mm2: float
+    passes: list[TargetPass]
+
+    def remainder(self) -> Remainder:
+        """Return what is known of the model's error."""
+        return Remainder([each.measured() for each in self.passes], self.variance_mm2)
+
+
 class Calibration(msgspec.Struct, frozen=True):
     """The file. ``method`` is the model's name, for readers that know no ``model``.
 
-    Files of old state no ``uncertainty``.
+    Files of old state no ``uncertainty``. ``targets`` are those that later runs have measured.
     """
 
     schema: int
@@ -118,6 +168,7 @@ class Calibration(msgspec.Struct, frozen=True):
     grid_errors_mm: list[list[list[tuple[float, float, float]]]]
     model: ModelEntry | None = None
     uncertainty: Uncertainty | None = None
+    targets: Targets | None = None
 
     def grid(self) -> Grid:
         """Return the grid in {B}."""
@@ -126,10 +177,15 @@ class Calibration(msgspec.Struct, frozen=True):
         return Grid(np.array(self.validity.low_mm), self.pitch_mm, shape)
 
     def error_model(self) -> ErrorModel:
-        """Return the model; a file without its parameters states no covariance, so it is NaN.
+        """Return the model, with the targets measured since folded in.
 
         Raises `HilcellError` where the parameters are no model's.
         """
+        model = self.learnt_model()
+        return model if self.targets is None else WithRemainder(model, self.targets.remainder())
+
+    def learnt_model(self) -> ErrorModel:
+        """Return the model as learnt; a file without parameters states no covariance: it is NaN."""
         grid, errors_mm = self.grid(), np.array(self.grid_errors_mm)
         if self.model is not None:
             return MODELS[self.model.name].restore(grid, errors_mm, self.model.parameters)

@@ -34,12 +34,13 @@ class NoCalibration(HilcellError):
 def with_calibration(cell: Cell, table: str, runs: Path) -> Cell:
     """Return the cell with the path of a usable calibration file in ``table``.
 
-    The table names a run or a file; "" is the newest calibration of this cell in ``runs``. Raises
-    `NoCalibration`, `Unfit`, and `SettingsError` for a file that is not sound.
+    The table names a run or a file; "" is the newest calibration of this cell in ``runs``. A cell
+    without the table is returned as it is. Raises `NoCalibration`, `Unfit`, and `SettingsError`
+    for a file that is not sound.
     """
     chosen = getattr(cell, table)
     if chosen is None:
-        raise NoCalibration(f"[{table}] is missing; see `docs/cell-file.md`")
+        return cell  # the plan says which keys it lacks
     named = chosen.calibration
     path = _named(runs, named) if named else _newest(runs, cell, table)
     check_usable(path, cell)
@@ -57,6 +58,20 @@ def calibration_named(cell: Cell, table: str) -> Calibration:
             f"--set {table}.calibration=RUN"
         )
     return read_calibration(Path(path))
+
+
+def calibrated_machine(cell: Cell, table: str) -> int | None:
+    """Return the seed of the simulated machine whose calibration is named in ``table``.
+
+    None where the cell is real or runs already, and where the file lies alone.
+    """
+    chosen = getattr(cell, table)
+    if chosen is None or cell.simulation is None or cell.simulation.address:
+        return None
+    folder = Path(chosen.calibration).parent
+    if not is_run(folder):
+        return None
+    return read_log(folder).inputs.truth_seed
 
 
 def record_of(calibration: Calibration, path: str) -> dict[str, Any]:
@@ -114,6 +129,10 @@ def _foreign(calibration: Calibration, path: Path, cell: Cell) -> Iterator[str]:
     if made.simulated != (cell.simulation is not None):
         kinds = ("a simulated", "a real") if made.simulated else ("a real", "a simulated")
         yield f"it is of {kinds[0]} cell, this is {kinds[1]} one; calibrate this cell"
+    stated = calibration.uncertainty
+    if stated is None or stated.missing:
+        why = "as those of earlier versions" if stated is None else stated.missing
+        yield f"it states no uncertainty to judge by: {why}; calibrate again"
     if cell.grid.station not in calibration.stations:
         yield f"station {cell.grid.station} is not calibrated by it"
     if made.digest == cell.digest:

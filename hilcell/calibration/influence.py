@@ -15,7 +15,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from hilcell.geometry.frames import cross_matrix
+from hilcell.geometry.frames import apply, cross_matrix, inverse, motion_levers
 from hilcell.geometry.statistics import bounds95_mm, effective_freedom, trace_freedom
 from hilcell.ports import Array, HilcellError
 
@@ -56,24 +56,26 @@ class Influence(msgspec.Struct, frozen=True):
 
         ``frames`` (4, 4) or (N, 4, 4) is the influence's own frame in {W}.
         """
-        J = self.levers(frames, targets_mm)
-        found: Array = J @ np.array(self.covariance) @ np.swapaxes(J, -1, -2)
-        return found
-
-    def together(self, frames: Array, targets_mm: Array) -> Array:
-        """Return the covariance (3N, 3N) in {W} of the targets, which it moves together."""
-        J = self.levers(frames, targets_mm).reshape(-1, SIZE)
-        found: Array = J @ np.array(self.covariance) @ J.T
-        return found
-
-    def levers(self, frames: Array, targets_mm: Array) -> Array:
-        """Return d(target) / d(motion), (N, 3, 7)."""
         T = np.broadcast_to(frames, (len(targets_mm), 4, 4))
         R = T[:, :3, :3]
         levers = np.einsum("nji,nj->ni", R, targets_mm - T[:, :3, 3]) - np.array(self.origin_mm)
-        shifts = np.broadcast_to(np.eye(3), R.shape)
-        J: Array = R @ np.concatenate([shifts, -cross_matrix(levers), levers[:, :, None]], axis=-1)
-        return J
+        J = R @ motion_levers(levers)
+        found: Array = J @ np.array(self.covariance) @ np.swapaxes(J, -1, -2)
+        return found
+
+    def about(self, own: Array, T: Array) -> Array:
+        """Return the covariance (7, 7) of the same motion about the origin of ``T``, its axes.
+
+        ``own`` (4, 4) is the influence's own frame in {W}, as ``T``.
+        """
+        R = T[:3, :3].T @ own[:3, :3]
+        origin_mm = apply(inverse(T) @ own, np.array([self.origin_mm]))[0]
+        M = np.eye(SIZE)
+        M[:3, :3] = M[3:6, 3:6] = R
+        M[:3, 3:6] = cross_matrix(origin_mm) @ R
+        M[:3, 6] = -origin_mm
+        found: Array = M @ np.array(self.covariance) @ M.T
+        return found
 
 
 def motion(

@@ -6,65 +6,40 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.budget import temperature
-from hilcell.calibration.form import Calibration
-from hilcell.calibration.in_use import NoCalibration, calibration_in
+from hilcell.calibration.influence import no_less_than_nought
 from hilcell.calibration.recheck import (
     RISK,
     Judgement,
-    NotJudged,
     Rechecked,
     Verdict,
     in_tolerance,
     judged,
 )
-from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import (
-    bounds95_mm,
-    figures_of,
-    lengths_mm,
-    reading_variances_mm2,
-)
-from hilcell.journal.log import Log, Point, positions_mm
-from hilcell.ports import Array
+from hilcell.calibration.visit import poses_at, used, visited
+from hilcell.geometry.frames import motion_levers
+from hilcell.geometry.statistics import bounds95_mm, figures_of, lengths_mm
+from hilcell.journal.log import Log
 
 KIND = "recheck"
 
 
 def rechecked_run(log: Log) -> Judgement:
-    """Return the judgement of a run that has measured its poses; raises `NotJudged`."""
+    """Return the judgement of a run that has measured its poses; raises `HilcellError`."""
     return judged(rechecked(log))
 
 
 def rechecked(log: Log) -> Rechecked:
     """Return errors and covariance of the measured poses, in the calibration's {B}."""
-    calibration, T_W_B = used(log), log.matrix("base")
-    points = log.select(KIND)
-    T_B_W = inverse(T_W_B)
-    T_B_L = T_B_W @ log.matrix("world")
-    nominal_mm = np.array([point.nominal_mm for point in points], dtype=float)
-    targets_mm = apply(T_B_W, nominal_mm)
-    errors_mm = apply(T_B_L, positions_mm(points)) - targets_mm
-    model = calibration.error_model().predict(poses_at(calibration, targets_mm))
-    alone_mm2, together_mm2 = _predicted_mm2(log, calibration, targets_mm)
-    own_mm2 = model.covariance_mm2 + alone_mm2 + _readings_mm2(points, T_B_L[:3, :3])
-    return Rechecked(targets_mm, errors_mm, own_mm2, together_mm2)
-
-
-def used(log: Log) -> Calibration:
-    """Return the calibration that the run uses; raises `NoCalibration` before it does."""
-    calibration = calibration_in(log)
-    if calibration is None:
-        raise NoCalibration("the run has used no calibration yet")
-    return calibration
-
-
-def poses_at(calibration: Calibration, places_mm: Array) -> Array:
-    """Return poses (N, 4, 4) in {B} at places (N, 3), in the calibrated orientation."""
-    poses = np.tile(np.eye(4), (len(places_mm), 1, 1))
-    poses[:, :3, :3] = np.array(calibration.validity.orientation)
-    poses[:, :3, 3] = places_mm
-    return poses
+    calibration, points = used(log), log.select(KIND)
+    found = visited(log, points, log.cell.grid.station)
+    model = calibration.error_model().predict(poses_at(calibration, found.nominal_mm))
+    J = motion_levers(found.nominal_mm).reshape(-1, 7)
+    return Rechecked(
+        found.nominal_mm,
+        found.actual_mm - found.nominal_mm,
+        no_less_than_nought(model.covariance_mm2 - found.within_mm2) + found.own_mm2,
+        J @ found.common @ J.T,
+    )
 
 
 def final_verdict(log: Log, found: Judgement) -> Verdict:
@@ -75,46 +50,6 @@ def final_verdict(log: Log, found: Judgement) -> Verdict:
     limits = log.cell.validation
     kept = in_tolerance(errors_mm, limits.mean_tolerance_mm, limits.max_tolerance_mm)
     return found.verdict if kept else "redo"
-
-
-def _readings_mm2(points: list[Point], R: Array) -> Array:
-    """Return the covariances (N, 3, 3) of averaged readings, turned by ``R`` (3, 3)."""
-    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
-    turned: Array = np.einsum("ij,nj,kj->nik", R, variances_mm2, R)
-    return turned
-
-
-def _predicted_mm2(log: Log, calibration: Calibration, targets_mm: Array) -> tuple[Array, Array]:
-    """Return the budget's covariances of each target by itself, (N, 3, 3), and of all together,
-    (3N, 3N), both in {B}.
-
-    The tracker was set up for the calibration and again for the re-check, so that the lines of
-    {W} count twice. The drill is no part of the re-check.
-    """
-    stated = calibration.uncertainty
-    if stated is None or stated.missing:
-        reason = stated.missing if stated is not None else "its file states no uncertainty"
-        raise NotJudged(f"re-check: {reason}; calibrate again")
-    T_W_B, station = log.matrix("base"), log.cell.grid.station
-    frames, at_mm = {"world": np.eye(4), "base": T_W_B}, apply(T_W_B, targets_mm)
-    air_c = log.temperatures_c()
-    now_c = float(np.mean(air_c)) if air_c and calibration.validity.temperature_c else None
-    air = temperature(
-        stated.growth_per_k, calibration.validity.temperature_c, stated.air_range_k, now_c
-    )
-    alone = np.zeros((len(targets_mm), 3, 3))
-    together = np.zeros((3 * len(targets_mm), 3 * len(targets_mm)))
-    set_up = [each for each in stated.lines if each.frame == "world" and not each.alone]
-    for line in (*stated.lines, *set_up, *stated.stations[station], air):
-        if line.frame == "tool" or line.counts == "in validation":
-            continue
-        if line.alone:
-            alone += line.at(frames[line.frame], at_mm)
-        else:
-            together += line.together(frames[line.frame], at_mm)
-    R = T_W_B[:3, :3]
-    turn = np.kron(np.eye(len(targets_mm)), R.T)
-    return R.T @ alone @ R, turn @ together @ turn.T
 
 
 def recheck_result(log: Log) -> dict[str, Any]:

@@ -18,7 +18,9 @@ from hilcell.calibration.file import calibration_of
 from hilcell.calibration.form import Calibration, Update
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
 from hilcell.calibration.recheck import Judgement
-from hilcell.calibration.rechecked import rechecked_run, used
+from hilcell.calibration.rechecked import rechecked_run
+from hilcell.calibration.target_pass import folded, target_points
+from hilcell.calibration.visit import used
 from hilcell.journal.log import Log
 
 BASE_UPDATE = "Base frame, updated"
@@ -30,7 +32,15 @@ def calibration_after(log: Log, run: str) -> Calibration:
         return calibration_of(log, run)
     if "touch" in log.verdicts:
         return _touched(used(log), log, run)
+    if "targets" in log.verdicts:
+        return _with_targets(log, run)
     return _rebased(used(log), rechecked_run(log), run)
+
+
+def _with_targets(log: Log, run: str) -> Calibration:
+    after = folded(log, run)
+    update = Update(run, "targets", _now(), len(target_points(log)))
+    return msgspec.structs.replace(after, provenance=_with(after, update))
 
 
 def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibration:

@@ -18,7 +18,7 @@ import msgspec
 from hilcell import __version__
 from hilcell.alarms.catalogue import catalogue
 from hilcell.calibration.file import write_calibration
-from hilcell.calibration.in_use import with_calibration
+from hilcell.calibration.in_use import calibrated_machine, with_calibration
 from hilcell.calibration.updated import calibration_after
 from hilcell.cell.copied import check_copied
 from hilcell.cell.devices import (
@@ -79,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
     procedure: Procedure = load_entry("procedures", args.procedure)
     if procedure.uses:
         cell = with_calibration(cell, procedure.uses, args.runs)
+        if args.machine_seed is None:  # the machine that was calibrated, not the seed's
+            args.machine_seed = calibrated_machine(cell, procedure.uses)
     plan = procedure.plan(cell, args.seed)
     check_options(cell)
     if args.dry_run:

@@ -145,6 +145,18 @@ def cross_matrix(v: Array) -> Array:
     return K - np.swapaxes(K, -1, -2)
 
 
+def motion_levers(places_mm: Array) -> Array:
+    """Return d(place) / d(shift, rotation vector, growth), (N, 3, 7), of a motion about the origin.
+
+    ``places_mm`` (N, 3) are in the frame that moves: shift in mm, rotation in rad, growth a ratio.
+    """
+    shifts = np.broadcast_to(np.eye(3), (len(places_mm), 3, 3))
+    levers: Array = np.concatenate(
+        [shifts, -cross_matrix(places_mm), places_mm[:, :, None]], axis=-1
+    )
+    return levers
+
+
 def unit(v: Array) -> Array:
     """Return a vector (3,) scaled to length 1."""
     direction: Array = v / np.linalg.norm(v)

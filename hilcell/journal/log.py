@@ -280,8 +280,9 @@ class Log:
     def calibrates(self) -> bool:
         """Whether the run ended with a calibration, which has a file of its own."""
         updated = self.verdicts.get("recheck", {}).get("verdict") == "update"
+        folded = self.verdicts.get("targets", {}).get("holds", False)
         made = not {"fit", "touch"}.isdisjoint(self.verdicts)
-        return self.state == "finished" and (made or updated)
+        return self.state == "finished" and (made or updated or folded)
 
     @property
     def cell(self) -> Cell:

@@ -13,7 +13,7 @@ from tests.whole.conftest import PaperRun
 from tests.whole.trace import judge
 
 SHORT = SMALL | {"survey.to_mm": "600.0", "survey.step_mm": "200.0", "survey.repeats": "6"}
-OTHERS = ("campaign", "paper", "recheck", "touch")  # they have runs of their own
+OTHERS = ("campaign", "paper", "recheck", "targets", "touch")  # they have runs of their own
 NAMES = sorted(entry.name for entry in entry_points(group="hilcell.procedures"))
 
 

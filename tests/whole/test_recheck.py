@@ -43,7 +43,10 @@ def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_pat
     assert done.returncode == 0, done.stderr
 
 
-def test_without_a_calibration_nothing_begins(tmp_path: Path) -> None:
+def test_without_a_calibration_or_targets_nothing_begins(tmp_path: Path) -> None:
+    done = command("run", "targets", "--runs", tmp_path)
+    assert done.returncode == 2
+    assert "--set targets.file=FILE" in done.stderr
     done = command("run", "recheck", "--json", "--runs", tmp_path)
     assert done.returncode == 2
     assert "`hilcell run calibrate` first" in done.stderr
@@ -56,3 +59,38 @@ def test_a_dry_run_has_ten_points(golden: GoldenRuns, tmp_path: Path) -> None:
     plan = json.loads(done.stdout.splitlines()[-1])["result"]
     assert plan["points"] == 10
     assert plan["duration_s"] < 120
+
+
+def test_targets_are_measured_and_folded_in(golden: GoldenRuns, tmp_path: Path) -> None:
+    """The machine is that of the calibration, whatever the run's own seed is."""
+    targets, runs = tmp_path / "t.csv", tmp_path / "runs"
+    rows = [f"H{n},{-200 + 80 * n},{300 - 90 * n},{1000 + 70 * n},0,75,0" for n in range(6)]
+    targets.write_text("\n".join(["name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg", *rows]) + "\n")
+    small = golden["small"].folder
+    words = SMALL | {"targets.file": str(targets), "targets.calibration": str(small)}
+    named = ("--json", "--seed", "9", "--name", "T", "--runs", runs)
+    done = hilcell("run", "targets", *named, *sets(words))
+    found = end_of(done)["result"]["targets"]
+    assert done.returncode == 0, done.stderr
+    assert judge(events(done.stdout)) == []
+    assert found["points"] == 6
+    assert found["as_found"]["max"] < 0.5
+    assert 0.0 < found["share"] < 1.0
+    assert found["bound_after_mm"] < found["bound_before_mm"]
+    folded = read_calibration(runs / "T" / CALIBRATION)
+    assert folded.targets is not None
+    assert folded.targets.passes[0].names == [f"H{n}" for n in range(6)]
+    commands = []
+    for run in (small, runs / "T"):
+        out = tmp_path / "o.csv"
+        done = command("compensate", run, targets, "--station", "S1100", "-o", out)
+        assert done.returncode == 0, done.stderr
+        commands.append(out.read_text().splitlines())
+        out.unlink()
+    assert commands[0] != commands[1]
+    far = tmp_path / "far.csv"
+    far.write_text(targets.read_text().replace("H3,40", "H3,4000"))
+    words |= {"targets.file": str(far)}
+    done = command("run", "targets", "--dry-run", "--runs", runs, *sets(words))
+    assert done.returncode == 2
+    assert "H3" in done.stderr

@@ -1,0 +1,146 @@
+"""A pass over targets as its journal proves it: errors as found, and what is folded in.
+
+Targets that no others support, by more than `GROSS` standard deviations, are left out and named.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.bounds import target_bounds
+from hilcell.calibration.form import Calibration, TargetPass, Targets
+from hilcell.calibration.recheck import in_tolerance
+from hilcell.calibration.visit import Visited, used, visited
+from hilcell.compensation.remainder import Remainder
+from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
+from hilcell.geometry.kinematics import forward
+from hilcell.geometry.statistics import figures_of, lengths_mm
+from hilcell.journal.log import Log, Point
+from hilcell.ports import Array
+
+KIND = "targets"
+LISTED = "targets listed"  # the event that keeps the file's content
+GROSS = 5.0
+
+
+def listed(log: Log) -> tuple[list[str], Array] | None:
+    """Return names and values (N, 6) in {W} of the targets, once they stand in the journal."""
+    for record in log.events:
+        if record.body["what"] == LISTED:
+            values: Array = np.array(record.body["values"], dtype=float)
+            return list(record.body["names"]), values
+    return None
+
+
+def target_points(log: Log) -> list[Point]:
+    """Return the measured targets in the order of their list."""
+    names, _ = listed(log) or ([], None)
+    known = {point.id.target: point for point in log.select(KIND)}
+    return [known[name] for name in names if name in known]
+
+
+def gross_targets(log: Log) -> list[str]:
+    """Return the targets that stand out from all others."""
+    points, (this, poses) = target_points(log), _pass(log)
+    remainder = Remainder.learn([this.measured()], _stated_mm2(used(log), poses))
+    sigmas = remainder.sigmas()
+    return [p.id.target for p, size in zip(points, sigmas, strict=True) if not size <= GROSS]
+
+
+def folded(log: Log, run: str) -> Calibration:
+    """Return the calibration with this pass and those before it folded in."""
+    calibration, (this, poses) = used(log), _pass(log, run)
+    this = this.without(gross_targets(log))
+    before = calibration.targets.passes if calibration.targets is not None else []
+    passes = [*before, *([this] if this.names else [])]
+    if not passes:
+        return calibration
+    measured = [each.measured() for each in passes]
+    remainder = Remainder.learn(measured, _stated_mm2(calibration, poses))
+    return msgspec.structs.replace(calibration, targets=Targets(remainder.variance_mm2, passes))
+
+
+def targets_result(log: Log) -> dict[str, Any]:
+    """Return errors as found, by target, and how far they are folded in."""
+    calibration, points = used(log), target_points(log)
+    station, (_, values) = points[0].station, listed(log) or ([], np.zeros((0, 6)))
+    found, after = visited(log, points, station), folded(log, "")
+    gross, poses = gross_targets(log), _pass(log)[1]
+    errors_mm = found.actual_mm - found.nominal_mm
+    limits = log.cell.validation
+    bounds = [
+        float(target_bounds(each, station, poses_from_zyx(values)).radii_mm.mean())
+        for each in (calibration, after)
+    ]
+    left = after.targets.remainder().at(poses)[1] if after.targets is not None else np.ones(1)
+    result = {
+        "calibration": calibration.provenance.latest,
+        "station": station,
+        "points": len(points),
+        "as_found": figures_of(lengths_mm(errors_mm))._asdict(),
+        "in_tolerance": in_tolerance(
+            errors_mm, limits.mean_tolerance_mm, limits.max_tolerance_mm
+        ),
+        "share": 1.0 - float(left.mean()),
+        "bound_before_mm": bounds[0],
+        "bound_after_mm": bounds[1],
+        "left_out": gross,
+        "targets": [
+            {"name": point.id.target, "error_mm": float(size)}
+            for point, size in zip(points, lengths_mm(errors_mm), strict=True)
+        ],
+    }  # fmt: skip
+    return {"targets": result | {"text": _words(result)}}
+
+
+def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:
+    """Return the pass, and its commanded poses (N, 4, 4) in {B}."""
+    calibration, points = used(log), target_points(log)
+    found: Visited = visited(log, points, points[0].station)
+    commanded_deg = np.array([point.commanded_deg for point in points], dtype=float)
+    poses = forward(log.cell.robot.arm(), np.radians(commanded_deg))
+    at = poses.copy()
+    at[:, :3, 3] = calibration.grid().clamped(poses[:, :3, 3])
+    model_mm = calibration.learnt_model().predict(at).error_mm
+    remainders_mm = found.actual_mm - poses[:, :3, 3] - model_mm
+    this = TargetPass(
+        run,
+        [point.id.target for point in points],
+        [tuple(row) for row in zyx_from_pose(poses).tolist()],
+        [tuple(row) for row in remainders_mm.tolist()],
+        found.own_mm2.tolist(),
+        found.common.tolist(),
+    )
+    return this, poses
+
+
+def _stated_mm2(calibration: Calibration, poses: Array) -> float:
+    """Return the mean variance of one coordinate that the model states at poses."""
+    at = poses.copy()
+    at[:, :3, 3] = calibration.grid().clamped(poses[:, :3, 3])
+    covariance_mm2 = calibration.learnt_model().predict(at).covariance_mm2
+    return float(np.trace(covariance_mm2, axis1=1, axis2=2).mean()) / 3
+
+
+def _words(result: dict[str, Any]) -> str:
+    """Return the result as a technician reads it."""
+    mean_mm, max_mm = result["as_found"]["mean"], result["as_found"]["max"]
+    begin = (
+        f"With calibration {result['calibration']}, {result['points']} targets at "
+        f"{result['station']} are {mean_mm:.3f} mm off in the mean and {max_mm:.3f} mm at most. "
+    )
+    if not result["in_tolerance"]:
+        return (
+            f"{begin}That is out of tolerance: nothing is folded in; `hilcell run recheck` first."
+        )
+    words = (
+        f"{begin}{100 * result['share']:.0f} % of what the model left of each is folded into this "
+        "run's calibration, the rest is this visit's noise: compensate the programs with it. Mean "
+        f"95 % bound {result['bound_after_mm']:.3f} mm, before {result['bound_before_mm']:.3f} mm."
+    )
+    if result["left_out"]:
+        words += f" Left out, they contradict all others: {', '.join(result['left_out'][:5])}."
+    return words

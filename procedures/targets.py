@@ -1,0 +1,153 @@
+"""A pass over the drill targets: driven corrected, measured, folded into the calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.file import compensate_targets
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.in_use import calibration_named
+from hilcell.calibration.target_pass import (
+    KIND,
+    LISTED,
+    gross_targets,
+    listed,
+    targets_result,
+)
+from hilcell.cell.file import Cell, Station
+from hilcell.compensation.targets import read_targets
+from hilcell.geometry.frames import inverse, poses_from_zyx
+from hilcell.geometry.inverse import ReachError
+from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array, HilcellError
+from hilcell.run.cell_session import CellSession
+from hilcell.run.clear_ways import check_poses
+from hilcell.run.procedure import Procedure, Step, Table
+from procedures.durations import approach_s, flange_points, floor_points, step
+from procedures.home import Home
+from procedures.recheck import use
+from procedures.world_frame import WorldFrame, check_control_points
+
+TABLE = "targets"
+MOST_TARGETS = 1000
+ROWS = 20  # of the table, the worst first
+
+
+class TargetPass:
+    """Measures every target once; one that stands out from all others once more."""
+
+    name = "targets"
+    needs = "a calibration of this cell, {W}, a list of targets"
+    moves = "the slide to the station, the robot to every corrected target"
+    measures = "the flange reflector at every target, and the floor nests at the end"
+    yields = "the calibration with the targets' errors folded in by their share"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse a missing calibration, and targets outside of its validity or out of reach."""
+        names, values = targets_of(cell)
+        station = station_of(cell)
+        joints_rad = commands_rad(cell, calibration_named(cell, TABLE), names, values)
+        check_poses(cell, station, joints_rad, "target")
+        there_s = approach_s(cell, cell.rail.travel_min_mm, station)
+        whole = step(self.name, len(names), [flange_points(cell, joints_rad), floor_points(cell)])
+        return Step(self.name, whole.points, whole.duration_s + there_s, whole.spans)
+
+    def perform(self, session: CellSession) -> None:
+        """Keep calibration and targets, measure, judge."""
+        cell, calibration = session.cell, use(session, TABLE)
+        if listed(session.log) is None:
+            names, values = targets_of(cell)
+            session.event(LISTED, file=str(table_of(cell)), names=names, values=values.tolist())
+        names, values = listed(session.log) or ([], np.zeros((0, 6)))
+        joints_rad = commands_rad(cell, calibration, names, values)
+        for name, joints, nominal_mm in zip(names, joints_rad, values[:, :3], strict=True):
+            id = PointId(KIND, target=name)
+            session.flange_point(id, station_of(cell), joints, nominal_mm=nominal_mm)
+        self._measure_again(session, names, joints_rad, values)
+        check_control_points(session)
+        result = self.result(session.log)["targets"]
+        session.verdict(
+            "targets",
+            holds=result["in_tolerance"],
+            mean_mm=result["as_found"]["mean"],
+            mean_tolerance_mm=cell.validation.mean_tolerance_mm,
+            max_mm=result["as_found"]["max"],
+            max_tolerance_mm=cell.validation.max_tolerance_mm,
+        )
+
+    def _measure_again(
+        self, session: CellSession, names: list[str], joints_rad: Array, values: Array
+    ) -> None:
+        for name in gross_targets(session.log):
+            n, id = names.index(name), PointId(KIND, target=name)
+            if not session.log.point(id).retaken:
+                session.event("outlier measured again", key=id.key)
+                session.flange_point(
+                    id, station_of(session.cell), joints_rad[n],
+                    nominal_mm=values[n, :3], retake=True,
+                )  # fmt: skip
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return errors as found, and how far they are folded in."""
+        return targets_result(log)
+
+
+def table_of(cell: Cell) -> Path:
+    """Return the file of targets; raises `HilcellError` where the cell names none."""
+    if cell.targets is None:
+        raise HilcellError(
+            "targets.file is missing: give a CSV with --set targets.file=FILE", code="HC-C13"
+        )
+    return Path(cell.targets.file)
+
+
+def targets_of(cell: Cell) -> tuple[list[str], Array]:
+    """Return names and values (N, 6) in {W} of the file's targets."""
+    names, values = read_targets(table_of(cell))
+    if not len(names) <= MOST_TARGETS:
+        raise HilcellError(
+            f"{len(names)} targets, at most {MOST_TARGETS} are measured in one pass", code="HC-C10"
+        )
+    return names, values
+
+
+def station_of(cell: Cell) -> Station:
+    """Return the station of the pass: the grid's, where the table names none."""
+    named = cell.targets.station if cell.targets is not None else ""
+    return cell.station_named(named or cell.grid.station)
+
+
+def commands_rad(cell: Cell, calibration: Calibration, names: list[str], values: Array) -> Array:
+    """Return the joints (N, 6) of the corrected targets; refuses as `hilcell compensate` does."""
+    station = station_of(cell).name
+    commands = compensate_targets(calibration, station, values, names)
+    T_W_B = np.array(calibration.stations[station].T_W_B)
+    try:
+        return cell.robot.nominal().joints_for(inverse(T_W_B) @ poses_from_zyx(commands))
+    except ReachError as error:
+        raise HilcellError(f"target: {error}", code="HC-C10") from error
+
+
+def targets_table(result: dict[str, Any]) -> Table:
+    """Return the worst targets' errors as found."""
+    found = sorted(result["targets"]["targets"], key=lambda each: -each["error_mm"])
+    return ["target", "error mm"], [[t["name"], f"{t['error_mm']:.4f}"] for t in found[:ROWS]]
+
+
+def targets_words(result: dict[str, Any]) -> str:
+    """Return the result in words."""
+    return str(result["targets"]["text"])
+
+
+TARGETS = Procedure(
+    "targets",
+    "measure targets with their correction, and fold them into the calibration",
+    (Home(), WorldFrame(), TargetPass()),
+    targets_table,
+    words=targets_words,
+    uses=TABLE,
+)
