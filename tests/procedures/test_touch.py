@@ -156,7 +156,9 @@ def test_the_base_that_is_found_does_not_judge_itself() -> None:
 
 
 def test_targets_and_the_ways_beside_are_as_without_touch_poses() -> None:
+    """Also where the visit has been touched before the first target is sent."""
     with_, without = bench_of(), bench_of(poses="0")
+    base_for_commands(with_, HERE, model_of(with_.log))
     for bench in (with_, without):
         Validate().perform(bench)
     for how in ("before", "idw"):
