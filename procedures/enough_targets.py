@@ -9,7 +9,7 @@ import numpy as np
 
 from hilcell.calibration.errors import validation
 from hilcell.cell.file import Cell
-from hilcell.geometry.sequential import Decision, SequentialRule
+from hilcell.geometry.sequential import Decision, Outcome, SequentialRule
 from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
 
@@ -79,14 +79,36 @@ def rounds(log: Log, station: str, how: str) -> Iterator[range]:
 
 
 def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
-    """Return the gravest decision at ``stations``, the targets of all, and what it means."""
+    """Return the gravest decision at ``stations``, the targets of each, and what it means."""
     decisions = [decision_at(log, station) for station in stations]
     gravest = min((each.outcome for each in decisions), key=GRAVEST.index)
-    plan = log.cell.plan
+    counts = [each.targets for each in decisions]
+    errors_mm = validation(log, stations)["chosen"].norms_mm
+    text = meaning(log.cell, gravest, float(errors_mm.max()))
     return {
         "outcome": gravest,
-        "targets": [each.targets for each in decisions],
-        "accept_risk": plan.accept_risk,
-        "reject_risk": plan.reject_risk,
-        "share_above_max": plan.share_above_max,
+        "targets": counts,
+        "text": f"{gravest} after {' + '.join(map(str, counts))} targets: {text}",
+        "accept_risk": log.cell.plan.accept_risk,
+        "reject_risk": log.cell.plan.reject_risk,
+        "share_above_max": log.cell.plan.share_above_max,
     }
+
+
+def meaning(cell: Cell, outcome: Outcome, largest_mm: float) -> str:
+    """Return in words what an outcome has shown, or has not."""
+    limits, plan = cell.validation, cell.plan
+    within = (
+        f"that the mean is below {limits.mean_tolerance_mm:g} mm, and that less than "
+        f"{plan.share_above_max:.1%} of the volume is above {limits.max_tolerance_mm:g} mm"
+    )
+    if outcome == "accepted":
+        return f"it is shown, at a risk of {plan.accept_risk:.1%} each, {within}"
+    if outcome == "undecided":
+        return f"it is not shown {within}, nor the contrary; allow more in plan.most_targets"
+    if not largest_mm <= limits.max_tolerance_mm:
+        return f"one is above {limits.max_tolerance_mm:g} mm"
+    return (
+        f"it is shown, at a risk of {plan.reject_risk:.1%}, that the mean is above "
+        f"{limits.mean_tolerance_mm:g} mm"
+    )

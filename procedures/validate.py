@@ -122,7 +122,7 @@ class Validate:
                 mean_tolerance_mm=limits.mean_tolerance_mm,
                 max_mm=chosen["max"],
                 max_tolerance_mm=limits.max_tolerance_mm,
-                **decision,
+                **({"decision": decision["text"]} if decision else {}),
             )
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import cast
 
@@ -10,7 +11,7 @@ import pytest
 
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import load_cell
-from hilcell.geometry.sequential import Decision
+from hilcell.geometry.sequential import Decision, Outcome
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from procedures import enough_targets
@@ -74,3 +75,17 @@ def test_the_paper_has_no_quick_plan() -> None:
 
 def test_a_quick_plan_is_of_the_same_cell() -> None:
     assert load_cell("paper").digest == QUICK.digest
+
+
+@pytest.mark.parametrize(
+    ("outcome", "largest_mm", "text"),
+    [
+        ("accepted", 0.1, "at a risk of 5.0% each, that the mean is below 0.2 mm, and that less"),
+        ("undecided", 0.5, "not shown that the mean is below 0.2 mm"),
+        ("rejected", 0.9, "at a risk of 5.0%, that the mean is above 0.2 mm"),
+        ("rejected", 1.1, "one is above 1 mm"),
+        ("rejected", math.nan, "one is above 1 mm"),
+    ],
+)
+def test_a_decision_is_stated_in_words(outcome: Outcome, largest_mm: float, text: str) -> None:
+    assert text in enough_targets.meaning(QUICK, outcome, largest_mm)
