@@ -25,7 +25,10 @@ from procedures.durations import flange_points, measure_s
 
 
 class Campaign:
-    """Drives the poses in the file's order; the slide, if there is one, stands."""
+    """Drives the poses in the file's order; the slide, if there is one, stands.
+
+    Where it stands is known only then, so ways are checked before each motion and not in the plan.
+    """
 
     name = "campaign"
     needs = "a file of poses (campaign.poses)"

@@ -109,7 +109,7 @@ ORDINARY = {
     "seated",
     "screen back",
     "stream",
-    "axes not swept",
+    "no poses chosen",
 }
 ALARMING = {
     "no reading", "safe stop", "closed", "command refused", "screen lost", "answer refused",
