@@ -78,7 +78,7 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
         left_out=[points[n].key for n in found.left_out],
         pull=found.pull,
         misfit=found.misfit,
-        **_found(cell, T_W_B, visit_covariance(log, station), found),
+        **_found(cell, T_W_B, visit_covariance(log, station, points), found),
     )
 
 

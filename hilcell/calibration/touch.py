@@ -32,6 +32,7 @@ MARGIN_SHARE = 0.05  # of the cube's edges, off each face
 # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
 STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
 SET_UPS = 2  # of the tracker: the calibration's and this run's
+RECTANGULAR = 3.0  # a half-width's square over the variance (GUM 4.3.7)
 HOLDS = 2  # the strip's slip is that of the visit less that of the stop when it was framed
 
 
@@ -73,21 +74,23 @@ def touched_base(
     noise_mm2 = np.einsum("ij,njk,lk->nil", R, covariance_mm2, R) + _visit_noise_mm2(log, points)
     return updated_frame(
         T_W_B,
-        visit_covariance(log, station),
+        visit_covariance(log, station, points),
         apply(inverse(T_W_B), nominal_mm),
         apply(T_W_L, positions_mm(points)),
         noise_mm2,
     )
 
 
-def visit_covariance(log: Log, station: Station) -> Array:
+def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
     """Return the covariance (6, 6) of T_W_B on a visit of the station, before it is touched.
 
-    That of the station frame and the strip's slip: shift of {B}'s origin (mm), rotation vector
-    (rad) about it, axes of {W}. A run that uses a calibration of before has found {W} again, so
-    its error counts twice.
+    That of the station frame, the strip's slip, and the arm's growth since the grid at the
+    temperature of ``points``: shift of {B}'s origin (mm), rotation vector (rad) about it, axes of
+    {W}. Growth moves the cube as a whole, and a base that makes up for it serves as well. A run
+    that uses a calibration of before has found {W} again, so its error counts twice.
     """
     known = base_covariance(log, station) + slip_covariance(log.cell)
+    known += growth_covariance(log, station, points)
     if calibration_in(log) is None:
         return known
     centring_mm2 = log.cell.uncertainty.smr_centring_limit_mm**2 / 3.0
@@ -104,6 +107,26 @@ def slip_covariance(cell: Cell) -> Array:
     along = np.append(np.array(cell.layout.rail_direction), np.zeros(3))
     covariance: Array = sigma_mm**2 * np.outer(along, along)
     return covariance
+
+
+def growth_covariance(log: Log, station: Station, points: list[Point]) -> Array:
+    """Return the covariance (6, 6) of the cube's shift by the arm's growth since the grid."""
+    off_k = _warmer_k(log, points)
+    sigma = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * off_k / math.sqrt(RECTANGULAR)
+    R = Frames(log.cell, log).base_in_world(station)[:3, :3]
+    outwards = np.append(R @ log.cell.grid.centre.matrix()[:3, 3], np.zeros(3))
+    covariance: Array = sigma**2 * np.outer(outwards, outwards)
+    return covariance
+
+
+def _warmer_k(log: Log, points: list[Point]) -> float:
+    """Return by how much the room is warmer at points than it was at the grid; 0 if unknown."""
+    now_c = [p.temperature_c for p in points if p.temperature_c is not None]
+    then_c = [p.temperature_c for p in log.select("grid") if p.temperature_c is not None]
+    used = calibration_in(log)
+    if used is not None and used.validity.temperature_c is not None:
+        then_c = list(used.validity.temperature_c)
+    return float(np.mean(now_c) - np.mean(then_c)) if now_c and then_c else 0.0
 
 
 def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:

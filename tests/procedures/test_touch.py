@@ -245,7 +245,7 @@ def test_a_lost_zero_is_refused(turn_rad: list[float]) -> None:
 def test_the_covariance_of_the_base() -> None:
     bench: Any = Visits()
     log = bench.log
-    slip, far = visit_covariance(log, HERE), visit_covariance(log, FAR)
+    slip, far = visit_covariance(log, HERE, []), visit_covariance(log, FAR, [])
     assert np.linalg.matrix_rank(slip) == 1
     assert slip[1, 1] == pytest.approx(2 * 0.02**2 / 3)
     assert (np.linalg.eigvalsh(far) > 0).all()
@@ -254,7 +254,19 @@ def test_the_covariance_of_the_base() -> None:
     base_for_commands(bench, FAR, model_of(log))
     after = np.array(log.frames["touch.S300"]["covariance"])
     assert np.trace(after[:3, :3]) < np.trace(far[:3, :3])
-    np.testing.assert_array_equal(visit_covariance(log, FAR), far)
+    np.testing.assert_array_equal(visit_covariance(log, FAR, []), far)
+
+
+def test_growth_may_move_the_cube_outwards() -> None:
+    bench: Any = Visits()
+    log = bench.log
+    warm = [msgspec.structs.replace(p, temperature_c=23.0) for p in log.select("grid")[:2]]
+    grown = visit_covariance(log, HERE, warm) - visit_covariance(log, HERE, [])
+    assert np.linalg.matrix_rank(grown) == 1
+    outwards_mm = BASE[:3, :3] @ CELL.grid.centre.matrix()[:3, 3]
+    sigma_mm = 23e-6 * 3.0 * np.linalg.norm(outwards_mm) / np.sqrt(3.0)
+    assert np.trace(grown) == pytest.approx(sigma_mm**2)
+    assert grown[:3, :3] @ outwards_mm == pytest.approx(sigma_mm**2 * outwards_mm)
 
 
 @pytest.mark.parametrize(("poses", "spans"), [("0", 0), ("8", 1), ("20", 1)])
