@@ -98,12 +98,12 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
     found = errors_of(log, points)
     T_W_B = _base(calibration, station)
     in_base_mm = (found.nominal_mm - T_W_B[:3, 3]) @ T_W_B[:3, :3]
-    stated, on_visit = _stated(calibration), touched(log, log.cell.station_named(station))
+    stated, stop = _stated(calibration), log.cell.station_named(station)
+    on_visit = touched(log, stop)
     placed = stated.stations[station] if on_visit is None else [on_visit]
     lines = [each for each in (*stated.lines, *placed) if each.counts != "in use"]
-    poses = T_W_B @ _poses(calibration, in_base_mm)
-    lines += in_validation(log, points, touched_before=on_visit is not None)
-    bounds = _bounds(calibration, station, poses, lines)
+    lines += in_validation(log, stop, points)
+    bounds = _bounds(calibration, station, T_W_B @ _poses(calibration, in_base_mm), lines)
     return Coverage(found.norms_mm, bounds.radii_mm)
 
 

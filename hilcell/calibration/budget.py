@@ -239,33 +239,42 @@ def temperature(
     return _growth(growth_per_k, half_k**2 / RECTANGULAR, how, "4.3.7")
 
 
-def in_validation(
-    log: Log, points: Sequence[Point], *, touched_before: bool = False
-) -> list[Influence]:
-    """Return what the measured errors of validation points have besides: readings, their air.
+def in_validation(log: Log, station: Station, points: Sequence[Point]) -> list[Influence]:
+    """Return what the measured errors of validation points have besides: readings, growth.
 
-    Touch poses take the arm's growth in with the base, but for its change over the cube.
+    Touch poses take the arm's growth until then in with the base, but for its change over the cube.
     """
     R = log.matrix("world")[:3, :3]
     readings = Influence(
         "Tracker, readings", MEASURED, f"scatter of the readings of {len(points)} points", "4.2.3",
         "world", motion(_mean_reading_mm2(points, R)), counts="in validation", alone=True,
     )  # fmt: skip
-    grid_c, found_c = (
-        [p.temperature_c for p in group if p.temperature_c is not None]
-        for group in (log.select("grid"), points)
+    grown = growth_since(log, log.select("grid"), points, "the grid's mean")
+    frame = log.frames.get(f"touch.{station.name}")
+    if frame is None or grown is None:
+        return [readings] if grown is None else [readings, grown]
+    x_mm, y_mm, z_mm = log.cell.grid.centre.matrix()[:3, 3].tolist()
+    over_cube = msgspec.structs.replace(
+        grown, name=f"{TEMPERATURE}, over the cube", origin_mm=(x_mm, y_mm, z_mm)
     )
-    if not (grid_c and found_c):
-        return [readings]
-    off_k = rms(np.array(found_c) - np.mean(grid_c))
+    touches = [p for p in log.select("touch", station.name) if p.id.visit == frame["visit"]]
+    later = growth_since(log, touches, points, "the touch poses' mean")
+    return [readings, over_cube] if later is None else [readings, over_cube, later]
+
+
+def growth_since(
+    log: Log, before: Sequence[Point], points: Sequence[Point], name: str
+) -> Influence | None:
+    """Return the arm's growth at ``points`` since others; nothing without a weather station."""
+    then_c, now_c = (
+        [p.temperature_c for p in group if p.temperature_c is not None]
+        for group in (before, points)
+    )
+    if not (then_c and now_c):
+        return None
+    off_k = rms(np.array(now_c) - np.mean(then_c))
     growth_per_k = log.cell.uncertainty.arm_growth_um_m_k * 1e-6
-    how = f"{off_k:.2f} K from the grid's mean"
-    grown = _growth(growth_per_k, off_k**2, how, "4.2.2")
-    if touched_before:
-        x_mm, y_mm, z_mm = log.cell.grid.centre.matrix()[:3, 3].tolist()
-        how = f"{grown.how}, but for what the touch poses took in"
-        grown = msgspec.structs.replace(grown, how=how, origin_mm=(x_mm, y_mm, z_mm))
-    return [readings, grown]
+    return _growth(growth_per_k, off_k**2, f"{off_k:.2f} K from {name}", "4.2.2")
 
 
 def _growth(limit_per_k: float, variance_k2: float, how: str, clause: str) -> Influence:

@@ -16,6 +16,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from tests.hilcell.report.journals import Writer, plan_record
 
+HERE = load_cell("paper").station_named("S1100")
 COVARIANCE = np.diag([1e-4, 4e-4, 9e-4, 1e-10, 4e-10, 9e-10])
 # Nine visits of each of two places, 30 um along x and y of {L} in turn.
 OFFSETS_MM = 0.03 * np.array([[0, 0, 0], *4 * [[1, 0, 0]], *4 * [[0, 1, 0]]], dtype=float)
@@ -175,13 +176,28 @@ def test_readings_and_air_of_the_validation(tmp_path: Path) -> None:
         id = PointId("validate", station="S1100", how="chosen", number=number)
         writer.point(id, (0, 0, 0), "S1100", temperature_c=celsius)
     log = writer.facts().log
-    readings, air = in_validation(log, log.select("validate"))
+    readings, air = in_validation(log, HERE, log.select("validate"))
     np.testing.assert_allclose(shift_mm2(readings), 0.01**2 * np.eye(3))
     assert math.sqrt(3 * air.covariance[6][6]) == pytest.approx(23e-6 * 1.0)  # 1 K, rms
     assert air.origin_mm == (0.0, 0.0, 0.0)
-    (_, rest) = in_validation(log, log.select("validate"), touched_before=True)
-    assert rest.covariance == air.covariance
-    assert rest.origin_mm == (1850.0, 0.0, 950.0)  # the cube's centre
+
+
+def test_touch_poses_take_in_the_growth_until_then(tmp_path: Path) -> None:
+    """The grid at 21 C, the touch poses of the last visit at 22.5, the targets at 22."""
+    writer = calibrated(tmp_path / "air")
+    writer.frame("touch.S1100", covariance=COVARIANCE, poses=1, visit=2)
+    writer.point(PointId("grid", vertex=(0, 0, 0)), (0, 0, 0), temperature_c=21.0)
+    for visit, celsius in ((1, 30.0), (2, 22.5)):
+        id = PointId("touch", station="S1100", visit=visit, number=0)
+        writer.point(id, (0, 0, 0), "S1100", temperature_c=celsius)
+    id = PointId("validate", station="S1100", how="chosen", number=0)
+    writer.point(id, (0, 0, 0), "S1100", temperature_c=22.0)
+    log = writer.facts().log
+    _, over_cube, later = in_validation(log, HERE, log.select("validate"))
+    assert over_cube.origin_mm == (1850.0, 0.0, 950.0)  # the cube's centre
+    assert math.sqrt(3 * over_cube.covariance[6][6]) == pytest.approx(23e-6 * 1.0)
+    assert later.origin_mm == (0.0, 0.0, 0.0)
+    assert math.sqrt(3 * later.covariance[6][6]) == pytest.approx(23e-6 * 0.5)
 
 
 def test_air_that_was_not_measured_is_no_line(tmp_path: Path) -> None:
@@ -191,7 +207,7 @@ def test_air_that_was_not_measured_is_no_line(tmp_path: Path) -> None:
     id = PointId("validate", station="S1100", how="chosen", number=0)
     writer.point(id, (0, 0, 0), "S1100")
     log = writer.facts().log
-    (readings,) = in_validation(log, log.select("validate"))
+    (readings,) = in_validation(log, HERE, log.select("validate"))
     assert readings.counts == "in validation"
 
 
