@@ -1,8 +1,9 @@
 """How well each method predicts measured targets: base and reflectors are found, errors learnt.
 
 A method learns from training rows and predicts positions of other rows. Figures come from rows
-that were not learnt from: the test rows, or each fifth of the training poses in turn.
-Rows of one pose share their errors, so a pose is left out as a whole.
+that were not learnt from: the test rows, or each fifth of the training poses in turn. Rows of one
+pose share their errors, so a pose is left out as a whole. Training rows that contradict the others
+are named and left out by all methods.
 """
 
 from __future__ import annotations
@@ -10,124 +11,90 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol, TypedDict
+from typing import Protocol, Self, TypedDict
 
 import numpy as np
 
+from hilcell.calibration.fitted_arm import TERMS, FittedArm
+from hilcell.calibration.placement import (
+    ABSURD_MM,
+    FitError,
+    Placement,
+    place,
+    refuse_another_robot,
+)
 from hilcell.calibration.robot_file import Measurements, Robot
+from hilcell.compensation.choice import choose
 from hilcell.compensation.model import Prediction
 from hilcell.compensation.scattered import FOLDS, NEIGHBOURS, NearestPoses, Nominal
 from hilcell.geometry import statistics
-from hilcell.geometry.frames import apply, cross_matrix, matrix, rigid_fit
-from hilcell.geometry.kinematics import Arm, Array, forward
-from hilcell.geometry.rotations import from_rotvec
-from hilcell.ports import HilcellError
+from hilcell.geometry.kinematics import Arm, Array
+from hilcell.identification.observability import observability
+from hilcell.identification.readings import Bools, IdentificationError, Ints
 
-BAD_ROW_MM = 1.0  # rows that miss by more count less (soft L1), so one bad row moves nothing
-ABSURD_MM = 20.0  # a miss beyond this is no robot's error
 NAMED = 5  # rows that one message names
-ITERATIONS = 100
-CONVERGED = 1e-9
+UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
+RESIDUAL = "gp"
+RICHEST = "tool"  # of the methods that identify the robot; it finds the rows that contradict others
 
 
-class FitError(HilcellError):
-    """Measurements that cannot be learnt from."""
+class Outlier(TypedDict):
+    """A training row that contradicts the others, and by how much it misses their prediction."""
 
-    code = "HC-C22"
+    pose: str
+    target: str
+    miss_mm: float
+
+
+class Coverage(TypedDict):
+    """The share of test rows within their predicted 95 % bounds, and the bounds' mean."""
+
+    share: float
+    bound_mm: float
+
+
+class ModelFound(TypedDict):
+    """The identified robot: by parameter its value, standard deviation, and this over the prior's;
+    noise; how many directions of the parameters the poses determine, and their condition number.
+    """
+
+    method: str
+    names: list[str]
+    values: list[float]
+    sigma: list[float]
+    sigma_over_prior: list[float]
+    reading_mm: float
+    pose_mm: float
+    joint_rad: list[float]
+    directions: int
+    condition: float
 
 
 class FitResult(TypedDict):
     """The output of ``fit --json``; ``train`` and ``test`` count rows.
 
-    ``methods`` has the figures of what each leaves, distances of predicted from measured positions.
+    ``methods`` has the figures of what each leaves, distances of predicted from measured positions;
+    ``refused`` says why others could not be learnt; ``coverage`` is empty without test rows, and
+    ``model`` None where no robot was identified.
     """
 
     methods: dict[str, dict[str, float]]
     chosen: str
+    reason: str
+    refused: dict[str, str]
+    outliers: list[Outlier]
+    coverage: dict[str, Coverage]
+    model: ModelFound | None
     train: int
     test: int
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class Placement:
-    """Where the robot stands and carries its reflectors, found with nominal kinematics.
+class Method(Protocol):
+    """Predicts measured positions."""
 
-    ``T_L_B`` (4, 4): base in the tracker's frame; ``smr_mm``: reflectors (3,) on the flange.
-    """
-
-    arm: Arm
-    T_L_B: Array
-    smr_mm: Mapping[str, Array]
-
-    def in_base_mm(self, rows: Measurements) -> Array:
-        """Return the rows' nominal positions (N, 3) in {B}."""
-        return _on_flange(forward(self.arm, rows.joints_rad), self._offsets(rows))
-
-    def predicted_mm(self, rows: Measurements) -> Array:
-        """Return the rows' nominal positions (N, 3) in the tracker's frame."""
-        return apply(self.T_L_B, self.in_base_mm(rows))
-
-    def _offsets(self, rows: Measurements) -> Array:
-        unknown = sorted(set(rows.target) - set(self.smr_mm))
-        if unknown:
-            raise FitError(f"no training row measures target {', '.join(unknown)}")
-        return np.array([self.smr_mm[target] for target in rows.target])
-
-
-def place(arm: Arm, rows: Measurements) -> Placement:
-    """Find base and reflectors by Gauss-Newton on soft-L1 weighted rows.
-
-    Raises `FitError` where the rows do not determine them or the robot is plainly another.
-    """
-    targets = sorted(set(rows.target))
-    if not 3 * len(rows) > 6 + 3 * len(targets):
-        raise FitError(f"{len(rows)} rows do not place a base and {len(targets)} reflectors")
-    which = np.array([targets.index(target) for target in rows.target])
-    flange = forward(arm, rows.joints_rad)
-    T, smr = rigid_fit(flange[:, :3, 3], rows.xyz_mm).T, np.zeros((len(targets), 3))
-    step = np.inf
-    for _ in range(ITERATIONS):
-        T, smr, step = _improved(T, smr, flange, which, rows.xyz_mm)
-        if step <= CONVERGED:
-            break
-    placement = Placement(arm, T, dict(zip(targets, smr, strict=True)))
-    _refuse_another_robot(placement, rows, "the training set")
-    if not step <= CONVERGED:
-        raise FitError(
-            f"base and reflectors do not settle: the last of {ITERATIONS} steps is {step:.3g}, "
-            f"wanted <= {CONVERGED}: measure more poses with other orientations"
-        )
-    return placement
-
-
-def _refuse_another_robot(placement: Placement, rows: Measurements, which: str) -> None:
-    """Refuse rows half of which miss absurdly: their robot, joint signs or units are others."""
-    half_mm = np.median(_miss_mm(placement, rows))
-    if not half_mm <= ABSURD_MM:
-        raise FitError(
-            f"{which}: nominal kinematics miss half of the measured targets by {half_mm:.4g} mm "
-            f"or more, wanted <= {ABSURD_MM:g} mm: check the robot file, joint signs and units"
-        )
-
-
-def _refuse_gross(placement: Placement, rows: Measurements) -> None:
-    """Refuse single absurd rows: they hardly move the base, but spoil what is learnt near them."""
-    miss_mm = _miss_mm(placement, rows)
-    bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
-    if len(bad):
-        named = ", ".join(
-            f"pose {rows.pose[n]} target {rows.target[n]} by {miss_mm[n]:.4g} mm"
-            for n in bad[:NAMED]
-        )
-        raise FitError(
-            f"{len(bad)} of {len(rows)} training rows miss grossly, wanted <= {ABSURD_MM:g} mm: "
-            f"{named}{', ...' if len(bad) > NAMED else ''}; mend or remove them"
-        )
-
-
-def _miss_mm(placement: Placement, rows: Measurements) -> Array:
-    return statistics.lengths_mm(rows.xyz_mm - placement.predicted_mm(rows))
+    def predict(self, rows: Measurements) -> tuple[Array, Array]:
+        """Return the rows' positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
 
 
 class PointModel(Protocol):
@@ -137,81 +104,134 @@ class PointModel(Protocol):
         """Return the errors."""
 
 
-METHODS: Mapping[str, Callable[[Array, Array], PointModel]] = {
+POINT_MODELS: Mapping[str, Callable[[Array, Array], PointModel]] = {
     "nominal": Nominal.learn,
     "idw": NearestPoses.learn,
 }
 
 
-def predicted_mm(
-    method: str, placement: Placement, train: Measurements, test: Measurements
-) -> Array:
-    """Predict test rows (N, 3) in the tracker's frame: nominal position and the model's error.
-
-    Each target has a model of its own, learnt from its own rows at their nominal positions in
-    {B}. Raises `FitError` where a target has too few to interpolate from.
+@dataclass(frozen=True, eq=False)
+class AtPoints:
+    """Nominal positions and the errors of one of `POINT_MODELS`, a model of its own by reflector,
+    learnt from its own rows at their nominal positions in {B}.
     """
-    error_mm = train.xyz_mm - placement.predicted_mm(train)
-    there_mm, here_mm = placement.in_base_mm(train), placement.in_base_mm(test)
-    found_mm = placement.predicted_mm(test)
-    train_target, test_target = np.array(train.target), np.array(test.target)
-    for target in placement.smr_mm:
-        known, asked = train_target == target, test_target == target
-        if np.count_nonzero(known) < NEIGHBOURS:
-            raise FitError(
-                f"target {target}: {np.count_nonzero(known)} training rows, "
-                f"wanted at least {NEIGHBOURS} to interpolate from"
-            )
-        model = METHODS[method](there_mm[known], error_mm[known])
-        found_mm[asked] += model.predict(here_mm[asked]).error_mm
-    return found_mm
+
+    placement: Placement
+    models: Mapping[str, PointModel]
+
+    @classmethod
+    def learn(cls, placement: Placement, rows: Measurements, method: str) -> Self:
+        """Raises `FitError` where a reflector has too few rows to interpolate from."""
+        error_mm, at_mm = rows.xyz_mm - placement.predicted_mm(rows), placement.in_base_mm(rows)
+        of_row = np.array(rows.target)
+        models = {}
+        for target in placement.smr_mm:
+            own = of_row == target
+            if np.count_nonzero(own) < NEIGHBOURS:
+                raise FitError(
+                    f"target {target}: {np.count_nonzero(own)} training rows, "
+                    f"wanted at least {NEIGHBOURS} to interpolate from"
+                )
+            models[target] = POINT_MODELS[method](at_mm[own], error_mm[own])
+        return cls(placement, models)
+
+    def predict(self, rows: Measurements) -> tuple[Array, Array]:
+        """Return positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
+        at_mm, found_mm = self.placement.in_base_mm(rows), self.placement.predicted_mm(rows)
+        covariance_mm2 = np.empty((len(rows), 3, 3))
+        of_row = np.array(rows.target)
+        for target, model in self.models.items():
+            own = of_row == target
+            prediction = model.predict(at_mm[own])
+            found_mm[own] += prediction.error_mm
+            covariance_mm2[own] = prediction.covariance_mm2
+        return found_mm, covariance_mm2
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The result, and the robot identified by the best of the methods that do so."""
+
+    result: FitResult
+    arm: FittedArm | None
 
 
 def fit(robot: Robot, train: Measurements, test: Measurements | None = None) -> FitResult:
+    """Return the result of `fitted`."""
+    return fitted(robot, train, test).result
+
+
+def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) -> Fitted:
     """Learn from ``train`` and judge every method on ``test``, or by cross-validation.
 
     The choice is made by cross-validation in both cases: test rows judge, they do not choose.
-    Raises `FitError`, and `FrameError` for mirrored or collinear rows.
+    Raises `FitError`, and `FrameError` for mirrored rows.
     """
     start_s = time.perf_counter()
     arm = robot.arm()
     placement = place(arm, train)
-    _refuse_gross(placement, train)
+    bad, refused = _contradicting(placement, train)
+    kept = train.at(np.flatnonzero(~bad))
+    placement = place(arm, kept)
+    arms, left_out = ({}, {}) if refused else _arms(placement, kept)
+    left_out = cross_validate(arm, kept) | left_out
+    validated = {name: figures_of(miss) for name, miss in left_out.items()}
+    chosen = choose({name: _by_kind(figures) for name, figures in validated.items()})
+    methods: dict[str, Method] = {
+        name: AtPoints.learn(placement, kept, name) for name in POINT_MODELS
+    }
+    methods |= arms
+    judged, coverage = validated, dict[str, Coverage]()
+    best = min(arms, key=lambda name: validated[name]["mean_mm"], default=None)
     if test is not None:
-        _refuse_another_robot(placement, test, "the test set")
-    validated = {name: figures_of(miss) for name, miss in cross_validate(arm, train).items()}
-    methods = validated
-    if test is not None:
-        methods = {
-            name: figures_of(test.xyz_mm - predicted_mm(name, placement, train, test))
-            for name in METHODS
-        }
-    return {
-        "methods": methods,
-        "chosen": min(validated, key=lambda name: validated[name]["mean_mm"]),
+        refuse_another_robot(placement, test, "the test set")
+        judged, coverage = _judged(methods, test, best)
+    result: FitResult = {
+        "methods": judged,
+        "chosen": chosen,
+        "reason": _reason(chosen, validated),
+        "refused": refused,
+        "outliers": _outliers(methods[best or "nominal"], train, bad),
+        "coverage": coverage,
+        "model": None if best is None else _model(best, arms[best]),
         "train": len(train),
         "test": len(train if test is None else test),
         "seconds": time.perf_counter() - start_s,
     }
+    return Fitted(result, None if best is None else arms[best])
 
 
 def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
-    """Return measured minus predicted (N, 3) by method, each row predicted from other poses.
+    """Return measured minus predicted (N, 3) by one of `POINT_MODELS`, each row predicted from
+    other poses.
 
     Every `FOLDS`-th pose, in order of first appearance, is left out together.
     """
-    order = list(dict.fromkeys(rows.pose))
-    if len(order) < FOLDS:
-        raise FitError(f"{len(order)} poses, wanted at least {FOLDS} to cross-validate")
-    fold = np.array([order.index(pose) % FOLDS for pose in rows.pose])
-    miss_mm = {name: np.empty((len(rows), 3)) for name in METHODS}
+    fold = _folds(rows)
+    miss_mm = {name: np.empty((len(rows), 3)) for name in POINT_MODELS}
     for left_out in range(FOLDS):
         known = rows.at(np.flatnonzero(fold != left_out))
         asked = rows.at(np.flatnonzero(fold == left_out))
         placement = place(arm, known)
         for name, miss in miss_mm.items():
-            miss[fold == left_out] = asked.xyz_mm - predicted_mm(name, placement, known, asked)
+            found_mm = AtPoints.learn(placement, known, name).predict(asked)[0]
+            miss[fold == left_out] = asked.xyz_mm - found_mm
     return miss_mm
+
+
+def _arms(
+    placement: Placement, rows: Measurements
+) -> tuple[dict[str, FittedArm], dict[str, Array]]:
+    """Return the identified robots by method, and measured minus predicted (N, 3) of the same
+    folds.
+    """
+    fold = _folds(rows)
+    arms = {name: FittedArm.learn(placement, rows, name) for name in TERMS}
+    miss_mm = {name: arm.left_out_mm(fold) for name, arm in arms.items()}
+    best = min(arms, key=lambda name: figures_of(miss_mm[name])["mean_mm"])
+    arms[RESIDUAL] = arms[best].with_residual()
+    miss_mm[RESIDUAL] = arms[RESIDUAL].left_out_mm(fold)
+    return arms, miss_mm
 
 
 def figures_of(miss_mm: Array) -> dict[str, float]:
@@ -227,29 +247,116 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> tuple[list[str]
     return ["method", *(f"{name} mm" for name in names)], rows
 
 
-def _improved(
-    T: Array, smr: Array, flange: Array, which: Array, measured: Array
-) -> tuple[Array, Array, float]:
-    """Return base (4, 4), reflectors (K, 3) and the step's size after one Gauss-Newton step."""
-    found = apply(T, _on_flange(flange, smr[which]))
-    middle = found.mean(axis=0)
-    left = measured - found
-    weight = (1.0 + np.sum((left / BAD_ROW_MM) ** 2, axis=1)) ** -0.25  # squared in the sum
-    J = np.zeros((len(found), 3, 6 + smr.size))
-    J[:, :, :3], J[:, :, 3:6] = np.eye(3), -cross_matrix(found - middle)
-    turned = T[:3, :3] @ flange[:, :3, :3]
-    for number in range(len(smr)):
-        own = which == number
-        J[own, :, 6 + 3 * number : 9 + 3 * number] = turned[own]
-    rows = (weight[:, None, None] * J).reshape(-1, J.shape[2])
-    # With one tool orientation base and reflector shift each other: the least step is taken.
-    step = np.linalg.lstsq(rows, (weight[:, None] * left).ravel(), rcond=1e-10)[0]
-    R = from_rotvec(step[3:6])
-    moved = matrix(R, middle + step[:3] - R @ middle) @ T
-    return moved, smr + step[6:].reshape(-1, 3), float(np.abs(step).max())
+def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:
+    """Return the rows (N,) that contradict the others, and why no robot is identified.
+
+    Where none is, absurd rows are refused: nothing shows what they should be.
+    """
+    try:
+        return FittedArm.searched(placement, rows, RICHEST).outliers, {}
+    except IdentificationError as error:
+        _refuse_gross(placement, rows)
+        return np.zeros(len(rows), dtype=np.bool_), dict.fromkeys((*TERMS, RESIDUAL), str(error))
 
 
-def _on_flange(flange: Array, offsets_mm: Array) -> Array:
-    """Return points (N, 3) given on flanges (N, 4, 4)."""
-    carried: Array = flange[:, :3, 3] + np.einsum("nij,nj->ni", flange[:, :3, :3], offsets_mm)
-    return carried
+def _refuse_gross(placement: Placement, rows: Measurements) -> None:
+    """Refuse single absurd rows: they hardly move the base, but spoil what is learnt near them."""
+    miss_mm = placement.miss_mm(rows)
+    bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
+    if len(bad):
+        raise FitError(
+            f"{len(bad)} of {len(rows)} training rows miss grossly, wanted <= {ABSURD_MM:g} mm: "
+            f"{_named(rows, bad, miss_mm)}; mend or remove them"
+        )
+
+
+def _judged(
+    methods: Mapping[str, Method], test: Measurements, best: str | None
+) -> tuple[dict[str, dict[str, float]], dict[str, Coverage]]:
+    """Return the methods' figures on test rows, and how their bounds cover the misses."""
+    found, coverage, bounds = {}, {}, {}
+    for name, method in methods.items():
+        at_mm, covariance_mm2 = method.predict(test)
+        miss_mm = test.xyz_mm - at_mm
+        bounds[name] = statistics.bounds95_mm(covariance_mm2)
+        inside = statistics.lengths_mm(miss_mm) <= bounds[name]
+        found[name] = figures_of(miss_mm)
+        coverage[name] = Coverage(share=float(inside.mean()), bound_mm=float(bounds[name].mean()))
+        if name == best:
+            _refuse_undetermined(test, miss_mm, bounds[name])
+    return found, coverage
+
+
+def _refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) -> None:
+    """Refuse test rows that the training rows say nothing about: other turns, off the one line."""
+    bad = np.flatnonzero(~(bound_mm <= UNDETERMINED_MM))
+    if len(bad):
+        rest = "no other row is left"
+        if len(bad) < len(test):
+            figures = figures_of(np.delete(miss_mm, bad, axis=0))
+            rest = (
+                "the others are missed by "
+                + " / ".join(f"{value:.4f}" for value in figures.values())
+                + " mm (mean / p95 / max)"
+            )
+        raise FitError(
+            f"{test.source}: {len(bad)} of {len(test)} rows are not determined by the training "
+            f"rows, wanted 95 % bounds <= {UNDETERMINED_MM:g} mm: {_named(test, bad, bound_mm)}; "
+            f"{rest}; measure poses with other orientations and places"
+        )
+
+
+def _outliers(method: Method, rows: Measurements, bad: Bools) -> list[Outlier]:
+    if not bad.any():
+        return []
+    left_out = rows.at(np.flatnonzero(bad))
+    miss_mm = statistics.lengths_mm(left_out.xyz_mm - method.predict(left_out)[0])
+    return [
+        Outlier(pose=pose, target=target, miss_mm=float(miss))
+        for pose, target, miss in zip(left_out.pose, left_out.target, miss_mm, strict=True)
+    ]
+
+
+def _model(name: str, arm: FittedArm) -> ModelFound:
+    estimate, known = arm.estimate, observability(arm.estimate.system)
+    kinematics, noise = estimate.kinematics, estimate.noise
+    return ModelFound(
+        method=name,
+        names=kinematics.names,
+        values=kinematics.flat(estimate.state).tolist(),
+        sigma=np.sqrt(np.diag(estimate.system.covariance)).tolist(),
+        sigma_over_prior=known.ratio.tolist(),
+        reading_mm=noise.reading_mm,
+        pose_mm=noise.pose_mm,
+        joint_rad=noise.joint_rad.tolist(),
+        directions=known.directions,
+        condition=known.condition,
+    )
+
+
+def _folds(rows: Measurements) -> Ints:
+    order = {pose: n for n, pose in enumerate(dict.fromkeys(rows.pose))}
+    if len(order) < FOLDS:
+        raise FitError(f"{len(order)} poses, wanted at least {FOLDS} to cross-validate")
+    return np.array([order[pose] % FOLDS for pose in rows.pose])
+
+
+def _by_kind(figures: Mapping[str, float]) -> dict[str, float]:
+    return {name: figures[f"{name}_mm"] for name in statistics.Figures._fields}
+
+
+def _reason(chosen: str, validated: Mapping[str, Mapping[str, float]]) -> str:
+    listed = ", ".join(
+        f"{name} {figures['mean_mm']:.4f} / {figures['max_mm']:.4f}"
+        for name, figures in validated.items()
+    )
+    if chosen == "nominal":
+        return f"no method beats nominal positions at poses left out: mean / max mm {listed}"
+    return f"least mean and largest miss at training poses left out: mean / max mm {listed}"
+
+
+def _named(rows: Measurements, bad: Ints, miss_mm: Array) -> str:
+    listed = ", ".join(
+        f"pose {rows.pose[n]} target {rows.target[n]} by {miss_mm[n]:.4g} mm" for n in bad[:NAMED]
+    )
+    return f"{listed}{', ...' if len(bad) > NAMED else ''}"

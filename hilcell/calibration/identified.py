@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.fit import place
+from hilcell.calibration.placement import place
 from hilcell.calibration.robot_file import Measurements
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.identification.estimate import Estimate, identify

@@ -113,12 +113,16 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """N measured targets: labels, joints (N, 6) in rad, positions (N, 3) in the tracker's frame."""
+    """N measured targets: labels, joints (N, 6) in rad, positions (N, 3) in the tracker's frame.
+
+    ``source`` names them in messages: a file.
+    """
 
     pose: list[str]
     target: list[str]
     joints_rad: Array
     xyz_mm: Array
+    source: str = "the measurements"
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -131,6 +135,7 @@ class Measurements:
             [self.target[n] for n in chosen],
             self.joints_rad[chosen],
             self.xyz_mm[chosen],
+            self.source,
         )
 
 
@@ -171,6 +176,7 @@ def read_measurements(path: Path) -> Measurements:
         [target for _, target in labels],
         np.radians(values[:, :6]),
         values[:, 6:],
+        str(path),
     )
 
 

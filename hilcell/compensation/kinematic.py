@@ -20,7 +20,7 @@ from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.robot import NominalRobot
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.curve import TransmissionCurve
-from hilcell.identification.estimate import Estimate, identify
+from hilcell.identification.estimate import Estimate, identify, identify_trusted
 from hilcell.identification.kinematics import Kinematics, Placed, State
 from hilcell.identification.noise import Noise
 from hilcell.identification.observability import observability
@@ -225,7 +225,9 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
     arm = measured.robot.arm
     kinematics = Kinematics(arm, assumed=ASSUMED)
     start = kinematics.start(np.eye(4), arm.tool[None, :3, 3])
-    without = _better(identify(kinematics, readings, start), replace(kinematics, tool=True))
+    without = _better(
+        identify(kinematics, readings, start, Noise.of_joints()), replace(kinematics, tool=True)
+    )
     kinematics = without.kinematics
     curves = tuple(curve for curve in measured.curves if len(curve.cycles))
     if not curves:
@@ -233,7 +235,8 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
         return without, CurvesUsed(False, f"not used: axis sweeps {found}")
     kinematics = replace(kinematics, curves=curves)
     start = kinematics.start(without.state.T, without.state.smr_mm)
-    with_ = identify(kinematics, readings, start)
+    with_ = identify_trusted(kinematics, without.readings, start, without.noise)
+    with_ = replace(with_, outliers=without.outliers)
     both = [_mean_mm(each) for each in (with_, without)]
     used = both[0] < both[1]
     reason = (
@@ -246,8 +249,9 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
 def _better(estimate: Estimate, richer: Kinematics) -> Estimate:
     """Return the identification of richer kinematics where poses left out clearly want it."""
     start = richer.start(estimate.state.T, estimate.state.smr_mm)
-    other = identify(richer, estimate.readings, start)
-    return other if _mean_mm(other) < CLEARLY * _mean_mm(estimate) else estimate
+    other = identify_trusted(richer, estimate.readings, start, estimate.noise)
+    better = _mean_mm(other) < CLEARLY * _mean_mm(estimate)
+    return replace(other, outliers=estimate.outliers) if better else estimate
 
 
 def _mean_mm(estimate: Estimate) -> float:

@@ -1,23 +1,28 @@
 """The most probable kinematics of measured poses, robust against gross readings.
 
-Gauss-Newton with the analytic Jacobian and priors. First under a loss whose pull fades with
+Levenberg-Marquardt with the analytic Jacobian and priors. First under a loss whose pull fades with
 distance (Cauchy), which a few gross readings do not move; those are then struck out and named,
 and the noise is estimated from the rest by marginal likelihood.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hilcell.geometry.kinematics import Array
 from hilcell.identification.kinematics import Kinematics, State
 from hilcell.identification.noise import Noise
-from hilcell.identification.readings import Bools, IdentificationError, Readings
+from hilcell.identification.prediction import predict
+from hilcell.identification.readings import Bools, IdentificationError, Ints, Readings
 from hilcell.identification.system import System
 
 LEAST_POSES = 20
-ITERATIONS, SETTLED_MM = 30, 1e-6
+ITERATIONS = 40
+SETTLED, CREEPING = 1e-6, 1.0  # gains of chi^2: nothing is left to gain; nothing that matters
+FIRST_DAMPING, HELD, EASED = 1e-3, 10.0, 5.0
 ROBUST_STEPS = 12
 CAUCHY = 2.5  # scales from which on a reading's pull fades
 MEDIAN_LENGTH = 1.5382  # of a 3-D normal vector of unit variance
@@ -40,46 +45,74 @@ class Estimate:
     system: System
     outliers: Bools
 
+    def predict(self, joints_rad: Array) -> tuple[Array, Array]:
+        """Return positions (M, K, 3) and covariances (M, K, 3, 3) of readings there."""
+        return predict(self.kinematics, self.state, self.system.covariance, self.noise, joints_rad)
 
-def identify(kinematics: Kinematics, readings: Readings, start: State) -> Estimate:
+    def left_out_mm(self, folds: Iterable[Ints]) -> Array:
+        """Return measured less predicted (M, K, 3), by folds of poses left out together."""
+        return self.system.left_out_mm(folds)
+
+
+def identify(
+    kinematics: Kinematics, readings: Readings, start: State, noise: Noise | None = None
+) -> Estimate:
     """Return the most probable kinematics from `LEAST_POSES` poses or more.
+
+    The sources of ``noise`` are estimated, those of readings and poses where none are given.
 
     Raises `IdentificationError` where there are fewer, where the steps do not settle, and where
     too many readings are gross.
     """
-    poses = int(np.count_nonzero(readings.known.any(axis=1)))
-    if poses < LEAST_POSES:
-        raise IdentificationError(
-            f"kinematics: {poses} poses, wanted at least {LEAST_POSES}; measure more"
-        )
+    _refuse_too_few(readings)
     state, outliers = _robust(kinematics, readings, start)
-    noise = Noise.typical(kinematics.reflectors)
     for _ in range(ROUNDS):
         _refuse_too_many(outliers, readings)
-        kept = readings.without(outliers)
-        state = solve(kinematics, kept, state, noise)
-        noise = estimate_noise(kinematics, kept, state, noise)
-        state = solve(kinematics, kept, state, noise)
-        system = System.at(kinematics, state, kept, noise)
-        more = _gross(system)
+        found = identify_trusted(kinematics, readings.without(outliers), state, noise)
+        more = _gross(found.system)
         if not more.any():
             break
-        outliers = outliers | more
+        state, outliers = found.state, outliers | more
     _refuse_too_many(outliers, readings)
-    return Estimate(kinematics, readings.without(outliers), state, noise, system, outliers)
+    return replace(found, outliers=outliers)
+
+
+def identify_trusted(
+    kinematics: Kinematics, readings: Readings, start: State, noise: Noise | None = None
+) -> Estimate:
+    """Return the same from readings of which none is gross."""
+    _refuse_too_few(readings)
+    noise = noise or Noise.of_poses(kinematics.reflectors)
+    state = solve(kinematics, readings, start, noise)
+    noise = estimate_noise(kinematics, readings, state, noise)
+    state = solve(kinematics, readings, state, noise)
+    system = System.at(kinematics, state, readings, noise)
+    return Estimate(kinematics, readings, state, noise, system, np.zeros_like(readings.known))
 
 
 def solve(kinematics: Kinematics, readings: Readings, state: State, noise: Noise) -> State:
-    """Return the most probable state under a noise; raises `IdentificationError`."""
+    """Return the most probable state under a noise; raises `IdentificationError`.
+
+    What the readings do not determine (with one orientation, where the reflector is) lies along
+    curved valleys. Steps across them are held back, and creeping along them ends by itself.
+    """
+    system, damping, gain = System.at(kinematics, state, readings, noise), 0.0, np.inf
     for _ in range(ITERATIONS):
-        system = System.at(kinematics, state, readings, noise)
-        state = kinematics.moved(state, system.step)
-        if system.moves_mm <= SETTLED_MM:
-            return state
-    raise IdentificationError(
-        f"kinematics do not settle: the last of {ITERATIONS} steps moves a reflector by "
-        f"{system.moves_mm:.3g} mm, wanted <= {SETTLED_MM:g} mm; check robot, units and joint signs"
-    )
+        if gain <= SETTLED:
+            break
+        further = kinematics.moved(state, system.damped(damping) if damping else system.step)
+        other = System.at(kinematics, further, readings, noise)
+        if other.cost <= system.cost + SETTLED:
+            gain = system.cost - other.cost
+            state, system, damping = further, other, damping / EASED
+        else:
+            damping = max(HELD * damping, FIRST_DAMPING)
+    if not gain <= CREEPING:
+        raise IdentificationError(
+            f"kinematics do not settle: the last of {ITERATIONS} steps improves chi^2 by "
+            f"{gain:.3g}, wanted <= {CREEPING:g}; check robot, units and joint signs"
+        )
+    return state
 
 
 def estimate_noise(kinematics: Kinematics, readings: Readings, state: State, noise: Noise) -> Noise:
@@ -126,6 +159,14 @@ def _gross(system: System) -> Bools:
     whole = poses > (GROSS**2 + POSE_GROSS**2 * np.maximum(coordinates - 3, 0))
     bad: Bools = system.known & whole[:, None]
     return bad
+
+
+def _refuse_too_few(readings: Readings) -> None:
+    poses = int(np.count_nonzero(readings.known.any(axis=1)))
+    if poses < LEAST_POSES:
+        raise IdentificationError(
+            f"kinematics: {poses} poses, wanted at least {LEAST_POSES}; measure more"
+        )
 
 
 def _refuse_too_many(outliers: Bools, readings: Readings) -> None:

@@ -31,16 +31,29 @@ class Noise:
     joint_rad: Array
 
     @classmethod
-    def typical(cls, reflectors: int) -> Noise:
-        """Return the sources that are estimated: the joints with one reflector, or else a shift."""
-        if reflectors == 1:
-            return cls(TYPICAL_MM, 0.0, np.full(6, TYPICAL_RAD))
-        return cls(TYPICAL_MM, TYPICAL_MM, np.zeros(6))
+    def of_joints(cls) -> Noise:
+        """Return noise of readings and joints, to be estimated; for one reflector."""
+        return cls(TYPICAL_MM, 0.0, np.full(6, TYPICAL_RAD))
+
+    @classmethod
+    def of_poses(cls, reflectors: int) -> Noise:
+        """Return noise of readings, and with several reflectors of poses, to be estimated."""
+        return cls(TYPICAL_MM, TYPICAL_MM if reflectors > 1 else 0.0, np.zeros(6))
 
     @classmethod
     def independent(cls, reading_mm: float) -> Noise:
         """Return noise of the readings alone."""
         return cls(reading_mm, 0.0, np.zeros(6))
+
+    def scaled(self, factor: float) -> Noise:
+        """Return the noise with all standard deviations times a factor."""
+        return Noise(self.reading_mm * factor, self.pose_mm * factor, self.joint_rad * factor)
+
+    def scatter(self, by_joint: Array) -> Array:
+        """Return the covariances (M, K, 3, 3) of readings, each by itself."""
+        levers = by_joint * self.joint_rad
+        scatter: Array = levers @ np.swapaxes(levers, -1, -2)
+        return scatter + (self.reading_mm**2 + self.pose_mm**2) * np.eye(3)
 
     def covariance(self, by_joint: Array, own_mm2: Array, known: Bools) -> Array:
         """Return the covariances (M, 3K, 3K) of the poses' readings.

@@ -29,7 +29,5 @@ def predict(
         J = found.by_parameter
         carried = (J.reshape(-1, size) @ covariance).reshape(J.shape)
         positions[part] = found.positions_mm
-        covariances[part] = carried @ np.swapaxes(J, -1, -2)
-        levers = found.by_joint * noise.joint_rad
-        covariances[part] += levers @ np.swapaxes(levers, -1, -2)
-    return positions, covariances + (noise.reading_mm**2 + noise.pose_mm**2) * np.eye(3)
+        covariances[part] = carried @ np.swapaxes(J, -1, -2) + noise.scatter(found.by_joint)
+    return positions, covariances

@@ -89,10 +89,20 @@ class System:
         """Return the step (P,) to the most probable parameters."""
         return self._factor[1]
 
-    @property
-    def moves_mm(self) -> float:
-        """Return by how much the step moves a reflector's coordinate at most."""
-        return float(np.abs(self.design @ self.step).max())
+    def damped(self, damping: float) -> Array:
+        """Return the step (P,) held back by so many times the prior's information."""
+        R, step, _ = self._factor
+        size = len(step)
+        held = np.column_stack([damping**0.5 * self.prior_root, np.zeros(size)])
+        rows = np.concatenate([np.column_stack([R, R @ step]), held])
+        both = np.asarray(np.linalg.qr(rows, mode="r"))
+        return np.asarray(np.linalg.solve(both[:size, :size], both[:size, size]))
+
+    @cached_property
+    def cost(self) -> float:
+        """Return chi^2 of readings and prior before the step."""
+        whitened = np.linalg.solve(self._factor[2], self.residual_mm[..., None])
+        return float(np.sum(whitened**2) + np.sum(self.pull**2))
 
     @cached_property
     def covariance(self) -> Array:

@@ -8,6 +8,7 @@ import pytest
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.estimate import Estimate, identify
 from hilcell.identification.kinematics import Kinematics
+from hilcell.identification.noise import Noise
 from hilcell.identification.observability import observability
 from hilcell.identification.prediction import predict
 from hilcell.identification.readings import IdentificationError, Readings
@@ -16,10 +17,10 @@ from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
 KINEMATICS = Kinematics(ARM, 1)
 
 
-def found(robot: Robot, readings: Readings) -> Estimate:
+def found(robot: Robot, readings: Readings, noise: Noise | None = None) -> Estimate:
     kinematics = robot.kinematics
     start = kinematics.start(T_L_B, SMR_MM[: kinematics.reflectors] + 3.0)
-    return identify(kinematics, readings, start)
+    return identify(kinematics, readings, start, noise)
 
 
 def missed_mm(estimate: Estimate, robot: Robot, seed: int = 77) -> np.ndarray:
@@ -45,7 +46,7 @@ def test_twenty_poses_are_enough() -> None:
 
 def test_noise_of_joints_and_readings_is_found() -> None:
     robot = Robot.drawn(KINEMATICS, 2)
-    noise = found(robot, robot.measured(3, 200, 0.03, 40e-6)).noise
+    noise = found(robot, robot.measured(3, 200, 0.03, 40e-6), Noise.of_joints()).noise
     assert noise.reading_mm == pytest.approx(0.03, rel=0.3)
     np.testing.assert_allclose(noise.joint_rad[:3], 40e-6, rtol=0.3)
 
@@ -64,7 +65,7 @@ def test_bounds_cover_unseen_readings() -> None:
     ratios = []
     for seed in range(6):
         robot = Robot.drawn(KINEMATICS, seed)
-        estimate = found(robot, robot.measured(seed, 40, 0.02, 20e-6))
+        estimate = found(robot, robot.measured(seed, 40, 0.02, 20e-6), Noise.of_joints())
         test = robot.measured(900 + seed, 60, 0.02, 20e-6)
         at, covariance = predict(
             estimate.kinematics, estimate.state, estimate.system.covariance, estimate.noise,

@@ -1,0 +1,209 @@
+"""Where a measured robot stands and carries its reflectors, found with nominal kinematics.
+
+Rows that nominal kinematics miss absurdly are another robot's, or in other units. Suppositions
+that would make them fit are tried, and the one that does is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+
+from hilcell.calibration.robot_file import Measurements
+from hilcell.geometry import statistics
+from hilcell.geometry.frames import FrameError, apply, cross_matrix, matrix, rigid_fit
+from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.ports import HilcellError
+
+BAD_ROW_MM = 1.0  # rows that miss by more count less (soft L1), so one bad row moves nothing
+ABSURD_MM = 20.0  # a miss beyond this is no robot's error
+ITERATIONS = 100
+CONVERGED = 1e-9
+EXPLAINED = 0.1  # of the median miss: a supposition that leaves less explains the rows
+ONE_LINE = 0.02  # across over along: below, positions lie on one line
+MM_PER_M, MM_PER_INCH = 1000.0, 25.4
+MOST_REFLECTORS = 4  # of which all permutations are tried
+
+
+class FitError(HilcellError):
+    """Measurements that cannot be learnt from."""
+
+    code = "HC-C22"
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where the robot stands and carries its reflectors, found with nominal kinematics.
+
+    ``T_L_B`` (4, 4): base in the tracker's frame; ``smr_mm``: reflectors (3,) on the flange.
+    """
+
+    arm: Arm
+    T_L_B: Array
+    smr_mm: Mapping[str, Array]
+
+    def in_base_mm(self, rows: Measurements) -> Array:
+        """Return the rows' nominal positions (N, 3) in {B}."""
+        return _on_flange(forward(self.arm, rows.joints_rad), self._offsets(rows))
+
+    def predicted_mm(self, rows: Measurements) -> Array:
+        """Return the rows' nominal positions (N, 3) in the tracker's frame."""
+        return apply(self.T_L_B, self.in_base_mm(rows))
+
+    def miss_mm(self, rows: Measurements) -> Array:
+        """Return how far the rows are from their nominal positions (N,)."""
+        return statistics.lengths_mm(rows.xyz_mm - self.predicted_mm(rows))
+
+    def _offsets(self, rows: Measurements) -> Array:
+        unknown = sorted(set(rows.target) - set(self.smr_mm))
+        if unknown:
+            raise FitError(f"no training row measures target {', '.join(unknown)}")
+        return np.array([self.smr_mm[target] for target in rows.target])
+
+
+def place(arm: Arm, rows: Measurements) -> Placement:
+    """Find base and reflectors by Gauss-Newton on soft-L1 weighted rows.
+
+    Raises `FitError` where the rows do not determine them or the robot is plainly another, and
+    `FrameError` for mirrored rows that nothing explains.
+    """
+    try:
+        placement, step = _placed(arm, rows)
+    except FrameError as error:
+        fitting = next(_supposed(arm, rows, ABSURD_MM / EXPLAINED), None)
+        if fitting is None:
+            raise
+        raise FitError(f"{error}; they fit if {fitting}") from error
+    refuse_another_robot(placement, rows, "the training set")
+    if not step <= CONVERGED:
+        raise FitError(
+            f"base and reflectors do not settle: the last of {ITERATIONS} steps is {step:.3g}, "
+            f"wanted <= {CONVERGED}: measure more poses with other orientations"
+        )
+    return placement
+
+
+def refuse_another_robot(placement: Placement, rows: Measurements, which: str) -> None:
+    """Refuse rows half of which miss absurdly: their robot, joint signs or units are others."""
+    half_mm = float(np.median(placement.miss_mm(rows)))
+    if not half_mm <= ABSURD_MM:
+        found = [*_relabelled(placement, rows, half_mm), *_supposed(placement.arm, rows, half_mm)]
+        check = f"they fit if {found[0]}; check" if found else "check"
+        raise FitError(
+            f"{which}: nominal kinematics miss half of the measured targets by {half_mm:.4g} mm "
+            f"or more, wanted <= {ABSURD_MM:g} mm: {check} the robot file, joint signs and units"
+        )
+
+
+def _supposed(arm: Arm, rows: Measurements, half_mm: float) -> Iterator[str]:
+    """Yield what would make the rows fit, the likeliest first."""
+    for says, changed in _suppositions(rows):
+        try:
+            left_mm = float(np.median(_placed(arm, changed)[0].miss_mm(changed)))
+        except HilcellError:
+            continue
+        if left_mm <= min(EXPLAINED * half_mm, ABSURD_MM):
+            yield says
+
+
+def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:
+    joints, xyz = rows.joints_rad, rows.xyz_mm
+    yield "the joints are radians", replace(rows, joints_rad=np.degrees(joints))
+    yield "the positions are metres", replace(rows, xyz_mm=xyz * MM_PER_M)
+    yield "the positions are inches", replace(rows, xyz_mm=xyz * MM_PER_INCH)
+    for axis in range(joints.shape[1]):
+        turned = joints * np.where(np.arange(joints.shape[1]) == axis, -1.0, 1.0)
+        yield f"joint {axis + 1} turns the other way", replace(rows, joints_rad=turned)
+    order = list(dict.fromkeys(rows.pose))
+    number = np.array([order.index(pose) for pose in rows.pose])
+    first = joints[[rows.pose.index(pose) for pose in order]]
+    for says, shifted in (
+        ("each pose has the joints of the pose after it", np.roll(first, 1, axis=0)),
+        ("each pose has the joints of the pose before it", np.roll(first, -1, axis=0)),
+        ("the poses' joints are in reverse order", first[::-1]),
+    ):
+        yield says, replace(rows, joints_rad=shifted[number])
+
+
+def _relabelled(placement: Placement, rows: Measurements, half_mm: float) -> Iterator[str]:
+    """Yield which reflectors must be swapped for rows to fit a placement that is known."""
+    names = sorted(placement.smr_mm)
+    if not 1 < len(names) <= MOST_REFLECTORS:
+        return
+    for others in permutations(names):
+        other = dict(zip(names, others, strict=True))
+        changed = replace(rows, target=[other[target] for target in rows.target])
+        left_mm = float(np.median(placement.miss_mm(changed)))
+        if left_mm <= min(EXPLAINED * half_mm, ABSURD_MM):
+            swapped = ", ".join(f"{a} is {b}" for a, b in other.items() if a != b)
+            yield f"the reflectors are swapped: {swapped}"
+
+
+def _placed(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
+    """Return base and reflectors, and the size of the last step."""
+    targets = sorted(set(rows.target))
+    if not 3 * len(rows) > 6 + 3 * len(targets):
+        raise FitError(f"{len(rows)} rows do not place a base and {len(targets)} reflectors")
+    which = np.array([targets.index(target) for target in rows.target])
+    flange = forward(arm, rows.joints_rad)
+    T, smr = _first(flange[:, :3, 3], rows.xyz_mm), np.zeros((len(targets), 3))
+    step = np.inf
+    for _ in range(ITERATIONS):
+        T, smr, step = _improved(T, smr, flange, which, rows.xyz_mm)
+        if step <= CONVERGED:
+            break
+    return Placement(arm, T, dict(zip(targets, smr, strict=True))), step
+
+
+def _first(flange_mm: Array, xyz_mm: Array) -> Array:
+    """Return a base (4, 4) to begin with; on one line its turn about the line is arbitrary."""
+    try:
+        return rigid_fit(flange_mm, xyz_mm).T
+    except FrameError:
+        a, b = (points - points.mean(axis=0) for points in (flange_mm, xyz_mm))
+        if not (np.isfinite(b).all() and _on_one_line(b)):
+            raise
+    along_b = np.linalg.svd(b)[2][0]
+    along_a = a.T @ (b @ along_b)
+    along_a /= max(float(np.linalg.norm(along_a)), 1e-12)
+    axis = np.cross(along_a, along_b)
+    sine, cosine = float(np.linalg.norm(axis)), float(along_a @ along_b)
+    R = from_rotvec(axis * (np.arctan2(sine, cosine) / max(sine, 1e-12)))
+    return matrix(R, xyz_mm.mean(axis=0) - R @ flange_mm.mean(axis=0))
+
+
+def _on_one_line(centred: Array) -> bool:
+    sizes = np.linalg.svd(centred, compute_uv=False)
+    return bool(sizes[0] > 0.0 and sizes[1] <= ONE_LINE * sizes[0])
+
+
+def _improved(
+    T: Array, smr: Array, flange: Array, which: Array, measured: Array
+) -> tuple[Array, Array, float]:
+    """Return base (4, 4), reflectors (K, 3) and the step's size after one Gauss-Newton step."""
+    found = apply(T, _on_flange(flange, smr[which]))
+    middle = found.mean(axis=0)
+    left = measured - found
+    weight = (1.0 + np.sum((left / BAD_ROW_MM) ** 2, axis=1)) ** -0.25  # squared in the sum
+    J = np.zeros((len(found), 3, 6 + smr.size))
+    J[:, :, :3], J[:, :, 3:6] = np.eye(3), -cross_matrix(found - middle)
+    turned = T[:3, :3] @ flange[:, :3, :3]
+    for number in range(len(smr)):
+        own = which == number
+        J[own, :, 6 + 3 * number : 9 + 3 * number] = turned[own]
+    rows = (weight[:, None, None] * J).reshape(-1, J.shape[2])
+    # With one tool orientation base and reflector shift each other: the least step is taken.
+    step = np.linalg.lstsq(rows, (weight[:, None] * left).ravel(), rcond=1e-10)[0]
+    R = from_rotvec(step[3:6])
+    moved = matrix(R, middle + step[:3] - R @ middle) @ T
+    return moved, smr + step[6:].reshape(-1, 3), float(np.abs(step).max())
+
+
+def _on_flange(flange: Array, offsets_mm: Array) -> Array:
+    """Return points (N, 3) given on flanges (N, 4, 4)."""
+    carried: Array = flange[:, :3, 3] + np.einsum("nij,nj->ni", flange[:, :3, :3], offsets_mm)
+    return carried
