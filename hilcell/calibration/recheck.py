@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hilcell.geometry.frames import cross_matrix, matrix
+from hilcell.geometry.frames import cross_matrix, matrix, motion_levers
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
@@ -131,7 +131,7 @@ def judged(found: Rechecked) -> Judgement:
     """Judge the errors; raises `NotJudged`."""
     _check(found)
     count = len(found.errors_mm)
-    J = _levers(found.targets_mm).reshape(-1, MOTION)
+    J = motion_columns(found.targets_mm)
     C, e = found.covariance_mm2, found.errors_mm.reshape(-1)
     weighted = np.linalg.solve(C, np.column_stack([J, e]))
     information, pull = J.T @ weighted[:, :MOTION], J.T @ weighted[:, MOTION]
@@ -172,17 +172,21 @@ def _check(found: Rechecked) -> None:
         )
 
 
-def _levers(targets_mm: Array) -> Array:
-    """Return d(error) / d(motion), (N, 3, 6)."""
-    shifts = np.broadcast_to(np.eye(3), (len(targets_mm), 3, 3))
-    levers: Array = np.concatenate([shifts, -cross_matrix(targets_mm)], axis=-1)
-    return levers
+def motion_columns(targets_mm: Array) -> Array:
+    """Return d(errors) / d(motion of the base), (3N, 6), at targets (N, 3) in {B}."""
+    columns: Array = motion_levers(targets_mm)[:, :, :MOTION].reshape(-1, MOTION)
+    return columns
+
+
+def limit_of(freedom: int) -> float:
+    """Return the limit of a chi^2 at one test's share of the risk."""
+    from scipy.special import chdtri
+
+    return float(chdtri(freedom, RISK / TESTS))
 
 
 def _test(chi2: float, freedom: int) -> ChiSquare:
-    from scipy.special import chdtri
-
-    return ChiSquare(chi2, freedom, float(chdtri(freedom, RISK / TESTS)))
+    return ChiSquare(chi2, freedom, limit_of(freedom))
 
 
 def _drift(found: Rechecked) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from hilcell.calibration.recheck import (
     in_tolerance,
     judged,
 )
+from hilcell.calibration.suspicions import Suspicion, suspicions
 from hilcell.calibration.visit import poses_at, used, visited
 from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.statistics import bounds95_mm, figures_of, lengths_mm
@@ -81,7 +83,14 @@ def recheck_result(log: Log) -> dict[str, Any]:
         "calibrated_c": calibration.validity.temperature_c,
         "poses": _poses(log, found, judgement),
     }
-    return {"recheck": result | {"text": _words(result, judgement.worst)}}
+    causes = _suspicions(log, found, judgement)
+    result["suspicions"] = [asdict(cause) for cause in causes]
+    return {"recheck": result | {"text": _words(result, judgement.worst, causes)}}
+
+
+def _suspicions(log: Log, found: Rechecked, judgement: Judgement) -> list[Suspicion]:
+    commanded_deg = np.array([point.commanded_deg for point in log.select(KIND)], dtype=float)
+    return suspicions(found, judgement, log.cell.robot.arm(), np.radians(commanded_deg))
 
 
 def _mean_c(log: Log) -> float | None:
@@ -104,7 +113,7 @@ def _poses(log: Log, found: Rechecked, judgement: Judgement) -> list[dict[str, A
     ]
 
 
-def _words(result: dict[str, Any], worst: int) -> str:
+def _words(result: dict[str, Any], worst: int, causes: list[Suspicion]) -> str:
     """Return the verdict as a technician reads it."""
     spread = 2.0 * result["u_mm"]
     match result["verdict"]:
@@ -122,7 +131,7 @@ def _words(result: dict[str, Any], worst: int) -> str:
                 "programs again."
             )
         case _:
-            begin = _redo(result, worst)
+            begin = _redo(result, worst, causes)
     kept = "within" if result["in_tolerance"] else "out of"
     return (
         f"{begin} As found, {result['points']} corrected poses are {result['mean_mm']:.3f} mm off "
@@ -131,7 +140,7 @@ def _words(result: dict[str, Any], worst: int) -> str:
     )
 
 
-def _redo(result: dict[str, Any], worst: int) -> str:
+def _redo(result: dict[str, Any], worst: int, causes: list[Suspicion]) -> str:
     rest = result["tests"]["rest"]
     if rest["chi2"] <= rest["limit"]:
         return "Calibrate again: the errors are as predicted, but out of tolerance."
@@ -140,6 +149,11 @@ def _redo(result: dict[str, Any], worst: int) -> str:
     return (
         f"Calibrate again: no motion of the base explains the errors; worst is {pose['pose']} at "
         f"({at}) mm: {pose['error_mm']:.3f} mm, predicted {pose['bound_mm']:.3f} mm (95 %), and "
-        f"{pose['left_mm']:.3f} mm after the best motion. Look for a lost zero of an axis, a loose "
-        "tool or reflector, another temperature."
+        f"{pose['left_mm']:.3f} mm after the best motion. {_hint(causes)}"
     )
+
+
+def _hint(causes: list[Suspicion]) -> str:
+    if not causes:
+        return "Look for a lost zero of an axis, a loose tool or reflector, another temperature."
+    return f"It would be explained by: {'; or '.join(cause.text for cause in causes[:3])}."

@@ -295,8 +295,9 @@ def result(view: RunView, width: int) -> Content:
 
 
 def _judged(view: RunView) -> str:
-    """Return a re-check's verdict in words; nothing of another procedure's result."""
-    found = (view.log.end or {}).get("result", {}).get("recheck")
+    """Return a result that says itself in words; nothing of another procedure's."""
+    result = (view.log.end or {}).get("result", {})
+    found = result.get("recheck", result.get("targets"))
     text = found.get("text") if isinstance(found, dict) else None
     return harmless(text) if isinstance(text, str) else ""
 

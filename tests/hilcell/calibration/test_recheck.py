@@ -10,9 +10,13 @@ from hilcell.calibration.recheck import (
     Rechecked,
     judged,
 )
+from hilcell.calibration.suspicions import suspicions
+from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, matrix
+from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import Array
+from procedures.plan import joints_for
 
 RNG = np.random.default_rng(230)
 TARGETS_MM = np.array([1850.0, 0.0, 950.0]) + RNG.uniform(-400.0, 400.0, (7, 3))
@@ -118,3 +122,27 @@ def test_what_cannot_be_judged_is_refused(change: dict[str, Any], said: str) -> 
     }  # fmt: skip
     with pytest.raises(NotJudged, match=said):
         judged(Rechecked(**(values | change)))
+
+
+CELL = load_cell("paper")
+JOINTS_RAD = joints_for(CELL, TARGETS_MM)
+
+
+@pytest.mark.parametrize(("axis", "lost_deg"), [(3, -0.02), (4, 0.2), (5, 0.1)])
+def test_an_axis_that_lost_its_zero_is_suspected(axis: int, lost_deg: float) -> None:
+    arm = CELL.robot.arm()
+    lost_rad = np.radians(lost_deg) * np.eye(6)[axis - 1]
+    moved = forward(arm, JOINTS_RAD + lost_rad)[:, :3, 3] - TARGETS_MM
+    this = found(moved + noise_mm(np.random.default_rng(axis)))
+    likeliest = suspicions(this, judged(this), arm, JOINTS_RAD)[0]
+    assert likeliest.cause == f"axis {axis} lost its zero"
+    assert likeliest.size == pytest.approx(lost_deg, rel=0.25)
+
+
+def test_what_needs_no_cause_has_none() -> None:
+    this = found(noise_mm(np.random.default_rng(9)))
+    assert suspicions(this, judged(this), CELL.robot.arm(), JOINTS_RAD) == []
+    errors_mm = noise_mm(np.random.default_rng(3))
+    errors_mm[4] += [0.0, 0.25, 0.0]  # one reading, which nothing of the robot explains
+    this = found(errors_mm)
+    assert suspicions(this, judged(this), CELL.robot.arm(), JOINTS_RAD) == []

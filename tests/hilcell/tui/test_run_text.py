@@ -254,6 +254,17 @@ def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) 
     assert run_text.result(view, 80).plain == ""
 
 
+@pytest.mark.parametrize("kind", ["recheck", "targets"])
+def test_a_result_in_words_is_shown_as_far_as_it_fits(kind: str) -> None:
+    view = view_of("done")
+    words = {kind: {"text": "Still valid: the errors are as predicted;\x1b[31m drift 0.000 mm."}}
+    view.log.end = {"state": "finished", "exit": 0, "result": words}
+    line = run_text.result(view, 40).plain
+    assert line.startswith("Still valid: the errors are as predict")
+    assert len(line) == 40
+    assert "\x1b" not in run_text.result(view, 80).plain
+
+
 # -- air -------------------------------------------------------------------------------------------
 
 
