@@ -171,9 +171,9 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
 
     @property
     def margin_limits_rad(self) -> Array:
-        """Return the limits (2, 6), lower and upper, less the margin."""
+        """Return the limits (2, 6), lower and upper, less the margin; poses come from below."""
         margin_deg = self.joint_margin_deg
-        low_deg = [joint.min_deg + margin_deg for joint in self.joint]
+        low_deg = [joint.min_deg + max(margin_deg, self.approach_deg) for joint in self.joint]
         return np.radians([low_deg, [joint.max_deg - margin_deg for joint in self.joint]])
 
 

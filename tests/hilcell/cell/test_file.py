@@ -3,6 +3,7 @@
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hilcell.cell.file import built_in_cells, load_cell
@@ -330,3 +331,11 @@ def test_volumes_without_an_arm_are_refused(tmp_path: Path) -> None:
     assert load_cell(str(tmp_path / "cell.toml")).surroundings is None
     with pytest.raises(SettingsError, match=r"keep_out: the arm's shape is unknown"):
         load_cell(str(tmp_path / "cell.toml"), {"keep_out": f"[{FLOOR}]"})
+
+
+@pytest.mark.parametrize(("margin_deg", "low_deg"), [(0.0, 0.5), (2.0, 2.0)])
+def test_a_pose_leaves_room_to_come_from_below(margin_deg: float, low_deg: float) -> None:
+    robot = load_cell("paper", {"robot.joint_margin_deg": f"{margin_deg}"}).robot
+    limits_deg = np.degrees(robot.margin_limits_rad)
+    assert limits_deg[0] == pytest.approx([joint.min_deg + low_deg for joint in robot.joint])
+    assert limits_deg[1] == pytest.approx([joint.max_deg - margin_deg for joint in robot.joint])
