@@ -209,7 +209,7 @@ class Robot(Protocol):
         """Open the wire, verify identity, mode, tool and base; nothing moves."""
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        """Move all axes (PTP); return the reading at rest, after motion ended."""
+        """Move all axes in step (synchronous PTP); return the reading at rest, after the motion."""
 
     def read(self) -> RobotReading:
         """Return a reading asked for after this call began."""
