@@ -16,8 +16,8 @@ from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from procedures import enough_targets
 from procedures.calibrate import CALIBRATE
-from procedures.paper import PAPER
-from procedures.validate import MARGIN_MM, targets
+from procedures.paper import PaperRows
+from procedures.validate import MARGIN_MM, Validate, targets
 
 QUICK = load_cell("paper", {"plan.quick": "true"})
 MOST_S = 20 * 60.0
@@ -65,12 +65,12 @@ def test_targets_are_sent_until_the_station_is_decided(
 def test_a_plan_that_can_never_accept_is_refused() -> None:
     cell = load_cell("paper", {"plan.quick": "true", "plan.most_targets": "24"})
     with pytest.raises(HilcellError, match="most_targets 24: not enough to accept"):
-        CALIBRATE.plan(cell, 1)
+        Validate().plan(cell, 1)
 
 
 def test_the_paper_has_no_quick_plan() -> None:
     with pytest.raises(HilcellError, match="the paper's rows need every target"):
-        PAPER.plan(QUICK, 1)
+        PaperRows().plan(QUICK, 1)
 
 
 def test_a_quick_plan_is_of_the_same_cell() -> None:
