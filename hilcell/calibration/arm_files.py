@@ -52,7 +52,12 @@ def _dh_rows(found: RigidArm) -> Iterable[list[str]]:
     for each in found.parameters:
         values = (each.nominal, each.identified, each.u, each.prior_u)
         determined = "yes" if each.determined else "no"
-        yield [each.name, each.unit, *(f"{value:.6f}" for value in values), determined]
+        yield [
+            each.name,
+            each.unit,
+            *(f"{round(value, 6) + 0.0:.6f}" for value in values),
+            determined,
+        ]
 
 
 def write_urdf(
