@@ -93,6 +93,14 @@ class FitResult(TypedDict):
 class Method(Protocol):
     """Predicts measured positions."""
 
+    @property
+    def base(self) -> Array:
+        """Return the base in the tracker's frame (4, 4)."""
+
+    @property
+    def smr_mm(self) -> Mapping[str, Array]:
+        """Return the reflectors (3,) on the flange."""
+
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
         """Return the rows' positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
 
@@ -135,6 +143,16 @@ class AtPoints:
             models[target] = POINT_MODELS[method](at_mm[own], error_mm[own])
         return cls(placement, models)
 
+    @property
+    def base(self) -> Array:
+        """Return the base in the tracker's frame (4, 4)."""
+        return self.placement.T_L_B
+
+    @property
+    def smr_mm(self) -> Mapping[str, Array]:
+        """Return the reflectors (3,) on the flange."""
+        return self.placement.smr_mm
+
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
         """Return positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
         at_mm, found_mm = self.placement.in_base_mm(rows), self.placement.predicted_mm(rows)
@@ -150,10 +168,11 @@ class AtPoints:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The result, and the robot identified by the best of the methods that do so."""
+    """The result, every method as learnt, and its figures at training poses left out in turn."""
 
     result: FitResult
-    arm: FittedArm | None
+    methods: Mapping[str, Method]
+    validated: Mapping[str, dict[str, float]]
 
 
 def fit(robot: Robot, train: Measurements, test: Measurements | None = None) -> FitResult:
@@ -198,7 +217,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         "test": len(train if test is None else test),
         "seconds": time.perf_counter() - start_s,
     }
-    return Fitted(result, None if best is None else arms[best])
+    return Fitted(result, methods, validated)
 
 
 def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:

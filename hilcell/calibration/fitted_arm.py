@@ -88,6 +88,16 @@ class FittedArm:
         return replace(self, residual=with_residual(self.estimate))
 
     @property
+    def base(self) -> Array:
+        """Return the base in the tracker's frame (4, 4)."""
+        return self.estimate.state.T
+
+    @property
+    def smr_mm(self) -> Mapping[str, Array]:
+        """Return the reflectors (3,) on the flange."""
+        return dict(zip(self.targets, self.estimate.state.smr_mm, strict=True))
+
+    @property
     def outliers(self) -> Bools:
         """Return which rows (N,) contradict the others."""
         outliers: Bools = self.estimate.outliers[self.poses.at[:, 0], self.poses.at[:, 1]]

@@ -1,7 +1,7 @@
 """The arm that DH rows and URDF can state: link parameters alone, without gravity and waves.
 
-It is identified by itself. The links of a model that has gravity too are others, and without it
-they would leave the mean deflection as an error.
+It is the method `mdh` of a fit, identified by itself. The links of a model that has gravity too are
+others, and without it they would leave the mean deflection as an error.
 """
 
 from __future__ import annotations
@@ -11,15 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.identified import identified
-from hilcell.calibration.robot_file import Measurements
+from hilcell.calibration.fit import Fitted
+from hilcell.calibration.fitted_arm import FittedArm
+from hilcell.calibration.placement import FitError
 from hilcell.geometry.jacobian import KINDS
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
+from hilcell.geometry.statistics import Figures
 from hilcell.identification.estimate import Estimate
 from hilcell.identification.kinematics import LINKS
 from hilcell.identification.observability import DETERMINED
 
+RIGID = "mdh"  # of the methods
 UNITS = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
 
 
@@ -45,8 +47,7 @@ class RigidArm:
     """The identified ``arm``; ``T_L_B`` (4, 4): its base in the tracker's frame.
 
     ``smr_mm``: reflectors (3,) on the flange. ``covariance`` (30, 30) is the parameters', in their
-    units. ``left_out_mm`` (M, K, 3): measured less predicted by poses of other folds,
-    NaN where nothing was measured.
+    units. ``figures`` are of what the arm leaves at training poses left out in turn.
     """
 
     arm: Arm
@@ -54,19 +55,15 @@ class RigidArm:
     smr_mm: Mapping[str, Array]
     parameters: list[Parameter]
     covariance: Array
-    left_out_mm: Array
-
-    @property
-    def figures(self) -> Figures:
-        """Return the figures of what the arm leaves at poses of other folds."""
-        missed_mm = self.left_out_mm.reshape(-1, 3)
-        return figures_of(lengths_mm(missed_mm[np.isfinite(missed_mm).all(axis=1)]))
+    figures: Figures
 
 
-def rigid_arm(nominal: Arm, rows: Measurements) -> RigidArm:
-    """Identify the arm from measured rows; raises `FitError`, `IdentificationError`."""
-    found = identified(nominal, rows, gravity=False, waves=False)
-    estimate = found.estimate
+def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
+    """Return the arm that a fit identified by link parameters alone; raises `FitError`."""
+    found = fitted.methods.get(RIGID)
+    if not isinstance(found, FittedArm):
+        raise FitError(f"no arm is identified: {fitted.result['refused'][RIGID]}")
+    estimate, figures = found.estimate, fitted.validated[RIGID]
     parameters, covariance = _parameters(nominal, estimate)
     return RigidArm(
         estimate.kinematics.arm_of(estimate.state),
@@ -74,7 +71,7 @@ def rigid_arm(nominal: Arm, rows: Measurements) -> RigidArm:
         found.smr_mm,
         parameters,
         covariance,
-        found.left_out_mm,
+        Figures(*(figures[f"{name}_mm"] for name in Figures._fields)),
     )
 
 

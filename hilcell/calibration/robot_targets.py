@@ -79,7 +79,7 @@ class Reach:
             part = slice(first, first + AT_ONCE)
             found = self._searched(poses[part], enough=1)
             joints[part], lost[part] = found.joints_rad, ~found.found
-        _refuse(
+        refuse(
             lost, names, "poses are not reached in the posture of measured ones",
             "check frame, tool and units, or give joints",
         )  # fmt: skip
@@ -92,13 +92,13 @@ class Reach:
         """
         found, arrived = refined(self.arm, inverse(self.base) @ poses, joints_rad)
         near = arrived & (np.abs(found - joints_rad).max(axis=1) <= MOST_TURN_RAD)
-        _refuse(
+        refuse(
             ~near, names,
             f"corrections turn a joint by more than {np.degrees(MOST_TURN_RAD):g} deg",
             "arm or wrist are singular there; give poses",
         )  # fmt: skip
         inside = (found >= self.limits_rad[0]) & (found <= self.limits_rad[1])
-        _refuse(
+        refuse(
             ~inside.all(axis=1), names, "corrected targets leave the joints' limits",
             "move them away from the limits",
         )  # fmt: skip
@@ -191,7 +191,7 @@ def _turned(angles_rad: Array) -> Array:
     return np.pi - np.mod(np.pi - angles_rad, 2.0 * np.pi)
 
 
-def _refuse(bad: Bools, names: Sequence[str], what: str, act: str) -> None:
+def refuse(bad: Bools, names: Sequence[str], what: str, act: str) -> None:
     """Raise `TargetError` naming the first bad targets."""
     if not bad.any():
         return

@@ -5,16 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from hilcell.calibration.fit import FitResult, methods_table
-from hilcell.calibration.fit import fit as fit_rows
-from hilcell.calibration.identified import identified
-from hilcell.calibration.robot_file import Measurements, Robot, read_measurements, read_robot
+from hilcell.calibration.fit import FitResult, Fitted, fitted, methods_table
+from hilcell.calibration.robot_file import Robot, read_measurements, read_robot
 from hilcell.calibration.urdf_file import read_urdf
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.fit_targets import correct, job_of
 from hilcell.commands.output import print_json, print_message, print_table
 
 URDF = ".urdf"
+NAMED = 10  # rows that are left out
 
 
 def fit(args: argparse.Namespace) -> int:
@@ -24,29 +23,29 @@ def fit(args: argparse.Namespace) -> int:
     test = read_measurements(Path(args.test)) if args.test else None
     inputs = [Path(each) for each in (args.robot, args.train, args.test) if each]
     job = job_of(args, train, inputs)
-    result = fit_rows(robot, train, test)
+    found = fitted(robot, train, test)
     more: dict[str, object] = {}
     if args.urdf_out or args.dh_out:
-        more["rigid"] = _write_arm(args, robot, train, inputs)
+        more["rigid"] = _write_arm(args, robot, found, inputs)
     if job:
-        more["corrected"] = correct(job, robot, identified(robot.arm(), train), train)
+        more["corrected"] = correct(job, robot, found, train)
     if args.json:
-        print_json({**result, **more})
+        print_json({**found.result, **more})
     else:
-        _print(result)
+        _print(found.result)
     return 0
 
 
 def _write_arm(
-    args: argparse.Namespace, robot: Robot, train: Measurements, inputs: list[Path]
+    args: argparse.Namespace, robot: Robot, fit: Fitted, inputs: list[Path]
 ) -> dict[str, float]:
     """Write the identified arm as URDF and DH table; return the figures of what it leaves."""
     from hilcell.calibration.arm_files import alone, write_dh, write_urdf
     from hilcell.calibration.rigid_arm import rigid_arm
 
-    found = rigid_arm(robot.arm(), train)
+    found = rigid_arm(robot.arm(), fit)
     if args.urdf_out:
-        remarks = [f"{len(train)} rows of {Path(args.train).name}.", *alone(found.figures)]
+        remarks = [f"{fit.result['train']} rows of {Path(args.train).name}.", *alone(found.figures)]
         write_urdf(Path(args.urdf_out), robot, found, remarks, inputs=inputs)
         inputs = [*inputs, Path(args.urdf_out)]
     if args.dh_out:
@@ -61,6 +60,21 @@ def _print(result: FitResult) -> None:
     print(
         f"chosen: {result['chosen']}; {result['train']} rows learnt from, {result['test']} judged"
     )
+    print(result["reason"])
+    for reason in sorted(set(result["refused"].values())):
+        print_message(f"no robot is identified: {reason}")
+    for bad in result["outliers"][:NAMED]:
+        print_message(
+            f"pose {bad['pose']} target {bad['target']} contradicts the others by "
+            f"{bad['miss_mm']:.4g} mm and is left out"
+        )
+    if len(result["outliers"]) > NAMED:
+        print_message(f"and {len(result['outliers']) - NAMED} more")
+    inside = result["coverage"].get(result["chosen"])
+    if inside:
+        print(
+            f"{inside['share']:.1%} of them within 95 % bounds of {inside['bound_mm']:.3f} mm mean"
+        )
 
 
 def _robot(path: Path, tip: str) -> Robot:

@@ -8,19 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
+from hilcell.calibration.fit import UNDETERMINED_MM, Fitted
 from hilcell.calibration.influence import bounds_of
+from hilcell.calibration.placement import FitError
 from hilcell.calibration.robot_file import Measurements, Robot
 from hilcell.calibration.robot_targets import (
     MOST_KNOWN,
     Reach,
     RobotTargets,
     read_robot_targets,
+    refuse,
     targets_of,
     with_tool_point,
     write_joints,
     write_poses,
 )
-from hilcell.calibration.tool_errors import Fitted, tool_errors, tool_point_mm
+from hilcell.calibration.tool_errors import tool_errors, tool_point_mm
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import summary, write_bounds
 from hilcell.commands.output import print_message
@@ -29,6 +32,7 @@ from hilcell.geometry.frames import inverse, zyx_from_pose
 from hilcell.geometry.inverse import ReachError
 from hilcell.ports import Array
 
+NOMINAL = "nominal"
 MARGIN_RAD = np.radians(5.0)  # beyond the measured joints that still counts as within
 
 
@@ -62,12 +66,16 @@ def job_of(args: argparse.Namespace, train: Measurements, inputs: list[Path]) ->
     return Job(source, Path(args.output), bounds, tool, [*inputs, source])
 
 
-def correct(job: Job, robot: Robot, fitted: Fitted, train: Measurements) -> dict[str, object]:
-    """Correct the targets and write them, print a summary, and return it with their frames.
+def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[str, object]:
+    """Correct the targets by the chosen method and write them.
 
-    Raises `HilcellError`.
+    Prints a summary, and returns it with the targets' frames. Raises `HilcellError`.
     """
-    point_mm = tool_point_mm(robot, fitted, job.tool)
+    chosen = found.result["chosen"]
+    if chosen == NOMINAL:
+        raise FitError(f"no target is corrected: {found.result['reason']}")
+    method = found.methods[chosen]
+    point_mm = tool_point_mm(robot, method, job.tool)
     arm = with_tool_point(replace(robot.arm(), tool=robot.tool), point_mm)
     known = np.unique(train.joints_rad, axis=0)
     known = known[:: len(known) // MOST_KNOWN + 1]
@@ -77,15 +85,21 @@ def correct(job: Job, robot: Robot, fitted: Fitted, train: Measurements) -> dict
         targets, as_joints = read_robot_targets(job.source, reach)
     else:
         targets, as_joints = targets_of(program.names, program.values(), reach), False
-    errors = tool_errors(robot, fitted, job.tool, targets.joints_rad)
+    errors = tool_errors(robot, method, job.tool, targets.joints_rad)
     command = targets.corrected(errors.error_mm)
-    found = bounds_of(errors.covariance_mm2, [], np.eye(4), targets.poses)
+    bounds = bounds_of(errors.covariance_mm2, [], np.eye(4), targets.poses)
+    refuse(
+        ~(bounds.radii_mm <= UNDETERMINED_MM),
+        targets.names,
+        f"targets have 95 % bounds over {UNDETERMINED_MM:g} mm",
+        "the training rows do not determine them; measure poses near them",
+    )
     joints = reach.near(command, targets.joints_rad, targets.names) if as_joints else None
     if program is not None and program.needs_arm:
         _check_program(program, reach, command, job.source.name)
     inputs = job.inputs
     if job.bounds:
-        write_bounds(job.bounds, found, targets.names, job.out, inputs=inputs)
+        write_bounds(job.bounds, bounds, targets.names, job.out, inputs=inputs)
         inputs = [*inputs, job.bounds]
     written = [job.out]
     if program is not None:
@@ -101,15 +115,15 @@ def correct(job: Job, robot: Robot, fitted: Fitted, train: Measurements) -> dict
         f"{len(targets.names)} targets of {job.tool} (tool point {where} mm) corrected into "
         + " and ".join(map(str, written))
     )
-    print_message(summary(found, targets.names))
+    print_message(summary(bounds, targets.names))
     _warn_outside(targets, train)
     return {
         "targets": len(targets.names),
         "tool": job.tool,
         "tool_mm": point_mm.tolist(),
-        "root_in_tracker": (fitted.base @ inverse(robot.base)).tolist(),
-        "bound95_median_mm": float(np.median(found.radii_mm)),
-        "bound95_max_mm": float(found.radii_mm.max()),
+        "root_in_tracker": (method.base @ inverse(robot.base)).tolist(),
+        "bound95_median_mm": float(np.median(bounds.radii_mm)),
+        "bound95_max_mm": float(bounds.radii_mm.max()),
     }
 
 

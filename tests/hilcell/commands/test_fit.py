@@ -19,14 +19,14 @@ ROWS = [(0, -90, 290, 0), (270, 0, 0, -90), (70, -90, 0, 0), (0, 90, 302, 0), (0
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with the same robot in both forms, and 40 measured poses."""
+    """A folder with the same robot in both forms, and 25 measured poses."""
     rows = [
         f"[[robot.joint]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\noffset_deg = {offset}\n"
         for a, alpha, d, offset in ROWS
     ]
     (tmp_path / "robot.toml").write_text(ROBOT + "".join(rows))
     (tmp_path / "robot.urdf").write_text(PLAIN)
-    write_rows(tmp_path / "train.csv", measured(1, 40, ["SMR1"]))
+    write_rows(tmp_path / "train.csv", measured(1, 25, ["SMR1"]))
     return tmp_path
 
 
@@ -75,7 +75,7 @@ def test_the_identified_arm_is_written(folder: Path, capsys: pytest.CaptureFixtu
     assert line in printed.err
     assert f"the identified arm is in {out} and {table}" in printed.err
     assert line in out.read_text()
-    assert "40 rows of train.csv" in out.read_text()
+    assert "25 rows of train.csv" in out.read_text()
     assert len(table.read_text().splitlines()) == 31
     assert fit(folder, "c.urdf") == 0
 
@@ -87,3 +87,22 @@ def test_inputs_are_never_written_over(folder: Path, capsys: pytest.CaptureFixtu
     both = str(folder / "out")
     assert fit(folder, "robot.urdf", "--urdf-out", both, "--dh-out", both) == 2
     assert (folder / "robot.urdf").read_bytes() == before
+
+
+def test_rows_that_are_left_out_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = measured(1, 25, ["SMR1"])
+    rows.xyz_mm[3] += [0.0, 6.0, 0.0]
+    write_rows(folder / "train.csv", rows)
+    assert fit(folder, "robot.urdf", "--test", str(folder / "train.csv")) == 0
+    printed = capsys.readouterr()
+    assert "pose 1003 target SMR1 contradicts the others by 6" in printed.err
+    assert "within 95 % bounds of 0." in printed.out
+    assert "chosen: " in printed.out
+
+
+def test_why_no_robot_is_identified_is_said(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rows(folder / "train.csv", measured(1, 14, ["SMR1"]))
+    assert fit(folder, "robot.urdf") == 0
+    assert "no robot is identified: kinematics: 14 poses" in capsys.readouterr().err

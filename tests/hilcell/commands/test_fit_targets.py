@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.robot_file import Measurements
+from hilcell.calibration.fit import FitResult, Fitted, fitted
+from hilcell.calibration.robot_file import Measurements, read_measurements
 from hilcell.calibration.robot_targets import write_joints, write_poses
+from hilcell.calibration.tool_errors import tool_errors, tool_point_mm
 from hilcell.calibration.urdf_file import Urdf, read_urdf
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import read_named_rows, read_targets
@@ -61,9 +63,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def urdf(folder: Path) -> Urdf:
     return read_urdf(folder / "robot.urdf")
+
+
+@pytest.fixture(scope="module")
+def found(folder: Path, urdf: Urdf) -> Fitted:
+    return fitted(urdf, read_measurements(folder / "train.csv"))
+
+
+@pytest.fixture(autouse=True)
+def _fitted_once(monkeypatch: pytest.MonkeyPatch, found: Fitted) -> None:
+    monkeypatch.setattr("hilcell.commands.fit.fitted", lambda robot, train, test: found)
 
 
 def fit(folder: Path, *words: str | Path) -> int:
@@ -161,6 +173,44 @@ def test_targets_beyond_what_was_measured_are_named(
     assert fit(folder, "--correct", tmp_path / "t.csv", "--tool", "SMR1", "-o", out) == 0
     said = capsys.readouterr().err
     assert "1 targets, b the first, are beyond the joints that were measured (A1)" in said
+
+
+def test_nothing_is_corrected_where_no_method_helps(
+    folder: Path, found: Fitted, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result: FitResult = {**found.result, "chosen": "nominal", "reason": "no method beats nominal"}
+    monkeypatch.setattr(
+        "hilcell.commands.fit.fitted", lambda robot, train, test: replace(found, result=result)
+    )
+    words = ("--correct", folder / "train.csv", "--tool", "SMR1", "-o", folder / "c.csv")
+    assert fit(folder, *words) == 2
+    assert "no target is corrected: no method beats nominal" in capsys.readouterr().err
+
+
+def test_undetermined_targets_are_named(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("hilcell.commands.fit_targets.UNDETERMINED_MM", 1e-6)
+    write_joints(tmp_path / "t.csv", ["a", "b"], drawn(2, 2), inputs=[])
+    words = ("--correct", tmp_path / "t.csv", "--tool", "SMR1", "-o", tmp_path / "c.csv")
+    assert fit(folder, *words) == 2
+    assert "2 of 2 targets have 95 % bounds over 1e-06 mm: a, b;" in capsys.readouterr().err
+    assert not (tmp_path / "c.csv").exists()
+
+
+@pytest.mark.parametrize("method", ["idw", "mdh", "gp"])
+def test_every_method_corrects(folder: Path, urdf: Urdf, found: Fitted, method: str) -> None:
+    joints = drawn(2, 8)
+    learnt = found.methods[method]
+    errors = tool_errors(urdf, learnt, "SMR1", joints)
+    point = matrix(np.eye(3), tool_point_mm(urdf, learnt, "SMR1"))
+    poses = chain_forward(urdf.chain, joints) @ point
+    expected = apply(learnt.base @ inverse(urdf.base), poses[:, :3, 3] + errors.error_mm)
+    missed = np.linalg.norm(reached_mm(joints, "SMR1") - expected, axis=1)
+    assert missed.max() < (1.0 if method == "idw" else 0.05)
 
 
 @pytest.mark.parametrize(
