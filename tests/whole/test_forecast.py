@@ -17,6 +17,8 @@ def test_every_step_measures_what_its_spans_say(paper: PaperRun) -> None:
     for event in paper.events:
         if event["kind"] == "event" and event["what"] == "step":
             name = event["name"]
+        elif event["kind"] == "event" and event["what"] == "stream":
+            measured[name] += 1
         elif event["kind"] == "point" and not event.get("retaken"):
             measured[name] += 1
     assert measured == planned
