@@ -14,7 +14,7 @@ from hilcell.calibration.file import read_calibration
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.runs import CALIBRATION, read_log
-from tests.hilcell.compensation.models import level
+from procedures.plan import poses_at
 from tests.whole.bench import command, end_of, events, hilcell, sweep
 from tests.whole.golden import LIMIT_S, RUNS, GoldenRuns
 from tests.whole.trace import judge
@@ -100,7 +100,8 @@ def test_the_models_covariance_covers_the_errors(golden: GoldenRuns) -> None:
     found = errors_of(log, log.select("validate", log.cell.grid.station, how="chosen"))
     T_B_W = inverse(log.matrix("base"))
     errors_mm = found.error_mm @ T_B_W[:3, :3].T
-    covariances = made.error_model().predict(level(apply(T_B_W, found.nominal_mm))).covariance_mm2
+    poses = poses_at(log.cell, apply(T_B_W, found.nominal_mm))
+    covariances = made.error_model().predict(poses).covariance_mm2
     squares = np.einsum("nx,nxy,ny->n", errors_mm, np.linalg.inv(covariances), errors_mm)
     assert 0.80 <= np.mean(squares <= CHI2_95) <= 0.99
 
