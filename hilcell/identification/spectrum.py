@@ -95,17 +95,15 @@ class Noise:
         found: Array = np.exp(_powers_of_log(cycles) @ self.coefficients)
         return found
 
-    def chance(self, powers_rad2: Array, cycles: Array) -> Array:
-        """Return how likely noise has such powers (F,), of two degrees of freedom, or larger.
+    def chance(self, score: float, cycles: float) -> float:
+        """Return how likely noise has a power of ``score`` times its variance, or more.
 
-        The noise is known from few frequencies itself: F distribution with 2 and 2 / u^2 degrees,
-        u of the variance's logarithm.
+        Powers have two degrees of freedom. The noise is known from few frequencies itself: F
+        distribution with 2 and 2 / u^2 degrees, u of the variance's logarithm.
         """
-        X = _powers_of_log(cycles)
-        degrees = 1.0 / np.einsum("fi,ij,fj->f", X, self.covariance, X)
-        ratio = powers_rad2 / 2.0 / self.variance_rad2(cycles)
-        found: Array = (1.0 + ratio / degrees) ** -degrees
-        return found
+        x = _powers_of_log(cycles)
+        degrees = 1.0 / float(x @ self.covariance @ x)
+        return float((1.0 + score / 2.0 / degrees) ** -degrees)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,13 +178,13 @@ def search(records: Records, shift: Shift) -> Found:
         known = Known(records, lines)
         noise, differ_rad = _difference(trial, known)
         powers, amplitude = trial.powers(known, differ=False)
-        chance = len(powers) * noise.chance(powers, trial.cycles)
+        score = powers / noise.variance_rad2(trial.cycles)
         for cycles in lines.cycles:
-            chance[np.abs(trial.cycles - cycles) < APART * records.width] = 1.0
-        best = int(np.argmin(chance))
+            score[np.abs(trial.cycles - cycles) < APART * records.width] = 0.0
+        best = int(np.argmax(score))
         rest = noise_of(powers[trial.apart], trial.cycles[trial.apart])
         found = Found(lines, _covariance(known, lines, (noise, rest)), differ_rad)
-        if len(lines.cycles) == MOST_LINES or not chance[best] < CHANCE:
+        if len(lines.cycles) == MOST_LINES or not _is_line(noise, score, trial.cycles):
             return found
         more = Lines(
             np.append(lines.cycles, trial.cycles[best]),
@@ -258,7 +256,7 @@ def noise_of(powers_rad2: Array, cycles: Array) -> Noise:
     return Noise(found, np.array(np.linalg.inv(X.T @ X + prior), dtype=float))
 
 
-def _powers_of_log(cycles: Array) -> Array:
+def _powers_of_log(cycles: Array | float) -> Array:
     x = 2.0 * np.log(np.asarray(cycles, dtype=float) / LOWEST) / np.log(HIGHEST / LOWEST) - 1.0
     return np.stack([np.ones_like(x), x, x * x], axis=-1)
 
@@ -278,9 +276,16 @@ def _difference(trial: Trial, known: Known) -> tuple[Noise, float]:
     """Return the noise by what the directions differ, and the largest line in the difference."""
     powers, amplitude = trial.powers(known, differ=True)
     noise = noise_of(powers[trial.apart], trial.cycles[trial.apart])
-    chance = len(powers) * noise.chance(powers, trial.cycles)
-    best = int(np.argmin(chance))
-    return noise, float(np.linalg.norm(amplitude[best])) if chance[best] < CHANCE else 0.0
+    score = powers / noise.variance_rad2(trial.cycles)
+    best = int(np.argmax(score))
+    is_line = _is_line(noise, score, trial.cycles)
+    return noise, float(np.linalg.norm(amplitude[best])) if is_line else 0.0
+
+
+def _is_line(noise: Noise, score: Array, cycles: Array) -> bool:
+    """Whether the best of scores (F,) at frequencies (F,) is more than chance makes of noise."""
+    best = int(np.argmax(score))
+    return bool(len(score) * noise.chance(score[best], cycles[best]) < CHANCE)
 
 
 def _covariance(known: Known, lines: Lines, noises: tuple[Noise, ...]) -> Array:

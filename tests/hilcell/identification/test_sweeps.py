@@ -180,3 +180,12 @@ def test_directions_that_differ_are_refused() -> None:
     found = swept_axis(up, down, ARM, 0)
     assert found.curve is None
     assert "directions differ" in found.reason
+
+
+@pytest.mark.parametrize("low", [32.0, 37.0])
+def test_long_lines_beside_their_doubles_are_told_apart(low: float) -> None:
+    """Few periods of the lowest fit into the range, and the noise there is known worst."""
+    axis = Axis(0, lines((low, 70.0, 0.3), (2 * low, 70.0, 1.0)))
+    found = swept(axis)
+    assert found.curve is not None
+    np.testing.assert_allclose(found.curve.cycles, [low, 2 * low], atol=0.2)
