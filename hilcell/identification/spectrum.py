@@ -18,7 +18,7 @@ LOWEST, HIGHEST = 24.0, 560.0  # cycles per joint revolution
 CHANCE = 1e-3  # that any line at all is found where there is none
 MOST_LINES = 16
 OVERSAMPLED = 4  # trial frequencies in one width of a line
-APART = 0.6  # widths of a line, between two of them
+APART = 0.45  # widths of a line, between two of them
 SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 24, 3), 1e-5)
 # 1 sigma of the joint's harmonics below the lowest line
 FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
@@ -173,18 +173,19 @@ def search(records: Records, shift: Shift) -> Found:
     ``shift`` is known beforehand; the lines improve it.
     """
     trial, lines = Trial(records, shift), without_lines(records, shift)
-    smooth_left_rad = rms(lines.left_rad)
+    smooth_left_rad, refused = rms(lines.left_rad), list[float]()
     while True:
         known = Known(records, lines)
         noise, differ_rad = _difference(trial, known)
         powers, amplitude = trial.powers(known, differ=False)
         score = powers / noise.variance_rad2(trial.cycles)
-        for cycles in lines.cycles:
+        tried = (*lines.cycles, *refused)
+        for cycles in tried:
             score[np.abs(trial.cycles - cycles) < APART * records.width] = 0.0
         best = int(np.argmax(score))
         rest = noise_of(powers[trial.apart], trial.cycles[trial.apart])
         found = Found(lines, _covariance(known, lines, (noise, rest)), differ_rad)
-        if len(lines.cycles) == MOST_LINES or not _is_line(noise, score, trial.cycles):
+        if len(tried) == MOST_LINES or not _is_line(noise, score, trial.cycles):
             return found
         more = Lines(
             np.append(lines.cycles, trial.cycles[best]),
@@ -193,9 +194,11 @@ def search(records: Records, shift: Shift) -> Found:
             lines.left_rad,
         )
         more = refined(records, more, shift)
-        if not _rms_rad(records, more) <= GROWN * smooth_left_rad:
-            return found
-        lines = more
+        apart = bool(np.all(np.diff(np.sort(more.cycles)) >= APART * records.width))
+        if apart and _rms_rad(records, more) <= GROWN * smooth_left_rad:
+            lines = more
+        else:
+            refused.append(float(trial.cycles[best]))
 
 
 def without_lines(records: Records, shift: Shift) -> Lines:
