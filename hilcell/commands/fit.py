@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from hilcell.calibration.fit import FitResult, Fitted, fitted, methods_table
+from hilcell.calibration.fitted_arm import FittedArm
 from hilcell.calibration.robot_file import Robot, read_measurements, read_robot
 from hilcell.calibration.urdf_file import read_urdf
 from hilcell.cell.settings import SettingsError
@@ -30,10 +31,18 @@ def fit(args: argparse.Namespace) -> int:
     if job:
         more["corrected"] = correct(job, robot, found, train)
     if args.json:
-        print_json({**found.result, **more})
+        print_json({**found.result, **_covariance(found), **more})
     else:
         _print(found.result)
     return 0
+
+
+def _covariance(fit: Fitted) -> dict[str, list[list[float]]]:
+    """Return the covariance of the parameters of ``model``, in the order of their names."""
+    arm = fit.methods[fit.result["model"]["method"]] if fit.result["model"] else None
+    if not isinstance(arm, FittedArm):
+        return {}
+    return {"covariance": arm.estimate.system.covariance.tolist()}
 
 
 def _write_arm(

@@ -52,7 +52,9 @@ def test_a_urdf_gives_the_figures_of_its_dh_rows(
     found = []
     for robot in ("robot.toml", "robot.urdf"):
         assert fit(folder, robot, "--json") == 0
-        found.append(json.loads(capsys.readouterr().out)["methods"])
+        printed = json.loads(capsys.readouterr().out)
+        assert np.shape(printed["covariance"]) == (len(printed["model"]["names"]),) * 2
+        found.append(printed["methods"])
     for method, figures in found[0].items():
         assert found[1][method] == pytest.approx(figures, abs=1e-6)
 
