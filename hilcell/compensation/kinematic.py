@@ -28,6 +28,8 @@ from hilcell.identification.prediction import predict
 from hilcell.identification.readings import IdentificationError, Readings
 
 CLEARLY = 0.98  # of the mean miss of poses left out, for more parameters to be taken
+LARGE_AXES = 3  # whose errors have levers of metres
+SAME_RAD = np.radians(0.1)  # less than half the shortest wave of a gear
 FOLDS = 5  # each fifth pose is predicted by the others
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
 MOST_CYCLES = 1e4
@@ -114,12 +116,13 @@ class Kinematic:
         """
         estimate, decision = _identified(measured)
         known = observability(estimate.system)
+        excess = _excess(estimate)
         return cls(
             measured.robot,
             estimate.kinematics,
             estimate.state,
-            estimate.system.covariance,
-            estimate.noise,
+            excess * estimate.system.covariance,
+            estimate.noise.scaled(excess**0.5),
             decision,
             known.directions,
             known.condition,
@@ -257,6 +260,22 @@ def _better(estimate: Estimate, richer: Kinematics) -> Estimate:
 def _mean_mm(estimate: Estimate) -> float:
     """Return the mean miss of poses left out."""
     return float(lengths_mm(_left_out_mm(estimate)).mean())
+
+
+def _excess(estimate: Estimate) -> float:
+    """Return by how much variances are larger than poses that err independently would have them.
+
+    What no parameter describes is mostly the gears', and repeats where a joint's angle repeats, as
+    on a grid. So all poses that share an angle of one of the large axes are left out together.
+    """
+    steps = np.round(estimate.readings.joints_rad[:, :LARGE_AXES] / SAME_RAD)
+    found = [1.0]
+    for angles in steps.T:
+        group = np.unique(angles, return_inverse=True)[1]
+        folds = [np.flatnonzero(group == each).astype(np.int_) for each in range(group.max() + 1)]
+        if len(folds) > 1:
+            found.append(estimate.system.excess(folds))
+    return max(found)
 
 
 def _left_out_mm(estimate: Estimate) -> Array:

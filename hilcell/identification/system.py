@@ -149,17 +149,38 @@ class System:
 
         NaN where nothing was measured, and in poses of no fold.
         """
-        inverse, S = self._precision_parts
         count, rows = self.residual_mm.shape
         missed: Array = np.full((count, rows), np.nan)
         for fold in folds:
-            size = len(fold) * rows
-            P = -(S[fold].reshape(size, -1) @ S[fold].reshape(size, -1).T)
-            for n, pose in enumerate(fold):
-                at = slice(n * rows, (n + 1) * rows)
-                P[at, at] += inverse[pose]
+            P = self._fold_precision(fold)
             missed[fold] = np.linalg.solve(P, self.weighted[fold].ravel()).reshape(-1, rows)
         return np.where(self.known[..., None], missed.reshape(count, -1, 3), np.nan)
+
+    def excess(self, folds: Iterable[Ints]) -> float:
+        """Return the mean square of the misses by folds of poses left out over its expectation.
+
+        About 1 where poses err independently; more where those of a fold err alike, so that all
+        others are taken to know more than they do.
+        """
+        found = expected = 0.0
+        for fold in folds:
+            covariance = np.linalg.inv(self._fold_precision(fold))
+            known = np.repeat(self.known[fold].ravel(), 3)
+            missed = covariance @ self.weighted[fold].ravel()
+            found += float(np.sum(missed[known] ** 2))
+            expected += float(np.sum(np.diag(covariance)[known]))
+        return found / expected
+
+    def _fold_precision(self, fold: Ints) -> Array:
+        """Return the block of P (F N, F N) of the poses (F,) of a fold."""
+        inverse, S = self._precision_parts
+        rows = self.residual_mm.shape[1]
+        own = S[fold].reshape(len(fold) * rows, -1)
+        P: Array = -(own @ own.T)
+        for n, pose in enumerate(fold):
+            at = slice(n * rows, (n + 1) * rows)
+            P[at, at] += inverse[pose]
+        return P
 
     def distances(self) -> tuple[Array, Array]:
         """Return squared Mahalanobis distances of the readings (M, K) and of whole poses (M,), each

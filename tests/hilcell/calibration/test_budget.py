@@ -230,9 +230,9 @@ def test_the_model_rests_on_poses_whose_angles_differ(tmp_path: Path) -> None:
     writer = calibrated(tmp_path / "grid")
     for number in range(8):
         id = PointId("grid", vertex=(number, 0, 0))
-        axes_deg = (number % 3 + 0.001 * number, 10.0 * number, -5.0 * number, 0.0, 0.0, 0.0)
+        axes_deg = (number % 4 + 0.001 * number, 10.0 * number, -5.0 * number, 0.0, 0.0, 0.0)
         writer.point(id, (0, 0, 0), commanded_deg=axes_deg)
     log = writer.facts().log
-    assert uncertainty_of(log).model_samples == 3  # of axis 1
+    assert uncertainty_of(log).model_samples == 4  # of axis 1
     log.verdicts["fit"] = {"curves": {"used": True}}  # what is left is no gear's
     assert uncertainty_of(log).model_samples == 8

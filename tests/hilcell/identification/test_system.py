@@ -68,6 +68,19 @@ def test_poses_left_out_are_predicted_by_the_others(system: System) -> None:
     assert np.isnan(found[3, 1]).all()
 
 
+def test_excess_compares_misses_with_their_covariance(system: System) -> None:
+    _, r, K, _ = dense(system)
+    pose = np.repeat(np.arange(25), 6)[np.repeat(system.known, 3, axis=1).ravel()]
+    folds = [np.arange(0, 25, 2, dtype=np.int_), np.arange(1, 25, 2, dtype=np.int_)]
+    found = expected = 0.0
+    for fold in folds:
+        out = np.isin(pose, fold)
+        gain = K[np.ix_(out, ~out)] @ np.linalg.inv(K[np.ix_(~out, ~out)])
+        found += np.sum((r[out] - gain @ r[~out]) ** 2)
+        expected += np.trace(K[np.ix_(out, out)] - gain @ K[np.ix_(~out, out)])
+    assert system.excess(folds) == pytest.approx(found / expected, rel=1e-5)
+
+
 def test_distances_are_of_what_the_others_predict(system: System) -> None:
     _, r, K, _ = dense(system)
     rows = slice(6, 9)  # pose 1, first reflector
