@@ -23,12 +23,12 @@ from hilcell.calibration.robot_targets import (
     write_joints,
     write_poses,
 )
-from hilcell.calibration.tool_errors import tool_errors, tool_point_mm
+from hilcell.calibration.tool_errors import controller_of
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import summary, write_bounds
 from hilcell.commands.output import print_message
 from hilcell.compensation.programs import Program, load_program, write_program
-from hilcell.geometry.frames import inverse, zyx_from_pose
+from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.inverse import ReachError
 from hilcell.ports import Array
 
@@ -75,8 +75,8 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
     if chosen == NOMINAL:
         raise FitError(f"no target is corrected: {found.result['reason']}")
     method = found.methods[chosen]
-    point_mm = tool_point_mm(robot, method, job.tool)
-    arm = with_tool_point(replace(robot.arm(), tool=robot.tool), point_mm)
+    controller = controller_of(robot, method, train, job.tool)
+    arm = with_tool_point(replace(robot.arm(), tool=robot.tool), controller.tool_mm)
     known = np.unique(train.joints_rad, axis=0)
     known = known[:: len(known) // MOST_KNOWN + 1]
     reach = Reach(arm, robot.base, known, robot.limits_rad)
@@ -85,7 +85,7 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
         targets, as_joints = read_robot_targets(job.source, reach)
     else:
         targets, as_joints = targets_of(program.names, program.values(), reach), False
-    errors = tool_errors(robot, method, job.tool, targets.joints_rad)
+    errors = controller.errors(method, targets.joints_rad)
     command = targets.corrected(errors.error_mm)
     bounds = bounds_of(errors.covariance_mm2, [], np.eye(4), targets.poses)
     refuse(
@@ -110,7 +110,7 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
         write_poses(job.out, targets.names, command, inputs=inputs)
     for note in program.notes if program else ():
         print_message(f"{job.source.name}: {note}")
-    where = " ".join(f"{each:.4f}" for each in point_mm)
+    where = " ".join(f"{each:.4f}" for each in controller.tool_mm)
     print_message(
         f"{len(targets.names)} targets of {job.tool} (tool point {where} mm) corrected into "
         + " and ".join(map(str, written))
@@ -120,8 +120,8 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
     return {
         "targets": len(targets.names),
         "tool": job.tool,
-        "tool_mm": point_mm.tolist(),
-        "root_in_tracker": (method.base @ inverse(robot.base)).tolist(),
+        "tool_mm": controller.tool_mm.tolist(),
+        "root_in_tracker": controller.root.tolist(),
         "bound95_median_mm": float(np.median(bounds.radii_mm)),
         "bound95_max_mm": float(bounds.radii_mm.max()),
     }
