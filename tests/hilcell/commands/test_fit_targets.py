@@ -15,7 +15,14 @@ from hilcell.calibration.urdf_file import Urdf, read_urdf
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import read_named_rows, read_targets
 from hilcell.geometry.chain import chain_forward
-from hilcell.geometry.frames import apply, inverse, matrix, pose_from_zyx, poses_from_zyx
+from hilcell.geometry.frames import (
+    apply,
+    inverse,
+    matrix,
+    pose_from_zyx,
+    poses_from_zyx,
+    zyx_from_pose,
+)
 from hilcell.geometry.inverse import refine_inverse
 from hilcell.geometry.kinematics import Array, forward
 from tests.hilcell.calibration.test_fit import IRB120
@@ -161,6 +168,18 @@ def test_a_program_is_corrected_in_place(
     for line, wanted in zip(written[1:3], read_targets(tmp_path / "c.csv")[1], strict=True):
         numbers = [float(each.split()[1].rstrip("}")) for each in line[5:].split(",")]
         np.testing.assert_allclose(numbers, wanted, atol=2e-4)
+
+
+def test_turns_that_cannot_be_checked_are_said(
+    folder: Path, urdf: Urdf, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pose = zyx_from_pose(chain_forward(urdf.chain, drawn(2, 1)) @ pose_from_zyx(0, 0, 120, 0, 0, 0))
+    values = ",".join(f"{n} {v:.4f}" for n, v in zip("XYZABC", pose[0], strict=True))
+    (tmp_path / "p.src").write_text(f"DEF p()\nPTP {{{values},S 2,T 10}}\nEND\n")
+    words = ("--tool", "SMR1", "--correct", tmp_path / "p.src", "-o", tmp_path / "out.src")
+    assert fit(folder, *words) == 0
+    said = capsys.readouterr().err
+    assert "p.src: turns (T) were not checked: closed-form inverse kinematics" in said
 
 
 def test_targets_beyond_what_was_measured_are_named(
