@@ -359,7 +359,8 @@ def _machine_seed_option(command: argparse.ArgumentParser) -> None:
         type=_seed,
         default=None,
         metavar="N",
-        help="of the simulated machine: robot, rail, tracker (default: the seed)",
+        help="of the simulated machine: robot, rail, tracker (default: the seed; where a run uses "
+        "a calibration, that of the calibrated machine)",
     )
 
 

@@ -6,12 +6,16 @@ counts by the first's share of the whole variance: subtracting it in full folds 
 into the command. The share follows from the remainders themselves, by marginal likelihood.
 Between targets the model's errors are taken as independent: gear ripple and all else that a smooth
 model leaves changes within centimetres.
+
+So the covariance is that of groups of targets that lie close together, plus the frames' of each
+pass, which have rank 7: all is solved group by group, with the frames by Woodbury's identity.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,12 +25,12 @@ from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.kinematics import Array
 
 CLOSE_MM = 5.0  # within it the model's error is the same; a command is far closer to its target
-NEAR = 6.0  # times that: beyond, nothing is known
+NEAR_MM = 20.0  # beyond, nothing is known
 LEVER_MM = 200.0  # at which rotations count as lengths
 FACTORS = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
 SPREAD = 1.5  # standard deviation of their logarithm, before any target says so
 ENOUGH = 200  # targets from which the variance is found
-AT_ONCE = 2000
+FRAMES = 7  # degrees of freedom of what moves a whole pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +46,6 @@ class Pass:
     own_mm2: Array
     common: Array
 
-    @property
-    def noise_mm2(self) -> Array:
-        """Return the covariance (3N, 3N) of all that does not come back."""
-        J = motion_levers(self.poses[:, :3, 3]).reshape(-1, 7)
-        noise: Array = J @ self.common @ J.T
-        for n, own in enumerate(self.own_mm2):
-            noise[3 * n : 3 * n + 3, 3 * n : 3 * n + 3] += own
-        return noise
-
     def every(self, step: int) -> Pass:
         """Return each ``step``-th target."""
         some = slice(None, None, step)
@@ -62,10 +57,8 @@ class Remainder:
 
     def __init__(self, passes: Sequence[Pass], variance_mm2: float) -> None:
         self.passes, self.variance_mm2 = tuple(passes), variance_mm2
-        self.poses = np.concatenate([each.poses for each in passes])
-        total = _noise_mm2(passes) + variance_mm2 * _alike(self.poses, self.poses)
-        self._inverse = np.linalg.inv(total)
-        self._pull = self._inverse @ _stacked_mm(passes)
+        self._known = _Known.of(passes)
+        self._solved = self._known.solved(variance_mm2)
 
     @classmethod
     def learn(cls, passes: Sequence[Pass], stated_mm2: float) -> Remainder:
@@ -75,28 +68,37 @@ class Remainder:
         """
         return cls(passes, _most_probable(passes, stated_mm2))
 
+    @property
+    def poses(self) -> Array:
+        """Return all commanded poses (N, 4, 4)."""
+        return self._known.poses
+
     def at(self, poses: Array) -> tuple[Array, Array]:
         """Return the remainder (M, 3) in {B} to be expected at poses (M, 4, 4), and which share
         (M,) of the model's variance is left.
         """
+        known, solved = self._known, self._solved
         mean_mm, left = np.zeros((len(poses), 3)), np.ones(len(poses))
-        near = _near(poses, self.poses)
-        for first in range(0, len(near), AT_ONCE):
-            part = near[first : first + AT_ONCE]
-            K = self.variance_mm2 * _alike(poses[part], self.poses).reshape(len(part), 3, -1)
-            mean_mm[part] = K @ self._pull
-            known = np.einsum("mik,mik->m", K @ self._inverse, K)
-            left[part] = np.clip(1.0 - known / (3 * self.variance_mm2), 0.0, 1.0)
+        near, nearest = known.nearest(poses)
+        for group, inverse in zip(known.groups, solved.inverses, strict=True):
+            for row in np.flatnonzero(np.isin(group.members, nearest).any(axis=1)):
+                part, members = near[np.isin(nearest, group.members[row])], group.members[row]
+                K = self.variance_mm2 * _alike(_places(poses[part]), known.places[members])
+                mean_mm[part] = (K @ solved.pull[members].reshape(-1)).reshape(-1, 3)
+                gained = np.einsum("ij,ij->i", K @ inverse[row], K).reshape(-1, 3).sum(axis=1)
+                left[part] = np.clip(1.0 - gained / (3 * self.variance_mm2), 0.0, 1.0)
         return mean_mm, left
 
     def sigmas(self) -> Array:
         """Return the remainders (N,) in standard deviations of a coordinate, each by the others."""
-        count = len(self.poses)
-        blocks = self._inverse.reshape(count, 3, count, 3)
-        own = np.moveaxis(np.diagonal(blocks, axis1=0, axis2=2), -1, 0)
-        pull = self._pull.reshape(count, 3)
-        squares = np.einsum("ni,nij,nj->n", pull, np.linalg.inv(own), pull)
-        sigmas: Array = np.sqrt(squares / 3)
+        sigmas = np.empty(len(self.poses))
+        for group, inverse in zip(self._known.groups, self._solved.inverses, strict=True):
+            count, size = group.members.shape
+            blocks = inverse.reshape(count, size, 3, size, 3)
+            own = np.moveaxis(np.diagonal(blocks, axis1=1, axis2=3), -1, 1)
+            pull = self._solved.pull[group.members]
+            squares = np.einsum("gmi,gmij,gmj->gm", pull, np.linalg.inv(own), pull)
+            sigmas[group.members] = np.sqrt(squares / 3)
         return sigmas
 
 
@@ -114,6 +116,128 @@ class WithRemainder:
         return Prediction(found.error_mm + mean_mm, found.covariance_mm2 * left[:, None, None])
 
 
+class _Solved(NamedTuple):
+    """The inverse covariance times the remainders (N, 3), its diagonal blocks as `_Groups` has
+    them, and the logarithm of the likelihood.
+    """
+
+    pull: Array
+    inverses: list[Array]
+    likelihood: float
+
+
+class _Groups(NamedTuple):
+    """All groups of M targets: members (G, M), correlations and own covariances (G, 3M, 3M)."""
+
+    members: Ints
+    alike: Array
+    own_mm2: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """All passes as one, with the targets that lie close together in groups, by their size."""
+
+    poses: Array
+    places: Array
+    remainders_mm: Array
+    levers: Array  # (N, 3, 7 P), by pass
+    common: Array  # (7 P, 7 P)
+    groups: list[_Groups]
+
+    @classmethod
+    def of(cls, passes: Sequence[Pass]) -> _Known:
+        from scipy.linalg import block_diag
+
+        poses = np.concatenate([each.poses for each in passes])
+        own_mm2 = np.concatenate([each.own_mm2 for each in passes])
+        levers = np.zeros((len(poses), 3, FRAMES * len(passes)))
+        first = 0
+        for number, each in enumerate(passes):
+            rows = slice(first, first + len(each.poses))
+            columns = slice(FRAMES * number, FRAMES * (number + 1))
+            levers[rows, :, columns] = motion_levers(each.poses[:, :3, 3])
+            first += len(each.poses)
+        places = _places(poses)
+        return cls(
+            poses,
+            places,
+            np.concatenate([each.remainders_mm for each in passes]),
+            levers,
+            np.array(block_diag(*(each.common for each in passes))),
+            [_grouped(members, places, own_mm2) for members in _members(places)],
+        )
+
+    def nearest(self, poses: Array) -> tuple[Ints, Ints]:
+        """Return the numbers of poses that lie near to known ones, and of those."""
+        from scipy.spatial import cKDTree
+
+        distances, nearest = cKDTree(self.places).query(
+            _places(poses), distance_upper_bound=NEAR_MM
+        )
+        near = np.flatnonzero(np.isfinite(distances))
+        return near, np.asarray(nearest)[near]
+
+    def solved(self, variance_mm2: float) -> _Solved:
+        """Return the solution under a variance of the model's error."""
+        alone, log_det = [], 0.0
+        weighted, levered = np.empty_like(self.remainders_mm), np.empty_like(self.levers)
+        for members, alike, own_mm2 in self.groups:
+            inverse = np.linalg.inv(variance_mm2 * alike + own_mm2)
+            alone.append(inverse)
+            log_det -= float(np.linalg.slogdet(inverse)[1].sum())
+            both = np.concatenate(
+                [
+                    self._rows(self.levers, members),
+                    self._rows(self.remainders_mm[..., None], members),
+                ],
+                axis=-1,
+            )
+            solved = (inverse @ both).reshape(*members.shape, 3, -1)
+            levered[members], weighted[members] = solved[..., :-1], solved[..., -1]
+        J = self.levers.reshape(-1, self.levers.shape[-1])
+        rank = np.eye(len(self.common)) + J.T @ levered.reshape(J.shape) @ self.common
+        inner = self.common @ np.linalg.inv(rank)
+        log_det += float(np.linalg.slogdet(rank)[1])
+        pull = weighted - levered @ (inner @ (J.T @ weighted.reshape(-1)))
+        inverses = []
+        for (members, _, _), inverse in zip(self.groups, alone, strict=True):
+            U = self._rows(levered, members)
+            inverses.append(inverse - U @ inner @ np.swapaxes(U, -1, -2))
+        square = float(self.remainders_mm.reshape(-1) @ pull.reshape(-1))
+        return _Solved(pull, inverses, -0.5 * (square + log_det))
+
+    @staticmethod
+    def _rows(values: Array, members: Ints) -> Array:
+        """Return values (N, 3, K) by group, (G, 3M, K)."""
+        picked: Array = values[members]
+        return picked.reshape(len(members), 3 * members.shape[1], -1)
+
+
+def _grouped(members: Ints, places: Array, own_mm2: Array) -> _Groups:
+    count, size = members.shape
+    alike = np.array([_alike(places[each], places[each]) for each in members])
+    own = np.zeros((count, size, 3, size, 3))
+    for place in range(size):
+        own[:, place, :, place, :] = own_mm2[members[:, place]]
+    return _Groups(members, alike, own.reshape(count, 3 * size, 3 * size))
+
+
+def _members(places: Array) -> list[Ints]:
+    """Return the groups (G, M) of each size M that hang together by steps of `NEAR_MM`."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(places).query_pairs(NEAR_MM, output_type="ndarray")
+    shape = (len(places), len(places))
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape)
+    count, labels = connected_components(links, directed=False)
+    groups = [np.flatnonzero(labels == label) for label in range(count)]
+    sizes = sorted({len(group) for group in groups})
+    return [np.array([group for group in groups if len(group) == size]) for size in sizes]
+
+
 def _places(poses: Array) -> Array:
     """Return features (N, 12) whose distance is that of places, and of rotations by the lever."""
     turned = poses[:, :3, :3].reshape(-1, 9) * (LEVER_MM / np.sqrt(2.0))
@@ -122,53 +246,19 @@ def _places(poses: Array) -> Array:
 
 
 def _alike(first: Array, second: Array) -> Array:
-    """Return the correlations (3N, 3M) of the model's errors at poses (N, 4, 4), (M, 4, 4)."""
-    one, other = _places(first), _places(second)
-    squares = np.square(one).sum(axis=1)[:, None] + np.square(other).sum(axis=1)
-    squares = np.maximum(squares - 2 * one @ other.T, 0.0)
+    """Return the correlations (3N, 3M) of the model's errors at places (N, 12), (M, 12)."""
+    squares = np.square(first[:, None] - second).sum(axis=-1)
     alike: Array = np.kron(np.exp(-squares / (2 * CLOSE_MM**2)), np.eye(3))
     return alike
 
 
-def _near(poses: Array, known: Array) -> Ints:
-    """Return the numbers of poses that lie near to a known one."""
-    from scipy.spatial import cKDTree
-
-    distances, _ = cKDTree(_places(known)).query(
-        _places(poses), distance_upper_bound=NEAR * CLOSE_MM
-    )
-    return np.flatnonzero(np.isfinite(distances))
-
-
-def _stacked_mm(passes: Sequence[Pass]) -> Array:
-    stacked: Array = np.concatenate([each.remainders_mm for each in passes]).reshape(-1)
-    return stacked
-
-
-def _noise_mm2(passes: Sequence[Pass]) -> Array:
-    """Return the covariance (3N, 3N) of all passes, which are independent of each other."""
-    from scipy.linalg import block_diag
-
-    noise: Array = block_diag(*(each.noise_mm2 for each in passes))
-    return noise
-
-
 def _most_probable(passes: Sequence[Pass], stated_mm2: float) -> float:
-    """Return the variance of greatest marginal likelihood.
-
-    With K the correlations and N the noise, ``N^-1/2 K N^-1/2`` is diagonalised once, so that
-    each variance costs only a sum.
-    """
+    """Return the variance of greatest marginal likelihood."""
     if not (stated_mm2 > 0 and np.isfinite(stated_mm2)):
         raise ModelError(f"targets: the model states a variance of {stated_mm2} mm2")
     step = -(-sum(len(each.poses) for each in passes) // ENOUGH)
-    some = [each.every(step) for each in passes]
-    poses = np.concatenate([each.poses for each in some])
-    whiten = np.linalg.inv(np.linalg.cholesky(_noise_mm2(some)))
-    values, axes = np.linalg.eigh(whiten @ _alike(poses, poses) @ whiten.T)
-    squares = np.square(axes.T @ (whiten @ _stacked_mm(some)))
+    known = _Known.of([each.every(step) for each in passes])
     variances = FACTORS * stated_mm2
-    spread = 1.0 + np.outer(variances, np.maximum(values, 0.0))
-    likelihood = -0.5 * (squares / spread + np.log(spread)).sum(axis=1)
+    likelihood = np.array([known.solved(float(each)).likelihood for each in variances])
     likelihood -= 0.5 * np.square(np.log(FACTORS) / SPREAD)
     return float(variances[int(np.argmax(likelihood))])

@@ -117,6 +117,28 @@ def test_a_gross_reading_stands_out() -> None:
     assert sigmas[11] > 5 > np.delete(sigmas, 11).max()
 
 
+def test_groups_and_frames_are_the_whole_covariance() -> None:
+    """Against the dense solution, with two passes, close targets and frames of rank 5."""
+    common = np.diag([0.05**2, 0.02**2, 0.0, 1e-9, 1e-9, 1e-10, 0.0])
+    first, _ = one_pass(10, common)
+    again = Pass(first.poses[:20].copy(), first.remainders_mm[20:40], own(20), common)
+    again.poses[:10, 0, 3] += 6.0
+    passes = [first, again]
+    at = np.concatenate([each.poses for each in passes])
+    total = np.zeros((240, 240))
+    for each, rows in zip(passes, (slice(0, 180), slice(180, 240)), strict=True):
+        J = motion_levers(each.poses[:, :3, 3]).reshape(-1, 7)
+        total[rows, rows] = J @ common @ J.T + VISIT_MM**2 * np.eye(len(J))
+    off_mm = np.linalg.norm(at[:, None, :3, 3] - at[None, :, :3, 3], axis=-1)
+    K = MODEL_MM**2 * np.kron(np.exp(-(off_mm**2) / 50.0) * (off_mm < 20.0), np.eye(3))
+    measured = np.concatenate([each.remainders_mm for each in passes]).reshape(-1)
+    inverse = np.linalg.inv(K + total)
+    mean_mm, left = Remainder(passes, MODEL_MM**2).at(at)
+    np.testing.assert_allclose(mean_mm.reshape(-1), K @ inverse @ measured, atol=1e-9)
+    gained = np.diag(K @ inverse @ K).reshape(-1, 3).sum(axis=1)
+    np.testing.assert_allclose(left, 1.0 - gained / (3 * MODEL_MM**2), atol=1e-9)
+
+
 def test_a_model_that_states_nothing_is_refused() -> None:
     with pytest.raises(ModelError, match="states a variance of nan"):
         Remainder.learn([one_pass(8)[0]], float("nan"))
