@@ -23,6 +23,7 @@ TYPICAL_RAD, TYPICAL_LENGTH_RAD = 100e-6, 1.0  # where the search begins, and wh
 DOUBT = np.repeat([1.5, 1.0, 1.0], [6, 6, 1])  # of their logarithms, and of the noise's scale
 ROWS = 300  # of evenly chosen poses, from which the scales are found
 STEPS = 40
+FOLDS = 5
 AT_ONCE = 256  # poses predicted together
 
 
@@ -112,7 +113,11 @@ def _solved(rows: Rows, K: Array, prior_root: Array, pull: Array) -> _Solved:
 
 @dataclass(frozen=True, eq=False)
 class WithResidual:
-    """Kinematics and residual, estimated together; the noise is the kinematics' times a scale."""
+    """Kinematics and residual, estimated together; the noise is the kinematics' times a scale.
+
+    Scales that explain the poses best may state too little: all covariances are multiplied by
+    ``doubt``, 1 or what poses left out show to be missing.
+    """
 
     base: Estimate
     kernel: Kernel
@@ -120,6 +125,7 @@ class WithResidual:
     state: State
     rows: Rows
     solved: _Solved
+    doubt: float
 
     def predict(self, joints_rad: Array) -> tuple[Array, Array]:
         """Return positions (M, K, 3) and covariances (M, K, 3, 3) of readings there."""
@@ -147,7 +153,8 @@ class WithResidual:
         covariance: Array = np.einsum("mkij,j,mklj->mkil", found.by_joint, variance, found.by_joint)
         covariance -= np.einsum("nmki,nmkl->mkil", own, own)
         covariance += np.einsum("pmki,pmkl->mkil", carried, carried)
-        return at_mm.reshape(count, reflectors, 3), covariance + self.noise.scatter(found.by_joint)
+        covariance += self.noise.scatter(found.by_joint)
+        return at_mm.reshape(count, reflectors, 3), self.doubt * covariance
 
     def left_out_mm(self, folds: Iterable[Ints]) -> Array:
         """Return measured less predicted (M, K, 3), by folds of poses left out together."""
@@ -171,7 +178,18 @@ def with_residual(estimate: Estimate) -> WithResidual:
     kernel, share = _kernel(scales)
     solved = _solved(rows, _covariance(rows, kernel, share)[0], system.prior_root, system.pull)
     state = estimate.kinematics.moved(estimate.state, solved.step)
-    return WithResidual(estimate, kernel, estimate.noise.scaled(share**0.5), state, rows, solved)
+    noise = estimate.noise.scaled(share**0.5)
+    return WithResidual(estimate, kernel, noise, state, rows, solved, _doubt(rows, solved))
+
+
+def _doubt(rows: Rows, solved: _Solved) -> float:
+    """Return the mean square of poses left out over their predicted variance, at least 1."""
+    total = 0.0
+    for fold in range(FOLDS):
+        own = rows.pose % FOLDS == fold
+        left = solved.weighted[own]
+        total += float(left @ np.linalg.solve(solved.precision[np.ix_(own, own)], left))
+    return max(1.0, total / len(rows.pose))
 
 
 def _kernel(scales: Array) -> tuple[Kernel, float]:
