@@ -56,11 +56,15 @@ class Influence(msgspec.Struct, frozen=True):
 
         ``frames`` (4, 4) or (N, 4, 4) is the influence's own frame in {W}.
         """
+        covariance = np.array(self.covariance)
+        if frames.ndim == 2 and not covariance[3:].any():  # a shift, the same everywhere
+            turned = frames[:3, :3] @ covariance[:3, :3] @ frames[:3, :3].T
+            return np.broadcast_to(turned, (len(targets_mm), 3, 3))
         T = np.broadcast_to(frames, (len(targets_mm), 4, 4))
         R = T[:, :3, :3]
         levers = np.einsum("nji,nj->ni", R, targets_mm - T[:, :3, 3]) - np.array(self.origin_mm)
         J = R @ motion_levers(levers)
-        found: Array = J @ np.array(self.covariance) @ np.swapaxes(J, -1, -2)
+        found: Array = J @ covariance @ np.swapaxes(J, -1, -2)
         return found
 
     def about(self, own: Array, T: Array) -> Array:
