@@ -12,7 +12,6 @@ import numpy as np
 
 from hilcell.calibration.frames import grid_of
 from hilcell.calibration.touch import (
-    touch_count,
     touch_ids,
     touch_targets_mm,
     touched_base,
@@ -36,7 +35,7 @@ MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
 
 def touch_spans(cell: Cell, station: Station) -> list[Span]:
     """Return the span of one visit's touch poses, if there are any; refuse any out of reach."""
-    if not touch_count(cell):
+    if not cell.touch.poses:
         return []
     what = f"touch pose at {station.name}"
     return [flange_points(cell, check_targets(cell, station, touch_targets_mm(cell), what))]
@@ -44,7 +43,7 @@ def touch_spans(cell: Cell, station: Station) -> list[Span]:
 
 def base_for_commands(session: CellSession, station: Station, model: ErrorModel) -> Array:
     """Return T_W_B (4, 4) on this visit, for commands, touched first where it was not yet."""
-    if touch_count(session.cell):
+    if session.cell.touch.poses:
         session.retake_waiting()
         session.hold_station(station)
         if not session.frames.touched(station):

@@ -43,8 +43,7 @@ class TouchStation:
         touches = touch_spans(cell, station)
         if not touches:
             raise HilcellError(
-                "touch.poses is 0, or the plan is quick: nothing would be touched; give "
-                "--set touch.poses=8 without plan.quick",
+                "touch.poses is 0: nothing would be touched; give --set touch.poses=8",
                 code="HC-C10",
             )
         way_s = approach_s(cell, cell.rail.travel_min_mm, station)

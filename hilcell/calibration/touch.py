@@ -36,14 +36,9 @@ RECTANGULAR = 3.0  # a half-width's square over the variance (GUM 4.3.7)
 HOLDS = 2  # the strip's slip is that of the visit less that of the stop when it was framed
 
 
-def touch_count(cell: Cell) -> int:
-    """Return how many poses are touched after a stop."""
-    return cell.touch.poses
-
-
 def touch_targets_mm(cell: Cell) -> Array:
     """Return the touch poses' targets (N, 3) in {B}, spread through the cube."""
-    number = np.arange(touch_count(cell))[:, None]
+    number = np.arange(cell.touch.poses)[:, None]
     share = (0.5 + number * STEPS) % 1.0
     size_mm = np.array(cell.grid.size_mm)
     targets: Array = cell.grid.centre.matrix()[:3, 3] + size_mm * (
@@ -56,7 +51,7 @@ def touch_ids(cell: Cell, station: Station, visit: int) -> list[PointId]:
     """Return the identities of the touch poses' points on one visit."""
     return [
         PointId("touch", station=station.name, visit=visit, number=n)
-        for n in range(touch_count(cell))
+        for n in range(cell.touch.poses)
     ]
 
 
@@ -93,7 +88,7 @@ def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
     known += growth_covariance(log, station, points)
     if calibration_in(log) is None:
         return known
-    centring_mm2 = log.cell.uncertainty.smr_centring_limit_mm**2 / 3.0
+    centring_mm2 = log.cell.uncertainty.smr_centring_limit_mm**2 / RECTANGULAR
     at_mm = Frames(log.cell, log).base_in_world(station)[:3, 3]
     return known + SET_UPS * world_covariance(log, at_mm, centring_mm2)
 
@@ -103,7 +98,7 @@ def slip_covariance(cell: Cell) -> Array:
 
     Along the rail; a hold is proven to twice the strip's tolerance (interlock I2).
     """
-    sigma_mm = math.sqrt(HOLDS / 3.0) * 2.0 * cell.rail.strip_tolerance_mm
+    sigma_mm = math.sqrt(HOLDS / RECTANGULAR) * 2.0 * cell.rail.strip_tolerance_mm
     along = np.append(np.array(cell.layout.rail_direction), np.zeros(3))
     covariance: Array = sigma_mm**2 * np.outer(along, along)
     return covariance
