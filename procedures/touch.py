@@ -41,14 +41,14 @@ def touch_spans(cell: Cell, station: Station) -> list[Span]:
     return [flange_points(cell, check_targets(cell, station, touch_targets_mm(cell), what))]
 
 
-def base_for_commands(session: CellSession, station: Station, model: ErrorModel) -> Array:
-    """Return T_W_B (4, 4) on this visit, for commands, touched first where it was not yet."""
-    if session.cell.touch.poses:
-        session.retake_waiting()
-        session.hold_station(station)
-        if not session.frames.touched(station):
-            _touch(session, station, model)
-    return session.frames.base_on_visit(station)
+def touch_once(session: CellSession, station: Station, model: ErrorModel) -> None:
+    """Touch the base on this visit of the station, where it was not yet."""
+    if not session.cell.touch.poses:
+        return
+    session.retake_waiting()
+    session.hold_station(station)
+    if not session.frames.touched(station):
+        _touch(session, station, model)
 
 
 def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
@@ -73,6 +73,7 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
         found.T,
         visit=visit,
         covariance=found.covariance,
+        growth=found.growth,
         poses=len(points),
         left_out=[points[n].key for n in found.left_out],
         pull=found.pull,
@@ -110,11 +111,14 @@ def _found(cell: Cell, before: Array, covariance: Array, found: FrameUpdate) -> 
     shift_mm = (apply(found.T, centre_mm) - apply(before, centre_mm))[0]
     turn_rad = to_rotvec(found.T[:3, :3] @ before[:3, :3].T)
     J = np.hstack([np.eye(3), -cross_matrix(before[:3, :3] @ centre_mm[0])])
-    u_mm = [float(np.sqrt(np.trace(J @ each @ J.T))) for each in (covariance, found.covariance)]
+    u_mm = [
+        float(np.sqrt(np.trace(J @ each @ J.T))) for each in (covariance[:6, :6], found.covariance)
+    ]
     return {
         "shift_mm": shift_mm,
         "along_rail_mm": float(shift_mm @ cell.layout.rail_direction),
         "turn_urad": 1e6 * turn_rad,
+        "growth_um_m": 1e6 * found.growth,
         "u_before_mm": u_mm[0],
         "u_after_mm": u_mm[1],
     }
@@ -122,14 +126,14 @@ def _found(cell: Cell, before: Array, covariance: Array, found: FrameUpdate) -> 
 
 def touch_result(log: Log) -> dict[str, Any]:
     """Return what the touch poses found at each station, where they were used."""
-    keys = ("poses", "shift_mm", "along_rail_mm", "turn_urad", "u_before_mm", "u_after_mm")
+    keys = (
+        "poses", "shift_mm", "along_rail_mm", "turn_urad", "growth_um_m", "u_before_mm",
+        "u_after_mm", "pull", "misfit", "left_out",
+    )  # fmt: skip
     frames = {
         station.name: log.frames[f"touch.{station.name}"]
         for station in log.cell.station
         if f"touch.{station.name}" in log.frames
     }
-    found = {
-        name: {key: frame[key] for key in (*keys, "pull", "misfit", "left_out")}
-        for name, frame in frames.items()
-    }
+    found = {name: {key: frame.get(key) for key in keys} for name, frame in frames.items()}
     return {"touch": found} if found else {}

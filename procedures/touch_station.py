@@ -21,7 +21,7 @@ from hilcell.run.procedure import Procedure, Step, Table
 from procedures.durations import approach_s, step
 from procedures.home import Home
 from procedures.recheck import use
-from procedures.touch import base_for_commands, touch_result, touch_spans
+from procedures.touch import touch_once, touch_result, touch_spans
 from procedures.world_frame import WorldFrame
 
 TABLE = "touch"
@@ -59,7 +59,7 @@ class TouchStation:
             if key not in session.log.frames:
                 T_W_S, covariance = np.array(entry.T_W_S), np.array(entry.covariance)
                 session.frame(key, T_W_S, covariance=covariance)
-        base_for_commands(session, station, calibration.error_model())
+        touch_once(session, station, calibration.error_model())
         if "touch" not in session.log.verdicts:
             session.verdict("touch", holds=True, station=station.name)
 

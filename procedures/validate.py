@@ -28,7 +28,7 @@ from procedures.durations import flange_points, floor_points, leg, step
 from procedures.plan import check_targets, joints_for, poses_at
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
-from procedures.touch import base_for_commands, touch_result, touch_spans
+from procedures.touch import touch_once, touch_result, touch_spans
 from procedures.world_frame import check_control_points
 
 WAYS = ("before", "idw", "chosen")  # as it is, by the paper's method, by the chosen one
@@ -176,9 +176,10 @@ def command(
     frames = session.frames
     if how == "idw":
         T_W_B = frames.base_by_three_points(station)
+        at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
     else:
-        T_W_B = base_for_commands(session, station, model)
-    at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
+        touch_once(session, station, model)
+        at_mm = frames.on_visit_mm(station, targets_mm)
     return corrected(grid_of(session.cell), poses_at(session.cell, at_mm), model)
 
 

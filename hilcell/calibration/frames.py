@@ -72,6 +72,21 @@ class Frames:
             return self._log.matrix(f"touch.{station.name}")
         return self.base_in_world(station)
 
+    def on_visit_mm(self, station: Station, targets_mm: Array) -> Array:
+        """Return what the arm has to reach in {B} for targets (N, 3) of `base_in_world`'s {B}.
+
+        In the base of this visit, by an arm that has grown since the grid was measured.
+        """
+        at_mm = apply(
+            inverse(self.base_on_visit(station)) @ self.base_in_world(station), targets_mm
+        )
+        if not self.touched(station):
+            return at_mm
+        growth = float(self._log.frames[f"touch.{station.name}"].get("growth", 0.0))
+        centre_mm = self.cell.grid.centre.matrix()[:3, 3]
+        reached: Array = centre_mm + (at_mm - centre_mm) / (1.0 + growth)
+        return reached
+
     def base_by_three_points(self, station: Station) -> Array:
         """Return T_W_B (4, 4) as the paper has it: {S} from three points alone."""
         return self._carried("three_points", station)

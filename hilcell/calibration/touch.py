@@ -73,24 +73,27 @@ def touched_base(
         apply(inverse(T_W_B), nominal_mm),
         apply(T_W_L, positions_mm(points)),
         noise_mm2,
+        log.cell.grid.centre.matrix()[:3, 3],
     )
 
 
 def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
-    """Return the covariance (6, 6) of T_W_B on a visit of the station, before it is touched.
+    """Return the covariance (7, 7) of T_W_B on a visit of the station, before it is touched.
 
     That of the station frame, the strip's slip, and the arm's growth since the grid at the
     temperature of ``points``: shift of {B}'s origin (mm), rotation vector (rad) about it, axes of
-    {W}. Growth moves the cube as a whole, and a base that makes up for it serves as well. A run
-    that uses a calibration of before has found {W} again, so its error counts twice.
+    {W}; growth of the cube from its centre (ratio). Growth of the arm moves the cube's centre, as
+    a shift of the base does, and widens the cube. A run that uses a calibration of before has
+    found {W} again, so its error counts twice.
     """
-    known = base_covariance(log, station) + slip_covariance(log.cell)
-    known += growth_covariance(log, station, points)
+    known = growth_covariance(log, station, points)
+    known[:6, :6] += base_covariance(log, station) + slip_covariance(log.cell)
     if calibration_in(log) is None:
         return known
     centring_mm2 = log.cell.uncertainty.smr_centring_limit_mm**2 / RECTANGULAR
     at_mm = Frames(log.cell, log).base_in_world(station)[:3, 3]
-    return known + SET_UPS * world_covariance(log, at_mm, centring_mm2)
+    known[:6, :6] += SET_UPS * world_covariance(log, at_mm, centring_mm2)
+    return known
 
 
 def slip_covariance(cell: Cell) -> Array:
@@ -105,11 +108,11 @@ def slip_covariance(cell: Cell) -> Array:
 
 
 def growth_covariance(log: Log, station: Station, points: list[Point]) -> Array:
-    """Return the covariance (6, 6) of the cube's shift by the arm's growth since the grid."""
+    """Return the covariance (7, 7) of the cube's shift and growth with the arm since the grid."""
     off_k = _warmer_k(log, points)
     sigma = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * off_k / math.sqrt(RECTANGULAR)
     R = Frames(log.cell, log).base_in_world(station)[:3, :3]
-    outwards = np.append(R @ log.cell.grid.centre.matrix()[:3, 3], np.zeros(3))
+    outwards = np.append(R @ log.cell.grid.centre.matrix()[:3, 3], [0.0, 0.0, 0.0, 1.0])
     covariance: Array = sigma**2 * np.outer(outwards, outwards)
     return covariance
 

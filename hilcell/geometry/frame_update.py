@@ -16,6 +16,7 @@ from hilcell.geometry.frames import FrameError, apply, cross_matrix, matrix
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.rotations import from_rotvec
 
+SIZE = 7  # shift, rotation, growth
 LEAST_MM = 1e-4  # no reading is better
 OUTLYING = 25.0  # squared, in sigmas of the typical point
 TYPICAL = 2.366  # median of chi2 of three coordinates
@@ -27,8 +28,10 @@ LEAVE_AT_MOST = 4  # one of so many points may be left out
 class FrameUpdate:
     """The corrected frame of a in b, its covariance (6, 6) as in `RigidFit`, the residuals (N, 3).
 
+    ``growth`` is the ratio by which a has grown from the centre, besides.
+
     ``left_out`` are the numbers of points that no small motion explains. ``pull`` is the correction
-    in sigmas of the given covariance (its square is chi2 of up to 6), ``misfit`` the root mean
+    in sigmas of the given covariance (its square is chi2 of up to 7), ``misfit`` the root mean
     square of the residuals in sigmas as stated: large ones mean that frame and points contradict.
     """
 
@@ -38,26 +41,41 @@ class FrameUpdate:
     left_out: tuple[int, ...]
     pull: float
     misfit: float
+    growth: float
 
 
 def updated_frame(
-    T: Array, covariance: Array, a_mm: Array, b_mm: Array, covariances_mm2: Array
+    T: Array,
+    covariance: Array,
+    a_mm: Array,
+    b_mm: Array,
+    covariances_mm2: Array,
+    centre_mm: Array | None = None,
 ) -> FrameUpdate:
     """Return the frame ``T`` (4, 4) of a in b, corrected by pairs of points (N, 3), N >= 1.
 
     ``covariance`` (6, 6) of ``T``, which may be singular: shift of a's origin and rotation
-    vector about it, axes of b. ``covariances_mm2`` (N, 3, 3) of each ``b - T a``, axes of b;
-    their size is corrected by the residuals. Raises `FrameError` on what is not finite.
+    vector about it, axes of b; or (7, 7) with the growth of a from ``centre_mm`` (3,).
+    ``covariances_mm2`` (N, 3, 3) of each ``b - T a``, axes of b; their size is corrected by the
+    residuals. Raises `FrameError` on what is not finite.
     """
     _check(T, covariance, a_mm, b_mm, covariances_mm2)
+    prior = np.zeros((SIZE, SIZE))
+    prior[: len(covariance), : len(covariance)] = covariance
+    outwards_mm = a_mm if centre_mm is None else a_mm - centre_mm
     R = covariances_mm2 + LEAST_MM**2 * np.eye(3)
     off_mm = b_mm - apply(T, a_mm)
     J = np.concatenate(
-        [np.broadcast_to(np.eye(3), R.shape), -cross_matrix(a_mm @ T[:3, :3].T)], axis=-1
+        [
+            np.broadcast_to(np.eye(3), R.shape),
+            -cross_matrix(a_mm @ T[:3, :3].T),
+            (outwards_mm @ T[:3, :3].T)[:, :, None],
+        ],
+        axis=-1,
     )
     kept = list(range(len(off_mm)))
     while True:
-        solved = _solved(covariance, J[kept], off_mm[kept], R[kept])
+        solved = _solved(prior, J[kept], off_mm[kept], R[kept])
         squares = _squares(off_mm[kept] - J[kept] @ solved.x, R[kept])
         worst = int(np.argmax(squares))
         typical = max(1.0, float(np.median(squares)) / TYPICAL)
@@ -68,14 +86,15 @@ def updated_frame(
     pull = math.sqrt(max(0.0, solved.chi2 - float(squares.sum())))  # of the covariances as stated
     freedom, chi2 = 3 * len(kept) - solved.spent, float(squares.sum())
     size = (BELIEF + chi2) / (BELIEF + freedom)
-    solved = _solved(covariance, J[kept], off_mm[kept], size * R[kept])
+    solved = _solved(prior, J[kept], off_mm[kept], size * R[kept])
     return FrameUpdate(
-        matrix(from_rotvec(solved.x[3:]) @ T[:3, :3], T[:3, 3] + solved.x[:3]),
-        solved.covariance,
+        matrix(from_rotvec(solved.x[3:6]) @ T[:3, :3], T[:3, 3] + solved.x[:3]),
+        solved.covariance[:6, :6],
         off_mm - J @ solved.x,
         tuple(n for n in range(len(off_mm)) if n not in kept),
         pull,
         math.sqrt(chi2 / freedom),
+        float(solved.x[6]),
     )
 
 
@@ -88,8 +107,8 @@ class _Solved:
 
 
 def _solved(P: Array, J: Array, off_mm: Array, R: Array) -> _Solved:
-    """Return the correction (6,) with its covariance; all points' rows are stacked."""
-    rows, off = J.reshape(-1, 6), off_mm.reshape(-1)
+    """Return the correction (7,) with its covariance; all points' rows are stacked."""
+    rows, off = J.reshape(-1, SIZE), off_mm.reshape(-1)
     S = rows @ P @ rows.T
     for n, each in enumerate(R):
         S[3 * n : 3 * n + 3, 3 * n : 3 * n + 3] += each

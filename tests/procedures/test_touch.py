@@ -19,7 +19,7 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, DeviceError
-from procedures.touch import base_for_commands, touch_result, touch_spans
+from procedures.touch import touch_once, touch_result, touch_spans
 from procedures.validate import Validate
 from tests.procedures.test_sign_check import BASE, FakeBench, error_mm
 
@@ -43,7 +43,7 @@ class Visits(FakeBench):
         values = msgspec.to_builtins(cell)
         self.keep("plan", "", msgspec.to_builtins(self.log.inputs) | {"cell": values})
         self.frames = Frames(cell, self.log)
-        self.slip_mm, self.turned = SLIP_MM, np.eye(4)
+        self.slip_mm, self.turned, self.growth, self.warmer_k = SLIP_MM, np.eye(4), 0.0, 0.0
         self.held: Station | None = None
         self.waiting: list[Station] = []  # where points are re-measured next
         rng = np.random.default_rng(9283)
@@ -84,11 +84,13 @@ class Visits(FakeBench):
             return
         assert self.held is not None
         base = self.frames.base_in_world(self.held)
-        seen_mm = apply(self.turned @ base, (at_mm + error_mm(at_mm[None])[0])[None])[0]
+        reached_mm = (1.0 + self.growth) * (at_mm + error_mm(at_mm[None])[0])
+        seen_mm = apply(self.turned @ base, reached_mm[None])[0]
         seen_mm[1] += self.slip_mm
         self._point(
             id, seen_mm, nominal_mm=nominal_mm.tolist(), station=self.held.name,
             commanded_deg=np.degrees(joints_rad).tolist(), std_mm=[0.01] * 3,
+            temperature_c=20.0 + self.warmer_k,
         )  # fmt: skip
 
     def flange_point(
@@ -111,6 +113,13 @@ def chosen_mm(bench: Any) -> dict[str, float]:
 
 def bench_of(**settings: str) -> Any:
     return Visits(load_cell("paper", SETTINGS | {f"touch.{k}": v for k, v in settings.items()}))
+
+
+def touch_base(bench: Any, station: Station, model: Any) -> Array:
+    """Return the base for commands on this visit."""
+    touch_once(bench, station, model)
+    base: Array = bench.frames.base_on_visit(station)
+    return base
 
 
 def model_of(log: Log) -> Any:
@@ -158,7 +167,7 @@ def test_the_base_that_is_found_does_not_judge_itself() -> None:
 def test_targets_and_the_ways_beside_are_as_without_touch_poses() -> None:
     """Also where the visit has been touched before the first target is sent."""
     with_, without = bench_of(), bench_of(poses="0")
-    base_for_commands(with_, HERE, model_of(with_.log))
+    touch_base(with_, HERE, model_of(with_.log))
     for bench in (with_, without):
         Validate().perform(bench)
     for how in ("before", "idw"):
@@ -179,14 +188,14 @@ def test_targets_and_the_ways_beside_are_as_without_touch_poses() -> None:
 def test_a_new_stop_is_touched_again_and_a_visit_once() -> None:
     bench: Any = Visits()
     model = model_of(bench.log)
-    first = base_for_commands(bench, FAR, model)
-    np.testing.assert_array_equal(base_for_commands(bench, FAR, model), first)
+    first = touch_base(bench, FAR, model)
+    np.testing.assert_array_equal(touch_base(bench, FAR, model), first)
     assert len(bench.log.select("touch")) == 8
     bench.hold_station(HERE)
     assert not bench.frames.touched(FAR)
     np.testing.assert_array_equal(bench.frames.base_on_visit(FAR), bench.frames.base_in_world(FAR))
     bench.slip_mm = -SLIP_MM
-    again = base_for_commands(bench, FAR, model)
+    again = touch_base(bench, FAR, model)
     assert len(bench.log.select("touch")) == 16
     assert again[1, 3] < bench.frames.base_in_world(FAR)[1, 3] < first[1, 3]
 
@@ -206,9 +215,9 @@ def test_a_resumed_run_measures_only_what_is_missing_of_a_visit() -> None:
 
     bench.flange_point = dies
     with pytest.raises(KeyboardInterrupt):
-        base_for_commands(bench, FAR, model)
+        touch_base(bench, FAR, model)
     bench.flange_point = flange_point
-    base_for_commands(bench, FAR, model)
+    touch_base(bench, FAR, model)
     assert len(bench.log.select("touch")) == 8
 
 
@@ -223,7 +232,7 @@ def test_a_retake_at_another_station_ends_the_visit() -> None:
             bench.waiting = [HERE]
 
     bench._point = asked
-    base_for_commands(bench, FAR, model)
+    touch_base(bench, FAR, model)
     assert bench.frames.touched(FAR)
     visit = bench.log.frames["touch.S300"]["visit"]
     assert visit == bench.log.visit
@@ -237,7 +246,7 @@ def test_a_lost_zero_is_refused(turn_rad: list[float]) -> None:
     R, origin_mm = from_rotvec(np.array(turn_rad)), BASE[:3, 3]
     bench.turned = matrix(R, origin_mm - R @ origin_mm)
     with pytest.raises(DeviceError) as raised:
-        base_for_commands(bench, HERE, model_of(bench.log))
+        touch_base(bench, HERE, model_of(bench.log))
     assert raised.value.code == "HC-T63"
     assert "touch.S1100" not in bench.log.frames
 
@@ -248,13 +257,27 @@ def test_the_covariance_of_the_base() -> None:
     slip, far = visit_covariance(log, HERE, []), visit_covariance(log, FAR, [])
     assert np.linalg.matrix_rank(slip) == 1
     assert slip[1, 1] == pytest.approx(2 * 0.02**2 / 3)
-    assert (np.linalg.eigvalsh(far) > 0).all()
+    assert (np.linalg.eigvalsh(far[:6, :6]) > 0).all()
     lever_mm = bench.frames.base_in_world(FAR)[:3, 3] - [0.0, 300.0, 0.0]
     assert far[2, 2] == pytest.approx(1e-4 + 1e-10 * (lever_mm[0] ** 2 + lever_mm[1] ** 2))
-    base_for_commands(bench, FAR, model_of(log))
+    touch_base(bench, FAR, model_of(log))
     after = np.array(log.frames["touch.S300"]["covariance"])
     assert np.trace(after[:3, :3]) < np.trace(far[:3, :3])
     np.testing.assert_array_equal(visit_covariance(log, FAR, []), far)
+
+
+@pytest.mark.parametrize(("poses", "least_mm", "most_mm"), [("0", 0.05, 0.1), ("20", 0.0, 0.012)])
+def test_an_arm_that_has_grown_with_the_room_is_sent_less_far(
+    poses: str, least_mm: float, most_mm: float
+) -> None:
+    """30 um/m: the cube's centre is 0.06 mm further out, its far corner 0.02 mm more."""
+    bench = bench_of(poses=poses)
+    bench.growth, bench.warmer_k = 30e-6, 2.0
+    for name, mean_mm in chosen_mm(bench).items():
+        assert least_mm <= mean_mm < most_mm, name
+    if poses != "0":
+        grown = touch_result(bench.log)["touch"]["S1100"]["growth_um_m"]
+        assert grown == pytest.approx(30.0, abs=8.0)
 
 
 def test_growth_may_move_the_cube_outwards() -> None:

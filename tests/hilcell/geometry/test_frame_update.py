@@ -46,6 +46,17 @@ def test_a_frame_that_is_known_exactly_stays() -> None:
     np.testing.assert_array_equal(found.T, T)
 
 
+def test_growth_from_the_centre_is_no_shift() -> None:
+    wide, centre_mm = np.diag([1.0] * 3 + [1e-6] * 3 + [1e-8]), A_MM.mean(axis=0)
+    true = moved(np.array([0.02, -0.03, 0.01, 1e-5, -2e-5, 3e-5]))
+    grown_mm = centre_mm + (1.0 + 5e-5) * (A_MM - centre_mm)
+    exact = NOISE_MM2 * 1e-4
+    found = updated_frame(T, wide, A_MM, apply(true, grown_mm), exact, centre_mm)
+    assert found.growth == pytest.approx(5e-5, rel=0.01)
+    np.testing.assert_allclose(apply(found.T, A_MM), apply(true, A_MM), atol=1e-3)
+    assert updated_frame(T, wide[:6, :6], A_MM, apply(true, A_MM), exact).growth == 0.0
+
+
 def test_a_slip_along_one_direction_is_found_and_no_other() -> None:
     """The prior is singular: it allows this motion alone."""
     off_mm = np.array([0.04, 0.02, -0.03])
