@@ -73,16 +73,21 @@ class System:
         )
 
     @cached_property
-    def _factor(self) -> tuple[Array, Array, Array]:
-        """Return the posterior's root R (P, P), the step (P,) and the noise's roots (M, N, N)."""
-        root = np.linalg.cholesky(self.noise_mm2)
+    def _whitener(self) -> Array:
+        """Return W (M, N, N) with W'W the inverse of the noise's covariance."""
+        whitener: Array = np.linalg.inv(np.linalg.cholesky(self.noise_mm2))
+        return whitener
+
+    @cached_property
+    def _factor(self) -> tuple[Array, Array]:
+        """Return the posterior's root R (P, P) and the step (P,)."""
         size = self.design.shape[2]
         both = np.concatenate([self.design, self.residual_mm[..., None]], axis=2)
-        rows = np.linalg.solve(root, both).reshape(-1, size + 1)
+        rows = (self._whitener @ both).reshape(-1, size + 1)
         prior = np.column_stack([self.prior_root, self.pull])
         both = np.asarray(np.linalg.qr(np.concatenate([rows, prior]), mode="r"))
         R: Array = both[:size, :size]
-        return R, np.linalg.solve(R, both[:size, size]), np.asarray(root)
+        return R, np.linalg.solve(R, both[:size, size])
 
     @property
     def step(self) -> Array:
@@ -91,7 +96,7 @@ class System:
 
     def damped(self, damping: float) -> Array:
         """Return the step (P,) held back by so many times the prior's information."""
-        R, step, _ = self._factor
+        R, step = self._factor
         size = len(step)
         held = np.column_stack([damping**0.5 * self.prior_root, np.zeros(size)])
         rows = np.concatenate([np.column_stack([R, R @ step]), held])
@@ -101,7 +106,7 @@ class System:
     @cached_property
     def cost(self) -> float:
         """Return chi^2 of readings and prior before the step."""
-        whitened = np.linalg.solve(self._factor[2], self.residual_mm[..., None])
+        whitened = self._whitener @ self.residual_mm[..., None]
         return float(np.sum(whitened**2) + np.sum(self.pull**2))
 
     @cached_property
@@ -114,7 +119,7 @@ class System:
     @cached_property
     def _precision_parts(self) -> tuple[Array, Array]:
         """Return C^-1 (M, N, N), and S (M, N, P) with P = C^-1 - S S'."""
-        inverse = np.linalg.inv(self.noise_mm2)
+        inverse = np.swapaxes(self._whitener, 1, 2) @ self._whitener
         S: Array = inverse @ self.design @ np.linalg.inv(self._factor[0])
         return np.asarray(inverse), S
 
@@ -135,11 +140,11 @@ class System:
     @property
     def evidence(self) -> float:
         """Return the log marginal likelihood of the readings, but for a constant of their count."""
-        R, step, root = self._factor
+        R, step = self._factor
         left = self.residual_mm - self.design @ step
         chi2 = float(np.sum(left * self.weighted))
         chi2 += float(np.sum((self.pull - self.prior_root @ step) ** 2))
-        log_noise = 2.0 * float(np.log(np.einsum("mii->mi", root)).sum())
+        log_noise = -2.0 * float(np.log(np.einsum("mii->mi", self._whitener)).sum())
         log_posterior = 2.0 * float(np.log(np.abs(np.diag(R))).sum())
         log_prior = 2.0 * float(np.linalg.slogdet(self.prior_root)[1])
         return -0.5 * (chi2 + log_noise + log_posterior - log_prior)
