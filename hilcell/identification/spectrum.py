@@ -14,18 +14,20 @@ import numpy as np
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import rms
 
-LOWEST, HIGHEST = 24.0, 560.0  # cycles per joint revolution
+LOWEST, HIGHEST = 18.0, 560.0  # cycles per joint revolution
+LEAST_PERIODS = 1.9  # of a line in the range
 CHANCE = 1e-3  # that any line at all is found where there is none
 MOST_LINES = 16
 OVERSAMPLED = 4  # trial frequencies in one width of a line
 APART = 0.45  # widths of a line, between two of them
-SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 24, 3), 1e-5)
+SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 18, 3), 1e-5)
 # 1 sigma of the joint's harmonics below the lowest line
 FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
 GROWN = 1.2  # rms of all lines over that of what smooth errors leave: more is trade with those
 LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
+STANDS_OUT = 4.0  # times the mean power: single powers beyond it are no noise
 STEPS = 12
-SETTLED = 1e-4  # of a line's width
+SETTLED, LONGEST_STEP = 1e-4, 0.2  # of a line's width
 FREED = 1.5  # variance of a line with its frequency free over that with a known one, in the mean
 
 
@@ -52,6 +54,11 @@ class Records:
         """Return the width of a line, in cycles per revolution."""
         return np.pi / self.half_rad
 
+    @property
+    def lowest(self) -> float:
+        """Return the cycles per revolution below which an error counts as smooth."""
+        return max(LOWEST, LEAST_PERIODS * self.width)
+
     def angle_rad(self, shift_rad: float) -> Array:
         """Return the joint (N,) from its middle, each direction shifted."""
         found: Array = self.joint_rad + shift_rad * self.side - self.middle_rad
@@ -71,8 +78,8 @@ class Records:
         """Return frequencies (F,), a part of a line's width apart."""
         steps_rad = np.abs(np.diff(self.joint_rad))
         highest = min(HIGHEST, 0.8 * np.pi / float(np.median(steps_rad)))
-        count = int((highest - LOWEST) / self.width * oversampled)
-        return np.linspace(LOWEST, highest, max(count, 4))
+        count = int((highest - self.lowest) / self.width * oversampled)
+        return np.linspace(self.lowest, highest, max(count, 4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,8 +201,9 @@ def search(records: Records, shift: Shift) -> Found:
             lines.left_rad,
         )
         more = refined(records, more, shift)
-        apart = bool(np.all(np.diff(np.sort(more.cycles)) >= APART * records.width))
-        if apart and _rms_rad(records, more) <= GROWN * smooth_left_rad:
+        better = bool(np.all(np.diff(np.sort(more.cycles)) >= APART * records.width))
+        better &= rms(more.left_rad) < rms(lines.left_rad)
+        if better and _rms_rad(records, more) <= GROWN * smooth_left_rad:
             lines = more
         else:
             refused.append(float(trial.cycles[best]))
@@ -212,48 +220,58 @@ def refined(records: Records, lines: Lines, prior: Shift) -> Lines:
     Gauss-Newton; smooth errors are found beside them.
     """
     cycles, amplitude, shift_rad = lines.cycles, lines.amplitude_rad, lines.shift.rad
-    sigma_rad, count = float(np.sqrt(np.mean(lines.left_rad**2))), len(cycles)
+    count, sigma_rad, sigma = len(cycles), rms(lines.left_rad), prior.sigma_rad
     smooth = records.smooth()
     for _ in range(STEPS):
         angle = records.angle_rad(shift_rad)
         waves = _waves(angle, cycles)
         turned = waves[:, ::2] * amplitude[:, 1] - waves[:, 1::2] * amplitude[:, 0]
-        columns = np.hstack([
-            smooth,
-            LINE_RAD * waves,
-            records.width * angle[:, None] * turned,
-            prior.sigma_rad * (records.side * (turned @ cycles))[:, None],
-        ])  # fmt: skip
+        by_cycles = records.width * angle[:, None] * turned
+        by_shift = prior.sigma_rad * (records.side * (turned @ cycles))[:, None]
+        columns = np.hstack([smooth, LINE_RAD * waves, by_cycles, by_shift])
         wanted = np.zeros(columns.shape[1])
         wanted[-1] = (prior.rad - shift_rad) / prior.sigma_rad
-        normal = columns.T @ columns + sigma_rad**2 * np.eye(len(wanted))
-        found = np.linalg.solve(normal, columns.T @ records.error_rad + sigma_rad**2 * wanted)
-        left_rad = records.error_rad - columns @ found
-        sigma_rad = float(np.sqrt(np.mean(left_rad**2)))
-        first = smooth.shape[1]
-        amplitude = np.array(
-            LINE_RAD * found[first : first + 2 * count].reshape(-1, 2), dtype=float
-        )
-        step = np.clip(found[-1 - count : -1], -0.5, 0.5)
-        cycles = np.clip(cycles + records.width * step, LOWEST, HIGHEST)
+        found, inverse = _solved(columns, records.error_rad, sigma_rad, wanted)
+        sigma_rad = rms(records.error_rad - columns @ found)
+        sigma = prior.sigma_rad * sigma_rad * float(np.sqrt(inverse[-1, -1]))
+        amplitude = _pairs(found[smooth.shape[1] :], count)
+        step = np.clip(found[-1 - count : -1], -LONGEST_STEP, LONGEST_STEP)
+        cycles = np.clip(cycles + records.width * step, records.lowest, HIGHEST)
         shift_rad += prior.sigma_rad * float(found[-1])
         if not np.any(np.abs(step) > SETTLED):
             break
-    sigma = prior.sigma_rad * sigma_rad * float(np.sqrt(np.linalg.inv(normal)[-1, -1]))
+    columns = np.hstack([smooth, LINE_RAD * _waves(records.angle_rad(shift_rad), cycles)])
+    found, _ = _solved(columns, records.error_rad, sigma_rad, np.zeros(columns.shape[1]))
+    left_rad = records.error_rad - columns @ found
+    amplitude = _pairs(found[smooth.shape[1] :], count)
     return Lines(cycles, amplitude, Shift(shift_rad, sigma), left_rad)
+
+
+def _solved(columns: Array, error_rad: Array, sigma_rad: float, mean: Array) -> tuple[Array, Array]:
+    """Return the best coefficients (P,), 1 sigma = 1 about their means, and the inverse (P, P)."""
+    inverse = np.linalg.inv(columns.T @ columns + sigma_rad**2 * np.eye(len(mean)))
+    found: Array = inverse @ (columns.T @ error_rad + sigma_rad**2 * mean)
+    return found, np.array(inverse, dtype=float)
+
+
+def _pairs(found: Array, count: int) -> Array:
+    """Return cosines and sines (K, 2) of the lines that come first."""
+    pairs: Array = LINE_RAD * found[: 2 * count].reshape(-1, 2)
+    return pairs
 
 
 def noise_of(powers_rad2: Array, cycles: Array) -> Noise:
     """Return the noise of sums of squares (F,) of two degrees of freedom at frequencies (F,).
 
-    They are exponentially distributed; maximum likelihood by Fisher's scoring.
+    They are exponentially distributed; maximum likelihood by Fisher's scoring, in which single
+    ones that stand out count little.
     """
     mean = np.maximum(powers_rad2 / 2.0, 1e-24)
     X = _powers_of_log(cycles)
     found: Array = np.array([np.log(mean.mean()), 0.0, 0.0])
     prior = np.diag([0.0, 0.5, 0.5])  # few frequencies tell no colour
     for _ in range(50):
-        ratio = mean * np.exp(-X @ found)
+        ratio = np.minimum(mean * np.exp(-X @ found), STANDS_OUT) / (1.0 - np.exp(-STANDS_OUT))
         step = np.linalg.solve(X.T @ X + prior, X.T @ (ratio - 1.0) - prior @ found)
         found = found + np.clip(step, -1.0, 1.0)
     return Noise(found, np.array(np.linalg.inv(X.T @ X + prior), dtype=float))
