@@ -23,7 +23,7 @@ APART = 0.45  # widths of a line, between two of them
 SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 18, 3), 1e-5)
 # 1 sigma of the joint's harmonics below the lowest line
 FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
-GROWN = 1.2  # rms of all lines over that of what smooth errors leave: more is trade with those
+GROWN = 1.6  # rms of all lines over that of what smooth errors leave: more is trade with those
 LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
 STANDS_OUT = 4.0  # times the mean power: single powers beyond it are no noise
 STEPS = 12
