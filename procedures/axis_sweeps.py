@@ -12,7 +12,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.identification.motion import SweepStream
-from hilcell.identification.sweeps import swept_axis
+from hilcell.identification.sweeps import SweptAxis, swept_axis
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
@@ -28,7 +28,7 @@ LEFT_OUT = "axes not swept"
 WAYS = ("up", "down")
 LATTICE = 7  # places along each edge of the cube, whose joints are swept
 SEEN_AT = 20  # places of a sweep at which the reflector must be in the tracker's range
-TRIES = 3
+TRIES, ATTEMPTS = 3, 2  # of one sweep whose beam breaks, and of both sweeps of an axis
 STREAM_S = 1.5  # begin and end of a stream
 QUICK_AXES, QUICK_SHARE = (1, 2, 3), 0.5  # of a quick plan: the middle of each range
 
@@ -78,13 +78,21 @@ class AxisSweeps:
             return
         for axis in axes_of(cell):
             if axis not in session.log.curves:
-                up, down = (self._sweep(session, axis, way) for way in WAYS)
-                found = swept_axis(up, down, cell.robot.arm(), axis - 1)
-                session.curve(CurveRecord.of(found))
+                session.curve(CurveRecord.of(self._swept(session, axis)))
 
-    def _sweep(self, session: CellSession, axis: int, way: str) -> SweepStream:
+    def _swept(self, session: CellSession, axis: int) -> SweptAxis:
+        """Return an axis's result, of further sweeps where the first cannot be used."""
+        for attempt in range(1, ATTEMPTS + 1):
+            up, down = (self._sweep(session, axis, way, attempt) for way in WAYS)
+            found = swept_axis(up, down, session.cell.robot.arm(), axis - 1)
+            if not found.reason:
+                break
+        return found
+
+    def _sweep(self, session: CellSession, axis: int, way: str, attempt: int = 1) -> SweepStream:
         """Return the stream of one sweep, in {B}."""
-        cell, key = session.cell, f"sweep/A{axis}/{way}"
+        again = "" if attempt == 1 else f"/{attempt}"
+        cell, key = session.cell, f"sweep/A{axis}/{way}{again}"
         station = cell.station_named(cell.grid.station)
         T_W_B = session.frames.base_in_world(station)
         if key not in session.log.streams:

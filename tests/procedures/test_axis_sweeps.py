@@ -176,9 +176,24 @@ def test_a_stream_that_cannot_be_used_is_an_alarm_and_no_curve(bed: Bed) -> None
     robot.spoil = lambda stream: replace(stream, device_s=stream.device_s + late)
     assert bed.run(ACT) == 0
     log = bed.log()
+    assert len(log.streams) == 4  # both sweeps were made again
     assert not log.curves[1].holds
     assert "its clock jumped" in log.curves[1].reason
     assert not AxisSweeps().result(log)["sweeps"]["axes"][0]["used"]
+
+
+def test_an_axis_is_swept_again_where_the_first_sweeps_cannot_be_used(bed: Bed) -> None:
+    robot, tracker = parts(bed)
+    late = 2.0 * (np.arange(len(AXIS.stream(1.0).device_s)) > 300)
+
+    def first_alone(stream: SweepStream) -> SweepStream:
+        spoilt = replace(stream, device_s=stream.device_s + late)
+        return spoilt if tracker.streams == 1 else stream
+
+    robot.spoil = first_alone
+    assert bed.run(ACT) == 0
+    assert bed.log().curves[1].holds
+    assert "sweep/A1/down/2" in bed.log().streams
 
 
 def test_an_act_that_is_left_out_says_why_in_plan_and_journal(tmp_path: Path) -> None:
