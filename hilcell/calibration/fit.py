@@ -104,6 +104,10 @@ class Method(Protocol):
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
         """Return the rows' positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
 
+    @property
+    def freedom(self) -> float:
+        """Return the degrees of freedom of the covariances' estimate."""
+
 
 class PointModel(Protocol):
     """Predicts errors at nominal positions (N, 3), in whatever orientation."""
@@ -126,6 +130,7 @@ class AtPoints:
 
     placement: Placement
     models: Mapping[str, PointModel]
+    freedom: float
 
     @classmethod
     def learn(cls, placement: Placement, rows: Measurements, method: str) -> Self:
@@ -141,7 +146,7 @@ class AtPoints:
                     f"wanted at least {NEIGHBOURS} to interpolate from"
                 )
             models[target] = POINT_MODELS[method](at_mm[own], error_mm[own])
-        return cls(placement, models)
+        return cls(placement, models, 3.0 * len(rows))
 
     @property
     def base(self) -> Array:
@@ -192,7 +197,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     bad, refused = _contradicting(placement, train)
     kept = train.at(np.flatnonzero(~bad))
     placement = place(arm, kept)
-    arms, left_out = ({}, {}) if refused else _arms(placement, kept)
+    arms, left_out = ({}, {}) if refused else _arms(placement, kept, refused)
     left_out = cross_validate(arm, kept) | left_out
     validated = {name: figures_of(miss) for name, miss in left_out.items()}
     chosen = choose({name: _by_kind(figures) for name, figures in validated.items()})
@@ -239,14 +244,20 @@ def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
 
 
 def _arms(
-    placement: Placement, rows: Measurements
+    placement: Placement, rows: Measurements, refused: dict[str, str]
 ) -> tuple[dict[str, FittedArm], dict[str, Array]]:
     """Return the identified robots by method, and measured minus predicted (N, 3) of the same
-    folds.
+    folds; those that are not found go to ``refused``.
     """
-    fold = _folds(rows)
-    arms = {name: FittedArm.learn(placement, rows, name) for name in TERMS}
+    fold, arms = _folds(rows), {}
+    for name in TERMS:
+        try:
+            arms[name] = FittedArm.learn(placement, rows, name)
+        except IdentificationError as error:
+            refused[name] = str(error)
     miss_mm = {name: arm.left_out_mm(fold) for name, arm in arms.items()}
+    if not arms:
+        return arms, miss_mm
     best = min(arms, key=lambda name: figures_of(miss_mm[name])["mean_mm"])
     arms[RESIDUAL] = arms[best].with_residual()
     miss_mm[RESIDUAL] = arms[RESIDUAL].left_out_mm(fold)
@@ -297,7 +308,7 @@ def _judged(
     for name, method in methods.items():
         at_mm, covariance_mm2 = method.predict(test)
         miss_mm = test.xyz_mm - at_mm
-        bounds[name] = statistics.bounds95_mm(covariance_mm2)
+        bounds[name] = statistics.bounds95_mm(covariance_mm2, method.freedom)
         inside = statistics.lengths_mm(miss_mm) <= bounds[name]
         found[name] = figures_of(miss_mm)
         coverage[name] = Coverage(share=float(inside.mean()), bound_mm=float(bounds[name].mean()))

@@ -13,6 +13,7 @@ from hilcell.calibration.robot_file import Measurements
 from hilcell.geometry.kinematics import Array
 from hilcell.identification.estimate import Estimate, identify, identify_trusted
 from hilcell.identification.kinematics import Kinematics, State
+from hilcell.identification.observability import observability
 from hilcell.identification.readings import Bools, Ints, Readings
 from hilcell.identification.residual import WithResidual, with_residual
 
@@ -21,6 +22,8 @@ TERMS: Mapping[str, tuple[bool, bool]] = {  # elastic joints, a tool's weight
     "elastic": (True, False),
     "tool": (True, True),
 }
+
+LEAST_FREEDOM = 3.0  # one pose more than the parameters need
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +99,12 @@ class FittedArm:
     def smr_mm(self) -> Mapping[str, Array]:
         """Return the reflectors (3,) on the flange."""
         return dict(zip(self.targets, self.estimate.state.smr_mm, strict=True))
+
+    @property
+    def freedom(self) -> float:
+        """Return the degrees of freedom of the noise: reflectors of one pose err alike."""
+        spent = observability(self.estimate.system).effective
+        return max(3.0 * len(self.poses.readings) - spent, LEAST_FREEDOM)
 
     @property
     def outliers(self) -> Bools:

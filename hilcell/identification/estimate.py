@@ -20,7 +20,7 @@ from hilcell.identification.readings import Bools, IdentificationError, Ints, Re
 from hilcell.identification.system import System
 
 LEAST_POSES = 20
-ITERATIONS = 40
+ITERATIONS = 100
 SETTLED, CREEPING = 1e-6, 1.0  # gains of chi^2: nothing is left to gain; nothing that matters
 FIRST_DAMPING, HELD, EASED = 1e-3, 10.0, 5.0
 ROBUST_STEPS = 12

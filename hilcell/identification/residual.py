@@ -22,7 +22,7 @@ from hilcell.identification.readings import Ints
 TYPICAL_RAD, TYPICAL_LENGTH_RAD = 100e-6, 1.0  # where the search begins, and what few data lean on
 DOUBT = np.repeat([1.5, 1.0, 1.0], [6, 6, 1])  # of their logarithms, and of the noise's scale
 ROWS = 300  # of evenly chosen poses, from which the scales are found
-STEPS = 40
+STEPS, GAIN = 40, 1e-5  # of the search; relative, of the cost
 FOLDS = 5
 AT_ONCE = 256  # poses predicted together
 
@@ -232,7 +232,12 @@ def _scales(estimate: Estimate, rows: Rows) -> Array:
 
     limits = [(m - 6.0 * d, m + 4.0 * d) for m, d in zip(middle, DOUBT, strict=True)]
     found = minimize(
-        cost, middle, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": STEPS}
+        cost,
+        middle,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=limits,
+        options={"maxiter": STEPS, "ftol": GAIN},
     )
     scales: Array = found.x
     return scales

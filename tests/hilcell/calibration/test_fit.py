@@ -438,3 +438,12 @@ def test_files_lead_to_the_same_figures(tmp_path: Path) -> None:
     read = fit(IRB120, read_measurements(tmp_path / "train.csv"))
     for method, figures in fit(IRB120, rows)["methods"].items():
         assert read["methods"][method] == pytest.approx(figures, abs=1e-3)
+
+
+def test_twenty_poses_identify_a_robot() -> None:
+    result = fit(IRB120, measured(1, 20, ["SMR1"]), measured(2, 60, ["SMR1"]))
+    assert result["refused"] == {}
+    assert (
+        result["methods"][result["chosen"]]["mean_mm"] < 0.25 * result["methods"]["idw"]["mean_mm"]
+    )
+    assert result["coverage"][result["chosen"]]["share"] >= 0.85
