@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import msgspec
 from textual.content import Content
@@ -137,6 +139,8 @@ def step(view: RunView, width: int) -> Content:
     planned = plan.steps[number - 1]["points"] if number <= len(plan.steps) else 0
     if planned:
         head += f": {min(len(view.measured.get(number, ())), planned)}/{planned}"
+    elif sweeps := sweeps_of(plan.steps[number - 1 : number]):
+        head += f": {min(len(view.log.streams), sweeps)}/{sweeps} sweeps"
     found = coverage(view)
     if found.plain:
         return justified(Content(head), found, width)
@@ -147,6 +151,12 @@ def step(view: RunView, width: int) -> Content:
         return Content(head)
     following = plan.steps[number]["name"] if number < len(plan.steps) else "the end"
     return justified(Content(head), Content.styled(f"next: {following}", "$dim"), width)
+
+
+def sweeps_of(steps: Sequence[Mapping[str, Any]]) -> int:
+    """Return how many axis sweeps the plan has for these steps."""
+    spans = [span for step in steps for span in step.get("spans", ())]
+    return sum(span["measured"] for span in spans if span["kind"] == "sweep")
 
 
 def progress(view: RunView, glyphs: Glyphs, width: int) -> Content:

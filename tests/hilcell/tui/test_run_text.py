@@ -70,6 +70,19 @@ def test_ages_are_short(seconds: float) -> None:
     assert len(run_text.short_age(seconds)) <= 5
 
 
+def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
+    spans = [{"kind": "sweep", "measured": 8, "duration_s": 540.0}]
+    assert run_text.sweeps_of([{"name": "axis-sweeps", "spans": spans}]) == 8
+    assert run_text.sweeps_of([{"name": "home"}]) == 0
+    view = view_of("running")
+    assert view.log.plan is not None
+    number = int(view.step["number"]) - 1
+    steps = [dict(each) for each in view.log.plan.steps]
+    steps[number] |= {"points": 0, "spans": spans}
+    view.log.plan = msgspec.structs.replace(view.log.plan, steps=steps)
+    assert ": 0/8 sweeps" in run_text.step(view, 120).plain
+
+
 # -- lamps -----------------------------------------------------------------------------------------
 
 
