@@ -220,3 +220,9 @@ def test_a_folder_of_runs_that_takes_no_run(tmp_path: Path) -> None:
     done = hilcell("run", "home", "--name", "d", "--runs", tmp_path)
     assert done.returncode == 7
     assert done.stderr == f"hilcell: run folder {tmp_path}/d cannot be used: File exists\n"
+
+
+def test_a_plan_says_why_an_act_does_nothing() -> None:
+    done = command("run", "axis-sweeps", "--dry-run", "--set", "sweeps.enabled=false")
+    assert done.returncode == 0
+    assert "axis-sweeps does nothing: sweeps.enabled is false in the cell file" in done.stderr
