@@ -27,6 +27,8 @@ from hilcell.identification.observability import observability
 from hilcell.identification.prediction import predict
 from hilcell.identification.readings import IdentificationError, Readings
 
+CONTRADICTED = 4.0  # times the square that chance gives a curve's change
+LEAST_SHARE = 1e-3  # of a prior's variance that poses explain at least
 CLEARLY = 0.98  # of the mean miss of poses left out, for more parameters to be taken
 LARGE_AXES = 3  # whose errors have levers of metres
 SAME_RAD = np.radians(0.1)  # less than half the shortest wave of a gear
@@ -236,17 +238,46 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
     if not curves:
         found = "found no wave" if measured.curves else "were not made"
         return without, CurvesUsed(False, f"not used: axis sweeps {found}")
-    kinematics = replace(kinematics, curves=curves)
-    start = kinematics.start(without.state.T, without.state.smr_mm)
-    with_ = identify_trusted(kinematics, without.readings, start, without.noise)
-    with_ = replace(with_, outliers=without.outliers)
+    with_ = _with_curves(without, curves)
+    kept = tuple(curve for curve, bad in zip(curves, _contradicted(with_), strict=True) if not bad)
+    if 0 < len(kept) < len(curves):
+        with_ = min(with_, _with_curves(without, kept), key=_mean_mm)
     both = [_mean_mm(each) for each in (with_, without)]
     used = both[0] < both[1]
+    which = ", ".join(f"{curve.axis + 1}" for curve in with_.kinematics.curves)
     reason = (
         f"{'used' if used else 'not used'}: static poses that no sweep saw, left out in turn, are "
-        f"missed by {both[0]:.4f} mm in the mean with the curves and by {both[1]:.4f} mm without"
+        f"missed by {both[0]:.4f} mm in the mean with the curves of axes {which}, by "
+        f"{both[1]:.4f} mm without"
     )
     return (with_ if used else without), CurvesUsed(used, reason, *both)
+
+
+def _with_curves(without: Estimate, curves: tuple[TransmissionCurve, ...]) -> Estimate:
+    """Return the identification of the same poses with these curves."""
+    kinematics = replace(without.kinematics, curves=curves)
+    start = kinematics.start(without.state.T, without.state.smr_mm)
+    found = identify_trusted(kinematics, without.readings, start, without.noise)
+    return replace(found, outliers=without.outliers)
+
+
+def _contradicted(estimate: Estimate) -> list[bool]:
+    """Return which curves the static poses change by more than chance.
+
+    What the poses change of a prior scatters with the prior's covariance less the posterior's.
+    """
+    kinematics = estimate.kinematics
+    mean, prior = kinematics.prior()
+    change = kinematics.flat(estimate.state) - mean
+    explained = prior - estimate.system.covariance
+    bad, end = [], len(mean) - sum(2 * len(curve.cycles) + 1 for curve in kinematics.curves)
+    for curve in kinematics.curves:
+        own = slice(end, end + 2 * len(curve.cycles))
+        by_chance = explained[own, own] + LEAST_SHARE * prior[own, own]
+        size = float(change[own] @ np.linalg.solve(by_chance, change[own]))
+        bad.append(not size <= CONTRADICTED * 2 * len(curve.cycles))
+        end = own.stop + 1
+    return bad
 
 
 def _better(estimate: Estimate, richer: Kinematics) -> Estimate:

@@ -123,6 +123,16 @@ def test_curves_that_harm_are_not_used() -> None:
     assert "not made" in curves_used(measured(64)).reason
 
 
+def test_one_bad_curve_does_not_spoil_the_others() -> None:
+    wrong = replace(WAVES, axis=1, amplitude_rad=-2.0 * WAVES.amplitude_rad)
+    decision = curves_used(measured(64, WAVES, wrong))
+    assert decision.used
+    assert "with the curves of axes 1, by" in decision.reason
+    model = Kinematic.learn(measured(64, WAVES, wrong))
+    assert [curve.axis for curve in model.kinematics.curves] == [0]
+    assert missed_mm(model).mean() < 1.2 * missed_mm(Kinematic.learn(measured(64, WAVES))).mean()
+
+
 def test_too_few_poses_are_refused_and_another_model_is_chosen() -> None:
     few = measured(19)
     with pytest.raises(IdentificationError, match="19 poses, wanted at least 20"):
