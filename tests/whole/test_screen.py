@@ -116,7 +116,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
         words = ("--set", f"simulation.address={cell.control}")
         with screen(tmp_path, *words) as terminal:
             start(terminal)
-            terminal.shows("/10 robot-grid: ", LIMIT_S)
+            terminal.shows("/12 robot-grid: ", LIMIT_S)
             terminal.press(" ")
             terminal.shows("▲ PAUSED", LIMIT_S)
             terminal.press(" ")
@@ -194,7 +194,7 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
         with screen(tmp_path, *words) as second:
             with Terminal(["tui", "--runs", str(tmp_path), *sets(SMALL), *words]) as first:
                 start(first)
-                first.shows("/10 robot-grid: ", LIMIT_S)
+                first.shows("/12 robot-grid: ", LIMIT_S)
             folder = folder_of(tmp_path)
             wait_for(lambda: read_log(folder).states["run"] == "paused", "the run pauses")
             second.press("\x11")  # it looked before there was a run: leave it, look again
