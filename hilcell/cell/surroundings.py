@@ -7,7 +7,7 @@ Lengths mm, angles rad.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 LINKS = 6
 MOST_VOLUMES = 100
+LEAST_MM = 5.0  # of a size or radius: less is hardly in millimetres
 
 
 class KeepOut(Frozen, frozen=True, kw_only=True):
@@ -34,6 +35,9 @@ class KeepOut(Frozen, frozen=True, kw_only=True):
     size_mm: tuple[Size, Size, Size]
     frame: Literal["world", "slide"] = "world"
 
+    def __post_init__(self) -> None:
+        _refuse_metres("size_mm", self.size_mm)
+
 
 class CapsuleTable(Frozen, frozen=True, kw_only=True):
     """A part that sticks out, in the DH frame of the link that carries it."""
@@ -43,6 +47,9 @@ class CapsuleTable(Frozen, frozen=True, kw_only=True):
     to_mm: Point
     radius_mm: Size
 
+    def __post_init__(self) -> None:
+        _refuse_metres("radius_mm", [self.radius_mm])
+
 
 class EnvelopeTable(Frozen, frozen=True, kw_only=True):
     """The arm's shape: a radius around the line of each link's joints, and parts beside it."""
@@ -50,6 +57,9 @@ class EnvelopeTable(Frozen, frozen=True, kw_only=True):
     radius_mm: tuple[Size, Size, Size, Size, Size, Size]
     clearance_mm: Size = 50.0
     capsule: list[CapsuleTable] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        _refuse_metres("radius_mm", self.radius_mm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +112,16 @@ def keep_out_problems(cell: Cell) -> Iterator[str]:
         yield "keep_out: the arm's shape is unknown; state robot.envelope.radius_mm"
     if cell.robot.envelope is not None and not names:
         yield "robot: envelope: there is no keep_out; state at least the floor"
+
+
+def _refuse_metres(key: str, lengths_mm: Sequence[float]) -> None:
+    """Refuse volumes and links so small that nothing would collide; raises `ValueError`."""
+    least_mm = min(lengths_mm)
+    if not least_mm >= LEAST_MM:
+        raise ValueError(
+            f"{key}: found {least_mm:g} mm, at least {LEAST_MM:g} mm is wanted; "
+            "are these metres? Write millimetres"
+        )
 
 
 def posture(rail_mm: float, joints_rad: Array) -> Array:

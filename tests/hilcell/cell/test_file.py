@@ -318,6 +318,18 @@ def test_what_the_arm_keeps_clear_of_changes_nothing_that_was_measured() -> None
             f"[{FLOOR.replace('9.0]', '-9.0]')}]",
             "keep_out[0].size_mm: Expected `float` > 0.0",
         ),
+        *(
+            (key, value, f"found {found} mm, at least 5 mm is wanted; are these metres?")
+            for key, value, found in (
+                ("keep_out", f"[{FLOOR.replace('[9.0, 9.0', '[9.0, 0.9')}]", 0.9),
+                ("robot.envelope.radius_mm", "[50.0, 50.0, 50.0, 50.0, 50.0, 0.12]", 0.12),
+                (
+                    "robot.envelope.capsule",
+                    "[{link=1, from_mm=[0.0, 0.0, 0.0], to_mm=[0.0, 0.0, 1.0], radius_mm=0.2}]",
+                    0.2,
+                ),
+            )
+        ),
         ("keep_out", f'[{FLOOR[:-1]}, frame="base"}}]', "keep_out[0].frame: Invalid enum value"),
     ],
 )
