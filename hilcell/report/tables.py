@@ -94,9 +94,9 @@ STATIONS: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
 
 
 def stations(facts: Facts) -> Sheet | None:
-    """Return the quality of each station's frame."""
+    """Return the quality of each station's frame that this run measured, of no adopted one."""
     found = ((each, facts.log.frames.get(f"station.{each.name}")) for each in facts.cell.station)
-    rows = ((station, frame) for station, frame in found if frame is not None)
+    rows = ((station, frame) for station, frame in found if frame and "strip_mm" in frame)
     note = (
         "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ. Left out: nests "
     )

@@ -218,6 +218,20 @@ def test_approaches_of_a_station(tmp_path: Path) -> None:
     assert "from random sides, by the strip 0.0100 mm" in page.text
 
 
+def test_a_touch_run_adopts_station_frames(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r1", procedure="touch").began()
+    for key in ("base", "station.S1100", "station.S300"):
+        writer.frame(key)  # of the calibration: this run did not find it
+    writer.frame(
+        "touch.S300", poses=8, shift_mm=[0.003, 0.0, 0.004], along_rail_mm=0.003,
+        turn_urad=[1.0, 0.0, 0.0], u_before_mm=0.03, u_after_mm=0.01, pull=0.9, misfit=0.5,
+    )  # fmt: skip
+    page = page_of(writer.facts())
+    (row,) = page.table("Touch poses")
+    assert (row["station"], row["shift mm"], row["u after mm"]) == ("S300", "0.0050", "0.0100")
+    assert "Stations" not in page.of("h3")
+
+
 def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1").began()
     for number, at_mm in enumerate(np.eye(3) * 900):
