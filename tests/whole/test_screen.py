@@ -95,6 +95,8 @@ def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the
         terminal.shows("Open this run again")
         terminal.answer(ENTER)
         terminal.shows("LIVE")
+        # The screen may still show that the first session is done.
+        wait_for(lambda: read_log(folder_of(tmp_path)).session == 2, "the engine begins again")
         terminal.shows("● DONE", LIMIT_S)
         wait_for(lambda: live_engine(folder_of(tmp_path)) is None, "the engine ends")
         again = read_log(folder_of(tmp_path))
