@@ -1,6 +1,6 @@
 """Which base and tool a program's motions work in: one of each, or the program is refused.
 
-Targets are taken in {W}: the base that is in force must be {W} at the station. A base is set by
+Targets are taken in that base; its place is the caller's, {W} for `compensate`. A base is set by
 ``$BASE=``, ``BAS(#BASE,n)`` or the frame data of inline forms, ``FDAT_ACT=FP1`` for all motions
 that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. Home moves bring frame data of their own,
 which count for nothing as long as only home moves use them.
@@ -63,7 +63,7 @@ class FrameRule:
             what, line_set = next(iter(self._set.items()))
             raise KrlError(
                 f"works with the base and tool of {name}, line {set_on}, while line {line_set} "
-                f"sets the {what} too; one base is wanted, and it must be {{W}}"
+                f"sets the {what} too; one base is wanted"
             )
         if self._forms_used is None:
             self._forms_used = (numbers, line)

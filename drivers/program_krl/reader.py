@@ -69,13 +69,12 @@ class _Reader:
             self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
 
     def notes(self) -> list[str]:
-        """Return the parts that were left as they are, and the program's required base."""
+        """Return the parts that were left as they are."""
         used = {target.name for target in self.targets.values()}
         unused = [d.name for d in self._data.data.values() if d.kind in POINTS]
         unused = [name for name in unused if name not in used]
         remarks = [f"{what} (line {line})" for what, line in self._left.items()]
-        remarks += [f"not used by a motion, left: {', '.join(unused)}"] if unused else []
-        return [*remarks, "its targets were taken in {W}, its base must be {W}"]
+        return remarks + ([f"not used by a motion, left: {', '.join(unused)}"] if unused else [])
 
     # -- the first pass -----------------------------------------------------------------------
 

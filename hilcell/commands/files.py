@@ -16,7 +16,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
 from hilcell.commands.output import print_message
-from hilcell.compensation.programs import Program, load_program, suffixes, write_program
+from hilcell.compensation.programs import Program, load_program, notes_of, suffixes, write_program
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.journal.runs import CALIBRATION, find_run
 from hilcell.ports import Array
@@ -101,6 +101,6 @@ def _write(
         write_targets(out, names, command, inputs=inputs)
         return str(out)
     written = write_program(program, command[:, :3], source, out, inputs=inputs)
-    for note in program.notes:
+    for note in notes_of(program, "{W}"):
         print_message(f"{source.name}: {note}")
     return " and ".join(map(str, written))

@@ -27,12 +27,13 @@ from hilcell.calibration.tool_errors import controller_of
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import summary, write_bounds
 from hilcell.commands.output import print_message
-from hilcell.compensation.programs import Program, load_program, write_program
+from hilcell.compensation.programs import Program, load_program, notes_of, write_program
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.inverse import ReachError
 from hilcell.ports import Array
 
 NOMINAL = "nominal"
+ROOT = "the robot's root frame"  # that poses of `fit` are in
 MARGIN_RAD = np.radians(5.0)  # beyond the measured joints that still counts as within
 
 
@@ -108,7 +109,7 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
         write_joints(job.out, targets.names, joints, inputs=inputs)
     else:
         write_poses(job.out, targets.names, command, inputs=inputs)
-    for note in program.notes if program else ():
+    for note in notes_of(program, ROOT) if program else ():
         print_message(f"{job.source.name}: {note}")
     where = " ".join(f"{each:.4f}" for each in controller.tool_mm)
     print_message(

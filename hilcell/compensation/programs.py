@@ -23,7 +23,7 @@ LIST = ".csv"
 
 
 class Program(Protocol):
-    """A robot program that was read: its targets in {W}, and its files with other positions."""
+    """A robot program that was read: its targets, and its files with other positions."""
 
     @property
     def names(self) -> list[str]:
@@ -31,7 +31,7 @@ class Program(Protocol):
 
     @property
     def notes(self) -> list[str]:
-        """Return notes for the user: the parts left unchanged, the base that targets are in."""
+        """Return notes for the user: the parts left unchanged."""
 
     @property
     def suffixes(self) -> Sequence[str]:
@@ -63,6 +63,11 @@ def load_program(path: Path) -> Program | None:
 def suffixes() -> list[str]:
     """Return the suffixes, with their dots, of the formats that are installed."""
     return sorted(f".{name}" for name in entry_points(group="hilcell.programs").names)
+
+
+def notes_of(program: Program, frame: str) -> list[str]:
+    """Return the program's notes, and the base that it needs: that of the corrected targets."""
+    return [*program.notes, f"its targets were taken in {frame}, its base must be {frame}"]
 
 
 def write_program(

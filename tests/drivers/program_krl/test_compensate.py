@@ -49,7 +49,7 @@ def test_a_corrected_program_arrives(desk: Workplace, capsys: pytest.CaptureFixt
     assert said.out == ""
     assert "5 targets corrected for S1100 into" in said.err
     assert "drill.src: not used by a motion, left: XP3" in said.err
-    assert "its base must be {W}" in said.err
+    assert "its targets were taken in {W}, its base must be {W}" in said.err
     assert "SIMULATED" not in said.err
 
 

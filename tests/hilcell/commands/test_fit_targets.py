@@ -163,7 +163,10 @@ def test_a_program_is_corrected_in_place(
     words = ("--tool", "SMR1", "--correct")
     assert fit(folder, *words, tmp_path / "t.csv", "-o", tmp_path / "c.csv") == 0
     assert fit(folder, *words, tmp_path / "drill.src", "-o", tmp_path / "out.src") == 0
-    assert "drill.src" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    root = "the robot's root frame"
+    assert f"drill.src: its targets were taken in {root}, its base must be {root}" in said
+    assert "{W}" not in said
     written = (tmp_path / "out.src").read_text().splitlines()
     for line, wanted in zip(written[1:3], read_targets(tmp_path / "c.csv")[1], strict=True):
         numbers = [float(each.split()[1].rstrip("}")) for each in line[5:].split(",")]
