@@ -81,13 +81,14 @@ def paper_table(result: dict[str, Any]) -> Table:
             row["row"],
             "" if row["paper"] is None else f"{row['paper']:g}",
             f"{row['here']:.4g}",
+            "" if row["chosen"] is None else f"{row['chosen']:.4g}",
             row["unit"],
             row["criterion"],
             verdict(row),
         ]
         for row in result["rows"]
     ]
-    return ["row", "paper", "here", "unit", "criterion", ""], rows
+    return ["row", "paper", "here", "chosen", "unit", "criterion", ""], rows
 
 
 PAPER = Procedure(

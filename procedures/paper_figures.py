@@ -47,9 +47,9 @@ def validation(where: str, *keys: str) -> Figure:
     return here
 
 
-def reduction(where: str) -> Figure:
-    """Return by which share the paper's method lowers the mean error (abstract)."""
-    before, after = validation(where, "before", "mean"), validation(where, "idw", "mean")
+def reduction(where: str, how: str = "idw") -> Figure:
+    """Return by which share a correction, the paper's or another, lowers the mean error."""
+    before, after = validation(where, "before", "mean"), validation(where, how, "mean")
     return lambda log, result: share_removed(before(log, result), after(log, result))
 
 

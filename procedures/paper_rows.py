@@ -24,7 +24,8 @@ from procedures.paper_stations import stations_planned
 class Row:
     """One figure: its name, the paper's value, its unit, where ours is found, when it holds.
 
-    ``set_by`` names the cause of the figure; a machine sets it only if it is simulated.
+    ``set_by`` names the cause of the figure; a machine sets it only if it is simulated. ``chosen``
+    is the same figure of the correction that was chosen instead of the paper's; it is not judged.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Row:
     limits: Limit
     fails: str = ""
     set_by: Literal["", "cell file", "simulation"] = ""
+    chosen: Figure | None = None
 
     def judged(self, log: Log, result: Result) -> dict[str, Any]:
         """Return the row as it is reported."""
@@ -44,6 +46,7 @@ class Row:
             "row": self.name,
             "paper": self.paper,
             "here": here,
+            "chosen": None if self.chosen is None else self.chosen(log, result),
             "unit": self.unit,
             "holds": is_set or bool(low <= here <= high),
             "set": is_set,
@@ -163,6 +166,7 @@ ROWS = (
         "fig12.after.mean", 0.1168, "mm", validation("reference", "idw", "mean"),
         limits.as_cross_validated,
         "the correction is not sent, has the wrong sign or two axes exchanged",
+        chosen=validation("reference", "chosen", "mean"),
     ),
     by_cell("fig13.targets", 150, validation("others", "points")),
     Row(
@@ -173,6 +177,7 @@ ROWS = (
     Row(
         "fig13.after.mean", 0.16, "mm", validation("others", "idw", "mean"), limits.transferred,
         "targets or measured data are carried by the strip's travel alone",
+        chosen=validation("others", "chosen", "mean"),
     ),
     Row(
         "abstract.before.max", 2.0, "mm", validation("reference", "before", "max"),
@@ -182,14 +187,17 @@ ROWS = (
         "abstract.after.max", 0.3, "mm", validation("reference", "idw", "max"),
         limits.largest_of_many,
         "one target is sent without its correction, or one vertex is wrong by 2 mm",
+        chosen=validation("reference", "chosen", "max"),
     ),
     Row(
         "abstract.reduction.reference", 0.90, "", reduction("reference"),
         limits.reduced("reference"),
         "a part of the correction is lost; or squares are averaged, which beats the floor",
+        chosen=reduction("reference", "chosen"),
     ),
     Row(
         "abstract.reduction.others", 0.87, "", reduction("others"), limits.reduced("others"),
         "a part of the correction is lost on the way to another station",
+        chosen=reduction("others", "chosen"),
     ),
 )  # fmt: skip

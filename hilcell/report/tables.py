@@ -290,6 +290,7 @@ PAPER: tuple[Column[Mapping[str, Any]], ...] = (
     Column("fails when", itemgetter("fails")),
     Column("paper", itemgetter("paper"), form=".4g"),
     Column("here", itemgetter("here"), form=".4g"),
+    Column("chosen", lambda row: row.get("chosen"), form=".4g"),
     Column("unit", itemgetter("unit")),
     Column("holds if", itemgetter("criterion")),
     Column(
