@@ -10,13 +10,8 @@ from dataclasses import dataclass
 
 from hilcell.report.budget import Budget
 from hilcell.report.facts import Facts
+from hilcell.report.method import adjustment_words, method_words
 from hilcell.report.target_budget import TargetBudget
-
-_METHOD = (
-    "Position errors of the flange reflector measured by laser tracker on a grid at one station, "
-    "transferred to the other stations by station frames, corrected by interpolation "
-    "(Tian et al., Chinese Journal of Aeronautics, 2014); validated on targets sent and measured."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +51,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.4.1 c", "Measured with", _measured_with(facts)),
         Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
              + (", thermometer" if measured_air else "")),
-        Item("7.8.4.1 d", "Before and after adjustment", "both are reported: “before” is the robot "
-             "commanded by its nominal kinematics, “after” the same robot with corrected targets"),
+        Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts)),
         Item("7.8.6.2", "Conformity, decision rule", _conformity(facts)),
         Item("7.8.2.1 l", "Validity", "the results relate only to the item calibrated, in the "
              + ("volume, orientation and temperatures stated here" if measured_air else
@@ -76,7 +70,7 @@ def _calibrated(facts: Facts) -> bool:
 
 def _method(facts: Facts) -> str:
     if _calibrated(facts):
-        return _METHOD
+        return method_words(facts)
     return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
 
 

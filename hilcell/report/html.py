@@ -16,6 +16,7 @@ from hilcell.report.columns import present
 from hilcell.report.curves import curves
 from hilcell.report.facts import Facts
 from hilcell.report.figures import drawings
+from hilcell.report.method import models
 from hilcell.report.target_budget import target_budget, target_sheets
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def report_html(facts: Facts) -> str:
             certificate=certificate(facts, budget, targets),
             result_sheets=present(
                 tables.accuracy(facts),
+                models(facts),
                 curves(facts),
                 tables.paper_rows(facts),
                 tables.verdicts(facts),

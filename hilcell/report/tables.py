@@ -23,6 +23,7 @@ from hilcell.report.budget import Budget
 from hilcell.report.columns import Column, Sheet, Value, present, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.figures import series_name
+from hilcell.report.method import chosen_poses_words
 from hilcell.report.uncertainty import Contribution
 
 Pair = tuple[str, str]
@@ -257,17 +258,17 @@ def verdicts(facts: Facts) -> Sheet | None:
     return sheet("Verdicts", VERDICTS, facts.log.verdicts.items())
 
 
-COURSE: tuple[Column[Record], ...] = (
-    Column("UTC", lambda record: record.t[:19].replace("T", " ")),
-    Column("what", lambda record: _happened(record)[0]),
-    Column("why, how", lambda record: _happened(record)[1]),
+COURSE: tuple[Column[tuple[str, str, str]], ...] = (
+    Column("UTC", itemgetter(0)),
+    Column("what", itemgetter(1)),
+    Column("why, how", itemgetter(2)),
 )
 
 
 def course(facts: Facts) -> Sheet | None:
     """Return how the run went: its states, and events on the way."""
     rows = [
-        record
+        (record.t[:19].replace("T", " "), *_happened(facts, record))
         for record in facts.records
         if record.kind == "state"
         or (record.kind == "event" and record.body["what"] not in ("connected", "closed"))
@@ -275,13 +276,15 @@ def course(facts: Facts) -> Sheet | None:
     return sheet("Course of the run", COURSE, rows)
 
 
-def _happened(record: Record) -> Pair:
+def _happened(facts: Facts, record: Record) -> Pair:
     """Return a record of a state or an event in words: what, and why or how."""
     body = record.body
     if record.kind == "state":
         return f"{body['machine']}: {body['to'].replace('_', ' ')}", str(body.get("reason", ""))
     if body["what"] == "curve":
         return "curve", msgspec.convert(body, CurveRecord).words
+    if body["what"] == "poses chosen":
+        return "poses chosen", chosen_poses_words(facts, body)
     return body["what"], _facts_of(body)
 
 

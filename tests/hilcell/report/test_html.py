@@ -232,6 +232,60 @@ def test_a_touch_run_adopts_station_frames(tmp_path: Path) -> None:
     assert "Stations" not in page.of("h3")
 
 
+FIT = {
+    "holds": True, "method": "kinematic", "reason": "least miss", "refused": {},
+    "loocv": {"idw": {"mean": 0.4, "p95": 0.6, "max": 0.9},
+              "kinematic": {"mean": 0.04, "p95": 0.08, "max": 0.12}},
+    "curves": {"used": False, "reason": "not used: axis sweeps were not made"},
+}  # fmt: skip
+
+
+def test_the_method_is_what_was_done(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r1")
+    writer.point(PointId("pose", number=0), (1.0, 2.0, 3.0))
+    writer.journal.append("verdict", "fit", FIT)
+    writer.state("calibration", "validated")
+    text = page_of(writer.facts()).text
+    assert "corrected by the robot's kinematics, identified" in text
+    assert "and at 1 poses chosen" in text
+    assert "interpolation" not in text
+    assert "touch poses" not in text
+    assert "sweeps of" not in text
+    assert "both are reported" in text
+
+
+def test_the_reasons_of_the_choice(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r1")
+    writer.journal.append("verdict", "fit", FIT)
+    page = page_of(writer.facts())
+    _, chosen, *_ = page.table("Choice of the model")
+    assert (chosen["model"], chosen["mean mm"]) == ("kinematic, chosen", "0.0400")
+    assert "Chosen: least miss." in page.text
+    assert "Curves of the axis sweeps: not used: axis sweeps were not made." in page.text
+
+
+@pytest.mark.parametrize(
+    ("bounds_mm", "words"),
+    [
+        ([0.3, 0.05], "1 poses: predicted mean 95 % bound in the cube 0.300 mm to 0.050 mm"),
+        ([0.3, 0.05], "no more, because 0.06 mm are reached"),
+        ([0.3, 0.2], "no more, because more would gain little towards 0.06 mm"),
+        ([], "none"),
+    ],
+)
+def test_why_no_more_poses_were_chosen(tmp_path: Path, bounds_mm: list[float], words: str) -> None:
+    writer = Writer(tmp_path / "r1").began()
+    body = {"what": "poses chosen", "joints_deg": [[0.0] * 6], "bounds_mm": bounds_mm}
+    writer.journal.append("event", "", body)
+    assert words in page_of(writer.facts()).text
+
+
+def test_a_recheck_reports_no_before_and_after(tmp_path: Path) -> None:
+    text = page_of(read_facts(Writer(tmp_path / "r1", procedure="recheck").began().left())).text
+    assert "not both: targets were commanded with the correction of the calibration used" in text
+    assert "both are reported" not in text
+
+
 def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1").began()
     for number, at_mm in enumerate(np.eye(3) * 900):

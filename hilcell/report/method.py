@@ -1,0 +1,123 @@
+"""What a run has really done, in words: how it measured, which model corrects, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from operator import itemgetter
+from typing import Any
+
+from hilcell.calibration.errors import places, validation
+from hilcell.geometry.statistics import Figures
+from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.report.facts import Facts
+
+PAPER = "Tian et al., Chinese Journal of Aeronautics, 2014"
+CORRECTED = {
+    "nominal": "not corrected: no model did better than nominal positions",
+    "idw": f"corrected by inverse-distance interpolation of the grid's errors ({PAPER})",
+    "trilinear": "corrected by trilinear interpolation of the grid's errors",
+    "kinematic": "corrected by the robot's kinematics, identified from these errors",
+}
+
+
+def method_words(facts: Facts) -> str:
+    """Return how a validated correction was found, from its journal."""
+    log, here = facts.log, facts.cell.grid.station
+    poses, touched = len(log.select("pose")), log.select("touch")
+    measured = (
+        "Position errors of the flange reflector measured by laser tracker at "
+        f"{len(log.select('grid'))} vertices of a grid at {here}"
+    )
+    if poses:
+        measured += f" and at {poses} poses chosen by the errors found there"
+    found = [measured]
+    if log.curves:
+        found.append(f"each gear's error by slow sweeps of {_axes(log.curves)}{_used(_fit(facts))}")
+    found.append(_corrected(str(_fit(facts).get("method", ""))))
+    if len(facts.cell.station) > 1:
+        found.append("transferred to the other stations by station frames")
+    if touched:
+        stations = ", ".join(sorted({point.station for point in touched}))
+        found.append(f"the base found again by touch poses on the visit of {stations}")
+    return "; ".join([*found, "validated on targets sent and measured."])
+
+
+def _fit(facts: Facts) -> Mapping[str, Any]:
+    return facts.log.verdicts.get("fit", {})
+
+
+def _axes(curves: Mapping[int, object]) -> str:
+    return ("axes " if len(curves) > 1 else "axis ") + ", ".join(map(str, sorted(curves)))
+
+
+def _used(fit: Mapping[str, Any]) -> str:
+    used = fit.get("curves", {}).get("used", True) and fit.get("method") == "kinematic"
+    return "" if used else " (not used)"
+
+
+def _corrected(model: str) -> str:
+    return CORRECTED.get(model, f"corrected by the model {model}" if model else "corrected")
+
+
+def adjustment_words(facts: Facts) -> str:
+    """Return which of the errors before and after adjustment this run measured."""
+    series = [validation(facts.log, names) for names in places(facts.cell).values()]
+    measured = {how for each in series for how in each}
+    if {"before", "chosen"} <= measured:
+        return (
+            "both are reported: “before” is the robot commanded by its nominal kinematics, "
+            "“after” the same robot with corrected targets"
+        )
+    if measured:
+        how = "before" if "before" in measured else "after"
+        return f"only “{how}” was measured"
+    if facts.procedure.uses:
+        return (
+            "not both: targets were commanded with the correction of the calibration used, and "
+            "measured as found"
+        )
+    return "neither was measured: this run sent no targets to compare"
+
+
+Missed = tuple[str, Mapping[str, float]]
+
+
+def _miss(figure: str) -> Callable[[Missed], float | None]:
+    return lambda row: row[1].get(figure)
+
+
+MODELS: tuple[Column[Missed], ...] = (
+    Column("model", itemgetter(0)),
+    *(Column(name, _miss(name), "mm", ".4f") for name in Figures._fields),
+)
+
+
+def models(facts: Facts) -> Sheet | None:
+    """Return how far each model misses poses left out, which one was chosen, and why."""
+    fit = _fit(facts)
+    rows = [
+        (f"{name}, chosen" if name == fit["method"] else name, figures)
+        for name, figures in fit.get("loocv", {}).items()
+    ]
+    reasons = [f"Chosen: {fit.get('reason', '')}." if fit.get("reason") else ""]
+    reasons += [f"No {name} model: {why}." for name, why in fit.get("refused", {}).items()]
+    curves = fit.get("curves", {}).get("reason", "")
+    reasons += [f"Curves of the axis sweeps: {curves}."] if curves else []
+    return sheet("Choice of the model", MODELS, rows, " ".join(filter(None, reasons)))
+
+
+def chosen_poses_words(facts: Facts, chosen: Mapping[str, Any]) -> str:
+    """Return how many poses were chosen beside the grid, and why no more."""
+    plan, count, bounds_mm = facts.cell.plan, len(chosen["joints_deg"]), chosen["bounds_mm"]
+    if not bounds_mm:
+        return "none"
+    course = f"{bounds_mm[0]:.3f} mm"
+    if count:
+        course += f" to {bounds_mm[-1]:.3f} mm"
+    if bounds_mm[-1] <= plan.bound_mm:
+        why = f"{plan.bound_mm:g} mm are reached"
+    elif count >= plan.most_poses:
+        why = f"{plan.most_poses} are the most (plan.most_poses)"
+    else:
+        why = f"more would gain little towards {plan.bound_mm:g} mm"
+    return f"{count} poses: predicted mean 95 % bound in the cube {course}; no more, because {why}"
