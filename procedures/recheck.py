@@ -129,7 +129,10 @@ def recheck_table(result: dict[str, Any]) -> Table:
         ]
         for each in found["poses"]
     ]
-    headers = ["pose", "x mm", "y mm", "z mm", "error mm", "predicted mm (95 %)", "base moved mm"]
+    headers = [
+        "pose", "x mm", "y mm", "z mm", "error mm", "predicted mm (95 %)",
+        "left after best motion mm",
+    ]  # fmt: skip
     return headers, rows
 
 

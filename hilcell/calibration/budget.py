@@ -24,6 +24,7 @@ from hilcell.calibration.influence import (
     ASSUMED,
     MEASURED,
     Influence,
+    NoBound,
     Uncertainty,
     motion,
     moved_frame,
@@ -39,6 +40,7 @@ from hilcell.ports import Array
 RECTANGULAR = 3.0  # a half-width's square over the variance (GUM 4.3.7)
 NO_VISITS = "the run visited no place again, so that the robot's repeatability is not known"
 TEMPERATURE = "Temperature of the arm"
+DRILL = "Drill's offset"
 LARGE_AXES = [0, 1, 2]  # whose errors have levers of metres
 SAME_DEG = 0.1  # of a joint's angle: less than half the shortest wave of a gear
 
@@ -170,9 +172,27 @@ def _drill(log: Log) -> Influence:
         f"{stated.orientation_urad:g} µrad and the base frame's own"
     )
     return Influence(
-        "Drill's offset", ASSUMED, how, "5.1.2", "tool", motion(0.0, turn), (-x_mm, -y_mm, -z_mm),
+        DRILL, ASSUMED, how, "5.1.2", "tool", motion(0.0, turn), (-x_mm, -y_mm, -z_mm),
         counts="in use",
     )  # fmt: skip
+
+
+def with_drill(stated: Uncertainty, offset_mm: tuple[float, float, float]) -> Uncertainty:
+    """Return the budget of a drill at ``offset_mm`` from the reflector, axes of {T}.
+
+    Raises `NoBound` for a budget without its line.
+    """
+    x_mm, y_mm, z_mm = offset_mm
+    how = f"{math.hypot(*offset_mm):g} mm from the reflector, as the cell that was given states it"
+    if DRILL not in [line.name for line in stated.lines]:
+        raise NoBound(f"the calibration states no line {DRILL}; calibrate again")
+    lines = [
+        msgspec.structs.replace(line, origin_mm=(-x_mm, -y_mm, -z_mm), how=how)
+        if line.name == DRILL
+        else line
+        for line in stated.lines
+    ]
+    return msgspec.structs.replace(stated, lines=lines)
 
 
 def _placed(log: Log, station: Station) -> list[Influence]:

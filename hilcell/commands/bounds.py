@@ -6,9 +6,11 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import target_bounds
+from hilcell.calibration.budget import with_drill
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.compensation.targets import write_rows
@@ -22,10 +24,21 @@ Found = Bounds | NoBound  # the reason where no bound can be stated
 
 
 def bounds_of_targets(
-    calibration: Calibration, station: str, targets: Array, temperature_c: float | None
+    calibration: Calibration,
+    station: str,
+    targets: Array,
+    temperature_c: float | None,
+    drill_offset_mm: tuple[float, float, float] | None = None,
 ) -> Found:
-    """Return the bounds of corrected targets (N, 6) in {W}, or why there are none."""
+    """Return the bounds of corrected targets (N, 6) in {W}, or why there are none.
+
+    ``drill_offset_mm`` takes the place of that of the calibration.
+    """
     try:
+        stated = calibration.uncertainty
+        if drill_offset_mm is not None and stated is not None and not stated.missing:
+            stated = with_drill(stated, drill_offset_mm)
+            calibration = msgspec.structs.replace(calibration, uncertainty=stated)
         return target_bounds(calibration, station, poses_from_zyx(targets), temperature_c)
     except NoBound as reason:
         return reason

@@ -21,6 +21,7 @@ from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.journal.runs import CALIBRATION, find_run
 from hilcell.ports import Array
 
+DRILL_KEY = "uncertainty.drill_offset_mm"
 LISTS = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets without a remark
 
 
@@ -30,6 +31,7 @@ def compensate(args: argparse.Namespace) -> int:
     is_file = os.path.isfile(where)  # noqa: PTH113 - Path.is_file raises for a name too long
     path = where if is_file else find_run(args.runs, args.calibration) / CALIBRATION
     calibration = read_calibration(path)
+    _check_settings(args.cell, dict(args.set))
     cell = load_cell(args.cell, dict(args.set)) if args.cell else None
     check_fitness(
         calibration,
@@ -45,19 +47,45 @@ def compensate(args: argparse.Namespace) -> int:
     command = compensate_targets(calibration, args.station, targets, names)
     if program is not None:
         _check_program(calibration, args.station, program, command, source, cell)
-    bounds = bounds_of_targets(calibration, args.station, targets, args.temperature)
+    drill_mm = _drill_mm(cell)
+    bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, drill_mm)
     if args.bounds:
         write_bounds(Path(args.bounds), bounds, names, out, inputs=inputs)
         inputs.append(Path(args.bounds))
     written = _write(program, names, command, source, out, inputs)
     print_message(f"{len(names)} targets corrected for {args.station} into {written}")
     print_message(summary(bounds, names))
+    if drill_mm is not None:
+        at_mm = " ".join(f"{each:g}" for each in drill_mm)
+        print_message(f"they hold at the drill, ({at_mm}) mm from the reflector in {{T}}")
     if calibration.provenance.simulated:
         print_message(
             f"hilcell: SIMULATED: run {calibration.provenance.run} measured no real robot; the "
             "output is for trying out, not for a machine"
         )
     return 0
+
+
+def _check_settings(cell: str | None, settings: dict[str, str]) -> None:
+    """Refuse settings that would change nothing; raises `SettingsError`."""
+    if settings and not cell:
+        raise SettingsError("--set", ["it changes the cell of --cell CELL; none is given"])
+    unused = [key for key in settings if key.startswith("uncertainty.") and key != DRILL_KEY]
+    if unused:
+        raise SettingsError(
+            "--set",
+            [
+                f"{key}: the calibration states its own budget; only {DRILL_KEY} is the cell's"
+                for key in unused
+            ],
+        )
+
+
+def _drill_mm(cell: Cell | None) -> tuple[float, float, float] | None:
+    """Return where the cell states that its drill is, if it does."""
+    if cell is None or not any(cell.uncertainty.drill_offset_mm):
+        return None
+    return cell.uncertainty.drill_offset_mm
 
 
 def _listed(source: Path) -> tuple[list[str], Array]:

@@ -34,6 +34,7 @@ def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_pat
     assert (found["verdict"], found["calibration"]) == ("valid", "R")
     shown = command("show", "R", "--runs", runs)
     assert "Update: the robot's base has moved" in shown.stderr
+    assert "left after best motion mm" in shown.stdout
     page = tmp_path / "report.html"
     assert command("report", "R", "--runs", runs, "-o", page).returncode == 0
     assert "Update: the robot" in page.read_text()

@@ -11,7 +11,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.budget import DRILL
 from hilcell.calibration.file import write_calibration
+from hilcell.calibration.influence import ASSUMED, Influence, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import read_targets, write_targets
@@ -93,6 +95,44 @@ def test_bounds_that_cannot_be_stated(desk: Workplace, capsys: pytest.CaptureFix
     assert desk.compensate() == 0
     told = capsys.readouterr().err
     assert told.count("no 95 % bounds of corrected targets: the calibration of run 2026") == 2
+
+
+def test_bounds_hold_at_the_drill_of_the_cell(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """1 mrad at 200 mm is 0.2 mm, whatever the calibration's own drill was."""
+    made = calibration(digest=load_cell("paper").digest)
+    stated = made.uncertainty
+    assert stated is not None
+    drill = Influence(
+        DRILL, ASSUMED, "", "5.1.2", "tool", motion(0.0, 1e-6), (0.0, 0.0, -50.0), counts="in use"
+    )
+    stated = msgspec.structs.replace(stated, lines=[*stated.lines, drill])
+    made = msgspec.structs.replace(made, uncertainty=stated)
+    write_calibration(made, desk.folder / "calibration.json")
+    bounds, found = desk.folder / "bounds.csv", []
+    for offset in ("[0.0, 0.0, 0.0]", "[0.0, 0.0, 200.0]"):
+        words = ("--cell", "paper", "--set", f"uncertainty.drill_offset_mm={offset}")
+        assert desk.compensate(*words, "--bounds", str(bounds)) == 0
+        row = next(csv.DictReader(bounds.read_text().splitlines()))
+        found.append(sum(float(row[f"u_{axis}_mm"]) ** 2 for axis in "xyz"))
+    assert found[1] - found[0] == pytest.approx(2 * (0.2**2 - 0.05**2), rel=0.01)
+    assert "they hold at the drill, (0 0 200) mm from the reflector" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--cell", "paper", "--set", "uncertainty.orientation_urad=5"), "states its own budget"),
+        (("--set", "uncertainty.drill_offset_mm=[0,0,200]"), "none is given"),
+    ],
+)
+def test_settings_without_effect_are_refused(
+    desk: Workplace, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], says: str
+) -> None:
+    assert desk.compensate(*words) == 2
+    assert says in capsys.readouterr().err
+    assert desk.files == ["calibration.json", "targets.csv"]
 
 
 @pytest.mark.parametrize("days", ["-1", "nan", "inf", "soon"])
@@ -210,7 +250,7 @@ class Program:
     file: str
     rows: list
     suffixes = (".poses",)
-    notes = ("poses are in the frame of the plant",)
+    notes = ("comments are left",)
     needs_arm = "wrists"
 
     @property
@@ -271,7 +311,8 @@ def test_a_second_make_s_programs_need_its_own_files_only(
     *reported, bounds = capsys.readouterr().err.splitlines()
     assert reported == [
         "drill.POSES: wrists were not checked; --cell CELL does",
-        "drill.POSES: poses are in the frame of the plant",
+        "drill.POSES: comments are left",
+        "drill.POSES: its targets were taken in {W}, its base must be {W}",
         f"2 targets corrected for S1100 into {out}",
     ]
     assert re.fullmatch(BOUNDS, bounds)
