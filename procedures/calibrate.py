@@ -34,7 +34,8 @@ def validation_table(result: dict[str, Any]) -> Table:
             name = f"chosen: {result['method']}" if label == "chosen" else label
             if label == "chosen" and "decision" in figures:
                 name += f", {figures['decision']['outcome']}"
-            first = [where, str(figures["points"])] if label == "before" else ["", ""]
+            counts = figures.get("points_sent", {"before": figures["points"]})
+            first = [where if label == "before" else "", str(counts.get(label, ""))]
             texts = [f"{each[figure]:.4f}" if figure in each else "" for figure in names]
             rows.append([*first, name, *texts])
     return ["station", "points", "error of", *(f"{figure} mm" for figure in names)], rows

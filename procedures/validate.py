@@ -187,7 +187,8 @@ def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
     """Return mean, p95 and max of |e| before, by the paper's method and by the chosen one."""
     series = validation(log, stations)
     figures = {how: errors.figures._asdict() for how, errors in series.items()}
-    return {"points": len(series["chosen"]), **figures}
+    counts = {how: len(errors) for how, errors in series.items()}
+    return {"points": counts["chosen"], "points_sent": counts, **figures}
 
 
 def ways(cell: Cell) -> tuple[str, ...]:

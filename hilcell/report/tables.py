@@ -114,7 +114,7 @@ TOUCHES: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
     Column("turn", lambda row: float(np.linalg.norm(row[1]["turn_urad"])), "µrad", ".1f"),
     Column("u before", lambda row: row[1]["u_before_mm"], "mm", ".4f"),
     Column("u after", lambda row: row[1]["u_after_mm"], "mm", ".4f"),
-    Column("pull", lambda row: row[1]["pull"], "σ", ".1f"),
+    Column("found / expected", lambda row: row[1]["pull"], form=".1f"),
 )
 
 
@@ -124,8 +124,8 @@ def touches(facts: Facts) -> Sheet | None:
     rows = ((station, frame) for station, frame in found if frame is not None)
     note = (
         "By how much the base was moved for the commands of that visit, at the grid's centre. "
-        "u: tool point, 3D, 1 σ; pull: the correction in σ of what was known before. Targets "
-        "stay where the station frame has them."
+        "u: tool point, 3D, 1 σ. Found / expected: the motion found, relative to what the "
+        "uncertainty before lets expect. Targets stay where the station frame has them."
     )
     return sheet("Touch poses", TOUCHES, rows, note)
 

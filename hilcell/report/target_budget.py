@@ -23,11 +23,12 @@ from hilcell.calibration.bounds import (
 from hilcell.calibration.errors import OTHERS, places
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.form import Calibration
+from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.journal.log import Log
 from hilcell.report.columns import Column, Sheet, present, sheet
 
-TOO_EARLY = "the run has not reached the fit of a correction"
+NO_FIT = "this run has fitted no correction"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,7 @@ def target_budget(log: Log, run: str) -> TargetBudget:
     """Return the bounds that a run's journal allows."""
     calibration = calibration_so_far(log, run)
     if calibration is None:
-        return TargetBudget(TOO_EARLY)
+        return TargetBudget(_why_none(log))
     names = [station.name for station in log.cell.station]
     try:
         return TargetBudget(
@@ -63,6 +64,19 @@ def target_budget(log: Log, run: str) -> TargetBudget:
         )
     except NoBound as reason:
         return TargetBudget(reason.reason)
+
+
+def _why_none(log: Log) -> str:
+    """Return why a run's journal makes no calibration."""
+    used = calibration_in(log)
+    if used is not None:
+        return (
+            f"{NO_FIT}; the report of run {used.provenance.latest} states those of its calibration"
+        )
+    if "fit" not in log.verdicts:
+        return NO_FIT
+    stations = [each.name for each in log.cell.station if f"station.{each.name}" not in log.frames]
+    return f"the run ended before it framed {' and '.join(stations)}"
 
 
 def _points_mm(calibration: Calibration, log: Log, names: list[str]) -> dict[str, float]:
@@ -91,7 +105,7 @@ LINES: tuple[Column[Line], ...] = (
     Column("contribution", attrgetter("name")),
     Column("source", attrgetter("how")),
     Column("GUM", attrgetter("clause")),
-    Column("freedom", attrgetter("freedom"), form=".0f"),
+    Column("degrees of freedom", attrgetter("freedom"), form=".0f"),
     Column("u", attrgetter("u_mm"), "mm", ".4f"),
     Column("share", attrgetter("percent"), "%", ".1f"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from hilcell.geometry.sequential import Decision, Outcome
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from procedures import enough_targets
-from procedures.calibrate import CALIBRATE
+from procedures.calibrate import CALIBRATE, validation_table
 from procedures.paper import PaperRows
 from procedures.validate import MARGIN_MM, Validate, targets
 
@@ -89,3 +89,11 @@ def test_a_quick_plan_is_of_the_same_cell() -> None:
 )
 def test_a_decision_is_stated_in_words(outcome: Outcome, largest_mm: float, text: str) -> None:
     assert text in enough_targets.meaning(QUICK, outcome, largest_mm)
+
+
+def test_the_table_counts_the_targets_of_each_way() -> None:
+    figures: dict[str, Any] = {"points": 32, "points_sent": {"before": 8, "chosen": 32}}
+    errors = {"mean": 1.0, "p95": 2.0, "max": 3.0}
+    figures |= {"before": errors, "chosen": errors, "floor": {"mean": 0.1}}
+    _, rows = validation_table({"method": "kinematic", "validation": {"S1": figures}})
+    assert [row[:2] for row in rows] == [["S1", "8"], ["", "32"], ["", ""]]

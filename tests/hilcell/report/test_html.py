@@ -13,6 +13,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import report_html
 from hilcell.report.svg import compact
+from hilcell.report.target_budget import target_budget
 from tests.hilcell.report.journals import BEFORE_MM, Writer, validated_run
 from tests.hilcell.report.pages import Page
 
@@ -284,6 +285,17 @@ def test_a_recheck_reports_no_before_and_after(tmp_path: Path) -> None:
     text = page_of(read_facts(Writer(tmp_path / "r1", procedure="recheck").began().left())).text
     assert "not both: targets were commanded with the correction of the calibration used" in text
     assert "both are reported" not in text
+
+
+def test_why_there_are_no_bounds(tmp_path: Path) -> None:
+    early = Writer(tmp_path / "r1").began()
+    killed = Writer(tmp_path / "r2").began()
+    for key in ("base", "station.S1100"):
+        killed.frame(key)
+    killed.journal.append("verdict", "fit", FIT)
+    assert target_budget(early.facts().log, "r1").missing == "this run has fitted no correction"
+    missing = target_budget(killed.facts().log, "r2").missing
+    assert missing == "the run ended before it framed S300 and S1900"
 
 
 def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
