@@ -326,6 +326,7 @@ def test_rows_of_the_paper(tmp_path: Path) -> None:
         "fails when": "the correction is not sent",
         "paper": "0.1168",
         "here": "0.1234",
+        "chosen": "",
         "unit": "mm",
         "holds if": "<= 0.205",
         "verdict": "holds",
