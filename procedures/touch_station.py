@@ -13,6 +13,7 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import NoCalibration, calibration_named
+from hilcell.calibration.visit import used
 from hilcell.cell.file import Cell, Station
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
@@ -64,8 +65,12 @@ class TouchStation:
             session.verdict("touch", holds=True, station=station.name)
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return what the touch poses found."""
-        return touch_result(log)
+        """Return what the touch poses found, where, and with which calibration."""
+        found = touch_result(log)
+        if not found:
+            return {}
+        station = station_of(log.cell).name
+        return found | {"touched": {"station": station, "calibration": used(log).provenance.latest}}
 
 
 def station_of(cell: Cell) -> Station:
@@ -101,10 +106,23 @@ def touch_table(result: dict[str, Any]) -> Table:
     return headers, rows
 
 
+def touch_words(result: dict[str, Any]) -> str:
+    """Return what the run's calibration is good for, and until when."""
+    if "touched" not in result:
+        return ""
+    station, calibration = result["touched"]["station"], result["touched"]["calibration"]
+    return (
+        f"Calibration {calibration} was used; this run's own has the base of {station} on this "
+        f"visit: `hilcell compensate` with this run's name and --station {station} holds until "
+        "the slide moves."
+    )
+
+
 TOUCH = Procedure(
     "touch",
     "before work at a station: its base frame on this visit, for corrected programs",
     (Home(), WorldFrame(), TouchStation()),
     touch_table,
+    words=touch_words,
     uses=TABLE,
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -91,13 +92,26 @@ def calibration_in(log: Log) -> Calibration | None:
 def _named(runs: Path, named: str) -> Path:
     if Path(named).is_file():
         return Path(named)
-    folder = find_run(runs, named)
+    return written_by(find_run(runs, named))
+
+
+def written_by(folder: Path) -> Path:
+    """Return the path of a run's calibration; raises `NoCalibration` where it wrote none."""
     path = folder / CALIBRATION
     if not path.is_file():
-        raise NoCalibration(
-            f"run {folder.name} wrote no calibration; name a finished `hilcell run calibrate`"
-        )
+        raise NoCalibration(f"run {folder.name} wrote no calibration; {_instead(folder)}")
     return path
+
+
+def _instead(folder: Path) -> str:
+    """Say which calibration to name for a run that wrote none."""
+    used = None
+    with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
+        used = calibration_in(read_log(folder))
+    if used is None:
+        return "name a finished `hilcell run calibrate`"
+    latest = used.provenance.latest
+    return f"it used that of {latest}, and a re-check that holds writes none: name {latest}"
 
 
 def _newest(runs: Path, cell: Cell, table: str) -> Path:

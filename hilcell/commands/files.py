@@ -11,6 +11,7 @@ import numpy as np
 
 from hilcell.calibration.file import compensate_targets, read_calibration
 from hilcell.calibration.form import Calibration
+from hilcell.calibration.in_use import written_by
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
@@ -18,7 +19,7 @@ from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
 from hilcell.commands.output import print_message
 from hilcell.compensation.programs import Program, load_program, notes_of, suffixes, write_program
 from hilcell.compensation.targets import read_targets, write_targets
-from hilcell.journal.runs import CALIBRATION, find_run
+from hilcell.journal.runs import find_run
 from hilcell.ports import Array
 
 DRILL_KEY = "uncertainty.drill_offset_mm"
@@ -29,7 +30,7 @@ def compensate(args: argparse.Namespace) -> int:
     """Write corrected targets, or a corrected program, for one station."""
     where = Path(args.calibration)
     is_file = os.path.isfile(where)  # noqa: PTH113 - Path.is_file raises for a name too long
-    path = where if is_file else find_run(args.runs, args.calibration) / CALIBRATION
+    path = where if is_file else written_by(find_run(args.runs, args.calibration))
     calibration = read_calibration(path)
     _check_settings(args.cell, dict(args.set))
     cell = load_cell(args.cell, dict(args.set)) if args.cell else None

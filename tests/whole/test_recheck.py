@@ -19,7 +19,7 @@ def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_pat
         words = SMALL | {"simulation.address": cell.control}
         first = words | {"recheck.calibration": str(golden["small"].folder)}
         done = hilcell("run", "recheck", "--json", "--name", "R", "--runs", runs, *sets(first))
-        again = hilcell("run", "recheck", "--json", "--runs", runs, *sets(words))
+        again = hilcell("run", "recheck", "--json", "--name", "V", "--runs", runs, *sets(words))
     found = end_of(done)["result"]["recheck"]
     assert done.returncode == 1, done.stderr
     assert found["verdict"] == "update"
@@ -42,6 +42,9 @@ def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_pat
     targets.write_text("name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,0,0,1200,0,75,0\n")
     done = command("compensate", "R", targets, "--station", "S1100", "-o", out, "--runs", runs)
     assert done.returncode == 0, done.stderr
+    done = command("compensate", "V", targets, "--station", "S1100", "-o", out, "--runs", runs)
+    assert done.returncode == 2
+    assert "run V wrote no calibration; it used that of R" in done.stderr
 
 
 def test_without_a_calibration_or_targets_nothing_begins(tmp_path: Path) -> None:

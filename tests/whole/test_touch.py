@@ -37,6 +37,9 @@ def test_a_program_is_corrected_for_the_visit(golden: GoldenRuns, tmp_path: Path
     (line,) = touched.uncertainty.stations["S300"]
     assert (line.name, line.counts) == ("Touched base", "always")
     assert touched.stations["S1100"] == before.stations["S1100"]
+    shown = command("show", "T", "--runs", runs)
+    assert "Calibration small was used" in shown.stderr
+    assert "--station S300 holds until the slide moves" in shown.stderr
     targets = tmp_path / "t.csv"
     targets.write_text(HEAD + "H1,0,-800,1200,0,75,0\n")
     sent = []
