@@ -142,7 +142,12 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
 
 
 def range_text(kind: Any) -> str:
-    """Return the bounds of a number, or of a tuple's members, as words; empty without bounds."""
+    """Return the bounds of a number, or of a tuple's members, or the words that are allowed.
+
+    Empty without bounds.
+    """
+    if typing.get_origin(kind) is typing.Literal:
+        return ", ".join(f'"{word}"' for word in typing.get_args(kind))
     if typing.get_origin(kind) is tuple:
         kind = typing.get_args(kind)[0]
     bounds = []

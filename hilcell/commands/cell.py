@@ -26,6 +26,9 @@ def check(args: argparse.Namespace) -> int:
     if warning := check_copied(args.cell, cell):
         print_message(warning)
     check_options(cell)
+    for table in (cell.touch, cell.targets):
+        if table is not None and table.station:
+            cell.station_named(table.station)  # `calibrate` needs neither
     procedure: Procedure = load_entry("procedures", "calibrate")
     plan = procedure.plan(cell, seed=1)
     able = abilities(cell)
