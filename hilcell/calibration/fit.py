@@ -2,8 +2,9 @@
 
 A method learns from training rows and predicts positions of other rows. Figures come from rows
 that were not learnt from: the test rows, or each fifth of the training poses in turn. Rows of one
-pose share their errors, so a pose is left out as a whole. Training rows that contradict the others
-are named and left out by all methods.
+pose share their errors, so a pose is left out as a whole, and rows of equal joints are one pose.
+Nothing depends on the rows' order. Training rows that contradict the others are named and left out
+by all methods.
 """
 
 from __future__ import annotations
@@ -26,14 +27,16 @@ from hilcell.calibration.placement import (
 from hilcell.calibration.robot_file import Measurements, Robot
 from hilcell.compensation.choice import choose
 from hilcell.compensation.model import Prediction
-from hilcell.compensation.scattered import FOLDS, NEIGHBOURS, NearestPoses, Nominal
+from hilcell.compensation.scattered import NEIGHBOURS, NearestPoses, Nominal
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.identification.observability import observability
 from hilcell.identification.readings import Bools, IdentificationError, Ints
+from hilcell.identification.repeats import FOLDS, count_poses, folds_of, places_of
 
 NAMED = 5  # rows that one message names
 UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
+WEIGHTS = {"mean": 2.0, "p95": 1.0}  # the largest miss changes with the folds more than methods do
 RESIDUAL = "gp"
 RICHEST = "tool"  # of the methods that identify the robot; it finds the rows that contradict others
 
@@ -116,7 +119,7 @@ class PointModel(Protocol):
         """Return the errors."""
 
 
-POINT_MODELS: Mapping[str, Callable[[Array, Array], PointModel]] = {
+POINT_MODELS: Mapping[str, Callable[[Array, Array, Ints], PointModel]] = {
     "nominal": Nominal.learn,
     "idw": NearestPoses.learn,
 }
@@ -134,18 +137,19 @@ class AtPoints:
 
     @classmethod
     def learn(cls, placement: Placement, rows: Measurements, method: str) -> Self:
-        """Raises `FitError` where a reflector has too few rows to interpolate from."""
+        """Raises `FitError` where a reflector has too few poses to interpolate from."""
         error_mm, at_mm = rows.xyz_mm - placement.predicted_mm(rows), placement.in_base_mm(rows)
-        of_row = np.array(rows.target)
+        of_row, fold = np.array(rows.target), folds_of(rows.joints_rad)
         models = {}
         for target in placement.smr_mm:
             own = of_row == target
-            if np.count_nonzero(own) < NEIGHBOURS:
+            poses = count_poses(rows.joints_rad[own])
+            if poses < NEIGHBOURS:
                 raise FitError(
-                    f"target {target}: {np.count_nonzero(own)} training rows, "
-                    f"wanted at least {NEIGHBOURS} to interpolate from"
+                    f"target {target}: {poses} training poses of different joints, "
+                    f"wanted at least {NEIGHBOURS} to interpolate from; measure more"
                 )
-            models[target] = POINT_MODELS[method](at_mm[own], error_mm[own])
+            models[target] = POINT_MODELS[method](at_mm[own], error_mm[own], fold[own])
         return cls(placement, models, 3.0 * len(rows))
 
     @property
@@ -193,14 +197,16 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     """
     start_s = time.perf_counter()
     arm = robot.arm()
-    placement = place(arm, train)
-    bad, refused = _contradicting(placement, train)
-    kept = train.at(np.flatnonzero(~bad))
+    placement = place(arm, train)  # in the file's order: a refusal may name a shift in it
+    order = _order(train)
+    rows = train.at(order)
+    bad, refused = _contradicting(placement, rows)
+    kept = rows.at(np.flatnonzero(~bad))
     placement = place(arm, kept)
     arms, left_out = ({}, {}) if refused else _arms(placement, kept, refused)
     left_out = cross_validate(arm, kept) | left_out
     validated = {name: figures_of(miss) for name, miss in left_out.items()}
-    chosen = choose({name: _by_kind(figures) for name, figures in validated.items()})
+    chosen = choose({name: _by_kind(figures) for name, figures in validated.items()}, WEIGHTS)
     methods: dict[str, Method] = {
         name: AtPoints.learn(placement, kept, name) for name in POINT_MODELS
     }
@@ -215,7 +221,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         "chosen": chosen,
         "reason": _reason(chosen, validated),
         "refused": refused,
-        "outliers": _outliers(methods[best or "nominal"], train, bad),
+        "outliers": _outliers(methods[best or "nominal"], train.at(sorted(order[bad]))),
         "coverage": coverage,
         "model": None if best is None else _model(best, arms[best]),
         "train": len(train),
@@ -229,7 +235,7 @@ def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
     """Return measured minus predicted (N, 3) by one of `POINT_MODELS`, each row predicted from
     other poses.
 
-    Every `FOLDS`-th pose, in order of first appearance, is left out together.
+    A fifth of the poses is left out together.
     """
     fold = _folds(rows)
     miss_mm = {name: np.empty((len(rows), 3)) for name in POINT_MODELS}
@@ -336,10 +342,9 @@ def _refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) ->
         )
 
 
-def _outliers(method: Method, rows: Measurements, bad: Bools) -> list[Outlier]:
-    if not bad.any():
+def _outliers(method: Method, left_out: Measurements) -> list[Outlier]:
+    if not len(left_out):
         return []
-    left_out = rows.at(np.flatnonzero(bad))
     miss_mm = statistics.lengths_mm(left_out.xyz_mm - method.predict(left_out)[0])
     return [
         Outlier(pose=pose, target=target, miss_mm=float(miss))
@@ -365,10 +370,22 @@ def _model(name: str, arm: FittedArm) -> ModelFound:
 
 
 def _folds(rows: Measurements) -> Ints:
-    order = {pose: n for n, pose in enumerate(dict.fromkeys(rows.pose))}
-    if len(order) < FOLDS:
-        raise FitError(f"{len(order)} poses, wanted at least {FOLDS} to cross-validate")
-    return np.array([order[pose] % FOLDS for pose in rows.pose])
+    poses = count_poses(rows.joints_rad)
+    if poses < FOLDS:
+        raise FitError(
+            f"{poses} poses, wanted at least {FOLDS} of different joints to cross-validate; "
+            "measure more"
+        )
+    return folds_of(rows.joints_rad)
+
+
+def _order(rows: Measurements) -> Ints:
+    """Return an order of the rows (N,) that theirs does not decide; of one target that is measured
+    again at a pose, the first stays the first.
+    """
+    joints, target = rows.joints_rad, np.array(rows.target)
+    pose = np.array(rows.pose)
+    return np.lexsort((target, pose, *joints.T[::-1], places_of(joints)))
 
 
 def _by_kind(figures: Mapping[str, float]) -> dict[str, float]:
@@ -377,12 +394,12 @@ def _by_kind(figures: Mapping[str, float]) -> dict[str, float]:
 
 def _reason(chosen: str, validated: Mapping[str, Mapping[str, float]]) -> str:
     listed = ", ".join(
-        f"{name} {figures['mean_mm']:.4f} / {figures['max_mm']:.4f}"
+        f"{name} {figures['mean_mm']:.4f} / {figures['p95_mm']:.4f}"
         for name, figures in validated.items()
     )
     if chosen == "nominal":
-        return f"no method beats nominal positions at poses left out: mean / max mm {listed}"
-    return f"least mean and largest miss at training poses left out: mean / max mm {listed}"
+        return f"no method beats nominal positions at poses left out: mean / p95 mm {listed}"
+    return f"least mean and p95 of misses at training poses left out: mean / p95 mm {listed}"
 
 
 def _named(rows: Measurements, bad: Ints, miss_mm: Array) -> str:

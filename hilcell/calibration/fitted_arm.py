@@ -11,10 +11,11 @@ import numpy as np
 from hilcell.calibration.placement import FitError, Placement
 from hilcell.calibration.robot_file import Measurements
 from hilcell.geometry.kinematics import Array
-from hilcell.identification.estimate import Estimate, identify, identify_trusted
+from hilcell.identification.estimate import LEAST_POSES, Estimate, identify, identify_trusted
 from hilcell.identification.kinematics import Kinematics, State
 from hilcell.identification.observability import observability
-from hilcell.identification.readings import Bools, Ints, Readings
+from hilcell.identification.readings import Bools, IdentificationError, Ints, Readings
+from hilcell.identification.repeats import count_poses
 from hilcell.identification.residual import WithResidual, with_residual
 
 TERMS: Mapping[str, tuple[bool, bool]] = {  # elastic joints, a tool's weight
@@ -135,7 +136,17 @@ class FittedArm:
 def _prepared(
     placement: Placement, rows: Measurements, method: str
 ) -> tuple[Poses, Kinematics, State]:
-    """Return poses, kinematics of one of `TERMS`, and the nominal robot where it is placed."""
+    """Return poses, kinematics of one of `TERMS`, and the nominal robot where it is placed.
+
+    Raises `IdentificationError` where the joints are of less than `LEAST_POSES` poses: one that is
+    measured again tells nothing more about the robot.
+    """
+    different = count_poses(rows.joints_rad)
+    if different < LEAST_POSES:
+        raise IdentificationError(
+            f"kinematics: {different} poses, wanted at least {LEAST_POSES} of different joints; "
+            "measure more"
+        )
     targets = sorted(placement.smr_mm)
     elastic, tool = TERMS[method]
     kinematics = Kinematics(placement.arm, len(targets), gravity=elastic, waves=elastic, tool=tool)

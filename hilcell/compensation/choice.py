@@ -51,13 +51,17 @@ def chosen(measured: Measured) -> Choice:
     return Choice(name, _reason(name, figures), figures, refused)
 
 
-def choose(figures: Mapping[str, Mapping[str, float]]) -> str:
-    """Return the model of least mean and largest miss; one that does not beat nominal is not."""
-    best = {kind: min(each[kind] for each in figures.values()) for kind in WEIGHTS}
+def choose(
+    figures: Mapping[str, Mapping[str, float]], weights: Mapping[str, float] = WEIGHTS
+) -> str:
+    """Return the model whose figures are least by ``weights``, those of mean and largest miss; one
+    that does not beat nominal is not.
+    """
+    best = {kind: min(each[kind] for each in figures.values()) for kind in weights}
     return min(
         (name for name in figures if name == NOMINAL or not _beaten(figures, name)),
         key=lambda name: sum(
-            weight * _relative(figures[name][kind], best[kind]) for kind, weight in WEIGHTS.items()
+            weight * _relative(figures[name][kind], best[kind]) for kind, weight in weights.items()
         ),
     )
 

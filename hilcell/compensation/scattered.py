@@ -15,9 +15,9 @@ import numpy as np
 from hilcell.compensation.interpolation import inverse_distance_weights
 from hilcell.compensation.model import Prediction
 from hilcell.geometry.kinematics import Array
+from hilcell.identification.readings import Ints
 
 NEIGHBOURS = 8  # poses that one prediction is interpolated from
-FOLDS = 5  # each fifth pose is left out in turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,8 @@ class Nominal:
     covariance_mm2: Array
 
     @classmethod
-    def learn(cls, points_mm: Array, errors_mm: Array) -> Self:
-        """Return the model of errors (N, 3) at points (N, 3)."""
+    def learn(cls, points_mm: Array, errors_mm: Array, fold: Ints) -> Self:
+        """Return the model of errors (N, 3) at points (N, 3); no ``fold`` (N,) matters to it."""
         return cls(_mean_square_mm2(errors_mm))
 
     def predict(self, targets_mm: Array) -> Prediction:
@@ -45,9 +45,11 @@ class NearestPoses:
     covariance_mm2: Array
 
     @classmethod
-    def learn(cls, points_mm: Array, errors_mm: Array) -> Self:
-        """Return the model of errors (N, 3) at points (N, 3), N > 1."""
-        fold = np.arange(len(points_mm)) % FOLDS
+    def learn(cls, points_mm: Array, errors_mm: Array, fold: Ints) -> Self:
+        """Return the model of errors (N, 3) at points (N, 3), N > 1.
+
+        The points of one ``fold`` (N,) are left out together.
+        """
         missed_mm = errors_mm.copy()
         for left_out in np.unique(fold):
             kept = fold != left_out

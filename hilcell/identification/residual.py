@@ -18,12 +18,12 @@ from hilcell.identification.estimate import Estimate
 from hilcell.identification.kinematics import State
 from hilcell.identification.noise import Noise
 from hilcell.identification.readings import Ints
+from hilcell.identification.repeats import folds_of
 
 TYPICAL_RAD, TYPICAL_LENGTH_RAD = 100e-6, 1.0  # where the search begins, and what few data lean on
 DOUBT = np.repeat([1.5, 1.0, 1.0], [6, 6, 1])  # of their logarithms, and of the noise's scale
 ROWS = 300  # of evenly chosen poses, from which the scales are found
 STEPS, GAIN = 40, 1e-5  # of the search; relative, of the cost
-FOLDS = 5
 AT_ONCE = 256  # poses predicted together
 
 
@@ -185,8 +185,9 @@ def with_residual(estimate: Estimate) -> WithResidual:
 def _doubt(rows: Rows, solved: _Solved) -> float:
     """Return the mean square of poses left out over their predicted variance, at least 1."""
     total = 0.0
-    for fold in range(FOLDS):
-        own = rows.pose % FOLDS == fold
+    fold = folds_of(rows.joints_rad)[rows.pose]
+    for left_out in np.unique(fold):
+        own = fold == left_out
         left = solved.weighted[own]
         total += float(left @ np.linalg.solve(solved.precision[np.ix_(own, own)], left))
     return max(1.0, total / len(rows.pose))

@@ -1,0 +1,60 @@
+"""`fit` on poses that were measured again, on rows in any order, and on rows that contradict."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.fit import fit
+from hilcell.calibration.placement import FitError
+from hilcell.calibration.robot_file import Measurements
+from tests.hilcell.calibration.test_fit import IRB120, measured
+
+
+def copied(rows: Measurements, times: int) -> Measurements:
+    """The same poses again in further rounds, with pose numbers of their own, noise and joints that
+    the controller reports a little differently.
+    """
+    rng = np.random.default_rng(6)
+    again = rows.at(np.tile(np.arange(len(rows)), times))
+    turn = np.repeat(np.arange(times), len(rows))
+    return replace(
+        again,
+        pose=[f"{pose}.{n}" for pose, n in zip(again.pose, turn, strict=True)],
+        joints_rad=again.joints_rad + np.radians(0.002) * rng.uniform(-1, 1, (len(again), 6)),
+        xyz_mm=again.xyz_mm + rng.normal(0, 0.01, again.xyz_mm.shape),
+    )
+
+
+def test_poses_measured_again_do_not_flatter_a_method() -> None:
+    """Their errors are known from the copy, whatever the pose's number."""
+    rows, test = measured(1, 30, ["SMR1"]), measured(2, 60, ["SMR1"])
+    once, thrice = fit(IRB120, rows, test), fit(IRB120, copied(rows, 3), test)
+    assert thrice["chosen"] not in ("nominal", "idw")
+    for result in (once, thrice):
+        idw = result["coverage"]["idw"]
+        assert idw["share"] >= 0.85
+        assert idw["bound_mm"] > 0.8 * once["coverage"]["idw"]["bound_mm"]
+    assert thrice["coverage"][thrice["chosen"]]["share"] >= 0.85
+    found = fit(IRB120, copied(rows, 3))["methods"]["idw"]["mean_mm"]
+    assert found == pytest.approx(fit(IRB120, rows)["methods"]["idw"]["mean_mm"], rel=0.3)
+
+
+def test_a_pose_counts_once_however_often_it_is_measured() -> None:
+    result = fit(IRB120, copied(measured(1, 15, ["SMR1"]), 4))
+    assert "15 poses, wanted at least 20 of different joints" in result["refused"]["tool"]
+    with pytest.raises(FitError, match="wanted at least 8 to interpolate from"):
+        fit(IRB120, copied(measured(1, 8, ["SMR1"]), 4))
+
+
+def test_the_order_of_rows_decides_nothing() -> None:
+    rows, test = measured(1, 30, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
+    rows.xyz_mm[7, 0] += 5000.0
+    first = fit(IRB120, rows, test)
+    shuffled = rows.at(np.random.default_rng(4).permutation(len(rows)))
+    again = fit(IRB120, shuffled, test)
+    assert (again["chosen"], again["reason"]) == (first["chosen"], first["reason"])
+    assert len(again["outliers"]) == len(first["outliers"]) == 1
+    for method, figures in first["methods"].items():
+        assert again["methods"][method] == pytest.approx(figures, rel=1e-5)
+        assert again["coverage"][method] == pytest.approx(first["coverage"][method], rel=1e-5)
