@@ -12,8 +12,9 @@ alone moves no base.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,13 @@ BUMPED_MM, BUMPED_RAD = 1.0, 1e-3  # 1 sigma of a base that was moved, before an
 FEWEST = 4  # poses: three leave the rest too few degrees of freedom to say anything
 
 Verdict = Literal["valid", "update", "redo"]
+WORDS = {"valid": "still valid", "update": "base moved, updated", "redo": "calibrate again"}
+
+
+def in_words(verdict: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a verdict's record as people read it, in plain words where it is a re-check's."""
+    found = verdict.get("verdict")
+    return dict(verdict) | ({"verdict": WORDS.get(str(found), found)} if found else {})
 
 
 class NotJudged(HilcellError):

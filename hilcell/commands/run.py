@@ -128,7 +128,7 @@ def resume(args: argparse.Namespace) -> int:
         output = _output(args.json, journal.run, inputs.points, journal)
         for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
-        output.skip_measured(sum(point.id.kind != "control" for point in log.points.values()))
+        output.skip_measured(key for key, at in log.points.items() if at.id.kind != "control")
         return _perform(cell, procedure, journal, output, folder, args)
 
 

@@ -6,6 +6,7 @@ Output only listens: a closed pipe or a lost terminal never ends the run.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -13,6 +14,7 @@ from typing import Any, Self
 import msgspec
 
 from hilcell.alarms.catalogue import entry_of
+from hilcell.calibration.recheck import in_words
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
 from hilcell.commands.output import harmless_lines, print_error, print_message, print_table
@@ -37,7 +39,7 @@ class RunOutput:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Stop printing."""
 
-    def skip_measured(self, points: int) -> None:
+    def skip_measured(self, keys: Iterable[str]) -> None:
         """Count the points that a resumed run already has."""
 
     def close(self, code: int, log: Log, fault: Exception | None) -> None:
@@ -109,6 +111,7 @@ class ProgressOutput(RunOutput):
             TimeRemainingColumn(),
             console=self._console,
         )
+        self._planned, self._measured = points, set[str]()
         self._task = self._progress.add_task(harmless(run), total=points)
 
     def __enter__(self) -> Self:
@@ -119,9 +122,16 @@ class ProgressOutput(RunOutput):
         with suppress(OSError, ValueError):
             self._progress.stop()
 
-    def skip_measured(self, points: int) -> None:
+    def skip_measured(self, keys: Iterable[str]) -> None:
         """Advance the bar."""
-        self._progress.advance(self._task, points)
+        self._measured.update(keys)
+        self._show_measured()
+
+    def _show_measured(self, description: str | None = None) -> None:
+        """Show the count; a point measured again counts once, a quick run may need more points."""
+        count = len(self._measured)
+        total = max(count, self._planned)
+        self._progress.update(self._task, completed=count, total=total, description=description)
 
     def print_record(self, record: Record) -> None:
         """Advance the bar, or print what the operator must know."""
@@ -129,7 +139,8 @@ class ProgressOutput(RunOutput):
         if record.kind == "point" and body["group"] != "control":
             place = f" at {body['station']}" if body["station"] else ""
             text = harmless(f"{body['group']}{place}")
-            self._progress.update(self._task, advance=1, description=text)
+            self._measured.add(record.key)
+            self._show_measured(text)
         elif record.kind == "state" and body["machine"] == "calibration":
             self._print(f"{body['to'].replace('_', ' ')}")
         elif record.kind == "state" and body["to"] in WAITING:
@@ -191,6 +202,7 @@ def _waits_for(body: dict[str, Any]) -> str:
 
 
 def _facts(verdict: dict[str, Any]) -> str:
+    verdict = in_words(verdict)
     return ", ".join(
         f"{name} {value:.4f}" if isinstance(value, float) else f"{name} {value}"
         for name, value in verdict.items()

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.errors import OTHERS, Errors, places, reduction, validation
+from hilcell.calibration.recheck import in_words
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
@@ -361,7 +362,7 @@ def _facts_of(body: Mapping[str, Any]) -> str:
     known = ("holds", "what")
     return ", ".join(
         _with_unit(name, value)
-        for name, value in body.items()
+        for name, value in in_words(body).items()
         if name not in known and not isinstance(value, dict | list)
     )
 

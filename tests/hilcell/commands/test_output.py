@@ -30,3 +30,14 @@ def test_a_run_that_waits_says_for_what(
     body = {"machine": "run", "from": "running", "to": to} | facts
     output.take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
     assert " ".join(capsys.readouterr().err.split()) == words
+
+
+def test_the_bar_counts_each_point_once_and_never_beyond_its_total(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with ProgressOutput("r", 2) as output:
+        output.skip_measured(["base/1"])
+        for key in ("grid/1", "grid/1", "grid/2"):
+            body = {"group": "grid", "station": "S1"}
+            output.take(Record(1, "2026-01-01T00:00:00+00:00", "point", key, body))
+    assert "3/3" in capsys.readouterr().err

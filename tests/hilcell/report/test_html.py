@@ -281,6 +281,13 @@ def test_why_no_more_poses_were_chosen(tmp_path: Path, bounds_mm: list[float], w
     assert words in page_of(writer.facts()).text
 
 
+def test_a_recheck_s_verdict_in_plain_words(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r1").began()
+    writer.journal.append("verdict", "recheck", {"holds": False, "verdict": "redo"})
+    (row,) = page_of(writer.facts()).table("Verdicts")
+    assert row["by"] == "verdict calibrate again"
+
+
 def test_a_recheck_reports_no_before_and_after(tmp_path: Path) -> None:
     text = page_of(read_facts(Writer(tmp_path / "r1", procedure="recheck").began().left())).text
     assert "not both: targets were commanded with the correction of the calibration used" in text
