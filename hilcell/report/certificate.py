@@ -116,7 +116,9 @@ def _conditions(facts: Facts) -> str:
 def _conformity(facts: Facts) -> str:
     limits, plan = facts.cell.validation, facts.cell.plan
     rule = "simple acceptance: the measured figure against the limit, uncertainty not added"
-    if plan.quick:
+    if "recheck" in facts.log.verdicts:
+        return "chi-square tests of the errors against those that the calibration predicts"
+    if plan.quick and not facts.procedure.uses:
         rule = (
             f"sequential: that the mean of the volume is below its limit, and less than "
             f"{plan.share_above_max:.0%} of it above the maximum, is each shown at every station "

@@ -6,9 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
+from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import report_html
@@ -227,7 +229,7 @@ def test_a_touch_run_adopts_station_frames(tmp_path: Path) -> None:
         "touch.S300", poses=8, shift_mm=[0.003, 0.0, 0.004], along_rail_mm=0.003,
         turn_urad=[1.0, 0.0, 0.0], u_before_mm=0.03, u_after_mm=0.01, pull=0.9, misfit=0.5,
     )  # fmt: skip
-    page = page_of(writer.facts())
+    page = page_of(read_facts(writer.left()))
     (row,) = page.table("Touch poses")
     assert (row["station"], row["shift mm"], row["u after mm"]) == ("S300", "0.0050", "0.0100")
     assert "Stations" not in page.of("h3")
@@ -292,6 +294,15 @@ def test_a_recheck_reports_no_before_and_after(tmp_path: Path) -> None:
     text = page_of(read_facts(Writer(tmp_path / "r1", procedure="recheck").began().left())).text
     assert "not both: targets were commanded with the correction of the calibration used" in text
     assert "both are reported" not in text
+
+
+@pytest.mark.parametrize(("procedure", "sequential"), [("calibrate", True), ("targets", False)])
+def test_only_a_validation_is_decided_sequentially(
+    tmp_path: Path, procedure: str, sequential: bool
+) -> None:
+    cell = load_cell("paper", {"plan.quick": "true"})
+    writer = Writer(tmp_path / "r1", procedure=procedure, cell=msgspec.to_builtins(cell)).began()
+    assert ("sequential: that" in page_of(read_facts(writer.left())).text) == sequential
 
 
 def test_why_there_are_no_bounds(tmp_path: Path) -> None:
