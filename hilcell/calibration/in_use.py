@@ -105,13 +105,18 @@ def written_by(folder: Path) -> Path:
 
 def _instead(folder: Path) -> str:
     """Say which calibration to name for a run that wrote none."""
-    used = None
+    used, verdict = None, ""
     with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
-        used = calibration_in(read_log(folder))
+        log = read_log(folder)
+        used, verdict = calibration_in(log), log.verdicts.get("recheck", {}).get("verdict", "")
     if used is None:
         return "name a finished `hilcell run calibrate`"
     latest = used.provenance.latest
-    return f"it used that of {latest}, and a re-check that holds writes none: name {latest}"
+    if verdict == "valid":
+        return f"it used that of {latest}, and a re-check that holds writes none: name {latest}"
+    if verdict == "redo":
+        return f"it found that the calibration of {latest} no longer holds: calibrate again"
+    return f"it used that of {latest}"
 
 
 def _newest(runs: Path, cell: Cell, table: str) -> Path:

@@ -2,14 +2,23 @@
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import pytest
 
+from hilcell.calibration import in_use
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.in_use import NoCalibration, calibration_named, with_calibration
+from hilcell.calibration.in_use import (
+    USED,
+    NoCalibration,
+    calibration_named,
+    record_of,
+    with_calibration,
+    written_by,
+)
 from hilcell.calibration.validity import Unfit
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.in_use import RecheckTable
@@ -109,3 +118,21 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace('"pitch_mm": 450', '"pitch_mm": 451'))
     with pytest.raises(SettingsError, match="seal"):
         with_calibration(using(), "recheck", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "says"),
+    [
+        ({"verdict": "valid"}, "it used that of 1-old, and .* holds writes none: name 1-old"),
+        ({"verdict": "redo"}, "the calibration of 1-old no longer holds: calibrate again"),
+        (None, "it used that of 1-old$"),
+    ],
+)
+def test_a_run_that_wrote_none_says_what_to_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: dict[str, str] | None, says: str
+) -> None:
+    event = SimpleNamespace(body={"what": USED, **record_of(made(tmp_path, "1-old"), "")})
+    log = SimpleNamespace(events=[event], verdicts={} if verdict is None else {"recheck": verdict})
+    monkeypatch.setattr(in_use, "read_log", lambda folder: log)
+    with pytest.raises(NoCalibration, match=f"run r1 wrote no calibration; {says}"):
+        written_by(tmp_path / "r1")
