@@ -124,7 +124,10 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
     ("verdict", "says"),
     [
         ({"verdict": "valid"}, "it used that of 1-old, and .* holds writes none: name 1-old"),
-        ({"verdict": "redo"}, "the calibration of 1-old no longer holds: calibrate again"),
+        (
+            {"verdict": "redo"},
+            "it found that the calibration of 1-old no longer holds: calibrate again",
+        ),
         (None, "it used that of 1-old$"),
     ],
 )
