@@ -37,6 +37,7 @@ from hilcell.identification.repeats import FOLDS, count_poses, folds_of, places_
 NAMED = 5  # rows that one message names
 UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
 WEIGHTS = {"mean": 2.0, "p95": 1.0}  # the largest miss changes with the folds more than methods do
+LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
 RESIDUAL = "gp"
 RICHEST = "tool"  # of the methods that identify the robot; it finds the rows that contradict others
 
@@ -216,6 +217,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     if test is not None:
         refuse_another_robot(placement, test, "the test set")
         judged, coverage = _judged(methods, test, best)
+        _refuse_contradicting(test, chosen, coverage[chosen], judged[chosen])
     result: FitResult = {
         "methods": judged,
         "chosen": chosen,
@@ -339,6 +341,21 @@ def _refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) ->
             f"{test.source}: {len(bad)} of {len(test)} rows are not determined by the training "
             f"rows, wanted 95 % bounds <= {UNDETERMINED_MM:g} mm: {_named(test, bad, bound_mm)}; "
             f"{rest}; measure poses with other orientations and places"
+        )
+
+
+def _refuse_contradicting(
+    test: Measurements, chosen: str, found: Coverage, figures: Mapping[str, float]
+) -> None:
+    """Refuse test rows that the bounds do not hold for: corrections would be as wrong."""
+    if not found["share"] >= LEAST_INSIDE:
+        raise FitError(
+            f"{test.source}: {found['share']:.1%} of {len(test)} rows are within the 95 % bounds of "
+            f"{chosen} ({found['bound_mm']:.4f} mm mean), wanted at least {LEAST_INSIDE:.0%}; it "
+            f"misses them by {figures['mean_mm']:.4f} mm in the mean: training and test rows "
+            "contradict each other, so the robot's state (a joint's zero, its load, its "
+            "temperature), the tracker's set-up or the units differ; measure both files in one "
+            "state, or give as test rows those of the robot that is to be corrected"
         )
 
 

@@ -58,3 +58,18 @@ def test_the_order_of_rows_decides_nothing() -> None:
     for method, figures in first["methods"].items():
         assert again["methods"][method] == pytest.approx(figures, rel=1e-5)
         assert again["coverage"][method] == pytest.approx(first["coverage"][method], rel=1e-5)
+
+
+@pytest.mark.parametrize(("zero_deg", "scale"), [(1.0, 1.0), (0.0, 1.0005)])
+def test_test_rows_that_contradict_the_training_rows_are_refused(
+    zero_deg: float, scale: float
+) -> None:
+    """An axis that lost its zero, and a tracker whose lengths are 0.05 % too long."""
+    rows, test = measured(1, 30, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
+    shifted = test.joints_rad + np.radians([0.0, zero_deg, 0.0, 0.0, 0.0, 0.0])
+    other = replace(test, joints_rad=shifted, xyz_mm=scale * test.xyz_mm, source="test.csv")
+    with pytest.raises(
+        FitError,
+        match=r"test\.csv: \d+\.\d% of 40 rows .* wanted at least 50%.*contradict.*measure",
+    ):
+        fit(IRB120, rows, other)
