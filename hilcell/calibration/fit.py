@@ -350,9 +350,9 @@ def _refuse_contradicting(
     """Refuse test rows that the bounds do not hold for: corrections would be as wrong."""
     if not found["share"] >= LEAST_INSIDE:
         raise FitError(
-            f"{test.source}: {found['share']:.1%} of {len(test)} rows are within the 95 % bounds of "
-            f"{chosen} ({found['bound_mm']:.4f} mm mean), wanted at least {LEAST_INSIDE:.0%}; it "
-            f"misses them by {figures['mean_mm']:.4f} mm in the mean: training and test rows "
+            f"{test.source}: {found['share']:.1%} of {len(test)} rows are within the 95 % bounds "
+            f"of {chosen} ({found['bound_mm']:.4f} mm mean), wanted at least {LEAST_INSIDE:.0%}; "
+            f"it misses them by {figures['mean_mm']:.4f} mm in the mean: training and test rows "
             "contradict each other, so the robot's state (a joint's zero, its load, its "
             "temperature), the tracker's set-up or the units differ; measure both files in one "
             "state, or give as test rows those of the robot that is to be corrected"
