@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from pathlib import Path
 
 from hilcell.calibration.fit import FitResult, Fitted, fitted, methods_table
@@ -15,6 +16,7 @@ from hilcell.commands.output import print_json, print_message, print_table
 
 URDF = ".urdf"
 NAMED = 10  # rows that are left out
+MANY = 0.1  # share of rows left out beyond which they are no single slips
 
 
 def fit(args: argparse.Namespace) -> int:
@@ -34,6 +36,7 @@ def fit(args: argparse.Namespace) -> int:
         print_json({**found.result, **_covariance(found), **more})
     else:
         _print(found.result)
+    _warn_of_many(found.result)
     return 0
 
 
@@ -84,6 +87,21 @@ def _print(result: FitResult) -> None:
         print(
             f"{inside['share']:.1%} of them within 95 % bounds of {inside['bound_mm']:.3f} mm mean"
         )
+
+
+def _warn_of_many(result: FitResult) -> None:
+    """Say where to look when more rows are left out than slips explain."""
+    struck = Counter(bad["target"] for bad in result["outliers"])
+    if struck.total() <= MANY * result["train"]:
+        return
+    target, own = struck.most_common(1)[0]
+    look = "the robot's and the tracker's state during the measurement"
+    if 2 * own > struck.total():
+        look = f"reflector {target}, {own} of them: it may have moved on the flange"
+    print_message(
+        f"warning: {struck.total()} of {result['train']} training rows are left out, wanted at "
+        f"most {MANY:.0%}; bounds may be too small; look at {look}, and measure again"
+    )
 
 
 def _robot(path: Path, tip: str) -> Robot:

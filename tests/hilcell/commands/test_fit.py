@@ -102,6 +102,18 @@ def test_rows_that_are_left_out_are_named(folder: Path, capsys: pytest.CaptureFi
     assert "chosen: " in printed.out
 
 
+def test_a_reflector_that_was_knocked_in_between_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = measured(1, 40, ["SMR1", "SMR2", "SMR3"])
+    rows.xyz_mm[:45:3] += [0.0, 2.0, 0.0]
+    write_rows(folder / "train.csv", rows)
+    assert fit(folder, "robot.urdf") == 0
+    said = capsys.readouterr().err
+    assert "warning: 15 of 120 training rows are left out, wanted at most 10%" in said
+    assert "bounds may be too small; look at reflector SMR1, 15 of them" in said
+
+
 def test_why_no_robot_is_identified_is_said(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
