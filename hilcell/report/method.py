@@ -1,4 +1,4 @@
-"""What a run has really done, in words: how it measured, which model corrects, and why."""
+"""How a run measured, in words, which model corrects, and why."""
 
 from __future__ import annotations
 

@@ -70,9 +70,7 @@ def _why_none(log: Log) -> str:
     """Return why a run's journal makes no calibration."""
     used = calibration_in(log)
     if used is not None:
-        return (
-            f"{NO_FIT}; the report of run {used.provenance.latest} states those of its calibration"
-        )
+        return f"{NO_FIT}; the report of run {used.provenance.run} states those of its calibration"
     if "fit" not in log.verdicts:
         return NO_FIT
     stations = [each.name for each in log.cell.station if f"station.{each.name}" not in log.frames]
