@@ -178,6 +178,7 @@ async def _palette(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str
     # Only half a second after the search it says that nothing was found.
     while not app.screen.query_one(CommandList).option_count:
         await settle(pilot)
+    await settle(pilot)
     seen = {"palette": look(app)}
     app.pop_screen()
     await settle(pilot)
