@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -92,9 +93,10 @@ def main() -> None:
         kinematics = Kinematics(ARM, reflectors, tool=True)
         readings, start = measured(kinematics, poses)
         noise = Noise.independent(NOISE_MM)
-        ours = timed(lambda: solve(kinematics, readings, start, noise), 5)  # noqa: B023
-        theirs = timed(lambda: by_differences(kinematics, readings, start), 1)  # noqa: B023
-        whole = timed(lambda: identify(kinematics, readings, start), 3)  # noqa: B023
+        given = (kinematics, readings, start)
+        ours = timed(partial(solve, *given, noise), 5)
+        theirs = timed(partial(by_differences, *given), 1)
+        whole = timed(partial(identify, *given), 3)
         print(
             f"{poses} poses x {reflectors}   solve {ours * 1e3:7.1f} ms   least_squares "
             f"{theirs:6.2f} s = {theirs / ours:.0f} x   with outliers and noise {whole:.2f} s"

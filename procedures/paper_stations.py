@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilcell.cell.file import Cell
-from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.inverse import reachable
 from hilcell.planning.holes import Holes
 from hilcell.planning.plan import plan
@@ -56,8 +56,7 @@ def _tool(cell: Cell) -> Array:
 
 def _reached(cell: Cell, points_mm: Array) -> NDArray[np.bool_]:
     """Return which points (N, 3) in {W} which station serves, (N, S): robot and tracker."""
-    poses = np.tile(np.eye(4), (len(points_mm), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = _tool(cell), points_mm
+    poses = matrix(_tool(cell), points_mm)
     robot, tracker = cell.robot, cell.tracker
     home_rad, limits_rad = np.radians(robot.home_deg), robot.margin_limits_rad
     bases = [cell.layout.nominal_base(station.rail_mm) for station in cell.station]

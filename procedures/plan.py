@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
-from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.inverse import ReachError
 from hilcell.ports import Array, HilcellError
 from hilcell.run.clear_ways import check_poses
@@ -18,9 +18,7 @@ def other_stations(cell: Cell) -> list[Station]:
 
 def poses_at(cell: Cell, points_mm: Array) -> Array:
     """Return poses (N, 4, 4) in {B} at ``points_mm`` (N, 3) with the grid's orientation."""
-    poses = np.tile(cell.grid.centre.matrix(), (len(points_mm), 1, 1))
-    poses[:, :3, 3] = points_mm
-    return poses
+    return matrix(cell.grid.centre.matrix()[:3, :3], points_mm)
 
 
 def joints_for(cell: Cell, points_mm: Array) -> Array:

@@ -14,7 +14,6 @@ import numpy as np
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import USED, calibration_in, calibration_named, record_of
 from hilcell.calibration.rechecked import recheck_result, rechecked_run
-from hilcell.calibration.visit import poses_at
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.geometry.frames import apply
@@ -108,7 +107,7 @@ def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
 
 def commands_rad(cell: Cell, calibration: Calibration, seed: int) -> Array:
     """Return the joints (N, 6) of the corrected poses; raises `HilcellError` out of reach."""
-    poses = poses_at(calibration, places_mm(calibration, cell.recheck.poses, seed))
+    poses = calibration.poses_at(places_mm(calibration, cell.recheck.poses, seed))
     poses[:, :3, 3] = corrected(calibration.grid(), poses, calibration.error_model())
     try:
         return cell.robot.nominal().joints_for(poses)

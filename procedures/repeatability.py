@@ -11,11 +11,10 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import (
     figures_of,
     from_mean_mm,
-    reading_variances_mm2,
     repeatability_mm,
     rms,
 )
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
@@ -106,8 +105,7 @@ def rp_robot_mm(log: Log) -> float:
     states as standard deviations. Distances are taken to keep the shape of their distribution.
     """
     points = [point for place in visits(log) for point in place]
-    noise_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
-    share = 1.0 - float(noise_mm2.sum(axis=1).mean()) / rms(distances_mm(log)) ** 2
+    share = 1.0 - float(variances_mm2(points).sum(axis=1).mean()) / rms(distances_mm(log)) ** 2
     return rp_mm(log) * math.sqrt(max(0.0, share))
 
 

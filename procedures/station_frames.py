@@ -22,8 +22,7 @@ from hilcell.geometry.frames import (
     three_point_frame,
 )
 from hilcell.geometry.rigidity import Moved, moved_points
-from hilcell.geometry.statistics import reading_variances_mm2
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
@@ -252,10 +251,7 @@ def _pair_noise_mm2(log: Log, station: Station, reference: Station) -> Array:
 def slide_noise_mm2(log: Log, station: Station) -> Array:
     """Return the covariances (N, 3, 3) in {W} of the averaged slide points, from their scatter."""
     R = log.matrix("world")[:3, :3]
-    points = slide_points(log, station)
-    variance_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
-    covariances: Array = np.einsum("ij,nj,kj->nik", R, variance_mm2, R)
-    return covariances
+    return covariances_mm2(slide_points(log, station), R)
 
 
 def tool_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:

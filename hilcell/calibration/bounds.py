@@ -83,7 +83,7 @@ def cube_bounds(calibration: Calibration, station: str) -> Bounds:
         for low_mm, count in zip(grid.origin_mm, grid.shape, strict=True)
     ]
     places_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    poses = _poses(calibration, places_mm)
+    poses = calibration.poses_at(places_mm)
     return target_bounds(calibration, station, _base(calibration, station) @ poses)
 
 
@@ -103,7 +103,7 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
     placed = stated.stations[station] if on_visit is None else [on_visit]
     lines = [each for each in (*stated.lines, *placed) if each.counts != "in use"]
     lines += in_validation(log, stop, points)
-    bounds = _bounds(calibration, station, T_W_B @ _poses(calibration, in_base_mm), lines)
+    bounds = _bounds(calibration, station, T_W_B @ calibration.poses_at(in_base_mm), lines)
     return Coverage(found.norms_mm, bounds.radii_mm)
 
 
@@ -152,14 +152,6 @@ def _bounds(
         raise NoBound(f"its error model {calibration.method} states no covariance; calibrate again")
     samples = _stated(calibration).model_samples
     return bounds_of(model_mm2, lines, T_W_B, poses, samples)
-
-
-def _poses(calibration: Calibration, places_mm: Array) -> Array:
-    """Return poses (N, 4, 4) in {B} at places (N, 3), in the calibrated orientation."""
-    poses = np.tile(np.eye(4), (len(places_mm), 1, 1))
-    poses[:, :3, :3] = np.array(calibration.validity.orientation)
-    poses[:, :3, 3] = places_mm
-    return poses
 
 
 def _base(calibration: Calibration, station: str) -> Array:

@@ -17,6 +17,7 @@ from hilcell.calibration.frame_covariance import (
     FLOOR_NESTS,
     base_covariance,
     floor_points,
+    hold_covariance,
     world_covariance,
 )
 from hilcell.calibration.frames import Frames
@@ -33,11 +34,10 @@ from hilcell.calibration.influence import (
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import reading_variances_mm2, rms, trace_freedom
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.geometry.statistics import rectangular_variance, rms, trace_freedom
+from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm, variances_mm2
 from hilcell.ports import Array
 
-RECTANGULAR = 3.0  # a half-width's square over the variance (GUM 4.3.7)
 NO_VISITS = "the run visited no place again, so that the robot's repeatability is not known"
 TEMPERATURE = "Temperature of the arm"
 DRILL = "Drill's offset"
@@ -101,10 +101,7 @@ def _approach(limit_mm: float) -> Influence:
     how = "programs approach from below on every axis, as the run did"
     if limit_mm:
         how = f"limit ±{limit_mm:g} mm, programs approach from any side"
-    return Influence(
-        "Approach direction", ASSUMED, how, "4.3.7", "base", motion(limit_mm**2 / RECTANGULAR),
-        counts="in use",
-    )  # fmt: skip
+    return _limit("Approach direction", how, limit_mm)
 
 
 def _drift(log: Log) -> Influence:
@@ -114,9 +111,11 @@ def _drift(log: Log) -> Influence:
     if not pairs:
         limit_mm = log.cell.uncertainty.drift_limit_mm
         how = f"limit ±{limit_mm:g} mm, the floor nests were measured once only"
-        return Influence("Drift", ASSUMED, how, "4.3.7", "world", motion(limit_mm**2 / RECTANGULAR))
+        return Influence(
+            "Drift", ASSUMED, how, "4.3.7", "world", motion(rectangular_variance(limit_mm))
+        )
     both = [[pair[n] for pair in pairs] for n in (0, 1)]
-    noise_mm2 = sum(float(_reading_mm2(points).mean()) for points in both)
+    noise_mm2 = sum(float(variances_mm2(points).mean()) for points in both)
     moved_mm = rms(positions_mm(both[0]) - positions_mm(both[1]))
     how = f"{len(pairs)} measurements of the floor nests against the first, less the readings'"
     variance_mm2 = max(0.0, moved_mm**2 - noise_mm2)
@@ -125,7 +124,7 @@ def _drift(log: Log) -> Influence:
 
 def _world(log: Log) -> Influence:
     """Return {W} as the floor nests define it: their noise and the reflector's centring."""
-    centring_mm2 = log.cell.uncertainty.smr_centring_limit_mm**2 / RECTANGULAR
+    centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
     known = len(floor_points(log)) == FLOOR_NESTS
     covariance = world_covariance(log, np.zeros(3), centring_mm2) if known else np.zeros((6, 6))
     return Influence(
@@ -139,23 +138,26 @@ def _tracker(log: Log) -> Influence:
     """Return the tracker's limits, along and across the beam."""
     stated = log.cell.uncertainty
     x_mm, y_mm, z_mm = log.matrix("world")[:3, 3].tolist()
-    turn = (stated.tracker_limit_um_m * 1e-6) ** 2 / RECTANGULAR
+    turn = rectangular_variance(stated.tracker_limit_um_m * 1e-6)
     how = f"limit ±{stated.tracker_limit_mm:g} mm"
     if turn:
         how += f", across the beam ±{stated.tracker_limit_um_m:g} µm/m besides"
     return Influence(
         "Tracker, systematic", ASSUMED, how, "4.3.7", "world",
-        motion(stated.tracker_limit_mm**2 / RECTANGULAR, turn), (x_mm, y_mm, z_mm),
+        motion(rectangular_variance(stated.tracker_limit_mm), turn), (x_mm, y_mm, z_mm),
         counts="in use",
     )  # fmt: skip
 
 
 def _centring(limit_mm: float) -> Influence:
     how = f"limit ±{limit_mm:g} mm of the optics against the sphere, on the flange"
-    return Influence(
-        "SMR centring", ASSUMED, how, "4.3.7", "base", motion(limit_mm**2 / RECTANGULAR),
-        counts="in use",
-    )  # fmt: skip
+    return _limit("SMR centring", how, limit_mm)
+
+
+def _limit(name: str, how: str, limit_mm: float) -> Influence:
+    """Return a limit of error in {B} that grid and validation share."""
+    shift = motion(rectangular_variance(limit_mm))
+    return Influence(name, ASSUMED, how, "4.3.7", "base", shift, counts="in use")
 
 
 def _drill(log: Log) -> Influence:
@@ -227,15 +229,15 @@ def _strip(log: Log) -> Influence:
     again = log.select("repeat", how="strip", way="random")
     if len(again) > 1:
         at_mm = apply(log.matrix("world"), positions_mm(again)) @ along
-        variance_mm2, freedom = float(at_mm.var(ddof=1)), len(again) - 1
+        held_mm2, freedom = float(at_mm.var(ddof=1)) * np.outer(along, along), len(again) - 1
         how, clause = f"two holds, each of the scatter of {len(again)} approaches", "4.2.2"
     else:
-        tolerance_mm = log.cell.rail.strip_tolerance_mm
-        variance_mm2, freedom = tolerance_mm**2 / RECTANGULAR, None
-        how, clause = f"two holds, each proven within ±{tolerance_mm:g} mm", "4.3.7"
+        held_mm2, freedom = hold_covariance(log.cell), None
+        how = f"two holds, each proven within ±{log.cell.rail.held_within_mm:g} mm"
+        clause = "4.3.7"
     return Influence(
         "Strip", MEASURED, f"{how}, along the rail", clause, "world",
-        motion(2 * variance_mm2 * np.outer(along, along)), freedom=freedom,
+        motion(2 * held_mm2), freedom=freedom,
     )  # fmt: skip
 
 
@@ -256,7 +258,7 @@ def temperature(
     else:
         half_k = (range_c[1] - range_c[0]) / 2 + TEMPERATURE_MARGIN_K
         how = f"±{half_k:.2f} K allowed: the grid's range and {TEMPERATURE_MARGIN_K:g} K more"
-    return _growth(growth_per_k, half_k**2 / RECTANGULAR, how, "4.3.7")
+    return _growth(growth_per_k, rectangular_variance(half_k), how, "4.3.7")
 
 
 def in_validation(log: Log, station: Station, points: Sequence[Point]) -> list[Influence]:
@@ -302,18 +304,14 @@ def _growth(limit_per_k: float, variance_k2: float, how: str, clause: str) -> In
     rate = f"0 .. {limit_per_k * 1e6:g} µm/(m·K)"
     return Influence(
         TEMPERATURE, f"{MEASURED}, and {ASSUMED}", f"{rate}, {how}", clause, "base",
-        motion(growth=limit_per_k**2 / RECTANGULAR * variance_k2),
+        motion(growth=rectangular_variance(limit_per_k) * variance_k2),
     )  # fmt: skip
-
-
-def _reading_mm2(points: Sequence[Point]) -> Array:
-    return reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
 
 
 def _mean_reading_mm2(points: Sequence[Point], R: Array) -> Array:
     """Return the mean covariance (3, 3) of averaged readings, turned by ``R`` (3, 3)."""
-    turned: Array = R @ np.diag(_reading_mm2(points).mean(axis=0)) @ R.T
-    return turned
+    mean_mm2: Array = covariances_mm2(points, R).mean(axis=0)
+    return mean_mm2
 
 
 def _finite(freedom: float) -> float | None:

@@ -8,7 +8,6 @@ judged by `hilcell.calibration.checks`, before it is used.
 from __future__ import annotations
 
 import hashlib
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from hilcell.calibration.form import (
     Provenance,
     StationEntry,
     Validity,
+    written_now,
 )
 from hilcell.calibration.frames import Frames, measured_of
 from hilcell.cell.settings import SettingsError, unreadable
@@ -54,7 +54,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "schema": SCHEMA,
         "provenance": Provenance(
             run, cell.name, log.inputs.digest, log.inputs.simulated, log.inputs.operator,
-            log.inputs.job, f"hilcell {__version__}", f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+            log.inputs.job, f"hilcell {__version__}", written_now(),
             bool(log.verdicts.get("sign", {}).get("holds", False)),
             log.inputs.versions, devices_of(log), [point.key for point in points], fit["loocv"],
         ),

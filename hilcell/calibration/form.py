@@ -6,6 +6,7 @@ All lengths mm, frames as homogeneous matrices; the errors of the grid stand in 
 from __future__ import annotations
 
 from collections.abc import Collection
+from datetime import UTC, datetime
 from typing import Any, Literal
 
 import msgspec
@@ -17,7 +18,8 @@ from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import ErrorModel
 from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
-from hilcell.geometry.frames import poses_from_zyx
+from hilcell.geometry.frames import matrix, poses_from_zyx
+from hilcell.ports import Array
 
 
 class StationEntry(msgspec.Struct, frozen=True):
@@ -176,6 +178,10 @@ class Calibration(msgspec.Struct, frozen=True):
         shape = (errors.shape[0], errors.shape[1], errors.shape[2])
         return Grid(np.array(self.validity.low_mm), self.pitch_mm, shape)
 
+    def poses_at(self, places_mm: Array) -> Array:
+        """Return poses (N, 4, 4) in {B} at places (N, 3), in the calibrated orientation."""
+        return matrix(np.array(self.validity.orientation), places_mm)
+
     def error_model(self) -> ErrorModel:
         """Return the model, with the targets measured since folded in.
 
@@ -192,3 +198,8 @@ class Calibration(msgspec.Struct, frozen=True):
         unknown = np.full((*grid.shape, 3, 3), np.nan)
         old = Idw if self.method == "idw" else Trilinear
         return old.of_grid(MeasuredGrid(grid, errors_mm, unknown))
+
+
+def written_now() -> str:
+    """Return the time as the file states it."""
+    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from hilcell.calibration.frames import Frames
-from hilcell.cell.file import Station
+from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, cross_matrix, inverse, three_point_frame
-from hilcell.geometry.statistics import reading_variances_mm2
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.geometry.statistics import rectangular_variance
+from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 
@@ -35,8 +35,7 @@ def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array
     """
     nests = floor_points(log)
     measured_mm = positions_mm(nests)
-    readings_mm2 = reading_variances_mm2([p.std_mm for p in nests], [p.samples for p in nests])
-    std_mm = np.sqrt(readings_mm2 + centring_mm2)
+    std_mm = np.sqrt(variances_mm2(nests) + centring_mm2)
     T_W_L = log.matrix("world")
     as_built, at_tracker_mm = three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
     covariance: Array = np.zeros((6, 6))
@@ -63,4 +62,13 @@ def base_covariance(log: Log, station: Station) -> Array:
     shift = np.eye(6)
     shift[:3, 3:] = -cross_matrix(lever_mm)
     covariance: Array = shift @ np.array(log.frames[key]["covariance"], dtype=float) @ shift.T
+    return covariance
+
+
+def hold_covariance(cell: Cell) -> Array:
+    """Return the covariance (3, 3) in {W} of the slide held at a station: along the rail, as far
+    as the interlock lets it slip.
+    """
+    along = np.array(cell.layout.rail_direction)
+    covariance: Array = rectangular_variance(cell.rail.held_within_mm) * np.outer(along, along)
     return covariance

@@ -7,8 +7,6 @@ The robot stands rigidly on the slide, so eq 17 gives every station's base frame
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
@@ -19,12 +17,9 @@ from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.compensation.transfer import base_at
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import reading_variances_mm2
+from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
-
-if TYPE_CHECKING:
-    from hilcell.journal.log import Log
 
 
 class Frames:
@@ -120,42 +115,36 @@ def grid_errors_mm(log: Log) -> Array:
 
     Carried with {B} they are the transferred data of eq 17 at every station.
     """
-    cell = log.cell
-    T_B_W = inverse(log.matrix("base"))
-    errors_mm: Array = np.full((*grid_of(cell).shape, 3), np.nan)
-    for point in log.select("grid"):
-        i, j, k = point.id.vertex
-        both_mm = apply(T_B_W @ log.matrix("world"), np.array([point.xyz_mm]))
-        errors_mm[i, j, k] = both_mm[0] - apply(T_B_W, np.array([point.nominal_mm]))[0]
-    return errors_mm
+    return measured_grid(log).errors_mm
 
 
 def measured_grid(log: Log) -> MeasuredGrid:
     """Return the grid's errors in {B} with the covariance of each vertex's averaged reading."""
     points, grid = log.select("grid"), grid_of(log.cell)
-    R = (inverse(log.matrix("base")) @ log.matrix("world"))[:3, :3]
-    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
-    i, j, k = np.array([point.id.vertex for point in points]).T
+    found = _static(log, points)
+    i, j, k = np.array([point.id.vertex for point in points], dtype=int).reshape(-1, 3).T
+    errors_mm: Array = np.full((*grid.shape, 3), np.nan)
     covariance_mm2: Array = np.full((*grid.shape, 3, 3), np.nan)
-    covariance_mm2[i, j, k] = np.einsum("ij,nj,kj->nik", R, variances_mm2, R)
-    return MeasuredGrid(grid, grid_errors_mm(log), covariance_mm2)
+    errors_mm[i, j, k] = found.actual_mm - found.nominal_mm
+    covariance_mm2[i, j, k] = found.covariance_mm2
+    return MeasuredGrid(grid, errors_mm, covariance_mm2)
 
 
 def static_poses(log: Log) -> StaticPoses:
     """Return the poses at which the robot's error was measured, as commanded: grid, and free."""
-    points = [*log.select("grid"), *log.select("pose")]
+    return _static(log, [*log.select("grid"), *log.select("pose")])
+
+
+def _static(log: Log, points: list[Point]) -> StaticPoses:
     T_B_W = inverse(log.matrix("base"))
     T_B_L = T_B_W @ log.matrix("world")
-    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
-    R = T_B_L[:3, :3]
     joints_deg: Array = np.array([p.commanded_deg for p in points], dtype=float)
-    measured_mm: Array = np.array([p.xyz_mm for p in points], dtype=float)
-    nominal_mm: Array = np.array([p.nominal_mm for p in points], dtype=float)
+    nominal_mm: Array = np.array([p.nominal_mm for p in points], dtype=float).reshape(-1, 3)
     return StaticPoses(
         np.radians(joints_deg),
         apply(T_B_W, nominal_mm),
-        apply(T_B_L, measured_mm),
-        np.einsum("ij,nj,kj->nik", R, variances_mm2, R),
+        apply(T_B_L, positions_mm(points)),
+        covariances_mm2(points, T_B_L[:3, :3]),
     )
 
 

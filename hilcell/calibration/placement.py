@@ -14,7 +14,7 @@ import numpy as np
 
 from hilcell.calibration.robot_file import Measurements
 from hilcell.geometry import statistics
-from hilcell.geometry.frames import FrameError, apply, cross_matrix, matrix, rigid_fit
+from hilcell.geometry.frames import FrameError, apply, apply_each, cross_matrix, matrix, rigid_fit
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import HilcellError
@@ -48,7 +48,7 @@ class Placement:
 
     def in_base_mm(self, rows: Measurements) -> Array:
         """Return the rows' nominal positions (N, 3) in {B}."""
-        return _on_flange(forward(self.arm, rows.joints_rad), self._offsets(rows))
+        return apply_each(forward(self.arm, rows.joints_rad), self._offsets(rows))
 
     def predicted_mm(self, rows: Measurements) -> Array:
         """Return the rows' nominal positions (N, 3) in the tracker's frame."""
@@ -185,7 +185,7 @@ def _improved(
     T: Array, smr: Array, flange: Array, which: Array, measured: Array
 ) -> tuple[Array, Array, float]:
     """Return base (4, 4), reflectors (K, 3) and the step's size after one Gauss-Newton step."""
-    found = apply(T, _on_flange(flange, smr[which]))
+    found = apply(T, apply_each(flange, smr[which]))
     middle = found.mean(axis=0)
     left = measured - found
     weight = (1.0 + np.sum((left / BAD_ROW_MM) ** 2, axis=1)) ** -0.25  # squared in the sum
@@ -201,9 +201,3 @@ def _improved(
     R = from_rotvec(step[3:6])
     moved = matrix(R, middle + step[:3] - R @ middle) @ T
     return moved, smr + step[6:].reshape(-1, 3), float(np.abs(step).max())
-
-
-def _on_flange(flange: Array, offsets_mm: Array) -> Array:
-    """Return points (N, 3) given on flanges (N, 4, 4)."""
-    carried: Array = flange[:, :3, 3] + np.einsum("nij,nj->ni", flange[:, :3, :3], offsets_mm)
-    return carried

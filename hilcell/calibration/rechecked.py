@@ -17,7 +17,7 @@ from hilcell.calibration.recheck import (
     judged,
 )
 from hilcell.calibration.suspicions import Suspicion, suspicions
-from hilcell.calibration.visit import poses_at, used, visited
+from hilcell.calibration.visit import used, visited
 from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.statistics import bounds95_mm, figures_of, lengths_mm
 from hilcell.journal.log import Log
@@ -34,7 +34,7 @@ def rechecked(log: Log) -> Rechecked:
     """Return errors and covariance of the measured poses, in the calibration's {B}."""
     calibration, points = used(log), log.select(KIND)
     found = visited(log, points, log.cell.grid.station)
-    model = calibration.error_model().predict(poses_at(calibration, found.nominal_mm))
+    model = calibration.error_model().predict(calibration.poses_at(found.nominal_mm))
     J = motion_levers(found.nominal_mm).reshape(-1, 7)
     return Rechecked(
         found.nominal_mm,

@@ -15,7 +15,7 @@ import numpy as np
 from hilcell.calibration.fit import Method
 from hilcell.calibration.robot_file import Measurements, Robot
 from hilcell.compensation.model import Prediction
-from hilcell.geometry.frames import FrameError, apply, inverse, rigid_fit
+from hilcell.geometry.frames import FrameError, apply, apply_each, inverse, rigid_fit
 from hilcell.geometry.kinematics import Array, forward
 
 
@@ -47,7 +47,7 @@ class Controller:
         labels, nowhere = list(map(str, range(count))), np.full((count, 3), np.nan)
         rows = Measurements(labels, [self.target] * count, joints_rad, nowhere)
         seen_mm, covariance_mm2 = method.predict(rows)
-        nominal_mm = _on_flange(forward(self.robot.arm(), joints_rad), self.smr_mm)
+        nominal_mm = apply_each(forward(self.robot.arm(), joints_rad), self.smr_mm)
         R = inverse(self.root)[:3, :3]
         error_mm = (seen_mm - apply(self.base, nominal_mm)) @ R.T
         return Prediction(error_mm, R @ covariance_mm2 @ R.T)
@@ -56,15 +56,9 @@ class Controller:
 def controller_of(robot: Robot, method: Method, train: Measurements, target: str) -> Controller:
     """Return the controller that a method's predictions at the training rows fit best."""
     smr_mm = np.array([method.smr_mm[each] for each in train.target])
-    nominal_mm = _on_flange(forward(robot.arm(), train.joints_rad), smr_mm)
+    nominal_mm = apply_each(forward(robot.arm(), train.joints_rad), smr_mm)
     try:
         base = rigid_fit(nominal_mm, method.predict(train)[0]).T
     except FrameError:  # on one line: its turn about the line is the method's
         base = method.base
     return Controller(robot, base, target, method.smr_mm[target])
-
-
-def _on_flange(flange: Array, smr_mm: Array) -> Array:
-    """Return points (N, 3) given on flanges (N, 4, 4)."""
-    points: Array = flange[:, :3, 3] + (flange[:, :3, :3] @ smr_mm[..., None])[..., 0]
-    return points

@@ -12,19 +12,17 @@ base would cancel in every figure that judges it.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hilcell.calibration.errors import visits_mm
-from hilcell.calibration.frame_covariance import base_covariance, world_covariance
+from hilcell.calibration.frame_covariance import base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.in_use import calibration_in
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frame_update import FrameUpdate, updated_frame
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import pooled_std_mm, reading_variances_mm2
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.geometry.statistics import pooled_std_mm, rectangular_variance
+from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 
@@ -32,7 +30,6 @@ MARGIN_SHARE = 0.05  # of the cube's edges, off each face
 # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
 STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
 SET_UPS = 2  # of the tracker: the calibration's and this run's
-RECTANGULAR = 3.0  # a half-width's square over the variance (GUM 4.3.7)
 HOLDS = 2  # the strip's slip is that of the visit less that of the stop when it was framed
 
 
@@ -87,33 +84,22 @@ def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
     found {W} again, so its error counts twice.
     """
     known = growth_covariance(log, station, points)
-    known[:6, :6] += base_covariance(log, station) + slip_covariance(log.cell)
+    known[:6, :6] += base_covariance(log, station)
+    known[:3, :3] += HOLDS * hold_covariance(log.cell)
     if calibration_in(log) is None:
         return known
-    centring_mm2 = log.cell.uncertainty.smr_centring_limit_mm**2 / RECTANGULAR
+    centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
     at_mm = Frames(log.cell, log).base_in_world(station)[:3, 3]
     known[:6, :6] += SET_UPS * world_covariance(log, at_mm, centring_mm2)
     return known
 
 
-def slip_covariance(cell: Cell) -> Array:
-    """Return the covariance (6, 6) by which a station that is held again may have moved.
-
-    Along the rail; a hold is proven to twice the strip's tolerance (interlock I2).
-    """
-    sigma_mm = math.sqrt(HOLDS / RECTANGULAR) * 2.0 * cell.rail.strip_tolerance_mm
-    along = np.append(np.array(cell.layout.rail_direction), np.zeros(3))
-    covariance: Array = sigma_mm**2 * np.outer(along, along)
-    return covariance
-
-
 def growth_covariance(log: Log, station: Station, points: list[Point]) -> Array:
     """Return the covariance (7, 7) of the cube's shift and growth with the arm since the grid."""
-    off_k = _warmer_k(log, points)
-    sigma = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * off_k / math.sqrt(RECTANGULAR)
+    growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * _warmer_k(log, points)
     R = Frames(log.cell, log).base_in_world(station)[:3, :3]
     outwards = np.append(R @ log.cell.grid.centre.matrix()[:3, 3], [0.0, 0.0, 0.0, 1.0])
-    covariance: Array = sigma**2 * np.outer(outwards, outwards)
+    covariance: Array = rectangular_variance(growth) * np.outer(outwards, outwards)
     return covariance
 
 
@@ -137,8 +123,7 @@ def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:
     if clouds_mm:
         return np.tile(pooled_std_mm(clouds_mm) ** 2 * np.eye(3), (len(points), 1, 1))
     R = log.matrix("world")[:3, :3]
-    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
-    noise_mm2: Array = np.einsum("ij,nj,kj->nik", R, variances_mm2, R)
+    noise_mm2 = covariances_mm2(points, R)
     used = calibration_in(log)
     if used is not None and used.uncertainty is not None:
         at_mm = np.array([point.nominal_mm for point in points])

@@ -7,7 +7,6 @@ the same in {B} at every station.
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Any
 
 import msgspec
@@ -15,7 +14,7 @@ import numpy as np
 
 from hilcell.calibration.budget import touched
 from hilcell.calibration.file import calibration_of
-from hilcell.calibration.form import Calibration, Update
+from hilcell.calibration.form import Calibration, Update, written_now
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
 from hilcell.calibration.recheck import Judgement
 from hilcell.calibration.rechecked import rechecked_run
@@ -39,7 +38,7 @@ def calibration_after(log: Log, run: str) -> Calibration:
 
 def _with_targets(log: Log, run: str) -> Calibration:
     after = folded(log, run)
-    update = Update(run, "targets", _now(), len(target_points(log)))
+    update = Update(run, "targets", written_now(), len(target_points(log)))
     return msgspec.structs.replace(after, provenance=_with(after, update))
 
 
@@ -50,7 +49,12 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
         for name, entry in calibration.stations.items()
     }
     update = Update(
-        run, "base", _now(), len(found.left_mm), found.motion.tolist(), found.covariance.tolist()
+        run,
+        "base",
+        written_now(),
+        len(found.left_mm),
+        found.motion.tolist(),
+        found.covariance.tolist(),
     )
     changes: dict[str, Any] = {"stations": stations, "provenance": _with(calibration, update)}
     stated = calibration.uncertainty
@@ -67,7 +71,7 @@ def _touched(calibration: Calibration, log: Log, run: str) -> Calibration:
     name = str(log.verdicts["touch"]["station"])
     frame, entry = log.frames[f"touch.{name}"], calibration.stations[name]
     entry = msgspec.structs.replace(entry, T_W_B=frame["matrix"])
-    update = Update(run, "touch", _now(), int(frame["poses"]))
+    update = Update(run, "touch", written_now(), int(frame["poses"]))
     stations = calibration.stations | {name: entry}
     changes: dict[str, Any] = {"stations": stations, "provenance": _with(calibration, update)}
     stated, line = calibration.uncertainty, touched(log, log.cell.station_named(name))
@@ -81,7 +85,3 @@ def _touched(calibration: Calibration, log: Log, run: str) -> Calibration:
 def _with(calibration: Calibration, update: Update) -> Any:
     made = calibration.provenance
     return msgspec.structs.replace(made, written=update.written, updates=[*made.updates, update])
-
-
-def _now() -> str:
-    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"

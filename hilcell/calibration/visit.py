@@ -15,8 +15,7 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import NoCalibration, calibration_in
 from hilcell.calibration.influence import NoBound
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import reading_variances_mm2
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
 from hilcell.ports import Array
 
 
@@ -50,23 +49,8 @@ def visited(log: Log, points: list[Point], station: str) -> Visited:
     T_B_L = inverse(T_W_B) @ log.matrix("world")
     nominal_mm = apply(inverse(T_W_B), np.array([p.nominal_mm for p in points], dtype=float))
     alone_mm2, within_mm2, common = _noise(log, calibration, station, T_W_B)
-    own_mm2 = alone_mm2 + _readings_mm2(points, T_B_L[:3, :3])
+    own_mm2 = alone_mm2 + covariances_mm2(points, T_B_L[:3, :3])
     return Visited(nominal_mm, apply(T_B_L, positions_mm(points)), own_mm2, common, within_mm2)
-
-
-def poses_at(calibration: Calibration, places_mm: Array) -> Array:
-    """Return poses (N, 4, 4) in {B} at places (N, 3), in the calibrated orientation."""
-    poses = np.tile(np.eye(4), (len(places_mm), 1, 1))
-    poses[:, :3, :3] = np.array(calibration.validity.orientation)
-    poses[:, :3, 3] = places_mm
-    return poses
-
-
-def _readings_mm2(points: list[Point], R: Array) -> Array:
-    """Return the covariances (N, 3, 3) of averaged readings, turned by ``R`` (3, 3)."""
-    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
-    turned: Array = np.einsum("ij,nj,kj->nik", R, variances_mm2, R)
-    return turned
 
 
 def _noise(

@@ -105,6 +105,14 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         refuse_descending(self, "travel_min_mm", "travel_max_mm")
 
+    @property
+    def held_within_mm(self) -> float:
+        """Return how far a held slide may read off its station.
+
+        The approach is held to the tolerance; readings at rest may still turn over by one count.
+        """
+        return 2.0 * self.strip_tolerance_mm
+
 
 class Joint(Frozen, frozen=True, kw_only=True):
     """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits."""

@@ -60,10 +60,19 @@ def apply(T: Array, points: ArrayLike) -> Array:
     return carried
 
 
+def apply_each(T: Array, points: Array) -> Array:
+    """Carry points (..., 3), each by its own rigid motion (..., 4, 4)."""
+    carried: Array = np.einsum("...ij,...j->...i", T[..., :3, :3], points) + T[..., :3, 3]
+    return carried
+
+
 def matrix(R: Array, t: Array) -> Array:
-    """Return the (4, 4) matrix of a rotation (3, 3) and a translation (3,)."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
+    """Return the matrices (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3).
+
+    One rotation holds for many translations, and one translation for many rotations.
+    """
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
     return T
 
 
@@ -119,9 +128,7 @@ def pose_from_zyx(
 def poses_from_zyx(values: ArrayLike) -> Array:
     """Return the frames (N, 4, 4) of rows (N, 6) of X, Y, Z (mm), A, B, C (deg)."""
     rows = np.asarray(values, dtype=float)
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = from_zyx(rows[:, 3:]), rows[:, :3]
-    return poses
+    return matrix(from_zyx(rows[:, 3:]), rows[:, :3])
 
 
 def zyx_from_pose(T: Array) -> Array:

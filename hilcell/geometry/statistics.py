@@ -69,6 +69,11 @@ def variance_of_mean(values: ArrayLike) -> float:
     return float(found.var(ddof=1)) / len(found)
 
 
+def rectangular_variance(half_width: float) -> float:
+    """Return the variance of a value known to lie within +- its half-width (GUM 4.3.7, eq 7)."""
+    return half_width**2 / 3.0
+
+
 def reading_variances_mm2(std_mm: ArrayLike, samples: ArrayLike) -> Array:
     """Return the variances (N, 3) of averaged readings (GUM 4.2.3, eq 5).
 

@@ -6,7 +6,7 @@ from it, so a result can always be rebuilt.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import msgspec
@@ -14,6 +14,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
+from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.journal.asset import Asset, asset_of
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.driven import Driven
@@ -352,3 +353,14 @@ def _point(record: Record) -> Point:
 def positions_mm(points: Iterable[Point]) -> Array:
     """Return the raw positions (N, 3) in the tracker's frame."""
     return np.array([point.xyz_mm for point in points]).reshape(-1, 3)
+
+
+def variances_mm2(points: Sequence[Point]) -> Array:
+    """Return the variances (N, 3) of the averaged readings, axes of the tracker's frame."""
+    return reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
+
+
+def covariances_mm2(points: Sequence[Point], R: Array) -> Array:
+    """Return the covariances (N, 3, 3) of the averaged readings, turned by ``R`` (3, 3)."""
+    turned: Array = np.einsum("ij,nj,kj->nik", R, variances_mm2(points), R)
+    return turned

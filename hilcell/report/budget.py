@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from hilcell.calibration.influence import ASSUMED, MEASURED
 from hilcell.geometry.frames import apply
-from hilcell.geometry.statistics import lengths_mm, reading_variances_mm2, rms
-from hilcell.journal.log import Log, positions_mm
+from hilcell.geometry.statistics import lengths_mm, rms
+from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.ports import Array
 from hilcell.report.uncertainty import Contribution, combined_mm, expanded_mm, thermal_limit_mm
 
@@ -54,8 +54,7 @@ def budget_of(log: Log) -> Budget | None:
 
 def _reading_noise(log: Log) -> Contribution:
     points = [p for p in log.points.values() if p.smr_mm is not None] or list(log.points.values())
-    variances_mm2 = reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
-    noise_mm = math.sqrt(variances_mm2.mean())
+    noise_mm = math.sqrt(variances_mm2(points).mean())
     how = f"scatter of the readings of {len(points)} points"
     return Contribution("Tracker, reading noise", noise_mm, "normal", MEASURED, how, "4.2.3")
 

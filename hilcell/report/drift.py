@@ -14,7 +14,12 @@ from typing import Literal
 import numpy as np
 
 from hilcell.calibration.errors import visits_mm
-from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, world_covariance
+from hilcell.calibration.frame_covariance import (
+    FLOOR_NESTS,
+    floor_points,
+    hold_covariance,
+    world_covariance,
+)
 from hilcell.calibration.frames import grid_errors_mm, grid_of, vertex_ids
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import (
@@ -128,8 +133,7 @@ def _frame_covariance(side: Side, key: str) -> Array | None:
         return None
     covariance: Array = np.array(log.frames[key]["covariance"], dtype=float)
     covariance += world_covariance(log, log.matrix(key)[:3, 3])
-    along = np.array(log.cell.layout.rail_direction)
-    covariance[:3, :3] += np.outer(along, along) * log.cell.rail.strip_tolerance_mm**2 / 3
+    covariance[:3, :3] += hold_covariance(log.cell)
     if key == "base":
         covariance[:3, :3] += u_mm**2 * np.eye(3)
     else:

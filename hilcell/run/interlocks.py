@@ -120,9 +120,7 @@ def check_held(cell: Cell, rail: RailReading, station: Station | None, operation
 
 def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str) -> None:
     """Refuse a strip reading that is not the station's, to one count beyond the tolerance."""
-    # Strip readings at rest are medians, which may still turn over by one count; the approach
-    # itself was held to the tolerance.
-    limit_mm = 2.0 * cell.rail.strip_tolerance_mm + 1e-9
+    limit_mm = cell.rail.held_within_mm + 1e-9
     if not abs(rail.strip_mm - station.strip_mm) <= limit_mm:
         raise Blocked(
             "HC-S05",

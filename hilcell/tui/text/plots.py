@@ -97,7 +97,7 @@ def strip_plot(log: Log) -> Plot:
         for point in log.points.values()
         if point.strip_mm is not None and point.station in wanted
     ]
-    limit = 2.0 * log.cell.rail.strip_tolerance_mm
+    limit = log.cell.rail.held_within_mm
     return Plot("strip: reading less station", "point", "mm", [Line("strip", values)], limit)
 
 

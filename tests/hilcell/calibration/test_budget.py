@@ -127,7 +127,7 @@ def test_the_station_frame_is_carried_to_the_base_and_none_at_the_grid_s(log: Lo
 
 def test_the_strip_is_held_twice_along_the_rail(log: Log) -> None:
     line = lines(log)["Strip"]
-    np.testing.assert_allclose(shift_mm2(line), np.diag([0, 2 * 0.01**2 / 3, 0]))
+    np.testing.assert_allclose(shift_mm2(line), np.diag([0, 2 * 0.02**2 / 3, 0]))
     assert line.freedom is None
 
 

@@ -1,5 +1,6 @@
 """A driver's options: the table's values are handed on, and stand in the file once."""
 
+import msgspec
 import pytest
 
 from hilcell.cell.devices import abilities, check_options, driver_options
@@ -32,7 +33,8 @@ def test_options_may_not_state_again_what_the_table_states() -> None:
 
 def test_a_simulator_says_where_its_devices_listen() -> None:
     _, options = driver_options(load_cell("paper"), "robot", "robots", {"host": "::1", "port": 5})
-    assert (getattr(options, "host"), getattr(options, "port")) == ("::1", 5)  # noqa: B009
+    values = msgspec.structs.asdict(options)
+    assert (values["host"], values["port"]) == ("::1", 5)
 
 
 def test_a_simulated_device_of_another_protocol_is_named() -> None:
