@@ -92,6 +92,7 @@ class C3Connection:
         self._device = device
         self._lock = threading.Lock()
         self._tag = 0
+        self._received = b""
         self._dead = ""
         self.used_s = time.monotonic()
 
@@ -165,10 +166,10 @@ class C3Connection:
             raise self._link.broken(operation, str(error)) from error
 
     def _exactly(self, size: int, operation: str, patience: Patience) -> bytes:
-        data = b""
-        while len(data) < size:
-            piece = self._link.receive(size - len(data), patience)
+        while len(self._received) < size:
+            piece = self._link.receive(_HEADER.size + MAX_BODY, patience)
             if not piece:
                 raise self._link.broken(operation, f"no answer within {REPLY_S:.1f} s")
-            data += piece
+            self._received += piece
+        data, self._received = self._received[:size], self._received[size:]
         return data

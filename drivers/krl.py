@@ -1,5 +1,7 @@
 """KRL values as text: ``{E6AXIS: A1 0.0, A2 -90.0, ...}``, ``#EX``, ``TRUE``, ``100``, ``"text"``.
 
+No variable that is read here nests structures, so single values and flat structures are enough.
+
 A controller with another locale, or a stale interface, answers ``1,234`` or ``NaN``. Only finite
 numbers with a decimal point are taken; anything else is refused, never guessed.
 """
@@ -10,18 +12,18 @@ import math
 import re
 from collections.abc import Mapping
 
-Value = float | int | bool | str | dict[str, "Value"]
+Value = float | int | bool | str
 
-MAX_DEPTH = 4
-_TOKEN = re.compile(
-    r"""\s*(?:
-        (?P<punctuation>[{}:,])
-      | (?P<text>"[^"]*")
-      | (?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?![\w.])
-      | (?P<name>[#$]?[A-Za-z_$][\w$]*(?:\[[\d,\s]*\])?)
-    )""",
-    re.VERBOSE | re.ASCII,
+_PADDING = "\0 \t\r\n"
+_NAME = r"[#$]?[A-Za-z_$][\w$]*(?:\[[\d,\s]*\])?"
+_NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+_TEXT = r'"[^"]*"'
+_SINGLE = re.compile(
+    rf"(?P<whole>[+-]?\d+)|(?P<real>{_NUMBER})|(?P<text>{_TEXT})|(?P<name>{_NAME})", re.ASCII
 )
+_COMPONENT = re.compile(rf"({_NAME})\s+(?:({_NUMBER})|{_TEXT}|{_NAME})", re.ASCII)
+_ANY = rf"{_NAME}\s+(?:{_NUMBER}|{_TEXT}|{_NAME})"
+_STRUCTURE = re.compile(rf"\{{\s*(?:{_NAME}\s*:)?\s*({_ANY}(?:\s*,\s*{_ANY})*)\s*\}}", re.ASCII)
 
 
 class KrlError(ValueError):
@@ -29,26 +31,33 @@ class KrlError(ValueError):
 
 
 def parse(text: str) -> Value:
-    """Return the value: numbers, bools, ``#ENUM`` and strings as str, structures as dict."""
-    tokens = _tokens(text)
-    value, end = _value(tokens, 0, 0)
-    if end != len(tokens):
-        raise KrlError(f"{tokens[end][1]!r} follows the value in {text[:80]!r}")
-    return value
+    """Return a single value: a number or bool, ``#ENUM`` and strings as str."""
+    match = _SINGLE.fullmatch(text.strip(_PADDING))
+    if match is None:
+        raise KrlError(f"{text[:80]!r} is no single KRL value")
+    part = match[0]
+    if match.lastgroup == "name":
+        return {"TRUE": True, "FALSE": False}.get(part.upper(), part)
+    if match.lastgroup == "text":
+        return part[1:-1]
+    value = _finite(part)
+    return int(part) if match.lastgroup == "whole" else value
 
 
 def numbers(text: str, names: tuple[str, ...]) -> list[float]:
-    """Return components of a structure as floats; raises `KrlError` where one is missing."""
-    value = parse(text)
-    if not isinstance(value, dict):
-        raise KrlError(f"a structure is expected, found {text[:80]!r}")
-    found = []
+    """Return components of a flat structure as floats; raises `KrlError` where one is missing."""
+    match = _STRUCTURE.fullmatch(text.strip(_PADDING))
+    if match is None:
+        raise KrlError(f"a structure of single values is expected, found {text[:80]!r}")
+    components = _COMPONENT.findall(match[1])
+    found = {name.upper(): number for name, number in components}
+    if len(found) != len(components):
+        raise KrlError(f"a component occurs twice in {text[:80]!r}")
+    values = {name: _finite(number) for name, number in found.items() if number}
     for name in names:
-        number = value.get(name)
-        if isinstance(number, bool) or not isinstance(number, float | int):
+        if name not in values:
             raise KrlError(f"{name} is missing or no number in {text[:80]!r}")
-        found.append(float(number))
-    return found
+    return [values[name] for name in names]
 
 
 def structure(kind: str, components: Mapping[str, float], decimals: int = 6) -> str:
@@ -60,57 +69,8 @@ def structure(kind: str, components: Mapping[str, float], decimals: int = 6) -> 
     return f"{{{kind}: {body}}}"
 
 
-def _tokens(text: str) -> list[tuple[str, str]]:
-    tokens: list[tuple[str, str]] = []
-    text = text.strip("\0 \t\r\n")
-    position = 0
-    while position < len(text):
-        match = _TOKEN.match(text, position)
-        if match is None or match.lastgroup is None:
-            raise KrlError(f"{text[position : position + 20]!r} is no KRL in {text[:80]!r}")
-        tokens.append((match.lastgroup, match.group(match.lastgroup)))
-        position = match.end()
-    if not tokens:
-        raise KrlError("the value is empty")
-    return tokens
-
-
-def _value(tokens: list[tuple[str, str]], at: int, depth: int) -> tuple[Value, int]:
-    if at >= len(tokens):
-        raise KrlError("the value ends too early")
-    kind, part = tokens[at]
-    if kind == "number":
-        return _number(part), at + 1
-    if kind == "text":
-        return part[1:-1], at + 1
-    if kind == "name":
-        return {"TRUE": True, "FALSE": False}.get(part.upper(), part), at + 1
-    if part == "{" and depth < MAX_DEPTH:
-        return _structure(tokens, at + 1, depth + 1)
-    raise KrlError(f"{part!r} stands where a value is expected")
-
-
-def _structure(tokens: list[tuple[str, str]], at: int, depth: int) -> tuple[Value, int]:
-    if [token for _, token in tokens[at + 1 : at + 2]] == [":"]:
-        at += 2  # the name of the structure's type
-    found: dict[str, Value] = {}
-    while True:
-        if at >= len(tokens) or tokens[at][0] != "name":
-            raise KrlError("a component's name is expected")
-        name = tokens[at][1].upper()
-        if name in found:
-            raise KrlError(f"{name} occurs twice")
-        found[name], at = _value(tokens, at + 1, depth)
-        separator = tokens[at][1] if at < len(tokens) else ""
-        if separator == "}":
-            return found, at + 1
-        if separator != ",":
-            raise KrlError(f"',' or '}}' is expected after {name}, found {separator!r}")
-        at += 1
-
-
-def _number(token: str) -> float | int:
-    value = float(token)
+def _finite(number: str) -> float:
+    value = float(number)
     if not math.isfinite(value):
-        raise KrlError(f"{token[:20]} is not finite")
-    return int(token) if re.fullmatch(r"[+-]?\d+", token) else value
+        raise KrlError(f"{number[:20]} is not finite")
+    return value

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 import pytest
 from hypothesis import given
@@ -22,14 +23,25 @@ from drivers.krl import KrlError
         ("false", False),
         ("#EX", "#EX"),
         ('"#KR210R2700_2 C4 FLR"', "#KR210R2700_2 C4 FLR"),
-        ("{X 1.0, Y -2.0}", {"X": 1.0, "Y": -2.0}),
-        ("{E6AXIS: A1 1.0, a2 2}", {"A1": 1.0, "A2": 2}),
-        ("{S: P {X 1, M #BASE}, OK TRUE}", {"P": {"X": 1, "M": "#BASE"}, "OK": True}),
         (" #P_ACTIVE \0", "#P_ACTIVE"),
     ],
 )
 def test_values_are_understood(text: str, value: object) -> None:
-    assert krl.parse(text) == value
+    found = krl.parse(text)
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("{A1 1.0, A2 -2.0}", [1.0, -2.0]),
+        ("{E6AXIS: A1 1.0, a2 2}", [1.0, 2.0]),
+        (' { E6AXIS : A2 .5 ,A1 1E2,M #BASE, OK TRUE, N "A1 7, A2 7"}\0', [100.0, 0.5]),
+    ],
+)
+def test_structures_are_understood(text: str, values: list[float]) -> None:
+    assert krl.numbers(text, ("A1", "A2")) == values
 
 
 @pytest.mark.parametrize(
@@ -43,9 +55,27 @@ def test_values_are_understood(text: str, value: object) -> None:
 def test_anything_else_is_refused(text: str) -> None:
     with pytest.raises(KrlError):
         krl.parse(text)
+    with pytest.raises(KrlError):
+        krl.numbers(text, ("X",))
 
 
-@pytest.mark.parametrize("value", ["NaN", "inf", "#X", "TRUE", '"1.0"', "{Y 1}"])
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{X {Y 1}}", "single values"),
+        ("{X 1.0}, {X 2.0}", "single values"),
+        ("{X 1.0, x 2.0}", "twice"),
+        ("{X 1.0, Y 1e999}", "not finite"),
+        ("{X 1.2.3}", "single values"),
+        ("1.0", "single values"),
+    ],
+)
+def test_a_structure_is_refused_as_a_whole(text: str, message: str) -> None:
+    with pytest.raises(KrlError, match=message):
+        krl.numbers(text, ("X",))
+
+
+@pytest.mark.parametrize("value", ["NaN", "inf", "#X", "TRUE", '"1.0"'])
 def test_a_component_must_be_a_number(value: str) -> None:
     with pytest.raises(KrlError, match="X is missing or no number"):
         krl.numbers(f"{{X {value}}}", ("X",))
@@ -70,6 +100,8 @@ def test_a_structure_survives_the_trip(components: dict[str, float]) -> None:
 
 @given(st.text(max_size=60))
 def test_any_text_is_understood_or_refused(text: str) -> None:
+    with suppress(KrlError):
+        assert all(map(math.isfinite, krl.numbers(text, ("X",))))
     try:
         value = krl.parse(text)
     except KrlError:
