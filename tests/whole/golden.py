@@ -20,6 +20,7 @@ LIMIT_S = 600.0  # many workers may need the processors
 RUNS: dict[str, tuple[str, ...]] = {
     "small": ("calibrate", "--seed", "1", "--operator", "B. Operator", *sets(SMALL)),
     "small-2": ("calibrate", "--seed", "2", *sets(SMALL)),
+    "sign-check": ("sign-check", "--unattended", *sets(SMALL)),
     "calibration": ("calibrate", "--seed", "3"),
     "paper": ("paper", "--seed", "2", "--unattended"),
 }

@@ -16,16 +16,23 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.runs import CALIBRATION, read_log
 from procedures.plan import poses_at
 from tests.whole.bench import command, end_of, events, hilcell, sweep
-from tests.whole.golden import LIMIT_S, RUNS, GoldenRuns
+from tests.whole.golden import LIMIT_S, RUNS, GoldenRun, GoldenRuns
 from tests.whole.trace import judge
 
 CHI2_95 = 7.815  # three degrees of freedom
+SEEDS = {"paper": 2, "calibration": 3}
 pytestmark = pytest.mark.timeout(LIMIT_S)
 
 
-def test_the_end_event_has_the_figures(golden: GoldenRuns) -> None:
-    end = golden["calibration"].end
-    assert end["state"] == "finished", golden["calibration"].done.stderr
+@pytest.fixture(params=["paper", *sweep("calibration")])
+def whole(golden: GoldenRuns, request: pytest.FixtureRequest) -> GoldenRun:
+    """Return a run with every act of a calibration in full: that of the paper has others, too."""
+    return golden[request.param]
+
+
+def test_the_end_event_has_the_figures(whole: GoldenRun) -> None:
+    end = whole.end
+    assert end["state"] == "finished", whole.done.stderr
     assert end["exit"] == 0
     result = end["result"]
     assert result["simulated"] is True
@@ -56,9 +63,9 @@ def test_the_same_seed_gives_the_same_figures(
     assert end_of(again)["result"] == golden[name].result
 
 
-def test_sweeps_find_the_lines_of_the_machine_s_gears(golden: GoldenRuns) -> None:
-    ripple = truth_of_ripple(3)
-    found = {each["axis"]: each for each in golden["calibration"].result["sweeps"]["axes"]}
+def test_sweeps_find_the_lines_of_the_machine_s_gears(whole: GoldenRun) -> None:
+    ripple = truth_of_ripple(SEEDS[whole.folder.name])
+    found = {each["axis"]: each for each in whole.result["sweeps"]["axes"]}
     assert sorted(found) == [1, 2, 3, 5]
     for axis, each in found.items():
         assert each["used"], each["reason"]
@@ -75,9 +82,8 @@ def truth_of_ripple(seed: int) -> Ripple:
     return ArmTruth(machine_of(cell), cell.robot.smr_mm, rng).ripple
 
 
-def test_events_are_the_journal(golden: GoldenRuns) -> None:
-    folder, done = golden["calibration"].runs, golden["calibration"].done
-    printed = events(done.stdout)
+def test_events_are_the_journal(whole: GoldenRun) -> None:
+    folder, printed = whole.runs, whole.events
     assert [event["seq"] for event in printed] == list(range(1, len(printed) + 1))
     watched = command("watch", "last", "--runs", folder, "--json")
     assert events(watched.stdout) == printed
@@ -85,17 +91,17 @@ def test_events_are_the_journal(golden: GoldenRuns) -> None:
     assert judge(printed) == []
 
 
-def test_show_computes_the_result_anew(golden: GoldenRuns) -> None:
-    folder, done = golden["calibration"].runs, golden["calibration"].done
+def test_show_computes_the_result_anew(whole: GoldenRun) -> None:
+    folder = whole.runs
     shown = command("show", "last", "--runs", folder, "--json")
-    assert events(shown.stdout)[0]["result"] == end_of(done)["result"]
+    assert events(shown.stdout)[0]["result"] == whole.result
     listed = events(command("runs", "--runs", folder, "--json").stdout)[0]["runs"]
     assert [(each["state"], each["exit"]) for each in listed] == [("finished", 0)]
 
 
-def test_the_models_covariance_covers_the_errors(golden: GoldenRuns) -> None:
+def test_the_models_covariance_covers_the_errors(whole: GoldenRun) -> None:
     """Of targets that it corrected: a 95 % ellipsoid is good to about 30 % of the variance."""
-    folder = golden["calibration"].folder
+    folder = whole.folder
     log, made = read_log(folder), read_calibration(folder / CALIBRATION)
     found = errors_of(log, log.select("validate", log.cell.grid.station, how="chosen"))
     T_B_W = inverse(log.matrix("base"))
@@ -106,8 +112,8 @@ def test_the_models_covariance_covers_the_errors(golden: GoldenRuns) -> None:
     assert 0.80 <= np.mean(squares <= CHI2_95) <= 0.99
 
 
-def test_the_calibration_corrects_targets(golden: GoldenRuns, tmp_path: Path) -> None:
-    folder = golden["calibration"].runs
+def test_the_calibration_corrects_targets(whole: GoldenRun, tmp_path: Path) -> None:
+    folder = whole.runs
     targets, out = tmp_path / "targets.csv", tmp_path / "out.csv"
     head = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n"
     # The cube's centre lies near {W}'s origin at 1100, 1250 mm above the floor.

@@ -6,19 +6,21 @@ from pathlib import Path
 import msgspec
 
 from hilcell.calibration.file import read_calibration, write_calibration
-from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets
+from tests.whole.bench import command
+from tests.whole.golden import GoldenRuns
 
 SRC = "DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\n"
 SRC += "LIN {X 150.0,Y 100.0,Z 1100.0,A 0.0,B 75.0,C 0.0}\r\nEND"
 DAT = "DEFDAT HOLES\r\nDECL E6POS XP1={X -100,Y 50.25,Z 1300.0,A 0,B 75,C 0,S 6,T 19}\r\nENDDAT\r\n"
 
 
-def test_from_sign_check_to_program(tmp_path: Path) -> None:
-    done = hilcell("run", "sign-check", "--json", "--runs", tmp_path / "runs", *sets(SMALL))
-    sign = end_of(done)["result"]["sign"]
+def test_from_sign_check_to_program(tmp_path: Path, golden: GoldenRuns) -> None:
+    checked = golden["sign-check"]
+    sign = checked.result["sign"]
     assert sign["corrected_mm"] < 0.5 * sign["before_mm"]
-    verdicts = {e["key"]: e["holds"] for e in events(done.stdout) if e["kind"] == "verdict"}
+    verdicts = {e["key"]: e["holds"] for e in checked.events if e["kind"] == "verdict"}
     assert verdicts["sign"] is True
+    checked.copied_to(tmp_path / "runs")
     source, out = tmp_path / "holes.src", tmp_path / "corrected"
     source.write_bytes(SRC.encode())
     (tmp_path / "holes.dat").write_bytes(DAT.encode())

@@ -3,6 +3,7 @@
 import math
 import random
 import sqlite3
+import subprocess
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ from tests.fakes.rail_bench import Line
 from tests.whole.bench import (
     SMALL,
     Engine,
+    Simulation,
     children,
     command,
     end_of,
@@ -23,6 +25,7 @@ from tests.whole.bench import (
     hilcell,
     sets,
     simulation,
+    sweep,
     wait_gone,
 )
 from tests.whole.golden import GoldenRuns
@@ -55,7 +58,7 @@ def reaching(seq: int) -> Callable[[dict[str, Any]], bool]:
 
 
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("kills", [5, pytest.param(20, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("kills", [3, *sweep(5, 20)])
 def test_kills_change_nothing(tmp_path: Path, golden: GoldenRuns, kills: int) -> None:
     whole = golden["small"]
     # Where to die: after so many records, spread over the whole run but not by a pattern.
@@ -151,16 +154,16 @@ def after_every_kind(printed: list[dict[str, Any]]) -> list[int]:
 
 
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("cuts", [slice(9, None, 4), *sweep(slice(None))], ids=["some", "all"])
 def test_a_run_resumes_from_between_any_two_records(
     tmp_path: Path,
     golden: GoldenRuns,
     capsys: pytest.CaptureFixture[str],
-    every: int,
+    cuts: slice,
 ) -> None:
     whole = golden["small"]
     wanted = figures(whole.result)
-    for seq in after_every_kind(whole.events)[::every]:
+    for seq in after_every_kind(whole.events)[cuts]:
         folder = tmp_path / f"cut-{seq}"
         cut(whole.folder, folder, seq)
         main(["resume", folder.name, "--runs", str(tmp_path), "--json"])
@@ -200,50 +203,67 @@ def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
     assert resumed.returncode == 2  # the speed of a run is frozen in its journal
 
 
-def faulted(engine: Engine, device: str) -> None:
+def struck(
+    cell: Simulation, runs: Path, procedure: str, moment: str, fault: str
+) -> subprocess.CompletedProcess[str]:
+    """Run a procedure which a fault strikes once a point is measured."""
+
+    def hear(event: dict[str, Any]) -> None:
+        if event["kind"] == "point" and event["key"] == moment:
+            assert cell.ask(do="fault", name=fault)["ok"]
+
+    words = sets(SMALL | {"simulation.address": cell.control})
+    return command("run", procedure, "--name", "x", "--json", "--runs", runs, *words, hear=hear)
+
+
+def faulted(done: subprocess.CompletedProcess[str], device: str) -> None:
     """The run ends safely with exit 3; its journal is whole and names the device."""
-    printed = engine.rest()
+    printed = events(done.stdout)
     assert printed[-1]["exit"] == 3, printed[-1]
     assert printed[-1]["state"] == "faulted"
     assert device.capitalize() in printed[-1]["reason"]
     assert any(e["kind"] == "event" and e["what"] == "safe stop" for e in printed)
-    assert "hilcell resume" in engine.errors
+    assert "hilcell resume" in done.stderr
     assert judge(printed) == []
 
 
+# Of a calibration in the grid, and of a shorter run once {W} is framed: all devices work then.
+MOMENTS = [("base-frame", "world/F3"), *sweep(("calibrate", "grid/0-0-0"))]
+
+
+@pytest.mark.parametrize(("procedure", "moment"), MOMENTS)
 @pytest.mark.parametrize("device", ["rail", "robot", "tracker"])
-def test_a_device_that_vanishes_in_mid_motion(tmp_path: Path, device: str) -> None:
+def test_a_device_that_vanishes_in_mid_motion(
+    tmp_path: Path, device: str, procedure: str, moment: str
+) -> None:
     """Safe stop, journal intact, exit 3; without the device a resume says so."""
     with simulation("--speed", "max") as cell:
-        words = sets(SMALL | {"simulation.address": cell.control})
-        engine = Engine("run", "--runs", tmp_path, *words)
-        engine.until(lambda event: event["kind"] == "point" and event["group"] == "grid")
-        assert cell.ask(do="fault", name=f"{device}.vanish")["ok"]
-        faulted(engine, device)
-        again = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
+        faulted(struck(cell, tmp_path, procedure, moment, f"{device}.vanish"), device)
+        again = command("resume", "x", "--runs", tmp_path, "--json")
     end = end_of(again)
     assert end["exit"] == 3
     assert device.capitalize() in end["reason"]
 
 
+@pytest.mark.parametrize(("procedure", "moment"), MOMENTS)
 @pytest.mark.parametrize("fault", ["rail.eof", "robot.idle_close", "tracker.eof"])
-def test_a_connection_that_breaks_is_resumed(tmp_path: Path, fault: str) -> None:
+def test_a_connection_that_breaks_is_resumed(
+    tmp_path: Path, fault: str, procedure: str, moment: str
+) -> None:
     with simulation("--speed", "max") as cell:
-        words = sets(SMALL | {"simulation.address": cell.control})
-        engine = Engine("run", "--runs", tmp_path, *words)
-        engine.until(lambda event: event["kind"] == "point" and event["group"] == "grid")
-        assert cell.ask(do="fault", name=fault)["ok"]
-        faulted(engine, fault.split(".", maxsplit=1)[0])
-        done = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
+        faulted(struck(cell, tmp_path, procedure, moment, fault), fault.split(".", maxsplit=1)[0])
+        done = command("resume", "x", "--runs", tmp_path, "--json")
     assert end_of(done)["state"] == "finished", done.stderr
-    journal = events(command("watch", engine.run, "--runs", tmp_path, "--json").stdout)
+    journal = events(command("watch", "x", "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []
 
 
 def test_a_calibration_file_that_cannot_be_written_is_owed(tmp_path: Path) -> None:
     file = tmp_path / "owing" / "calibration.json"
     file.mkdir(parents=True)  # in the file's way
-    done = hilcell("run", "--name", "owing", "--json", "--runs", tmp_path, *sets(SMALL))
+    done = hilcell(
+        "run", "sign-check", "--name", "owing", "--json", "--runs", tmp_path, *sets(SMALL)
+    )
     assert done.returncode == EXIT_STORAGE
     assert str(file) in done.stderr
     file.rmdir()

@@ -10,22 +10,42 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
 from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets
 from tests.whole.conftest import PaperRun
+from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
-SHORT = SMALL | {"survey.to_mm": "600.0", "survey.step_mm": "200.0", "survey.repeats": "6"}
-OTHERS = ("campaign", "paper", "recheck", "targets", "touch")  # they have runs of their own
+SHORT = SMALL | {
+    "grid.pitch_mm": "900.0",
+    "base_frame.points": "4",
+    "survey.to_mm": "600.0",
+    "survey.step_mm": "200.0",
+    "survey.repeats": "6",
+}
+GOLDEN = {"calibrate": "small", "sign-check": "sign-check"}  # runs that other tests need, too
+OTHERS = (*GOLDEN, "campaign", "paper", "recheck", "targets", "touch")  # have runs of their own
 NAMES = sorted(entry.name for entry in entry_points(group="hilcell.procedures"))
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in OTHERS])
 def test_alone_by_its_name(tmp_path: Path, name: str) -> None:
-    done = hilcell("run", name, "--json", "--unattended", "--runs", tmp_path, *sets(SHORT))
+    done = command("run", name, "--json", "--unattended", "--runs", tmp_path, *sets(SHORT))
     end = end_of(done)
     assert end["state"] == "finished", done.stderr
     assert judge(events(done.stdout)) == []
-    shown = command("show", "last", "--runs", tmp_path)
+    assert_shown(tmp_path, name)
+
+
+def assert_shown(runs: Path, name: str) -> None:
+    shown = command("show", "last", "--runs", runs)
     assert shown.returncode == 0, shown.stderr
     assert name in shown.stdout
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_with_a_fit_by_its_name(golden: GoldenRuns, name: str) -> None:
+    run = golden[GOLDEN[name]]
+    assert run.end["state"] == "finished", run.done.stderr
+    assert judge(run.events) == []
+    assert_shown(run.runs, name)
 
 
 def test_the_survey_is_fig_1(paper: PaperRun) -> None:
