@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import entry_points
+from functools import cache
+from importlib.metadata import EntryPoints, entry_points
 from typing import Any
 
 import msgspec
@@ -34,7 +36,7 @@ def load_entry(group: str, name: str) -> Any:
 
     Raises `SettingsError` where it is not installed, cannot be loaded, or two packages have it.
     """
-    entries = entry_points(group=f"hilcell.{group}")
+    entries = _installed(group, tuple(sys.path))
     found = {entry.value: entry for entry in entries if entry.name == name}
     if not found:
         known = ", ".join(sorted(entries.names)) or "none; is the package installed?"
@@ -46,6 +48,15 @@ def load_entry(group: str, name: str) -> Any:
         return found.popitem()[1].load()
     except (ImportError, AttributeError) as error:
         raise SettingsError(group, [f"{name!r} cannot be loaded: {error}"]) from error
+
+
+@cache
+def _installed(group: str, path: tuple[str, ...]) -> EntryPoints:
+    """Return the entry points of ``hilcell.<group>``; ``path`` is where packages are looked for.
+
+    They are asked for a dozen times a command, and each look reads every package's metadata.
+    """
+    return entry_points(group=f"hilcell.{group}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +129,7 @@ def driver_options(
     """
     shared = getattr(cell, table)
     kind = load_entry(group, shared.driver)
-    wanted = {field.name for field in msgspec.structs.fields(kind.Options)}
+    wanted = set(kind.Options.__struct_fields__)
     stated = msgspec.to_builtins(shared)
     problems = [
         f"{key}: {value!r} here, but {table}.{key} is {stated[key]!r}; state it in [{table}] only"

@@ -13,6 +13,7 @@ import stat
 import types
 import typing
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -83,7 +84,7 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
     if not isinstance(values, Mapping):
         problems.append(f"{_where(path)}: a table is expected, found {_short(values)}")
         return None
-    fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
+    fields = _fields(kind)
     unknown = [key for key in values if key not in fields]
     problems += [_unknown(f"{path}{key}", key, list(fields)) for key in unknown]
     built: dict[str, object] = {}
@@ -102,6 +103,12 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
             named = line.partition(":")[0] in fields
             problems.append(f"{path}{line}" if named else f"{_where(path)}: {line}")
         return None
+
+
+@cache
+def _fields(kind: type[msgspec.Struct]) -> Mapping[str, msgspec.structs.FieldInfo]:
+    """Return a table's fields by key; their annotations are evaluated once."""
+    return {field.encode_name: field for field in msgspec.structs.fields(kind)}
 
 
 def _where(path: str) -> str:
