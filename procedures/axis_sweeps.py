@@ -22,7 +22,7 @@ from hilcell.run.clear_ways import check_sweep
 from hilcell.run.procedure import Span, Step, Table
 from hilcell.run.sweeping import SweepOrder, record_sweep
 from procedures.durations import first_pass_percent, robot_moves_s
-from procedures.plan import check_range, check_reach
+from procedures.plan import check_range, check_reach, poses_at
 
 LEFT_OUT = "axes not swept"
 WAYS = ("up", "down")
@@ -171,7 +171,7 @@ def cube_joints(cell: Cell) -> tuple[Array, Array, Array]:
     grid = grid_of(cell)
     edges = np.linspace(grid.origin_mm, grid.far_mm, LATTICE).T
     places_mm = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, 3)
-    joints_rad = check_reach(cell, places_mm, "cube")
+    joints_rad = check_reach(cell, poses_at(cell, places_mm), "cube")
     return joints_rad.min(axis=0), joints_rad.max(axis=0), joints_rad[len(joints_rad) // 2]
 
 

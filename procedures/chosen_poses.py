@@ -15,24 +15,22 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.rotations import from_rotvec
 from hilcell.identification.design import Design, Rows, design
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import clear_poses
 from hilcell.run.procedure import Step
 from procedures.durations import flange_points, step
-from procedures.plan import poses_at
+from procedures.plan import drivable, joints_for, poses_at, turned
 
 CANDIDATES, PLACES = 128, 64
 CHOSEN = "poses chosen"
 
 
 class ChosenPoses:
-    """Drives to the poses of a quick plan that say most beside its coarse grid."""
+    """Drives to the poses that say most beside the grid: of a quick plan, or of turned targets."""
 
     name = "chosen-poses"
     needs = "the grid, and the sweeps where there are any"
@@ -42,14 +40,14 @@ class ChosenPoses:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the longest that it may take: which poses, only the grid's errors tell."""
-        if not cell.plan.quick:
+        if not cell.plan.free_poses:
             return Step(self.name, 0, 0.0)
         joints_rad = candidates_rad(cell)[: cell.plan.most_poses]
         return step(self.name, len(joints_rad), [flange_points(cell, joints_rad)])
 
     def perform(self, session: CellSession) -> None:
         """Choose once, then measure."""
-        if not session.cell.plan.quick:
+        if not session.cell.plan.free_poses:
             return
         event = _chosen(session.log) or self._choose(session)
         station = session.cell.station_named(session.cell.grid.station)
@@ -72,7 +70,7 @@ class ChosenPoses:
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the mean 95 % bound over the cube as predicted before and after each pose."""
-        if not log.cell.plan.quick:
+        if not log.cell.plan.free_poses:
             return {}
         event = _chosen(log)
         return {"chosen_poses": {"bounds_mm": event["bounds_mm"] if event else []}}
@@ -84,12 +82,9 @@ def choice(log: Log, joints_rad: Array) -> Design:
     measured = measured_of(log)
     model = Kinematic.learn(measured)
     reading_mm2 = np.nanmean(measured.poses.covariance_mm2, axis=0)
-    grid = grid_of(cell)
-    places_mm = grid.origin_mm + _spread(PLACES, 3) * (grid.far_mm - grid.origin_mm)
-    places_rad = cell.robot.nominal().joints_for(poses_at(cell, places_mm))
     return design(
         rows_of(model, joints_rad, reading_mm2),
-        rows_of(model, places_rad, np.zeros((3, 3))),
+        rows_of(model, judged_rad(cell), np.zeros((3, 3))),
         model.covariance,
         bound_mm=plan.bound_mm,
         most=plan.most_poses,
@@ -107,16 +102,30 @@ def rows_of(model: Kinematic, joints_rad: Array, reading_mm2: Array) -> Rows:
 
 def candidates_rad(cell: Cell) -> Array:
     """Return joints (N, 6) of poses in the cube that can be driven to, each other one turned."""
-    grid, station = grid_of(cell), cell.station_named(cell.grid.station)
     drawn = _spread(CANDIDATES, 6)
-    poses = poses_at(cell, grid.origin_mm + drawn[:, :3] * (grid.far_mm - grid.origin_mm))
-    turns = (2.0 * drawn[:, 3:] - 1.0) * np.radians(cell.plan.turn_deg) / np.sqrt(3.0)
-    turns[::2] = 0.0
-    poses[:, :3, :3] = from_rotvec(turns) @ poses[:, :3, :3]
-    robot = cell.robot.nominal()
-    joints_rad = robot.joints_for(poses[robot.reachable(poses)])
-    found: Array = joints_rad[clear_poses(cell, station, joints_rad)]
-    return found
+    drawn[::2, 3:] = 0.5
+    return _driven_rad(cell, drawn, max(cell.plan.turn_deg, cell.plan.tilt_deg))
+
+
+def judged_rad(cell: Cell) -> Array:
+    """Return joints (N, 6) of poses like the targets', over which predictions are to be certain."""
+    if not cell.plan.tilt_deg:
+        return joints_for(cell, _places_mm(cell, _spread(PLACES, 3)))
+    return _driven_rad(cell, _spread(PLACES, 6), cell.plan.tilt_deg)
+
+
+def _driven_rad(cell: Cell, drawn: Array, turn_deg: float) -> Array:
+    """Return joints (M, 6) of drawn poses (N, 6) that can be driven to: place and turn, 0..1."""
+    turns_rad = (2.0 * drawn[:, 3:] - 1.0) * np.radians(turn_deg) / np.sqrt(3.0)
+    poses = turned(poses_at(cell, _places_mm(cell, drawn[:, :3])), turns_rad)
+    station = cell.station_named(cell.grid.station)
+    return cell.robot.nominal().joints_for(poses[drivable(cell, station, poses)])
+
+
+def _places_mm(cell: Cell, shares: Array) -> Array:
+    grid = grid_of(cell)
+    places: Array = grid.origin_mm + shares * (grid.far_mm - grid.origin_mm)
+    return places
 
 
 def _chosen(log: Log) -> dict[str, Any] | None:

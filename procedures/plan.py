@@ -6,9 +6,10 @@ import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse, matrix
-from hilcell.geometry.inverse import ReachError
+from hilcell.geometry.inverse import Bools, ReachError
+from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import Array, HilcellError
-from hilcell.run.clear_ways import check_poses
+from hilcell.run.clear_ways import check_poses, clear_poses
 
 
 def other_stations(cell: Cell) -> list[Station]:
@@ -21,6 +22,19 @@ def poses_at(cell: Cell, points_mm: Array) -> Array:
     return matrix(cell.grid.centre.matrix()[:3, :3], points_mm)
 
 
+def turned(poses: Array, turns_rad: Array) -> Array:
+    """Return poses (N, 4, 4) turned on the spot by rotation vectors (N, 3) in {B}."""
+    return matrix(from_rotvec(turns_rad) @ poses[:, :3, :3], poses[:, :3, 3])
+
+
+def drivable(cell: Cell, station: Station, poses: Array) -> Bools:
+    """Return which poses (N, 4, 4) in {B} the robot reaches and may be driven to, (N,)."""
+    robot = cell.robot.nominal()
+    found: Bools = robot.reachable(poses)
+    found[found] = clear_poses(cell, station, robot.joints_for(poses[found]))
+    return found
+
+
 def joints_for(cell: Cell, points_mm: Array) -> Array:
     """Return joints (N, 6) in rad that nominally reach ``points_mm`` (N, 3) in {B}, in limits.
 
@@ -29,10 +43,10 @@ def joints_for(cell: Cell, points_mm: Array) -> Array:
     return cell.robot.nominal().joints_for(poses_at(cell, points_mm))
 
 
-def check_reach(cell: Cell, points_mm: Array, what: str) -> Array:
-    """Return the joints (N, 6), or name the poses that cannot be reached."""
+def check_reach(cell: Cell, poses: Array, what: str) -> Array:
+    """Return the joints (N, 6) for poses (N, 4, 4) in {B}, or name those out of reach."""
     try:
-        return joints_for(cell, points_mm)
+        return cell.robot.nominal().joints_for(poses)
     except ReachError as error:
         raise HilcellError(
             f"{what}: {error}",
@@ -40,9 +54,9 @@ def check_reach(cell: Cell, points_mm: Array, what: str) -> Array:
         ) from error
 
 
-def check_targets(cell: Cell, station: Station, points_mm: Array, what: str) -> Array:
+def check_targets(cell: Cell, station: Station, poses: Array, what: str) -> Array:
     """Return the joints (N, 6), or name the poses that cannot be reached or driven to."""
-    joints_rad = check_reach(cell, points_mm, what)
+    joints_rad = check_reach(cell, poses, what)
     check_poses(cell, station, joints_rad, what)
     return joints_rad
 

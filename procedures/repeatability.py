@@ -20,7 +20,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import flange_points, step
-from procedures.plan import check_targets, joints_for
+from procedures.plan import check_targets, joints_for, poses_at
 
 VISITS, QUICK_VISITS = 10, 5
 
@@ -37,7 +37,8 @@ class Repeatability:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse places out of reach."""
         there = cell.station_named(cell.grid.station)
-        places_rad = check_targets(cell, there, places_mm(cell), "repeatability place")
+        places = poses_at(cell, places_mm(cell))
+        places_rad = check_targets(cell, there, places, "repeatability place")
         visits_rad = np.tile(places_rad, (visits_of(cell), 1))
         return step(self.name, len(visits_rad), [flange_points(cell, visits_rad)])
 

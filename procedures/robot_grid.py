@@ -13,7 +13,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import flange_points, step
-from procedures.plan import check_range, check_targets, joints_for
+from procedures.plan import check_range, check_targets, joints_for, poses_at
 
 Vertex = tuple[PointId, Array, Array]  # identity, joints (6,) in rad, nominal position (3,) in {W}
 
@@ -34,7 +34,7 @@ class RobotGrid:
         """Refuse vertices out of reach, out of limits or out of sight, at any station."""
         vertices_mm = grid_of(cell).serpentine_mm()
         there = cell.station_named(cell.grid.station)
-        joints_rad = check_targets(cell, there, vertices_mm, "grid vertex")
+        joints_rad = check_targets(cell, there, poses_at(cell, vertices_mm), "grid vertex")
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
             check_range(cell, world_mm, f"grid at {station.name}")

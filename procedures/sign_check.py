@@ -47,7 +47,7 @@ class SignCheck:
         grid = grid_of(cell)
         cells = list(product(*(range(count - 1) for count in grid.shape)))
         there, middles_mm = cell.station_named(cell.grid.station), middle_mm(grid, np.array(cells))
-        joints_rad = check_targets(cell, there, middles_mm, "middle of a grid cell")
+        joints_rad = check_targets(cell, there, poses_at(cell, middles_mm), "middle of a grid cell")
         last = there if cell.plan.quick else [there, *other_stations(cell)][-1]
         back = leg(cell, last, there)
         both = flange_points(cell, joints_rad[[0] * len(IDS)])

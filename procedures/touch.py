@@ -37,8 +37,9 @@ def touch_spans(cell: Cell, station: Station) -> list[Span]:
     """Return the span of one visit's touch poses, if there are any; refuse any out of reach."""
     if not cell.touch.poses:
         return []
-    what = f"touch pose at {station.name}"
-    return [flange_points(cell, check_targets(cell, station, touch_targets_mm(cell), what))]
+    poses = poses_at(cell, touch_targets_mm(cell))
+    joints_rad = check_targets(cell, station, poses, f"touch pose at {station.name}")
+    return [flange_points(cell, joints_rad)]
 
 
 def touch_once(session: CellSession, station: Station, model: ErrorModel) -> None:

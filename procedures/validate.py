@@ -17,7 +17,7 @@ from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
-from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
@@ -25,7 +25,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures import enough_targets
 from procedures.durations import flange_points, floor_points, leg, step
-from procedures.plan import check_targets, joints_for, poses_at
+from procedures.plan import check_targets, drivable, poses_at, turned
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch import touch_once, touch_result, touch_spans
@@ -33,6 +33,7 @@ from procedures.world_frame import check_control_points
 
 WAYS = ("before", "idw", "chosen")  # as it is, by the paper's method, by the chosen one
 QUICK_WAYS = ("before", "chosen")
+DRAWS = 8  # of a target's turn
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
 
 
@@ -48,9 +49,9 @@ class Validate:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse targets out of reach."""
         here, points, spans = cell.station_named(cell.grid.station), 0, []
-        for name, targets_mm in targets(cell, seed).items():
+        for name, poses in target_poses(cell, seed).items():
             station = cell.station_named(name)
-            joints_rad = check_targets(cell, station, targets_mm, f"target at {name}")
+            joints_rad = check_targets(cell, station, poses, f"target at {name}")
             if cell.plan.quick and here != station:  # one stop, to frame and to validate
                 spans += frame_spans(cell, here, station)
                 points += nest_points(cell)
@@ -71,12 +72,12 @@ class Validate:
         paper = MODELS["idw"].learn(measured)
         chosen = MODELS[str(session.log.verdicts["fit"]["method"])].learn(measured)
         models = {"idw": paper, "chosen": chosen}
-        for name, targets_mm in targets(session.cell, session.seed).items():
+        for name, poses in target_poses(session.cell, session.seed).items():
             station = session.cell.station_named(name)
             frame_station(session, station)
             for how in ways(session.cell):
-                for numbers in rounds(session.log, name, how, len(targets_mm)):
-                    self._send(session, station, how, numbers, targets_mm, models.get(how))
+                for numbers in rounds(session.log, name, how, len(poses)):
+                    self._send(session, station, how, numbers, poses, models.get(how))
         self._judge(session)
         session.reach("validate")
 
@@ -86,7 +87,7 @@ class Validate:
         station: Station,
         how: str,
         numbers: range,
-        targets_mm: Array,
+        poses: Array,
         model: ErrorModel | None,
     ) -> None:
         ids = [PointId("validate", station=station.name, how=how, number=n) for n in numbers]
@@ -94,15 +95,15 @@ class Validate:
             return
         if numbers[0] == 0 and not session.log.find(ids[0]) and how in controlled(session.cell):
             check_control_points(session)
-        wanted_mm = targets_mm[numbers]
-        nominal_mm = apply(session.frames.base_in_world(station), wanted_mm)
+        wanted = poses[numbers]
+        nominal_mm = apply(session.frames.base_in_world(station), wanted[:, :3, 3])
         joints_rad, visit = np.zeros((len(ids), 6)), -1
         for n, id in enumerate(ids):
             session.retake_waiting()  # at another station, it ends the visit
             session.hold_station(station)
             if visit != session.log.visit:
-                sent_mm = command(session, station, how, wanted_mm, model)
-                joints_rad = joints_for(session.cell, sent_mm)
+                sent = command(session, station, how, wanted, model)
+                joints_rad = session.cell.robot.nominal().joints_for(sent)
                 visit = session.log.visit
             session.flange_point(id, station, joints_rad[n], nominal_mm=nominal_mm[n])
 
@@ -164,23 +165,24 @@ def _coverage(log: Log, places: dict[str, list[str]]) -> dict[str, Coverage]:
 
 
 def command(
-    session: CellSession, station: Station, how: str, targets_mm: Array, model: ErrorModel | None
+    session: CellSession, station: Station, how: str, poses: Array, model: ErrorModel | None
 ) -> Array:
-    """Return where to send the robot, (N, 3) in {B}, for targets (N, 3) of the station frame's {B}.
+    """Return the poses (N, 4, 4) in {B} to send the robot to, for those of the station frame's {B}.
 
     The targets' places in {W} are fixed before the visit. The paper takes the robot's base from
     three slide points, the chosen way from the touch poses of this visit.
     """
     if model is None:
-        return targets_mm
-    frames = session.frames
+        return poses
+    frames, targets_mm = session.frames, poses[:, :3, 3]
     if how == "idw":
         T_W_B = frames.base_by_three_points(station)
         at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
     else:
         touch_once(session, station, model)
         at_mm = frames.on_visit_mm(station, targets_mm)
-    return corrected(grid_of(session.cell), poses_at(session.cell, at_mm), model)
+    at = matrix(poses[:, :3, :3], at_mm)
+    return matrix(poses[:, :3, :3], corrected(grid_of(session.cell), at, model))
 
 
 def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
@@ -217,6 +219,32 @@ def planned(cell: Cell, how: str) -> int | None:
 def rounds(log: Log, station: str, how: str, count: int) -> Iterator[range]:
     """Yield the numbers of the targets to send next, of ``count``."""
     return enough_targets.rounds(log, station, how) if log.cell.plan.quick else iter([range(count)])
+
+
+def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
+    """Return the targets' poses (N, 4, 4) in {B} by station, turned where the plan says so.
+
+    A target of which no drawn turn can be driven to keeps the grid's orientation.
+    """
+    found = {name: poses_at(cell, at_mm) for name, at_mm in targets(cell, seed).items()}
+    if cell.plan.tilt_deg:
+        rng = np.random.default_rng([seed, 2015])
+        for name, poses in found.items():
+            found[name] = _tilted(cell, cell.station_named(name), poses, rng)
+    return found
+
+
+def _tilted(cell: Cell, station: Station, poses: Array, rng: np.random.Generator) -> Array:
+    """Return poses (N, 4, 4), each turned by up to the plan's tilt about any axis."""
+    poses, left = poses.copy(), np.arange(len(poses))
+    for _ in range(DRAWS):
+        turns = rng.standard_normal((len(left), 3))
+        turns *= np.radians(cell.plan.tilt_deg) / np.linalg.norm(turns, axis=1, keepdims=True)
+        tried = turned(poses[left], turns * rng.uniform(size=(len(left), 1)) ** (1 / 3))
+        driven = drivable(cell, station, tried)
+        poses[left[driven]] = tried[driven]
+        left = left[~driven]
+    return poses
 
 
 def targets(cell: Cell, seed: int) -> dict[str, Array]:

@@ -16,8 +16,9 @@ from hilcell.calibration.budget import in_validation, temperature, touched
 from hilcell.calibration.errors import errors_of
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, Influence, NoBound, Uncertainty, bounds_of
-from hilcell.geometry.frames import inverse
-from hilcell.journal.log import Log, Point
+from hilcell.geometry.frames import inverse, matrix
+from hilcell.geometry.kinematics import forward
+from hilcell.journal.log import Log, Point, commanded_rad
 from hilcell.ports import Array
 
 HOW = "chosen"  # the targets that the model corrected
@@ -103,8 +104,17 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
     placed = stated.stations[station] if on_visit is None else [on_visit]
     lines = [each for each in (*stated.lines, *placed) if each.counts != "in use"]
     lines += in_validation(log, stop, points)
-    bounds = _bounds(calibration, station, T_W_B @ calibration.poses_at(in_base_mm), lines)
+    poses = _poses(calibration, log, points, in_base_mm)
+    bounds = _bounds(calibration, station, T_W_B @ poses, lines)
     return Coverage(found.norms_mm, bounds.radii_mm)
+
+
+def _poses(calibration: Calibration, log: Log, points: list[Point], places_mm: Array) -> Array:
+    """Return the targets' poses (N, 4, 4) in {B} at places (N, 3), turned as commanded."""
+    if any(point.commanded_deg is None for point in points):
+        return calibration.poses_at(places_mm)
+    R = forward(log.cell.robot.arm(), commanded_rad(points))[:, :3, :3]
+    return matrix(R, places_mm)
 
 
 def validation_points(log: Log, station: str) -> list[Point]:

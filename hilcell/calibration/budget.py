@@ -35,7 +35,14 @@ from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import rectangular_variance, rms, trace_freedom
-from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm, variances_mm2
+from hilcell.journal.log import (
+    Log,
+    Point,
+    commanded_rad,
+    covariances_mm2,
+    positions_mm,
+    variances_mm2,
+)
 from hilcell.ports import Array
 
 NO_VISITS = "the run visited no place again, so that the robot's repeatability is not known"
@@ -76,8 +83,7 @@ def _model_samples(log: Log) -> int | None:
     points = log.select("grid")
     if log.verdicts.get("fit", {}).get("curves", {}).get("used", False) or not points:
         return len(points) or None
-    joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
-    angles = np.round(joints_deg[:, LARGE_AXES] / SAME_DEG)
+    angles = np.round(np.degrees(commanded_rad(points))[:, LARGE_AXES] / SAME_DEG)
     return min(len(np.unique(each)) for each in angles.T)
 
 

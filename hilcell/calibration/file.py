@@ -27,6 +27,7 @@ from hilcell.calibration.form import (
     written_now,
 )
 from hilcell.calibration.frames import Frames, measured_of
+from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
@@ -60,7 +61,8 @@ def calibration_of(log: Log, run: str) -> Calibration:
         ),
         "validity": Validity(
             tuple(grid.origin_mm.tolist()), tuple(high_mm.tolist()),
-            cell.grid.centre.matrix()[:3, :3].tolist(), ORIENTATION_TOLERANCE_DEG,
+            cell.grid.centre.matrix()[:3, :3].tolist(),
+            orientation_tolerance_deg(cell, method),
             (min(celsius), max(celsius)) if celsius else None,
         ),
         "stations": {
@@ -74,6 +76,12 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "uncertainty": uncertainty_of(log),
     }  # fmt: skip
     return msgspec.convert(msgspec.to_builtins(values), Calibration)
+
+
+def orientation_tolerance_deg(cell: Cell, method: str) -> float:
+    """Return by how much targets may turn away from the grid's orientation."""
+    tilt_deg = cell.plan.tilt_deg if MODELS[method].turns else 0.0
+    return max(ORIENTATION_TOLERANCE_DEG, tilt_deg)
 
 
 def calibration_so_far(log: Log, run: str) -> Calibration | None:
@@ -188,5 +196,6 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
         named = ", ".join(f"{names[n]} by {turned_deg[n]:.2f} deg" for n in far[:NAMED])
         raise HilcellError(
             f"{len(far)} of {len(names)} targets turned away from the calibrated orientation, "
-            f"wanted <= {limit_deg} deg: {named}; calibrate with their orientation"
+            f"wanted <= {limit_deg} deg: {named}; calibrate with their orientation, or for more "
+            "than one with plan.tilt_deg"
         )

@@ -17,7 +17,7 @@ from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.compensation.transfer import base_at
 from hilcell.geometry.frames import apply, inverse
-from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
+from hilcell.journal.log import Log, Point, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 
@@ -138,10 +138,9 @@ def static_poses(log: Log) -> StaticPoses:
 def _static(log: Log, points: list[Point]) -> StaticPoses:
     T_B_W = inverse(log.matrix("base"))
     T_B_L = T_B_W @ log.matrix("world")
-    joints_deg: Array = np.array([p.commanded_deg for p in points], dtype=float)
     nominal_mm: Array = np.array([p.nominal_mm for p in points], dtype=float).reshape(-1, 3)
     return StaticPoses(
-        np.radians(joints_deg),
+        commanded_rad(points),
         apply(T_B_W, nominal_mm),
         apply(T_B_L, positions_mm(points)),
         covariances_mm2(points, T_B_L[:3, :3]),
@@ -173,6 +172,5 @@ def grid_pairs(log: Log) -> Pairs:
     """Return all pairs of measured vertices: joint and Cartesian distance, error difference."""
     points = log.select("grid")
     i, j, k = np.array([point.id.vertex for point in points]).T
-    joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
     nominal_mm: Array = np.array([point.nominal_mm for point in points], dtype=float)
-    return similarity_pairs(np.radians(joints_deg), nominal_mm, grid_errors_mm(log)[i, j, k])
+    return similarity_pairs(commanded_rad(points), nominal_mm, grid_errors_mm(log)[i, j, k])

@@ -20,7 +20,7 @@ from hilcell.calibration.suspicions import Suspicion, suspicions
 from hilcell.calibration.visit import used, visited
 from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.statistics import bounds95_mm, figures_of, lengths_mm
-from hilcell.journal.log import Log
+from hilcell.journal.log import Log, commanded_rad
 
 KIND = "recheck"
 
@@ -89,8 +89,8 @@ def recheck_result(log: Log) -> dict[str, Any]:
 
 
 def _suspicions(log: Log, found: Rechecked, judgement: Judgement) -> list[Suspicion]:
-    commanded_deg = np.array([point.commanded_deg for point in log.select(KIND)], dtype=float)
-    return suspicions(found, judgement, log.cell.robot.arm(), np.radians(commanded_deg))
+    joints_rad = commanded_rad(log.select(KIND))
+    return suspicions(found, judgement, log.cell.robot.arm(), joints_rad)
 
 
 def _mean_c(log: Log) -> float | None:

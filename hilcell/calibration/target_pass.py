@@ -18,7 +18,7 @@ from hilcell.compensation.remainder import Remainder
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import figures_of, lengths_mm
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log, Point, commanded_rad
 from hilcell.ports import Array
 
 KIND = "targets"
@@ -100,8 +100,7 @@ def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:
     """Return the pass, and its commanded poses (N, 4, 4) in {B}."""
     calibration, points = used(log), target_points(log)
     found: Visited = visited(log, points, points[0].station)
-    commanded_deg = np.array([point.commanded_deg for point in points], dtype=float)
-    poses = forward(log.cell.robot.arm(), np.radians(commanded_deg))
+    poses = forward(log.cell.robot.arm(), commanded_rad(points))
     at = poses.copy()
     at[:, :3, 3] = calibration.grid().clamped(poses[:, :3, 3])
     model_mm = calibration.learnt_model().predict(at).error_mm

@@ -25,6 +25,12 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     bound_mm: Size = 0.06
     most_poses: Annotated[int, Meta(ge=0, le=100)] = 12
     turn_deg: Annotated[float, Meta(ge=0, le=45)] = 15.0
+    tilt_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
+
+    @property
+    def free_poses(self) -> bool:
+        """Return whether poses are measured beside the grid's."""
+        return self.quick or self.tilt_deg > 0.0
 
 
 def coarsest_pitch_mm(cells: Sequence[int], pitch_mm: float) -> float:

@@ -30,7 +30,7 @@ MODELS: dict[str, type[LearntModel]] = {
 @dataclass(frozen=True, slots=True)
 class Choice:
     """The model chosen and why; by model mean, p95 and max (mm) of the misses at poses left out,
-    and why others could not be learnt.
+    and why others could not be learnt or chosen.
     """
 
     model: str
@@ -39,15 +39,20 @@ class Choice:
     refused: dict[str, str]
 
 
-def chosen(measured: Measured) -> Choice:
-    """Return the choice among all models; raises `HilcellError` where none can be learnt."""
+def chosen(measured: Measured, *, turned: bool = False) -> Choice:
+    """Return the choice among all models; raises `HilcellError` where none can be learnt.
+
+    For targets whose orientation is not the grid's, models that do not predict it are refused.
+    """
     figures, refused = {}, {}
     for name, model in MODELS.items():
         try:
             figures[name] = figures_of(lengths_mm(model.left_out_mm(measured)))._asdict()
         except IdentificationError as error:
             refused[name] = str(error)
-    name = choose(figures)
+        if turned and not model.turns:
+            refused[name] = "predicts the error in the grid's orientation only"
+    name = choose({each: of for each, of in figures.items() if each not in refused})
     return Choice(name, _reason(name, figures), figures, refused)
 
 

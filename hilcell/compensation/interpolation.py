@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import msgspec
 import numpy as np
@@ -48,6 +48,8 @@ class Interpolation(ABC):
     repeatability of the visit to the target, the frames {W} and {S}. The error of {B} is not
     left out but cancels: the grid and the targets are carried by the same {B}.
     """
+
+    turns: ClassVar[bool] = False
 
     lattice: MeasuredGrid
     residual_mm2: Array

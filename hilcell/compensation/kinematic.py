@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import msgspec
 import numpy as np
@@ -99,6 +99,8 @@ class Kinematic:
     """Errors by identified kinematics. The covariance covers the parameters, the repeatability of
     one visit, and what no parameter describes, both as the static poses show them.
     """
+
+    turns: ClassVar[bool] = True
 
     robot: NominalRobot
     kinematics: Kinematics

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.measured import Measured
@@ -43,7 +43,12 @@ class ErrorModel(Protocol):
 
 
 class LearntModel(ErrorModel, Protocol):
-    """A model that a calibration learns from what it measured, judges and keeps in its file."""
+    """A model that a calibration learns from what it measured, judges and keeps in its file.
+
+    ``turns``: its predictions hold for other orientations than the grid's.
+    """
+
+    turns: ClassVar[bool]
 
     @classmethod
     def learn(cls, measured: Measured) -> Self:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from hilcell.identification.readings import IdentificationError
 @dataclass(frozen=True, eq=False)
 class Nominal:
     """Predicts no error; the covariance (3, 3) is the mean square of those measured."""
+
+    turns: ClassVar[bool] = True
 
     covariance_mm2: Array
 

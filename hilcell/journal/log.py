@@ -355,6 +355,12 @@ def positions_mm(points: Iterable[Point]) -> Array:
     return np.array([point.xyz_mm for point in points]).reshape(-1, 3)
 
 
+def commanded_rad(points: Iterable[Point]) -> Array:
+    """Return the joints (N, 6) that were commanded."""
+    commanded_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
+    return np.radians(commanded_deg)
+
+
 def variances_mm2(points: Sequence[Point]) -> Array:
     """Return the variances (N, 3) of the averaged readings, axes of the tracker's frame."""
     return reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])

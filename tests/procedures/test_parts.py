@@ -73,7 +73,7 @@ def test_what_is_commanded_is_reached_nominally() -> None:
 
 def test_plans_refuse_before_anything_moves() -> None:
     with pytest.raises(HilcellError, match=r"far 1|out of reach"):
-        check_reach(CELL, np.array([[1850.0, 0.0, 950.0], [3500.0, 0.0, 950.0]]), "far")
+        check_reach(CELL, poses_at(CELL, np.array([[1850.0, 0, 950.0], [3500.0, 0, 950.0]])), "far")
     with pytest.raises(HilcellError, match=r"1 of 2 out of the tracker's range"):
         check_range(CELL, np.array([[0.0, 0.0, 0.0], [20_000.0, 0.0, 0.0]]), "nests")
 

@@ -150,6 +150,14 @@ def test_the_kinematic_model_is_chosen_where_it_is_best() -> None:
     assert "left out" in choice.reason
 
 
+def test_a_model_of_places_is_not_chosen_for_other_orientations() -> None:
+    choice = chosen(measured(19), turned=True)
+    assert choice.model == "nominal"  # too few poses for the kinematic one
+    assert "in the grid's orientation only" in choice.refused["trilinear"]
+    assert set(choice.figures) == {"nominal", "idw", "trilinear"}  # shown beside it
+    assert chosen(measured(64), turned=True).model == "kinematic"
+
+
 def test_nominal_is_kept_where_nothing_beats_it() -> None:
     choice = chosen(measured(64, errors=False, noise_mm=0.05))
     assert choice.model == "nominal"
