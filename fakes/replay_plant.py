@@ -17,8 +17,8 @@ from fakes.robot_motion import RobotMotion
 from fakes.time import PlantTime
 from fakes.tracker_truth import Air, Measurement
 from fakes.transforms import Array
-from hilcell.calibration.robot_file import read_measurements
 from hilcell.cell.file import Cell
+from hilcell.fit.robot_file import read_measurements
 
 SAME_POSE_RAD = 2e-5  # joints travel as decimals
 STD_MM = 0.005  # the data say nothing of each reading's spread

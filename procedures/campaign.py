@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.fit import fit, methods_table
-from hilcell.calibration.robot_file import Measurements, RobotModel, Row, read_measurements
 from hilcell.cell.file import Cell
+from hilcell.fit.methods import fit, methods_table
+from hilcell.fit.robot_file import Measurements, RobotModel, Row, read_measurements
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import HilcellError

@@ -1,1 +1,1 @@
-"""The calibration: its frames, its file, its checks, and how well a method fits."""
+"""The calibration: its frames, its file, its checks and its uncertainty."""

@@ -6,13 +6,13 @@ import argparse
 from collections import Counter
 from pathlib import Path
 
-from hilcell.calibration.fit import FitResult, Fitted, fitted, methods_table
-from hilcell.calibration.fitted_arm import FittedArm
-from hilcell.calibration.robot_file import Robot, read_measurements, read_robot
-from hilcell.calibration.urdf_file import read_urdf
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.fit_targets import correct, job_of
 from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.fit.fitted_arm import FittedArm
+from hilcell.fit.methods import FitResult, Fitted, fitted, methods_table
+from hilcell.fit.robot_file import Robot, read_measurements, read_robot
+from hilcell.fit.urdf_file import read_urdf
 
 URDF = ".urdf"
 NAMED = 10  # rows that are left out
@@ -52,8 +52,8 @@ def _write_arm(
     args: argparse.Namespace, robot: Robot, fit: Fitted, inputs: list[Path]
 ) -> dict[str, float]:
     """Write the identified arm as URDF and DH table; return the figures of what it leaves."""
-    from hilcell.calibration.arm_files import alone, write_dh, write_urdf
-    from hilcell.calibration.rigid_arm import rigid_arm
+    from hilcell.fit.arm_files import alone, write_dh, write_urdf
+    from hilcell.fit.rigid_arm import rigid_arm
 
     found = rigid_arm(robot.arm(), fit)
     if args.urdf_out:

@@ -8,11 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hilcell.calibration.fit import UNDETERMINED_MM, Fitted
 from hilcell.calibration.influence import bounds_of
-from hilcell.calibration.placement import FitError
-from hilcell.calibration.robot_file import Measurements, Robot
-from hilcell.calibration.robot_targets import (
+from hilcell.cell.settings import SettingsError
+from hilcell.commands.bounds import summary, write_bounds
+from hilcell.commands.output import print_message
+from hilcell.compensation.programs import Program, load_program, notes_of, write_program
+from hilcell.fit.methods import UNDETERMINED_MM, Fitted
+from hilcell.fit.placement import FitError
+from hilcell.fit.robot_file import Measurements, Robot
+from hilcell.fit.robot_targets import (
     MOST_KNOWN,
     Reach,
     RobotTargets,
@@ -23,11 +27,7 @@ from hilcell.calibration.robot_targets import (
     write_joints,
     write_poses,
 )
-from hilcell.calibration.tool_errors import controller_of
-from hilcell.cell.settings import SettingsError
-from hilcell.commands.bounds import summary, write_bounds
-from hilcell.commands.output import print_message
-from hilcell.compensation.programs import Program, load_program, notes_of, write_program
+from hilcell.fit.tool_errors import controller_of
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.inverse import ReachError
 from hilcell.ports import Array

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.robot_file import HEADER, Measurements
 from hilcell.commands.cli import main
-from tests.hilcell.calibration.test_fit import measured
-from tests.hilcell.calibration.urdfs import PLAIN
+from hilcell.fit.robot_file import HEADER, Measurements
+from tests.hilcell.fit.test_fit import measured
+from tests.hilcell.fit.urdfs import PLAIN
 
 ROBOT = '[robot]\nname = "IRB 120"\nconvention = "standard-dh"\n'
 ROWS = [(0, -90, 290, 0), (270, 0, 0, -90), (70, -90, 0, 0), (0, 90, 302, 0), (0, -90, 0, 0),

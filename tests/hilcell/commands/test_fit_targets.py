@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.fit import FitResult, Fitted, fitted
-from hilcell.calibration.robot_file import Measurements, read_measurements
-from hilcell.calibration.robot_targets import write_joints, write_poses
-from hilcell.calibration.tool_errors import controller_of
-from hilcell.calibration.urdf_file import Urdf, read_urdf
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import read_named_rows, read_targets
+from hilcell.fit.methods import FitResult, Fitted, fitted
+from hilcell.fit.robot_file import Measurements, read_measurements
+from hilcell.fit.robot_targets import write_joints, write_poses
+from hilcell.fit.tool_errors import controller_of
+from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.chain import chain_forward
 from hilcell.geometry.frames import (
     apply,
@@ -25,9 +25,9 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.inverse import refine_inverse
 from hilcell.geometry.kinematics import Array, forward
-from tests.hilcell.calibration.test_fit import IRB120
-from tests.hilcell.calibration.urdfs import PLAIN
 from tests.hilcell.commands.test_fit import write_rows
+from tests.hilcell.fit.test_fit import IRB120
+from tests.hilcell.fit.urdfs import PLAIN
 
 T_L_B = pose_from_zyx(2200, -150, -600, 170, 2, -1)
 SMR_MM = {"SMR1": np.array([0.2, -0.8, 120.5]), "SMR2": np.array([75.2, 90.6, 213.4])}

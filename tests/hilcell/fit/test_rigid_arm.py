@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.arm_files import alone, write_dh, write_urdf
-from hilcell.calibration.fit import fitted
-from hilcell.calibration.placement import FitError
-from hilcell.calibration.rigid_arm import RigidArm, rigid_arm
-from hilcell.calibration.robot_file import Measurements, Robot
-from hilcell.calibration.urdf_file import Urdf, read_urdf
+from hilcell.fit.arm_files import alone, write_dh, write_urdf
+from hilcell.fit.methods import fitted
+from hilcell.fit.placement import FitError
+from hilcell.fit.rigid_arm import RigidArm, rigid_arm
+from hilcell.fit.robot_file import Measurements, Robot
+from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import figures_of
-from tests.hilcell.calibration.test_fit import IRB120, SMR_MM, T_L_B, measured
-from tests.hilcell.calibration.urdfs import PLAIN, reached_m
+from tests.hilcell.fit.test_fit import IRB120, SMR_MM, T_L_B, measured
+from tests.hilcell.fit.urdfs import PLAIN, reached_m
 
 NOISE_MM = 0.02  # of each coordinate of `measured`
 NAMES = list(SMR_MM)

@@ -15,10 +15,10 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from hilcell.calibration.urdf_xml import JointText, NotUrdf, UrdfText, read_urdf_text
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.clean import clean
 from hilcell.compensation.targets import numbers
+from hilcell.fit.urdf_xml import JointText, NotUrdf, UrdfText, read_urdf_text
 from hilcell.geometry.chain import Chain, arm_of
 from hilcell.geometry.frames import inverse, matrix, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import Arm, Array

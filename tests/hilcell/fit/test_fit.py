@@ -15,9 +15,9 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from hilcell.calibration.fit import AtPoints, cross_validate, fit
-from hilcell.calibration.placement import FitError, place
-from hilcell.calibration.robot_file import (
+from hilcell.fit.methods import AtPoints, cross_validate, fit
+from hilcell.fit.placement import FitError, place
+from hilcell.fit.robot_file import (
     HEADER,
     Measurements,
     RobotModel,

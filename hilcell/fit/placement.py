@@ -12,7 +12,7 @@ from itertools import permutations
 
 import numpy as np
 
-from hilcell.calibration.robot_file import Measurements
+from hilcell.fit.robot_file import Measurements
 from hilcell.geometry import statistics
 from hilcell.geometry.frames import FrameError, apply, apply_each, cross_matrix, matrix, rigid_fit
 from hilcell.geometry.kinematics import Arm, Array, forward

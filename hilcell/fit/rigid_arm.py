@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.fit import Fitted
-from hilcell.calibration.fitted_arm import FittedArm
-from hilcell.calibration.placement import FitError
+from hilcell.fit.fitted_arm import FittedArm
+from hilcell.fit.methods import Fitted
+from hilcell.fit.placement import FitError
 from hilcell.geometry.jacobian import KINDS
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import Figures

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.fit import Method
-from hilcell.calibration.robot_file import Measurements, Robot
 from hilcell.compensation.model import Prediction
+from hilcell.fit.methods import Method
+from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.geometry.frames import FrameError, apply, apply_each, inverse, rigid_fit
 from hilcell.geometry.kinematics import Array, forward
 

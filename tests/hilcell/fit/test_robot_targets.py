@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.robot_targets import (
+from hilcell.cell.settings import SettingsError
+from hilcell.fit.robot_targets import (
     Reach,
     RobotTargets,
     TargetError,
@@ -16,7 +17,6 @@ from hilcell.calibration.robot_targets import (
     write_joints,
     write_poses,
 )
-from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from tests.hilcell.identification.robots import ARM, MIDDLE_RAD

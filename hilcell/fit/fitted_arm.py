@@ -8,8 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from hilcell.calibration.placement import FitError, Placement
-from hilcell.calibration.robot_file import Measurements
+from hilcell.fit.placement import FitError, Placement
+from hilcell.fit.robot_file import Measurements
 from hilcell.geometry.kinematics import Array
 from hilcell.identification.estimate import LEAST_POSES, Estimate, identify, identify_trusted
 from hilcell.identification.kinematics import Kinematics, State

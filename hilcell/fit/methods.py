@@ -16,18 +16,18 @@ from typing import Protocol, Self, TypedDict
 
 import numpy as np
 
-from hilcell.calibration.fitted_arm import TERMS, FittedArm
-from hilcell.calibration.placement import (
+from hilcell.compensation.choice import choose
+from hilcell.compensation.model import Prediction
+from hilcell.compensation.scattered import NEIGHBOURS, NearestPoses, Nominal
+from hilcell.fit.fitted_arm import TERMS, FittedArm
+from hilcell.fit.placement import (
     ABSURD_MM,
     FitError,
     Placement,
     place,
     refuse_another_robot,
 )
-from hilcell.calibration.robot_file import Measurements, Robot
-from hilcell.compensation.choice import choose
-from hilcell.compensation.model import Prediction
-from hilcell.compensation.scattered import NEIGHBOURS, NearestPoses, Nominal
+from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.identification.observability import observability

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.robot_file import HEADER, read_measurements, read_robot
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import read_targets
+from hilcell.fit.robot_file import HEADER, read_measurements, read_robot
 
 ROW = "[[robot.joint]]\na_mm = 10\nalpha_deg = -90.0\nd_mm = 20.5\noffset_deg = 0\n"
 ROBOT = '[robot]\nname = "arm"\nconvention = "standard-dh"\n'

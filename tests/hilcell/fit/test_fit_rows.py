@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hilcell.calibration.fit import fit
-from hilcell.calibration.placement import FitError
-from hilcell.calibration.robot_file import Measurements
-from tests.hilcell.calibration.test_fit import IRB120, measured
+from hilcell.fit.methods import fit
+from hilcell.fit.placement import FitError
+from hilcell.fit.robot_file import Measurements
+from tests.hilcell.fit.test_fit import IRB120, measured
 
 
 def copied(rows: Measurements, times: int) -> Measurements:

@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 
 from hilcell import __version__
-from hilcell.calibration.rigid_arm import RigidArm
-from hilcell.calibration.robot_file import Robot
-from hilcell.calibration.urdf_file import Urdf, urdf_of
 from hilcell.clean import clean
 from hilcell.compensation.targets import write_rows
+from hilcell.fit.rigid_arm import RigidArm
+from hilcell.fit.robot_file import Robot
+from hilcell.fit.urdf_file import Urdf, urdf_of
 from hilcell.geometry.chain import beside, chain_of
 from hilcell.geometry.frames import apply, inverse, zyx_from_pose
 from hilcell.geometry.kinematics import Array

@@ -1,0 +1,1 @@
+"""Robots measured elsewhere: their files, methods fitted to them, calibrated arms and targets."""

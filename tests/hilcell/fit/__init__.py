@@ -1,0 +1,1 @@
+"""Fits of foreign robots: files, methods, arms, targets."""
