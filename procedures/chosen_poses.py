@@ -40,14 +40,15 @@ class ChosenPoses:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the longest that it may take: which poses, only the grid's errors tell."""
-        if not cell.plan.free_poses:
+        most = cell.plan.pose_counts[1]
+        if not most:
             return Step(self.name, 0, 0.0)
-        joints_rad = candidates_rad(cell)[: cell.plan.most_poses]
+        joints_rad = candidates_rad(cell)[:most]
         return step(self.name, len(joints_rad), [flange_points(cell, joints_rad)])
 
     def perform(self, session: CellSession) -> None:
         """Choose once, then measure."""
-        if not session.cell.plan.free_poses:
+        if not any(session.cell.plan.pose_counts):
             return
         event = _chosen(session.log) or self._choose(session)
         station = session.cell.station_named(session.cell.grid.station)
@@ -70,7 +71,7 @@ class ChosenPoses:
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the mean 95 % bound over the cube as predicted before and after each pose."""
-        if not log.cell.plan.free_poses:
+        if not any(log.cell.plan.pose_counts):
             return {}
         event = _chosen(log)
         return {"chosen_poses": {"bounds_mm": event["bounds_mm"] if event else []}}
@@ -87,7 +88,7 @@ def choice(log: Log, joints_rad: Array) -> Design:
         rows_of(model, judged_rad(cell), np.zeros((3, 3))),
         model.covariance,
         bound_mm=plan.bound_mm,
-        most=plan.most_poses,
+        counts=plan.pose_counts,
     )
 
 

@@ -26,11 +26,14 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     most_poses: Annotated[int, Meta(ge=0, le=100)] = 12
     turn_deg: Annotated[float, Meta(ge=0, le=45)] = 15.0
     tilt_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
+    tilt_poses: Annotated[int, Meta(ge=4, le=100)] = 24
 
     @property
-    def free_poses(self) -> bool:
-        """Return whether poses are measured beside the grid's."""
-        return self.quick or self.tilt_deg > 0.0
+    def pose_counts(self) -> tuple[int, int]:
+        """Return the least and the most poses that are measured beside the grid's."""
+        if self.tilt_deg:
+            return self.tilt_poses, self.tilt_poses
+        return 0, self.most_poses if self.quick else 0
 
 
 def coarsest_pitch_mm(cells: Sequence[int], pitch_mm: float) -> float:

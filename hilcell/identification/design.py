@@ -43,11 +43,16 @@ class Design:
 
 
 def design(
-    candidates: Rows, volume: Rows, covariance: Array, *, bound_mm: float, most: int
+    candidates: Rows,
+    volume: Rows,
+    covariance: Array,
+    *,
+    bound_mm: float,
+    counts: tuple[int, int],
 ) -> Design:
     """Return the poses to measure until the mean bound over the volume is at most ``bound_mm``.
 
-    Or until more of them would gain little, or until there are ``most``.
+    Or until more of them would gain little; but between the least and the most of ``counts``.
     """
     count = len(volume.by_parameter)
     rows = volume.by_parameter.reshape(-1, volume.by_parameter.shape[-1])
@@ -55,8 +60,8 @@ def design(
     enough_mm = max(bound_mm, REST * _mean_bound_mm(volume, np.zeros_like(covariance)))
     chosen: list[int] = []
     bounds_mm = [_mean_bound_mm(volume, covariance)]
-    most = min(most, len(candidates.by_parameter))
-    while bounds_mm[-1] > enough_mm and len(chosen) < most:
+    least, most = (min(each, len(candidates.by_parameter)) for each in counts)
+    while len(chosen) < least or (bounds_mm[-1] > enough_mm and len(chosen) < most):
         gains_mm2 = _gains_mm2(candidates, covariance, weight)
         gains_mm2[chosen] = -1.0  # a second visit says less about what no parameter describes
         best = int(np.argmax(gains_mm2))

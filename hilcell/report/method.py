@@ -114,7 +114,9 @@ def chosen_poses_words(facts: Facts, chosen: Mapping[str, Any]) -> str:
     course = f"{bounds_mm[0]:.3f} mm"
     if count:
         course += f" to {bounds_mm[-1]:.3f} mm"
-    if bounds_mm[-1] <= plan.bound_mm:
+    if plan.tilt_deg:
+        why = f"{count} are measured for targets that turn by {plan.tilt_deg:g}° (plan.tilt_poses)"
+    elif bounds_mm[-1] <= plan.bound_mm:
         why = f"{plan.bound_mm:g} mm are reached"
     elif count >= plan.most_poses:
         why = f"{plan.most_poses} are the most (plan.most_poses)"

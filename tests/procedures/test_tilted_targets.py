@@ -45,7 +45,7 @@ def test_without_tilt_all_have_the_grid_s_orientation() -> None:
 
 def test_a_full_plan_measures_turned_poses_for_turned_targets() -> None:
     assert ChosenPoses().plan(LEVEL, 1).points == 0
-    assert ChosenPoses().plan(TILTED, 1).points == TILTED.plan.most_poses
+    assert ChosenPoses().plan(TILTED, 1).points == TILTED.plan.tilt_poses
     arm = TILTED.robot.arm()
     assert turns_deg(TILTED, forward(arm, judged_rad(TILTED))).max() > 15.0
     assert turns_deg(LEVEL, forward(arm, judged_rad(LEVEL))).max() < 1e-6

@@ -29,7 +29,7 @@ def mean_variance_mm2(measured: list[int]) -> float:
 
 
 def test_each_pose_is_the_best_after_those_before() -> None:
-    found = design(CANDIDATES, VOLUME, PRIOR, bound_mm=1e-6, most=4)
+    found = design(CANDIDATES, VOLUME, PRIOR, bound_mm=1e-6, counts=(0, 4))
     for count, chosen in enumerate(found.chosen):
         before = found.chosen[:count]
         others = [n for n in range(20) if n not in before]
@@ -42,24 +42,32 @@ def test_the_bound_is_that_of_the_posterior() -> None:
     """Of a spherical covariance 95 % of lengths are within 2.7955 standard deviations."""
     J = np.eye(3)[None]
     one = Rows(J, np.zeros((1, 3, 3)))
-    found = design(Rows(J, 0.04 * np.eye(3)[None]), one, 0.04 * np.eye(3), bound_mm=1e-6, most=1)
+    found = design(
+        Rows(J, 0.04 * np.eye(3)[None]), one, 0.04 * np.eye(3), bound_mm=1e-6, counts=(0, 1)
+    )
     assert found.bounds_mm == pytest.approx([2.7955 * 0.2, 2.7955 * 0.2 / np.sqrt(2)], rel=1e-4)
 
 
 def test_it_stops_where_the_bound_is_low_enough() -> None:
-    whole = design(CANDIDATES, VOLUME, PRIOR, bound_mm=1e-6, most=10)
-    found = design(CANDIDATES, VOLUME, PRIOR, bound_mm=whole.bounds_mm[3], most=10)
+    whole = design(CANDIDATES, VOLUME, PRIOR, bound_mm=1e-6, counts=(0, 10))
+    found = design(CANDIDATES, VOLUME, PRIOR, bound_mm=whole.bounds_mm[3], counts=(0, 10))
     assert found.chosen == whole.chosen[:3]
-    assert design(CANDIDATES, VOLUME, PRIOR, bound_mm=1e3, most=10).chosen == []
+    assert design(CANDIDATES, VOLUME, PRIOR, bound_mm=1e3, counts=(0, 10)).chosen == []
 
 
 def test_it_stops_where_noise_is_all_that_is_left() -> None:
     noisy = Rows(VOLUME.by_parameter, 1.0 * np.tile(np.eye(3), (8, 1, 1)))
-    found = design(CANDIDATES, noisy, PRIOR, bound_mm=0.1, most=20)
+    found = design(CANDIDATES, noisy, PRIOR, bound_mm=0.1, counts=(0, 20))
     assert 0 < len(found.chosen) < 5
     assert found.bounds_mm[-1] <= 1.1 * 2.7955
 
 
 def test_it_takes_no_more_than_there_are() -> None:
     few = Rows(CANDIDATES.by_parameter[:3], CANDIDATES.noise_mm2[:3])
-    assert sorted(design(few, VOLUME, PRIOR, bound_mm=1e-6, most=9).chosen) == [0, 1, 2]
+    assert sorted(design(few, VOLUME, PRIOR, bound_mm=1e-6, counts=(0, 9)).chosen) == [0, 1, 2]
+
+
+def test_the_least_count_is_measured_though_the_bound_is_reached() -> None:
+    found = design(CANDIDATES, VOLUME, PRIOR, bound_mm=1e3, counts=(3, 3))
+    assert len(found.chosen) == 3
+    assert len(found.bounds_mm) == 4
