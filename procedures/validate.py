@@ -130,7 +130,11 @@ class Validate:
         """Return the errors at the grid's station and at the others together, and their bounds."""
         figures = self._figures(log)
         for where, found in _coverage(log, _places(log.cell)).items():
-            figures[where]["bounds"] = found.figures
+            bounds = figures[where]["bounds"] = found.figures
+            figures[where]["chosen"] |= {
+                "bound95_mean": bounds["mean_mm"],
+                "covered": bounds["coverage"],
+            }
         return {"validation": figures} | touch_result(log)
 
     def _figures(self, log: Log) -> dict[str, dict[str, Any]]:

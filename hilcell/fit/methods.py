@@ -79,7 +79,8 @@ class FitResult(TypedDict):
 
     ``methods`` has the figures of what each leaves, distances of predicted from measured positions;
     ``refused`` says why others could not be learnt; ``coverage`` is empty without test rows, and
-    ``model`` None where no robot was identified.
+    ``coverage95``, its share of the chosen method, None. ``model`` is None where no robot was
+    identified.
     """
 
     methods: dict[str, dict[str, float]]
@@ -88,6 +89,7 @@ class FitResult(TypedDict):
     refused: dict[str, str]
     outliers: list[Outlier]
     coverage: dict[str, Coverage]
+    coverage95: float | None
     model: ModelFound | None
     train: int
     test: int
@@ -225,6 +227,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         "refused": refused,
         "outliers": _outliers(methods[best or "nominal"], train.at(sorted(order[bad]))),
         "coverage": coverage,
+        "coverage95": coverage[chosen]["share"] if coverage else None,
         "model": None if best is None else _model(best, arms[best]),
         "train": len(train),
         "test": len(train if test is None else test),

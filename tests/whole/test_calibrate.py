@@ -51,6 +51,8 @@ def test_the_end_event_has_the_figures(whole: GoldenRun) -> None:
         assert 0.0 < station["tool_uncertainty_mm"] < 0.1
     for place in result["validation"].values():
         bounds = place["bounds"]
+        assert place["chosen"]["covered"] == bounds["coverage"]
+        assert place["chosen"]["bound95_mean"] == bounds["mean_mm"]
         assert 0.85 <= bounds["coverage"] <= 1.0
         assert place["chosen"]["mean"] < bounds["mean_mm"] <= bounds["max_mm"] < 0.5
 

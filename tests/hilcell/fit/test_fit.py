@@ -161,6 +161,7 @@ def test_the_reference_s_figures_are_reached(names: Names) -> None:
     assert best < LIMITS[names[1:]]
     most = 0.98 if names[0] == "real" else 1.0
     assert 0.9 <= result["coverage"][result["chosen"]]["share"] <= most
+    assert result["coverage95"] == result["coverage"][result["chosen"]]["share"]
     assert best < min(wanted[0] for wanted in pair.wanted.values())
     assert result["outliers"] == []
     assert (result["train"], result["test"]) == (len(pair.train), len(pair.test))
