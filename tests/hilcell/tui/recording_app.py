@@ -147,7 +147,8 @@ async def _round(pilot: Pilot[int]) -> None:
     await asyncio.sleep(0)
     if pilot.app.screen_stack:
         for screen in (*pilot.app._background_screens, pilot.app.screen):
-            screen._on_timer_update()
+            if screen._update_timer._active.is_set():  # as the timer's own tick would
+                screen._on_timer_update()
 
 
 async def press(pilot: Pilot[int], *keys: str) -> None:
