@@ -16,7 +16,7 @@ from hilcell.tui.screens import start
 from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from tests.hilcell.tui.recording_app import RecordingApp, press, settle, text_of
+from tests.hilcell.tui.recording_app import RecordingApp, paint_at_rest, press, settle, text_of
 from tests.hilcell.tui.sample_runs import RUN, STEPS
 
 PAGES = {
@@ -94,7 +94,8 @@ class _Ended:
 
 @pytest.fixture
 def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace everything outside the screen: processes, the index, the browser."""
+    """Replace everything outside the screen: the terminal, processes, the index, the browser."""
+    paint_at_rest(monkeypatch)
 
     async def run_command(*words: str) -> str:
         return SAID[words[0]]

@@ -17,6 +17,7 @@ from textual.app import App
 from textual.events import Key
 from textual.pilot import Pilot
 from textual.screen import Screen
+from textual.strip import Strip
 from textual.worker import WorkerCancelled
 
 from hilcell.tui.app.actions import RunActions
@@ -116,15 +117,10 @@ def options(
     return Options(runs=folder, keymap=keymap or DEFAULT_KEYS, glyphs=glyphs, theme=theme)
 
 
-@pytest.fixture
-def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Paint only what is looked at, by `text_of`: no terminal takes the updates in between.
-
-    Not for tests of keys, where a screen that cannot be painted must break by itself.
-    """
+def paint_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Paint only what stands when all is done, by `settle`: no terminal takes what is between."""
 
     def render_update(self: Compositor, *, screen_stack: list[Screen[Any]] | None = None) -> None:
-        visible_screen_stack.set(screen_stack or [])
         self._dirty_regions.clear()
 
     monkeypatch.setattr(Compositor, "render_update", render_update)
@@ -140,6 +136,8 @@ async def settle(pilot: Pilot[int]) -> None:
         with suppress(WorkerCancelled):  # a screen that was left takes its work along
             await pilot.app.workers.wait_for_complete()
     await _round(pilot)
+    if pilot.app.is_running:
+        painted(pilot.app)  # what cannot be painted breaks the test
 
 
 async def _round(pilot: Pilot[int]) -> None:
@@ -147,7 +145,8 @@ async def _round(pilot: Pilot[int]) -> None:
     await asyncio.sleep(0)
     if pilot.app.screen_stack:
         for screen in (*pilot.app._background_screens, pilot.app.screen):
-            if screen._update_timer._active.is_set():  # as the timer's own tick would
+            running: asyncio.Event = screen._update_timer._active
+            if running.is_set():  # else the screen above would paint all again, each time
                 screen._on_timer_update()
 
 
@@ -167,10 +166,15 @@ def type_ahead(app: App[int], *keys: str) -> None:
         app.post_message(event)
 
 
+def painted(app: App[int]) -> list[Strip]:
+    """Return the lines of the terminal."""
+    visible_screen_stack.set(app._background_screens)
+    return app.screen._compositor.render_strips()
+
+
 def text_of(app: HilcellApp) -> str:
     """Return what the terminal shows, without spaces at the ends of lines."""
-    strips = app.screen._compositor.render_strips()
-    lines = ["".join(segment.text for segment in strip).rstrip() for strip in strips]
+    lines = ["".join(segment.text for segment in strip).rstrip() for strip in painted(app)]
     return "\n".join(lines) + "\n"
 
 

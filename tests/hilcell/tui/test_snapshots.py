@@ -17,7 +17,7 @@ import pytest
 from textual.pilot import Pilot
 
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
-from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, settle, text_of, unpainted
+from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, settle, text_of
 from tests.hilcell.tui.sample_runs import sample_runs
 
 FOLDER = Path(__file__).with_name("snapshots")
@@ -52,7 +52,7 @@ def _write(seen: dict[str, str], prefix: str) -> None:
         (FOLDER / f"{name}.txt").write_text(text, "utf-8")
 
 
-__all__ = ["isolated", "unpainted"]
+__all__ = ["isolated"]
 
 STATES = tuple(sample_runs())
 RUNS = Path("/runs")  # no folder of this machine: nothing is read there
@@ -60,7 +60,7 @@ LEAST = 100
 THOROUGH = ("suspended", "intolerant")  # every screen also where it is crowded
 WIDE, LOW, TINY = (160, 40), (60, 15), (20, 5)
 
-pytestmark = pytest.mark.usefixtures("isolated", "unpainted")
+pytestmark = pytest.mark.usefixtures("isolated")
 Walk = Callable[[RecordingApp, Pilot[int]], Awaitable[dict[str, str]]]
 
 

@@ -17,7 +17,7 @@ from hilcell.tui.terminal.capabilities import ASCII, UNICODE, Glyphs
 from hilcell.tui.terminal.themes import NAMES, PALETTES, TONES, Palette
 from hilcell.tui.text.run import STATES
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
-from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, unpainted
+from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, painted
 from tests.hilcell.tui.sample_runs import sample_runs
 
 MATRICES = {
@@ -65,7 +65,7 @@ def _lab(colour: str, eyes: str) -> Array:
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
-__all__ = ["isolated", "unpainted"]
+__all__ = ["isolated"]
 
 LEAST = 4.5  # WCAG 2.2, success criterion 1.4.3
 FRAME = " ▔▁"  # drawn, not read
@@ -111,7 +111,7 @@ def hard_to_read(app: RecordingApp) -> str:
     """Return what is printed with too little contrast, as the terminal gets it."""
     found = [
         f"{segment.text!r}: {ratio:.2f}"
-        for strip in app.screen._compositor.render_strips()
+        for strip in painted(app)
         for segment in strip
         if segment.text.strip(FRAME) and (ratio := contrast_of(segment)) < LEAST
     ]
@@ -126,7 +126,7 @@ def contrast_of(segment: Segment) -> float:
     return contrast(style.color.get_truecolor().hex, style.bgcolor.get_truecolor().hex)
 
 
-@pytest.mark.usefixtures("isolated", "unpainted")
+@pytest.mark.usefixtures("isolated")
 @pytest.mark.parametrize("theme", NAMES)
 def test_every_letter_on_every_screen_is_read(theme: str) -> None:
     async def run_app(state: str) -> dict[str, str]:

@@ -26,12 +26,11 @@ from tests.hilcell.tui.recording_app import (
     press,
     settle,
     text_of,
-    unpainted,
 )
 from tests.hilcell.tui.sample_runs import LIVE, fresh, status
 from tests.hilcell.tui.untrusted_text import MARK, NASTY, dangerous, poisoned, runs
 
-__all__ = ["isolated", "unpainted"]
+__all__ = ["isolated"]
 
 RUNS = Path("/runs")
 STATES = ("suspended", "fault")
@@ -53,7 +52,7 @@ by_some = pytest.mark.parametrize("text", [NASTY[name] for name in SOME], ids=SO
 
 @pytest.fixture(autouse=True)
 def poisoned_outside(
-    isolated: None, unpainted: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    isolated: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Let every answer from outside the screen be the hostile text."""
     text = request.node.callspec.params.get("text", "") if hasattr(request.node, "callspec") else ""
