@@ -34,9 +34,8 @@ class ControllerArm:
 
     def status(self, joints_rad: Array) -> int:
         """Return the status of joints (6,)."""
-        axis_2, shoulder_mm = self.chain.axis(1, joints_rad)
-        axis_3, elbow_mm = self.chain.axis(2, joints_rad)
-        _, wrist_mm = self.chain.axis(4, joints_rad)
+        lines = self.chain.lines(joints_rad)
+        (axis_2, shoulder_mm), (axis_3, elbow_mm), (_, wrist_mm) = lines[1], lines[2], lines[4]
         ahead = np.cross(axis_2, UP)
         bent = np.cross(elbow_mm - shoulder_mm, wrist_mm - elbow_mm) @ axis_3
         status = BEHIND * bool(ahead @ wrist_mm < 0) + BEYOND * bool(bent >= 0)

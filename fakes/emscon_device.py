@@ -54,8 +54,8 @@ BALL = 1  # target type: corner cube
 class Instrument(Protocol):
     """The plant as the device sees it: positions in the tracker's frame, mm."""
 
-    def reflectors(self) -> dict[str, Array]:
-        """Return where every reflector is."""
+    def reflector(self, name: str) -> Array | None:
+        """Return where a reflector is, None where it is not to be seen."""
 
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
         """Return the name of the reflector nearest to a point."""
@@ -342,7 +342,7 @@ class EmsconDevice:
         target = self._target
         if self._faults.take("tracker.beam_break_before") is not None or target is None:
             return self._broken(command)
-        began_mm = self._instrument.reflectors().get(target)
+        began_mm = self._instrument.reflector(target)
         if began_mm is None:  # carried away
             return self._broken(command)
         if self._settings.mode == CONTINUOUS_TIME:
@@ -393,7 +393,7 @@ class EmsconDevice:
         ready = status_change(Change.READY)
         with self._lock:
             take = self._faults.take
-            ended_mm = self._instrument.reflectors().get(target)
+            ended_mm = self._instrument.reflector(target)
             if take("tracker.beam_break_after") is not None or ended_mm is None:
                 return self._broken(command)
             moved_mm = np.linalg.norm(ended_mm - began_mm)

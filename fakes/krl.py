@@ -14,13 +14,17 @@ class KrlError(ValueError):
     """A text that KRL would not take."""
 
 
-def aggregate(kind: str, members: Mapping[str, float | int]) -> str:
-    """Return a structure's text; integers stay integers, reals get five decimals."""
-    texts = (
+def members(values: Mapping[str, float | int]) -> str:
+    """Return the text of a structure's members; integers stay so, reals get five decimals."""
+    return ", ".join(
         f"{name} {value}" if isinstance(value, int) else f"{name} {round(value, 5) + 0.0:.5f}"
-        for name, value in members.items()
+        for name, value in values.items()
     )
-    return f"{{{kind}: {', '.join(texts)}}}"
+
+
+def aggregate(kind: str, values: Mapping[str, float | int], *more: str) -> str:
+    """Return a structure's text; ``more`` are texts of further members."""
+    return f"{{{kind}: {', '.join([members(values), *more])}}}"
 
 
 def boolean(value: bool) -> str:
@@ -56,10 +60,10 @@ def parse_aggregate(text: str, kind: str) -> dict[str, float]:
     match = _AGGREGATE.match(text.strip())
     if match is None or (match[1] or kind).upper() != kind:
         raise KrlError(text)
-    members: dict[str, float] = {}
+    found: dict[str, float] = {}
     for part in match[2].split(","):
         name, _, number = part.strip().partition(" ")
         if not _NUMBER.match(number.strip()):
             raise KrlError(text)
-        members[name.upper()] = float(number)
-    return members
+        found[name.upper()] = float(number)
+    return found

@@ -20,6 +20,7 @@ from fakes.krl import (
     KrlError,
     aggregate,
     boolean,
+    members,
     parse_aggregate,
     parse_boolean,
     parse_integer,
@@ -32,7 +33,7 @@ from hilcell.cell.file import Cell
 MOVE_PTP = 1
 OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, STOPPED = 0, 1, 2, 9
 AXES = tuple(f"A{n}" for n in range(1, 7))
-EXTERNAL = {f"E{n}": 0.0 for n in range(1, 7)}
+EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOOL, BASE = 1, 0
 CYCLE_S = 0.012  # of the interpolation: measured axes are as old as its last tick
@@ -136,7 +137,7 @@ class KrlController:
         integers = {name: partial(self._integer, name) for name in self._integers}
         return integers | {
             "HC_VER": lambda: "2",
-            "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg | EXTERNAL),
+            "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg, EXTERNAL),
             "HC_ACK": self._read_acknowledge,
             "HC_ERR": lambda: str(self._error),
             "HC_STOP": lambda: boolean(self._in_stop),
@@ -183,13 +184,13 @@ class KrlController:
             off = flicker(landed, self._looks, 6)
         if which != "$POS_ACT":
             axes_deg = np.degrees(joints_rad) + FLICKER_DEG * off
-            return aggregate("E6AXIS", dict(zip(AXES, axes_deg.tolist(), strict=True)) | EXTERNAL)
+            return aggregate("E6AXIS", dict(zip(AXES, axes_deg.tolist(), strict=True)), EXTERNAL)
         if state.joints_rad is not self._pose_of:  # at rest it is the same array each time
             self._pose_of, arm = state.joints_rad, self._arm
             self._pose = arm.components(state.joints_rad)
             self._turns = {"S": arm.status(state.joints_rad), "T": arm.turn(state.joints_rad)}
         pose = (self._pose + FLICKER_POSE * off).tolist()
-        return aggregate("E6POS", dict(zip(FRAME, pose, strict=True)) | self._turns | EXTERNAL)
+        return aggregate("E6POS", dict(zip(FRAME, pose, strict=True)) | self._turns, EXTERNAL)
 
     # -- the resident program -------------------------------------------------------------------
 

@@ -47,6 +47,7 @@ class Plant:
         self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
         self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
         self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
+        self._places: tuple[tuple[object, ...], dict[str, Array]] = ((), {})  # for which state
         self.seated = ""  # where the one reflector is that is carried by hand; "": out of sight
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
         self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world)
@@ -78,11 +79,10 @@ class Plant:
 
         None are left where it is out of sight. The slide is taken to stand meanwhile.
         """
-        now = self.reflectors_in_world()
-        if name not in now:
+        if self.cell.layout.by_hand and name != self.seated:
             return np.zeros((0, 3))
         if name != FLANGE:
-            return np.tile(now[name], (len(times_s), 1))
+            return np.tile(self.places_in_world()[name], (len(times_s), 1))
         joints_rad, side, landing_rad = self.robot.past(times_s)
         arm = self.arm.pose(joints_rad, side, landing_rad, self.tracker.warm_k)
         at_mm: Array = (self.rail.slide_pose() @ self._bolted @ arm)[:, :3, 3]
@@ -90,21 +90,23 @@ class Plant:
 
     def places_in_world(self) -> dict[str, Array]:
         """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
-        T_W_S = self.rail.slide_pose()
-        found = dict(self._floor)
-        found |= {name: carried(T_W_S, at_mm) for name, at_mm in self._slide.items()}
-        found[FLANGE] = (T_W_S @ self._bolted @ self._tool())[:3, 3]
+        robot, warm_k = self.robot.state(), self.tracker.warm_k
+        moves = (robot.joints_rad, robot.side, robot.landing_rad, self._bolted)
+        now = (self.rail.slide_mm(), warm_k, *(each.tobytes() for each in moves))
+        known, found = self._places
+        if now != known:  # at rest it is asked for several times a measurement
+            T_W_S = self.rail.slide_pose()
+            found = dict(self._floor)
+            found |= {name: carried(T_W_S, at_mm) for name, at_mm in self._slide.items()}
+            arm = self.arm.pose(robot.joints_rad, robot.side, robot.landing_rad, warm_k)
+            found[FLANGE] = (T_W_S @ self._bolted @ arm)[:3, 3]
+            self._places = (now, found)
         return found
 
     def base_in_world(self) -> Array:
         """Return the base frame (4, 4) in {W} that a faultless section 4.2 would find now."""
         base: Array = self.rail.slide_pose() @ self._bolted @ self.arm.ideal_base
         return base
-
-    def _tool(self) -> Array:
-        state = self.robot.state()
-        warm_k = self.tracker.warm_k
-        return self.arm.pose(state.joints_rad, state.side, state.landing_rad, warm_k)
 
 
 def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:

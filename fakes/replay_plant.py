@@ -59,6 +59,10 @@ class ReplayTracker:
         here = np.flatnonzero(off_rad <= SAME_POSE_RAD)
         return {self._rows.target[row]: self._rows.xyz_mm[row] for row in here}
 
+    def reflector(self, name: str) -> Array | None:
+        """Return the recorded position of one reflector, None where there is none."""
+        return self.reflectors().get(name)
+
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
         """Return the reflector nearest to a point (3,) within the radius."""
         found = {
@@ -70,7 +74,7 @@ class ReplayTracker:
 
     def measure(self, name: str) -> Measurement | None:
         """Return the recorded measurement."""
-        at_mm = self.reflectors().get(name)
+        at_mm = self.reflector(name)
         return None if at_mm is None else Measurement(at_mm, np.full(3, STD_MM))
 
     def air(self) -> Air:

@@ -35,8 +35,12 @@ class Chain:
 
     def axis(self, number: int, joints_rad: Array) -> tuple[Array, Array]:
         """Return direction (..., 3) and a point (..., 3) of one axis, counted from 0."""
-        T = self._moved(joints_rad)[number]
-        return T[..., :3, :3] @ self.axes[number], _at(T, self.points_mm[number])
+        return self.lines(joints_rad)[number]
+
+    def lines(self, joints_rad: Array) -> list[tuple[Array, Array]]:
+        """Return direction (..., 3) and a point (..., 3) of each axis."""
+        moved = zip(self._moved(joints_rad)[:-1], self.axes, self.points_mm, strict=True)
+        return [(T[..., :3, :3] @ axis, _at(T, point_mm)) for T, axis, point_mm in moved]
 
     def levers(self, joints_rad: Array) -> Array:
         """Return the vectors (..., 6, 3) from the point on each axis to the last frame."""

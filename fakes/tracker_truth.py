@@ -78,6 +78,11 @@ class TrackerTruth:
             name: carried(self._from_world, at_mm) for name, at_mm in self._reflectors().items()
         }
 
+    def reflector(self, name: str) -> Array | None:
+        """Return where one reflector is, None where it is not to be seen."""
+        at_mm = self._reflectors().get(name)
+        return None if at_mm is None else carried(self._from_world, at_mm)
+
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
         """Return the name of the reflector nearest to a point (3,), if within range and radius."""
         found = {
@@ -94,7 +99,7 @@ class TrackerTruth:
 
     def measure(self, name: str) -> Measurement | None:
         """Return one measurement of a reflector, or None where it is out of range."""
-        at_mm = self.reflectors().get(name)
+        at_mm = self.reflector(name)
         if at_mm is None or not self._in_range(at_mm):
             return None
         self._measured += 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import msgspec
@@ -222,8 +223,12 @@ def curves_used(measured: Measured) -> CurvesUsed:
         return CurvesUsed(False, f"not used: {error}")
 
 
+@lru_cache(maxsize=1)
 def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
-    """Return the identification, with curves only if poses left out are predicted better."""
+    """Return the identification, with curves only if poses left out are predicted better.
+
+    A run asks for it with each of its results; it is made again when a number has changed.
+    """
     readings = Readings(
         measured.poses.joints_rad,
         measured.poses.actual_mm[:, None],

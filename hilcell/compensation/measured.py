@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,9 +43,22 @@ class StaticPoses:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The grid for models of space, all poses and the curves for models of the arm."""
+    """The grid for models of space, all poses and the curves for models of the arm.
+
+    Two with the same numbers are equal: models learnt from either are the same.
+    """
 
     grid: MeasuredGrid
     robot: NominalRobot
     poses: StaticPoses
     curves: tuple[TransmissionCurve, ...] = ()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Measured) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    @cached_property
+    def _content(self) -> bytes:
+        return pickle.dumps((self.grid, self.robot, self.poses, self.curves))

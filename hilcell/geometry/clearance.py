@@ -118,6 +118,8 @@ def clearance_mm(ends_mm: Array, radius_mm: Array, boxes: Boxes, enough_mm: Arra
     from_box = np.linalg.norm(middle - np.clip(middle, -half_mm, half_mm), axis=-1)
     found = from_box - half_length - radius_mm
     near = ~(found >= enough_mm)
+    if not near.any():
+        return np.moveaxis(found, 0, -1)
     volume, _, capsule = np.nonzero(near)
     found[near] = segment_to_box_mm(within[near], boxes.half_mm[volume]) - radius_mm[capsule]
     return np.moveaxis(found, 0, -1)

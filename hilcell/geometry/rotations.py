@@ -17,12 +17,19 @@ def from_zyx(angles_deg: ArrayLike) -> Array:
     """Return Rz(A) Ry(B) Rx(C) (..., 3, 3) of angles A, B, C (..., 3)."""
     angles_rad = np.radians(np.asarray(angles_deg, dtype=float))
     (sa, sb, sc), (ca, cb, cc) = (np.moveaxis(f(angles_rad), -1, 0) for f in (np.sin, np.cos))
-    rows = [
-        [ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc],
-        [sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc],
-        [-sb, cb * sc, cb * cc],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    R = np.empty((*angles_rad.shape, 3))
+    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = (
+        ca * cb,
+        ca * sb * sc - sa * cc,
+        ca * sb * cc + sa * sc,
+    )
+    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = (
+        sa * cb,
+        sa * sb * sc + ca * cc,
+        sa * sb * cc - ca * sc,
+    )
+    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = -sb, cb * sc, cb * cc
+    return R
 
 
 def from_rotvec(vectors_rad: ArrayLike) -> Array:

@@ -23,6 +23,7 @@ from hilcell.errors import HilcellError
 
 SCHEMA = 1
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other errors hide a file
+NULL = b"null"  # JSON of None, and of every number that is not finite
 Kind = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 
 _TABLES = """
@@ -115,7 +116,8 @@ class Journal:
         plain = msgspec.to_builtins(body, enc_hook=_plain)
         with self._lock:
             moment = datetime.now(UTC).isoformat(timespec="milliseconds")
-            if bad := _not_finite(plain):
+            text = msgspec.json.encode(plain)
+            if NULL in text and (bad := _not_finite(plain)):
                 raise NotFinite(
                     f"journal {self.path}: record {self._seq + 1} ({kind} {key or '-'}): {bad}, "
                     f"wanted a finite number; nothing was written; check the device that it came "
@@ -123,8 +125,7 @@ class Journal:
                 )
             record = Record(self._seq + 1, moment, kind, key, plain)
             digest = chain(self._hash, record)
-            text = msgspec.json.encode(plain).decode()
-            row = (record.seq, record.t, kind, key, text, digest)
+            row = (record.seq, record.t, kind, key, text.decode(), digest)
             self._check_place()
             try:
                 self._base.execute("INSERT INTO record VALUES (?, ?, ?, ?, ?, ?)", row)

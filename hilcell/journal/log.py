@@ -6,6 +6,7 @@ from it, so a result can always be rebuilt.
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -181,6 +182,7 @@ class Log:
         self.plan: PlanRecord | None = None
         self._cell: Cell | None = None
         self.points: dict[str, Point] = {}
+        self._keys: dict[str, list[str]] = {}  # of the points, by kind, in order
         self.frames: dict[str, dict[str, Any]] = {}
         self.verdicts: dict[str, dict[str, Any]] = {}
         self.judged: dict[str, Record] = {}  # the verdicts' records
@@ -215,8 +217,7 @@ class Log:
             case "state":
                 self._take_state(record)
             case "point":
-                self.points[record.key] = _point(record)
-                self.retakes.pop(record.key, None)
+                self._take_point(_point(record))
             case "frame":
                 self.frames[record.key] = body
             case "verdict":
@@ -231,6 +232,12 @@ class Log:
                 self.moved = True
                 self.visit += str(body.get("action", "")).startswith("rail.")
         self.driven.take(record)
+
+    def _take_point(self, point: Point) -> None:
+        if point.key not in self.points:
+            insort(self._keys.setdefault(point.id.kind, []), point.key)
+        self.points[point.key] = point
+        self.retakes.pop(point.key, None)
 
     def _take_event(self, body: dict[str, Any]) -> None:
         match body.get("what"):
@@ -324,15 +331,15 @@ class Log:
 
         def agrees(point: Point) -> bool:
             return (
-                point.id.kind == kind
-                and station in ("", point.station)
+                station in ("", point.station)
                 and how in ("", point.id.how)
                 and way in ("", point.id.way)
                 and axis in (None, point.id.axis)
                 and place in (None, point.id.place)
             )
 
-        return [self.points[key] for key in sorted(self.points) if agrees(self.points[key])]
+        points = (self.points[key] for key in self._keys.get(kind, ()))
+        return [point for point in points if agrees(point)]
 
     def temperatures_c(self) -> list[float]:
         """Return the air's temperature at every point; nothing without a weather station."""

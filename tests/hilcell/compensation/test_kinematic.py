@@ -102,6 +102,15 @@ def test_errors_that_repeat_with_an_angle_widen_the_covariance() -> None:
     np.testing.assert_allclose(model.covariance, _excess(estimate) * estimate.system.covariance)
 
 
+def test_one_state_of_the_measurements_is_identified_once() -> None:
+    once = measured(27)
+    assert _identified(once) is _identified(measured(27))
+    actual_mm = once.poses.actual_mm.copy()
+    actual_mm[13, 2] += 1e-3  # a vertex is measured again
+    again = _identified(replace(once, poses=replace(once.poses, actual_mm=actual_mm)))
+    assert again[0].state.values.tolist() != _identified(once)[0].state.values.tolist()
+
+
 def test_curves_that_help_are_used() -> None:
     without, with_ = Kinematic.learn(measured(64)), Kinematic.learn(measured(64, WAVES))
     assert with_.decision.used
