@@ -28,6 +28,11 @@ def write_whole(path: Path, content: bytes, *, inputs: Iterable[Path] = ()) -> N
     write_together({path: content}, inputs=inputs)
 
 
+def check_place(path: Path, *, inputs: Iterable[Path] = ()) -> None:
+    """Raise `NotWritten`, before there is anything to write, where it is clear already."""
+    _mode(path, list(inputs))
+
+
 def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = ()) -> None:
     """Write files that belong together: all are ready beside their places before one is renamed.
 
@@ -64,6 +69,7 @@ def _mode(path: Path, inputs: list[Path]) -> int | None:
         try:
             found = path.stat()
         except FileNotFoundError:
+            _place(path).parent.stat()
             return None
         if stat.S_ISDIR(found.st_mode):
             raise NotWritten(f"{_name(path)} is a folder; name a file")

@@ -8,16 +8,17 @@ from pathlib import Path
 from hilcell.commands.output import print_message
 from hilcell.journal.runs import CALIBRATION, JOURNAL, find_run
 from hilcell.report.facts import read_facts
-from hilcell.writing import write_whole
+from hilcell.writing import check_place, write_whole
 
 
 def report(args: argparse.Namespace) -> int:
     """Write one self-contained HTML file."""
     from hilcell.report.html import report_html
 
-    folder = find_run(args.runs, args.run)
+    folder, place = find_run(args.runs, args.run), Path(args.output)
+    check_place(place, inputs=_files(folder))  # before the work
     facts = read_facts(folder)
-    write_whole(Path(args.output), report_html(facts).encode(), inputs=_files(folder))
+    write_whole(place, report_html(facts).encode(), inputs=_files(folder))
     print_message(f"report of run {facts.run} in {args.output}")
     return 0
 
@@ -27,9 +28,10 @@ def export(args: argparse.Namespace) -> int:
     from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 
     forms = {"csv": csv_bytes, "xlsx": xlsx_bytes, "json": json_bytes}
-    folder = find_run(args.runs, args.run)
+    folder, place = find_run(args.runs, args.run), Path(args.output)
+    check_place(place, inputs=_files(folder))
     facts = read_facts(folder)
-    write_whole(Path(args.output), forms[args.form](facts), inputs=_files(folder))
+    write_whole(place, forms[args.form](facts), inputs=_files(folder))
     print_message(f"{args.form} of run {facts.run} in {args.output}")
     return 0
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.writing import NotWritten, write_together, write_whole
+from hilcell.writing import NotWritten, check_place, write_together, write_whole
 
 
 def test_a_pipe_stays_a_pipe_and_is_written_to(tmp_path: Path) -> None:
@@ -88,6 +88,8 @@ def test_what_cannot_be_written_is_told_in_one_line(
     monkeypatch.chdir(tmp_path)
     Path("file").write_bytes(b"old")
     Path("loop").symlink_to("loop")
+    with pytest.raises(NotWritten, match=part):
+        check_place(Path(where))
     with pytest.raises(NotWritten, match=part) as told:
         write_whole(Path(where), b"new")
     assert "\n" not in str(told.value)

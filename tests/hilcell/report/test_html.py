@@ -22,6 +22,18 @@ from tests.hilcell.report.pages import Page
 HOSTILE = "<script>alert(1)</script>\x1b[2J\u202egnp.exe\u2066\"'&${x} {{ 7*7 }}\x00"
 
 
+@pytest.fixture(scope="module")
+def validated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a validated run."""
+    return validated_run(tmp_path_factory.mktemp("validated") / "r1").ended()
+
+
+@pytest.fixture(scope="module")
+def html(validated: Path) -> str:
+    """Return its report."""
+    return report_html(read_facts(validated))
+
+
 def page_of(facts: Facts) -> Page:
     return Page(report_html(facts))
 
@@ -61,8 +73,8 @@ def test_the_tracker_is_named_by_its_serial_number(tmp_path: Path) -> None:
     assert "firmware" in text
 
 
-def test_means_maxima_and_both_ratios(tmp_path: Path) -> None:
-    before, after, *_ = page_of(validated_run(tmp_path / "r1").facts()).table("Before and after")
+def test_means_maxima_and_both_ratios(html: str) -> None:
+    before, after, *_ = Page(html).table("Before and after")
     figures = {"targets": "4", "mean mm": "2.0000", "p95 mm": "2.8500", "max mm": "3.0000"}
     assert before.items() >= ({"station": "S1100", "error": "before"} | figures).items()
     figures = {"targets": "4", "mean mm": "0.2000", "p95 mm": "0.2850", "max mm": "0.3000"}
@@ -71,8 +83,7 @@ def test_means_maxima_and_both_ratios(tmp_path: Path) -> None:
     assert before["removed by means %"] == ""
 
 
-def test_nothing_is_fetched_and_nothing_runs(tmp_path: Path) -> None:
-    html = report_html(validated_run(tmp_path / "r1").facts())
+def test_nothing_is_fetched_and_nothing_runs(html: str) -> None:
     page = Page(html)
     assert not {"script", "link", "img", "iframe", "object", "embed", "form"} & set(page.tags)
     assert page.links
@@ -84,8 +95,7 @@ def test_nothing_is_fetched_and_nothing_runs(tmp_path: Path) -> None:
     assert not [name for name, _ in page.attributes if name.startswith("on")]
 
 
-def test_every_svg_is_well_formed(tmp_path: Path) -> None:
-    html = report_html(validated_run(tmp_path / "r1").facts())
+def test_every_svg_is_well_formed(html: str) -> None:
     drawn = re.findall(r"<svg.*?</svg>", html, re.DOTALL)
     assert len(drawn) == 4
     for each in drawn:
@@ -94,8 +104,7 @@ def test_every_svg_is_well_formed(tmp_path: Path) -> None:
         assert "SIMULATION" in words
 
 
-def test_a_simulated_run_says_so_on_every_page(tmp_path: Path) -> None:
-    html = report_html(validated_run(tmp_path / "r1").facts())
+def test_a_simulated_run_says_so_on_every_page(html: str) -> None:
     page = Page(html)
     assert ("class", "watermark") in page.attributes
     assert page.of("title")[0].startswith("SIMULATION")
@@ -107,10 +116,8 @@ def test_a_real_run_does_not(tmp_path: Path) -> None:
     assert "SIMULATION" not in report_html(facts)
 
 
-def test_the_same_journal_gives_the_same_bytes(tmp_path: Path) -> None:
-    folder = validated_run(tmp_path / "r1").ended()
-    first, again = (report_html(read_facts(folder)) for _ in range(2))
-    assert first == again
+def test_the_same_journal_gives_the_same_bytes(html: str, validated: Path) -> None:
+    assert report_html(read_facts(validated)) == html
 
 
 def test_hostile_strings_are_shown_harmless(tmp_path: Path) -> None:

@@ -127,7 +127,9 @@ def test_a_place_that_cannot_be_written(
     calibrated: tuple[Path, dict[str, Any]],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.delattr("hilcell.commands.report.read_facts")  # refused before anything is read
     assert main(["report", str(calibrated[0]), "-o", str(tmp_path / where)]) == 2
     err = capsys.readouterr().err
     assert "is a folder" in err if where == "." else "cannot be written" in err

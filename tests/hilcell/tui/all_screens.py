@@ -103,6 +103,7 @@ def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     async def dry_run(order: process.RunRequest) -> dict[str, Any]:
         return PLAN
 
+    monkeypatch.setattr(CommandPalette, "_NO_MATCHES_COUNTDOWN", 0.0)  # instead of half a second
     monkeypatch.setattr(process, "run_command", run_command)
     monkeypatch.setattr(process, "dry_run", dry_run)
     monkeypatch.setattr(process, "start_engine", lambda *_: _Ended())
@@ -176,7 +177,6 @@ async def _point(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, 
 async def _palette(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
     await press(pilot, "ctrl+p", *"alarm")
     assert isinstance(app.screen, CommandPalette)
-    # Only half a second after the search it says that nothing was found.
     while not app.screen.query_one(CommandList).option_count:
         await settle(pilot)
     await settle(pilot)
