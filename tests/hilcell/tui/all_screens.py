@@ -103,7 +103,7 @@ def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     async def dry_run(order: process.RunRequest) -> dict[str, Any]:
         return PLAN
 
-    monkeypatch.setattr(CommandPalette, "_NO_MATCHES_COUNTDOWN", 0.0)  # instead of half a second
+    monkeypatch.setattr(CommandPalette, "_NO_MATCHES_COUNTDOWN", 0.01)
     monkeypatch.setattr(process, "run_command", run_command)
     monkeypatch.setattr(process, "dry_run", dry_run)
     monkeypatch.setattr(process, "start_engine", lambda *_: _Ended())
