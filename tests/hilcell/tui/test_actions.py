@@ -77,41 +77,69 @@ def allowed(state: str) -> set[str]:
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_the_footer_shows_what_is_allowed_and_nothing_else(state: str) -> None:
+def test_what_each_state_allows(state: str) -> None:
+    """The keys that are shown, the space bar, the stop and the abort, one after the other."""
+
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        wanted = allowed(state)
-        assert {action.name for action in ACTIONS if app.allowed(action.name)} == wanted
-        for action in ACTIONS:
-            if action.name in RunScreen.footer and action.name != "pause":
-                assert (f" {action.label}  " in f"{footer(app)}  ") == (action.name in wanted)
-        space = SPACE[state]
-        assert (f"space {space[2]}" if space else "space") in footer(app) or space is None
-        assert ("space" in footer(app)) == (space is not None)
+        the_footer_shows_what_is_allowed_and_nothing_else(app, state)
+        await the_space_bar_pauses_goes_on_or_resumes(app, pilot, state)
+        app.recorded.asked.clear()
+        await a_live_run_is_stopped_at_once_and_aborted_after_a_question(app, pilot, state)
 
     run_app(act, state)
 
 
-# -- the space bar ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("state", STATES)
-def test_the_space_bar_pauses_goes_on_or_resumes(state: str) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "space")
-        space = SPACE[state]
-        assert isinstance(app.screen, Confirm) == (space is not None and space[1])
-        if isinstance(app.screen, Confirm):
-            assert (app.recorded.asked, app.actions.engines) == ([], [])
-            await press(pilot, "n")
-            assert (app.recorded.asked, app.actions.engines) == ([], [])
-            await press(pilot, "space", "y")
-
-    app = run_app(act, state)
+def the_footer_shows_what_is_allowed_and_nothing_else(app: RecordingApp, state: str) -> None:
+    wanted, keys = allowed(state), footer(app)
+    assert {action.name for action in ACTIONS if app.allowed(action.name)} == wanted
+    for action in ACTIONS:
+        if action.name in RunScreen.footer and action.name != "pause":
+            assert (f" {action.label}  " in f"{keys}  ") == (action.name in wanted)
     space = SPACE[state]
+    assert (f"space {space[2]}" if space else "space") in keys or space is None
+    assert ("space" in keys) == (space is not None)
+
+
+async def the_space_bar_pauses_goes_on_or_resumes(
+    app: RecordingApp, pilot: Pilot[int], state: str
+) -> None:
+    await press(pilot, "space")
+    space = SPACE[state]
+    assert isinstance(app.screen, Confirm) == (space is not None and space[1])
+    if isinstance(app.screen, Confirm):
+        assert (app.recorded.asked, app.actions.engines) == ([], [])
+        await press(pilot, "n")
+        assert (app.recorded.asked, app.actions.engines) == ([], [])
+        await press(pilot, "space", "y")
     reported = space is not None and space[0] != "resume"
     assert app.recorded.asked == ([(space[0], {})] if space is not None and reported else [])
     assert bool(app.actions.engines) == (space is not None and space[0] == "resume")
     assert app.recorded.stops == 0
+
+
+async def a_live_run_is_stopped_at_once_and_aborted_after_a_question(
+    app: RecordingApp, pilot: Pilot[int], state: str
+) -> None:
+    live, heard = state in LIVE, state in HEARD
+    why = {"silent": "the engine does not answer", "looking": "the run is being read"}
+    refused = why.get(state, "no run is live")
+    await press(pilot, "escape")
+    assert isinstance(app.screen, RunScreen)
+    await press(pilot, "a")
+    assert isinstance(app.screen, Confirm) == heard
+    if heard:
+        await press(pilot, "q")
+        assert app.recorded.asked == []
+        await press(pilot, "a", "enter")
+    else:
+        assert f"abort: {refused}" in text_of(app)
+    await press(pilot, "question_mark", "escape")
+    assert isinstance(app.screen, HelpPage if live else RunScreen)
+    assert app.recorded.stops == (2 if live else 0)
+    assert app.recorded.asked == ([("abort", {})] if heard else [])
+
+
+# -- the space bar ---------------------------------------------------------------------------------
 
 
 def test_the_space_bar_pauses_from_every_page_that_says_so() -> None:
@@ -124,30 +152,31 @@ def test_the_space_bar_pauses_from_every_page_that_says_so() -> None:
     assert run_app(act, "running").recorded.asked == [("pause", {})] * 4
 
 
-@pytest.mark.parametrize("key", PAGES)
-def test_a_key_held_down_opens_its_page_once(key: str) -> None:
+def test_a_key_held_down_opens_its_page_once() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         depth = len(app.screen_stack)
-        await press(pilot, *[key] * 4)
-        assert len(app.screen_stack) == depth + 1
-        assert isinstance(app.screen, PAGES[key])
+        for key, page in PAGES.items():
+            await press(pilot, *[key] * 4)
+            assert len(app.screen_stack) == depth + 1, key
+            assert isinstance(app.screen, page)
+            await press(pilot, "q")
 
     run_app(act, "running")
 
 
-@pytest.mark.parametrize("key", PAGES)
-def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order(key: str) -> None:
+def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, key)
-        type_ahead(app, "q", "space")
-        await settle(pilot)
-        assert [type(each) for each in app.screen_stack[-2:]] == [RunScreen, Confirm]
-        type_ahead(app, "q", "h", "q", "space", "enter")
-        await settle(pilot)
-        assert isinstance(app.screen, Confirm)  # it moves the machine: not in one burst
-        assert not app.actions.engines
-        await press(pilot, "enter")
-        assert app.actions.engines
+        for number, key in enumerate(PAGES):
+            await press(pilot, key)
+            type_ahead(app, "q", "space")
+            await settle(pilot)
+            assert [type(each) for each in app.screen_stack[-2:]] == [RunScreen, Confirm], key
+            type_ahead(app, "q", "h", "q", "space", "enter")
+            await settle(pilot)
+            assert isinstance(app.screen, Confirm), key  # it moves the machine: not in one burst
+            assert len(app.actions.engines) == number
+            await press(pilot, "enter")
+            assert len(app.actions.engines) == number + 1
 
     run_app(act, "fault")
 
@@ -250,17 +279,18 @@ def test_escape_stops_from_everywhere_and_never_asks() -> None:
     assert run_app(act, "running").recorded.asked == []
 
 
-@pytest.mark.parametrize("key", PAGES)
-def test_a_notice_is_seen_on_every_page(key: str) -> None:
+def test_a_notice_is_seen_on_every_page() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, key)
-        before = text_of(app).splitlines()
-        app.show_notice("something happened")
-        await settle(pilot)
-        after = text_of(app).splitlines()
-        assert after[-2] == "something happened"
-        assert after[:12] == before[:12] or key == "l"  # the log follows its newest record
-        assert after[-1] == before[-1]
+        for key in PAGES:
+            await press(pilot, key)
+            before = text_of(app).splitlines()
+            app.show_notice("something happened")
+            await settle(pilot)
+            after = text_of(app).splitlines()
+            assert after[-2] == "something happened", key
+            assert after[:12] == before[:12] or key == "l"  # the log follows its newest record
+            assert after[-1] == before[-1], key
+            await press(pilot, "q")
 
     run_app(act, "running", size=(80, 24))
 
@@ -271,31 +301,6 @@ def test_escape_stops_over_a_prompt() -> None:
 
     app = run_app(act, "suspended")
     assert (app.recorded.stops, app.recorded.asked) == (1, [])
-
-
-@pytest.mark.parametrize("state", STATES)
-def test_a_live_run_is_stopped_at_once_and_aborted_after_a_question(state: str) -> None:
-    live, heard = state in LIVE, state in HEARD
-    why = {"silent": "the engine does not answer", "looking": "the run is being read"}
-    refused = why.get(state, "no run is live")
-
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "escape")
-        assert isinstance(app.screen, RunScreen)
-        await press(pilot, "a")
-        assert isinstance(app.screen, Confirm) == heard
-        if heard:
-            await press(pilot, "q")
-            assert app.recorded.asked == []
-            await press(pilot, "a", "enter")
-        else:
-            assert f"abort: {refused}" in text_of(app)
-        await press(pilot, "question_mark", "escape")
-        assert isinstance(app.screen, HelpPage if live else RunScreen)
-
-    app = run_app(act, state)
-    assert app.recorded.stops == (2 if live else 0)
-    assert app.recorded.asked == ([("abort", {})] if heard else [])
 
 
 def test_escape_leaves_the_plan_without_a_start() -> None:
