@@ -17,7 +17,7 @@ from fakes.simulator import Control
 from fakes.time import PlantTime
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import DeviceError
-from tests.whole.bench import simulation
+from tests.whole.bench import sim_command
 
 BY_HAND = {"layout.reflectors": "by_hand"}
 
@@ -91,7 +91,7 @@ def test_carried_away_the_beam_breaks(plant: Plant, when: str) -> None:
 
 def test_the_control_channel_seats_it() -> None:
     words = [f"--set={key}={value}" for key, value in BY_HAND.items()]
-    with simulation("--speed", "max", "--truth", *words) as cell, Control(cell.control) as control:
+    with sim_command("--speed", "max", "--truth", *words) as cell, Control(cell.control) as control:
         assert control.ask("truth")["reflectors_mm"] == {}
         control.ask("seat", place="F2")
         (seen,) = control.ask("truth")["reflectors_mm"].values()

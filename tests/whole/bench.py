@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,8 @@ from typing import Any
 import pytest
 from _pytest.mark import ParameterSet
 
+from fakes.simulator import PaperCell
+from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 
 HILCELL = [sys.executable, "-m", "hilcell"]
@@ -97,9 +101,9 @@ def end_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
 class Engine:
     """A run in the background whose events can be awaited."""
 
-    def __init__(self, *words: str | Path) -> None:
+    def __init__(self, *words: str | Path, program: Sequence[str] = HILCELL) -> None:
         self.process = subprocess.Popen(
-            [*HILCELL, *map(str, words), "--json"],
+            [*program, *map(str, words), "--json"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -138,15 +142,12 @@ class Engine:
         return str(self.events[0]["run"])
 
 
+@dataclass(frozen=True)
 class Simulation:
-    """``hilcell sim`` in the background: a cell that outlives its engines."""
+    """A simulated cell that outlives its engines."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        self.process = process
-        self.addresses: dict[str, Any] = json.loads(line)
-        self.control = str(self.addresses["control"])
+    addresses: Mapping[str, Any]
+    control: str
 
     def ask(self, **request: object) -> dict[str, Any]:
         """Send one request over the control channel."""
@@ -158,13 +159,27 @@ class Simulation:
 
 
 @contextmanager
-def simulation(*words: str) -> Iterator[Simulation]:
-    """Run the simulated cell beside the test."""
+def simulation(
+    speed: float = math.inf, values: Mapping[str, str] | None = None, *, faults: str = ""
+) -> Iterator[Simulation]:
+    """Run the simulated cell beside the test; ``values`` are those of its cell file."""
+    cell = PaperCell(load_cell("paper", values), seed=1, speed=speed, faults=faults)
+    try:
+        yield Simulation(cell.options, cell.address)
+    finally:
+        cell.close()
+
+
+@contextmanager
+def sim_command(*words: str) -> Iterator[Simulation]:
+    """Run ``hilcell sim`` beside the test."""
     process = subprocess.Popen(
         [*HILCELL, "sim", *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
     try:
-        yield Simulation(process)
+        assert process.stdout is not None
+        addresses = json.loads(process.stdout.readline())
+        yield Simulation(addresses, str(addresses["control"]))
     finally:
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=20)

@@ -122,7 +122,7 @@ class Cells:
 
     def standing(self) -> Simulation:
         if self._cell is None:
-            self._cell = self._stack.enter_context(simulation("--speed", "max"))
+            self._cell = self._stack.enter_context(simulation())
         return self._cell
 
     def close(self) -> None:
@@ -154,7 +154,7 @@ def injected(
     cell.ask(do="fault", name=name, value=value, count=count)
     words = {
         "simulation.address": cell.control,
-        "base_frame.points": "6",
+        "base_frame.points": "4",
         "layout.nest_samples": "2",
     }
     main(

@@ -82,7 +82,7 @@ class Operator:
 
 @pytest.fixture(scope="module")
 def cell() -> Iterator[Simulation]:
-    with simulation("--speed", "max", *sets(BY_HAND)) as cell:
+    with simulation(values=BY_HAND) as cell:
         yield cell
 
 

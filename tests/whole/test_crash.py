@@ -66,7 +66,7 @@ def test_kills_change_nothing(tmp_path: Path, golden: GoldenRuns, kills: int) ->
     rng = random.Random(2014)
     moments = sorted(rng.sample(range(5, total - 5), kills))
 
-    with simulation("--speed", "max") as cell:
+    with simulation() as cell:
         words = sets(SMALL | {"simulation.address": cell.control})
         acknowledged: list[str] = []
         name = ""
@@ -119,7 +119,7 @@ LAST_ERROR = b"t60584003100100000000", b"t58584303100130810000"  # 1003h:01 of t
 
 def test_a_drive_that_has_latched_the_lost_heartbeat_starts_again(tmp_path: Path) -> None:
     """It takes START only after the first new heartbeat of the engine that resumes."""
-    with simulation("--speed", "20") as cell:
+    with simulation(20.0) as cell:
         words = sets({"simulation.address": cell.control})
         engine = Engine("run", "home", "--runs", tmp_path, *words)
         engine.until(lambda event: event.get("what") == "connected")
@@ -237,7 +237,7 @@ def test_a_device_that_vanishes_in_mid_motion(
     tmp_path: Path, device: str, procedure: str, moment: str
 ) -> None:
     """Safe stop, journal intact, exit 3; without the device a resume says so."""
-    with simulation("--speed", "max") as cell:
+    with simulation() as cell:
         faulted(struck(cell, tmp_path, procedure, moment, f"{device}.vanish"), device)
         again = command("resume", "x", "--runs", tmp_path, "--json")
     end = end_of(again)
@@ -250,7 +250,7 @@ def test_a_device_that_vanishes_in_mid_motion(
 def test_a_connection_that_breaks_is_resumed(
     tmp_path: Path, fault: str, procedure: str, moment: str
 ) -> None:
-    with simulation("--speed", "max") as cell:
+    with simulation() as cell:
         faulted(struck(cell, tmp_path, procedure, moment, fault), fault.split(".", maxsplit=1)[0])
         done = command("resume", "x", "--runs", tmp_path, "--json")
     assert end_of(done)["state"] == "finished", done.stderr

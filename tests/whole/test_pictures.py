@@ -11,7 +11,7 @@ import os
 import re
 import subprocess
 import time
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
@@ -36,8 +36,9 @@ PICTURES = (
     "screen-plots",
     "screen-wide",
 )
-BY_HAND = ("--set", "layout.reflectors=by_hand")
-WORDS = ["--operator", "Ann", "--job", "J-7", *([] if WANTED else sets(SMALL))]
+BY_HAND = {"layout.reflectors": "by_hand"}
+SIZE = {} if WANTED else SMALL
+WORDS = ["--operator", "Ann", "--job", "J-7", *sets(SIZE)]
 
 
 def keep(app: HilcellApp, name: str) -> None:
@@ -98,11 +99,11 @@ def engine(runs: Path, *words: str) -> Iterator[None]:
 
 @asynccontextmanager
 async def cell_and_screen(
-    runs: Path, cell_words: Sequence[str], words: Sequence[str]
+    runs: Path, values: Mapping[str, str], words: Sequence[str]
 ) -> AsyncIterator[tuple[Simulation, Pilot[int]]]:
     """Run an engine against a cell that stands beside it, and look at it."""
     with (
-        simulation("--speed", "60", *cell_words) as cell,
+        simulation(60.0, values) as cell,
         engine(runs, *words, "--set", f"simulation.address={cell.control}"),
     ):
         async with screen(runs, "last", (80, 24)) as pilot:
@@ -128,7 +129,7 @@ def test_a_fault(tmp_path: Path) -> None:
 
 
 async def a_fault(tmp_path: Path) -> None:
-    async with cell_and_screen(tmp_path, WORDS[4:], WORDS) as (cell, pilot):
+    async with cell_and_screen(tmp_path, SIZE, WORDS) as (cell, pilot):
         await until(pilot, r"/12 robot-grid: ([2-9]|\d\d)/")
         assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
         await until(pilot, "space resume")
@@ -142,7 +143,7 @@ def test_a_prompt(tmp_path: Path) -> None:
 
 
 async def a_prompt(tmp_path: Path) -> None:
-    words = ("world-frame", *BY_HAND, *WORDS)
+    words = ("world-frame", *sets(BY_HAND), *WORDS)
     async with cell_and_screen(tmp_path, BY_HAND, words) as (cell, pilot):
         await until(pilot, "Enter waits")
         assert cell.ask(do="seat", place="F1")["ok"]

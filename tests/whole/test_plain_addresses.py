@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.whole.bench import end_of, events, hilcell, sets, simulation
+from tests.whole.bench import end_of, events, hilcell, sets, sim_command
 from tests.whole.test_refusals import free_port
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
@@ -25,7 +25,7 @@ def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Pat
         "settle.rail_s": "0.0",
     }
     asked = ",".join(f"{name}={port}" for name, port in ports.items())
-    with simulation("--speed", "max", "--ports", asked) as simulated:
+    with sim_command("--speed", "max", "--ports", asked) as simulated:
         assert simulated.addresses["rail"] == {"channel": f"socket://127.0.0.1:{ports['rail']}"}
         assert simulated.addresses["robot"]["port"] == ports["robot"]
         done = hilcell(

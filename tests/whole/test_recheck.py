@@ -5,7 +5,7 @@ from pathlib import Path
 
 from hilcell.calibration.file import read_calibration
 from hilcell.journal.runs import CALIBRATION
-from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets, simulation
+from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets, sim_command
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
@@ -15,7 +15,7 @@ LOST = '[[fault]]\nname = "robot.lost_zero"\nvalue = 0.02\n'  # 0.35 mrad: 0.7 m
 def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_path: Path) -> None:
     faults, runs = tmp_path / "faults.toml", tmp_path / "runs"
     faults.write_text(LOST)
-    with simulation("--seed", "1", "--speed", "max", "--faults", str(faults)) as cell:
+    with sim_command("--seed", "1", "--speed", "max", "--faults", str(faults)) as cell:
         words = SMALL | {"simulation.address": cell.control}
         first = words | {"recheck.calibration": str(golden["small"].folder)}
         done = hilcell("run", "recheck", "--json", "--name", "R", "--runs", runs, *sets(first))

@@ -95,7 +95,7 @@ def test_a_port_nobody_listens_on(tmp_path: Path) -> None:
 def test_a_device_of_the_wrong_identity(tmp_path: Path, fault: str, device: str) -> None:
     faults = tmp_path / "faults.toml"
     faults.write_text(f'[[fault]]\nname = "{fault}"\ncount = 1000\n')
-    with simulation("--speed", "max", "--faults", str(faults)) as cell:
+    with simulation(faults=str(faults)) as cell:
         words = {"simulation.address": cell.control}
         done = hilcell("run", "--json", "--runs", tmp_path, *sets(words))
     end = end_of(done)

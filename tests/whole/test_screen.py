@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -15,14 +16,16 @@ from hilcell.journal.engine_file import live_engine
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, read_log, run_folders
+from hilcell.run import client
 from hilcell.run.client import order
-from tests.whole.bench import LIMIT_S, SMALL, command, hilcell, sets, simulation, sweep, wait_gone
+from tests.whole.bench import LIMIT_S, SMALL, command, sets, simulation, sweep, wait_gone
+from tests.whole.golden import GoldenRuns
 from tests.whole.terminal import Terminal
 from tests.whole.trace import judge
 
 ESC = "\x1b"
 ENTER = "\r"
-PACED = "100"
+PACED, SLOW = 100.0, 20.0
 UNHURRIED = "\x1b[Z\x1b[C\x1b[B"  # shift-tab to the speed, to 100, and back down
 SOON_S = 5.0
 
@@ -54,6 +57,12 @@ def start(terminal: Terminal, keys: str = ENTER) -> None:
     terminal.answer(ENTER)
 
 
+def to_procedure(name: str) -> str:
+    """Return the keys from the form's first choice to another procedure."""
+    names = sorted(entry.name for entry in entry_points(group="hilcell.procedures"))
+    return "\x1b[B" * (names.index(name) - names.index("calibrate"))
+
+
 def folder_of(runs: Path) -> Path:
     """Return the only run."""
     (folder,) = run_folders(runs)
@@ -80,12 +89,15 @@ def wait_for(true: Callable[[], object], what: str) -> None:
 
 
 def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the_report(
-    tmp_path: Path,
+    tmp_path: Path, golden: GoldenRuns
 ) -> None:
     with screen(tmp_path) as terminal:
         start(terminal)
         terminal.shows("● DONE", LIMIT_S)
+        wait_for(lambda: live_engine(folder_of(tmp_path)) is None, "the engine ends")
         log = read_log(folder_of(tmp_path))
+        assert log.end is not None
+        assert log.end["result"] == golden["small"].result  # a run by command, of the same seed
         terminal.press("w")
         terminal.shows("as measured")
         worst = next(line for line in terminal.text.splitlines() if line.startswith(">"))
@@ -114,11 +126,11 @@ def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the
 
 
 def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
-    with simulation("--speed", PACED, *sets(SMALL)) as cell:
+    with simulation(SLOW, SMALL) as cell:
         words = ("--set", f"simulation.address={cell.control}")
         with screen(tmp_path, *words) as terminal:
-            start(terminal)
-            terminal.shows("/12 robot-grid: ", LIMIT_S)
+            start(terminal, to_procedure("robot-grid") + ENTER)
+            terminal.shows("/5 robot-grid: ", LIMIT_S)
             terminal.press(" ")
             terminal.shows("▲ PAUSED", LIMIT_S)
             terminal.press(" ")
@@ -146,7 +158,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
         assert judged(folder_of(tmp_path)) == []
 
 
-@pytest.mark.parametrize("keys", ["h/", "\x10", *sweep("", "l", "a")])  # each page: test_terminal
+@pytest.mark.parametrize("keys", ["h/", *sweep("\x10", "", "l", "a")])  # each page: test_terminal
 def test_esc_stops_from_wherever_one_is(tmp_path: Path, keys: str) -> None:
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
@@ -161,7 +173,7 @@ def test_esc_stops_from_wherever_one_is(tmp_path: Path, keys: str) -> None:
         terminal.shows("ABORTED")
 
 
-@pytest.mark.parametrize("wait_s", [0.0, 0.5, *sweep(0.2, 0.8, 1.1)])
+@pytest.mark.parametrize("wait_s", [0.0, *sweep(0.2, 0.5, 0.8, 1.1)])
 def test_esc_right_after_the_start_is_heard(tmp_path: Path, wait_s: float) -> None:
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
@@ -191,7 +203,7 @@ def test_esc_right_after_a_resume_is_heard(tmp_path: Path) -> None:
 
 
 def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: Path) -> None:
-    with simulation("--speed", PACED, *sets(SMALL)) as cell:
+    with simulation(PACED, SMALL) as cell:
         words = ("--set", f"simulation.address={cell.control}")
         with screen(tmp_path, *words) as second:
             with Terminal(["tui", "--runs", str(tmp_path), *sets(SMALL), *words]) as first:
@@ -215,7 +227,7 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
 
 def test_a_screen_killed_while_it_shows_another_run_pauses_the_live_one(tmp_path: Path) -> None:
     words = ("run", "home", "--unattended", "--runs", str(tmp_path), "--name", "20200101-home")
-    assert hilcell(*words).returncode == 0
+    assert command(*words).returncode == 0
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("■ RUNNING", LIMIT_S)
@@ -241,7 +253,10 @@ def test_a_screen_that_dies_before_its_engine_speaks_leaves_nothing_moving(tmp_p
         assert not read_log(folder).points
 
 
-def test_an_engine_that_stands_still_is_silent_and_not_gone(tmp_path: Path) -> None:
+def test_an_engine_that_stands_still_is_silent_and_not_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client, "ORDER_S", 1.0)  # of the command below
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("■ RUNNING", LIMIT_S)
@@ -280,9 +295,9 @@ def test_the_screen_that_started_a_run_is_left_at_once_and_the_run_goes_on(tmp_p
 
 
 def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None:
-    by_hand = ("--set", "layout.reflectors=by_hand")
-    with simulation("--speed", PACED, *sets(SMALL), *by_hand) as cell:
-        words = (*by_hand, "--set", f"simulation.address={cell.control}")
+    values = {"layout.reflectors": "by_hand"}
+    with simulation(PACED, SMALL | values) as cell:
+        words = sets(values | {"simulation.address": cell.control})
         with screen(tmp_path, *words) as terminal:
             start(terminal, "\x1b[F" + ENTER)  # the last procedure: world-frame
             for nest in ("F1", "F2", "F3"):
