@@ -72,6 +72,9 @@ def test_what_was_given_up_may_still_end() -> None:
 
 def test_whole_collections_wait_until_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     collected: list[float] = []
+    kept: list[str] = []
+    for name in ("freeze", "unfreeze"):  # not really: the tests have frozen what is imported
+        monkeypatch.setattr(gc, name, lambda name=name: kept.append(name))
     before = gc.get_threshold()
     collector = GarbageCollector(0.0)
     try:
@@ -81,6 +84,8 @@ def test_whole_collections_wait_until_nothing_moves(monkeypatch: pytest.MonkeyPa
             collector.tick(at_rest=at_rest, now_s=now_s)
         assert FULL_COLLECTION_S > 2.0
         assert collected == [41.0]
+        assert kept == ["freeze"]
     finally:
         collector.end()
+    assert kept == ["freeze", "unfreeze"]
     assert gc.get_threshold() == before
