@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import math
 import platform
+import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -38,6 +40,7 @@ from hilcell.commands.run_output import (
     RunOutput,
     print_dry_run,
     print_end,
+    print_unclosed,
 )
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.index import read_index
@@ -61,11 +64,19 @@ from hilcell.run.exits import EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
-from hilcell.run.signals import stopped_by_signals
+from hilcell.run.signals import signals_noted, stopped_by_signals
 from hilcell.writing import NotWritten
 
 RUNS_LOOKED_AT = 5  # for poses that were driven before
 SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms is the default)
+
+
+class Ending(NamedTuple):
+    """How a run ended; ``unclosed`` says, by device, why it could not be left at rest."""
+
+    code: int
+    fault: Exception | None
+    unclosed: Mapping[str, Exception] = MappingProxyType({})
 
 
 def run(args: argparse.Namespace) -> int:
@@ -195,16 +206,19 @@ def _perform(
 ) -> int:
     """Run to an end, write the calibration, and print the outcome."""
     log = journal.log
-    with ExitStack() as stack:
-        stack.callback(journal.close)
-        stack.enter_context(output)
-        if log.state == "finished" and not log.retakes:
-            code = finish(procedure, journal)
-            code, fault = _with_calibration(code, None, journal, folder)
-        else:
-            code, fault = _run(cell, procedure, journal, folder, args)
-    output.close(code, log, fault)
-    print_end(folder, log, procedure, output, fault)
+    with signals_noted() as noted:
+        with ExitStack() as stack:
+            stack.callback(journal.close)
+            stack.enter_context(output)
+            if log.state == "finished" and not log.retakes:
+                ending = Ending(finish(procedure, journal), None)
+                ending = _with_calibration(ending, journal, folder)
+            else:
+                ending = _run(cell, procedure, journal, folder, args, noted)
+            code, fault, unclosed = ending
+        output.close(code, log, fault)
+        print_end(folder, log, procedure, output, fault)
+        print_unclosed(unclosed)
     if code in RESUMABLE and not _wants_new_run(fault):
         runs = "" if folder.parent == Path("runs") else f" --runs {folder.parent}"
         print_message(f"resume with: hilcell resume {folder.name}{runs}")
@@ -223,16 +237,18 @@ def _run(
     journal: RunJournal,
     folder: Path,
     args: argparse.Namespace,
-) -> tuple[int, Exception | None]:
+    noted: list[signal.Signals],
+) -> Ending:
     """Bring up devices and perform; failures before the runner lives are journalled here."""
     log, inputs, stop = journal.log, journal.log.inputs, threading.Event()
     sys.setswitchinterval(SWITCH_S)
     try:
-        with ExitStack() as stack, stopped_by_signals():
+        with ExitStack() as stack:
             speed = inputs.speed or math.inf
-            simulated = start_simulation(cell, seed=inputs.truth_seed, speed=speed)
-            if simulated is not None:
-                stack.callback(simulated.close)
+            with stopped_by_signals(noted):  # it waits for another process
+                simulated = start_simulation(cell, seed=inputs.truth_seed, speed=speed)
+                if simulated is not None:
+                    stack.callback(simulated.close)
             addresses = simulated.options if simulated is not None else {}
             for place, tables in device_places(cell, addresses).items():
                 what = f"device {' and '.join(tables)} at {place}"
@@ -251,7 +267,9 @@ def _run(
             )
             stack.callback(Control(folder, runner).close)
             # While its engine is there: afterwards a file that is missing is a lost one.
-            return _with_calibration(runner.run(), runner.fault, journal, folder)
+            code = runner.run(noted)
+            ending = Ending(code, runner.fault, runner.unclosed)
+            return _with_calibration(ending, journal, folder)
     except (HilcellError, Stopped) as error:
         if isinstance(error, CellLocked) and not log.session:
             raise  # there is nothing to keep
@@ -266,20 +284,18 @@ def _run(
         try:
             journal.append("end", "", body)
         except StorageError as unwritten:  # a disk that takes no engine takes no end either
-            return EXIT_STORAGE, unwritten
-        return code, error
+            return Ending(EXIT_STORAGE, unwritten)
+        return Ending(code, error)
 
 
-def _with_calibration(
-    code: int, fault: Exception | None, journal: RunJournal, folder: Path
-) -> tuple[int, Exception | None]:
+def _with_calibration(ending: Ending, journal: RunJournal, folder: Path) -> Ending:
     """Write the calibration that a run has ended with; report a file that cannot be written."""
     if journal.log.calibrates:
         try:
             write_calibration(calibration_after(journal.log, journal.run), folder / CALIBRATION)
         except NotWritten as error:
-            return EXIT_STORAGE, error
-    return code, fault
+            return Ending(EXIT_STORAGE, error, ending.unclosed)
+    return ending
 
 
 def _output(as_json: bool, run: str, points: int, journal: RunJournal) -> RunOutput:

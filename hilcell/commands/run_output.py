@@ -6,7 +6,7 @@ Output only listens: a closed pipe or a lost terminal never ends the run.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -23,6 +23,8 @@ from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.journal.states import WAITING
 from hilcell.run.procedure import Plan, Procedure
+
+AT_REST = {"Rail": "held", "Robot": "at rest"}  # how a run leaves what moves
 
 
 class RunOutput:
@@ -178,6 +180,16 @@ def print_end(
     state = log.state
     ended = state if log.end is not None else f"cut off while {state}"
     print_message(f"{kind_of(log)} {folder.name}: {ended}; journal in {folder}")
+
+
+def print_unclosed(problems: Mapping[str, Exception]) -> None:
+    """Print which devices could not be left as a run leaves them: nobody knows that they rest."""
+    for device, error in problems.items():
+        if device in AT_REST:
+            print_message(
+                f"hilcell: {device.lower()} could not be confirmed {AT_REST[device]}: {error}; "
+                "it may still move: look at it, and use the E-stop before anybody goes near"
+            )
 
 
 def _print_result(procedure: Procedure, result: dict[str, Any]) -> None:

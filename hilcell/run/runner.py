@@ -8,9 +8,11 @@ sent by threads that wait for nothing else, so it works while the worker hangs i
 from __future__ import annotations
 
 import queue
+import signal
 import threading
 import time
 import traceback
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from hilcell.cell.devices import Devices
@@ -32,7 +34,7 @@ from hilcell.run.interlocks import Sight, overview
 from hilcell.run.procedure import Procedure
 from hilcell.run.protocol import Status
 from hilcell.run.retake import retake_refusal
-from hilcell.run.signals import signals_as_commands
+from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine
 from hilcell.run.stopping import SafeStop, close_all, facts_of_problems
 from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
@@ -73,30 +75,37 @@ class Runner:
         if unattended or not ordered:
             self._worker.screen_known.set()
         self._fault: Exception | None = None
+        self._unclosed: dict[str, Exception] | None = None  # None: the devices are still open
         self._life = StateMachine(RUN, journal)
 
-    def run(self) -> int:
-        """Run to the end and return the exit code."""
-        try:
-            begin = {"idle": "check", "finished": "reopen"}.get(self.log.state, "resume")
-            self._life.fire(begin)
-            with signals_as_commands(self.post):
-                self._worker.start()
-                error = self._attend()
-            return self._end(error)
-        except StorageError as error:
-            self._stop.set()
-            self._safe_stop.wait()
-            close_all(self._worker.devices)
-            self._fault = error
-            return EXIT_STORAGE
-        finally:
-            self._worker.release()
+    def run(self, noted: Sequence[signal.Signals] = ()) -> int:
+        """Run to the end and return the exit code; signals ``noted`` before are commands, too.
+
+        To the end of this call signals only queue commands, so none interrupts the teardown.
+        """
+        with signals_as_commands(self.post):
+            for number in noted:
+                self.post(COMMANDS[number])
+            try:
+                return self._end(self._perform())
+            except StorageError as error:
+                self._stop.set()
+                self._safe_stop.wait()
+                self._close_devices()
+                self._fault = error
+                return EXIT_STORAGE
+            finally:
+                self._worker.release()
 
     @property
     def fault(self) -> Exception | None:
         """Return what ended the run, where something did."""
         return self._fault
+
+    @property
+    def unclosed(self) -> dict[str, Exception]:
+        """Return, by device, why it could not be left held and closed at the run's end."""
+        return self._unclosed or {}
 
     # -- any thread ---------------------------------------------------------------------------
 
@@ -172,6 +181,18 @@ class Runner:
         )
 
     # -- the main thread: messages ------------------------------------------------------------
+
+    def _perform(self) -> Exception | None:
+        """Let the worker perform the procedure; return what ended it."""
+        begin = {"idle": "check", "finished": "reopen"}.get(self.log.state, "resume")
+        self._life.fire(begin)
+        self._worker.start()
+        try:
+            return self._attend()
+        except StorageError:
+            raise
+        except Exception as defect:  # noqa: BLE001 - of this thread; the devices are stopped all the same
+            return defect
 
     def _attend(self) -> Exception | None:
         """Take messages until the worker has ended; return what ended it."""
@@ -295,7 +316,8 @@ class Runner:
         elif error is not None and not self._stop.is_set():
             self._stop.set()
             self._note("safe stop", self._safe_stop.wait())
-        self._note("closed", close_all(self._worker.devices))
+            self._worker.ended_within(WORKER_S)
+        self._note("closed", self._close_devices())
         self._journal.append("event", "", {"what": "link"} | self._link())
         if error is None:
             try:
@@ -309,6 +331,12 @@ class Runner:
         body = {"exit": code, "result": {}, "reason": str(error), "error": facts_of(error)}
         self._journal.append("end", "", {"state": self.log.state} | body)
         return code
+
+    def _close_devices(self) -> dict[str, Exception]:
+        """Close all devices, once; return the problems by device."""
+        if self._unclosed is None:
+            self._unclosed = close_all(self._worker.devices)
+        return self._unclosed
 
     def _finish(self) -> int:
         self._procedure.result(self.log)  # what cannot be computed is a fault, not a finish

@@ -1,4 +1,7 @@
-"""Signals to a run: before it lives they end it, then they are commands."""
+"""Signals to a run: while it starts they end it, while it lives they are commands.
+
+None of them interrupts a teardown: outside of the start-up a handler only notes or queues.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,34 @@ COMMANDS = {signal.SIGINT: "interrupt", signal.SIGTERM: "terminate", signal.SIGH
 
 
 @contextmanager
-def stopped_by_signals() -> Iterator[None]:
-    """Turn SIGTERM, SIGINT and SIGHUP into `Stopped` while nothing moves yet."""
+def signals_noted() -> Iterator[list[signal.Signals]]:
+    """Note SIGTERM, SIGINT and SIGHUP in the list, and let everything go on."""
+    noted: list[signal.Signals] = []
+    with _handled(dict.fromkeys(COMMANDS, lambda number, _: noted.append(signal.Signals(number)))):
+        yield noted
+
+
+@contextmanager
+def stopped_by_signals(noted: list[signal.Signals]) -> Iterator[None]:
+    """Let the first signal raise `Stopped` while nothing moves yet; later ones change nothing.
+
+    The first may have been ``noted`` before, or come at the very end.
+    """
 
     def stopped(number: int, _: object) -> None:
-        raise Stopped(f"stopped by {signal.Signals(number).name} before anything moved")
+        noted.append(signal.Signals(number))
+        if len(noted) == 1:  # else what this one would interrupt is the way out
+            _refuse(noted)
 
+    _refuse(noted)
     with _handled(dict.fromkeys(COMMANDS, stopped)):
         yield
+    _refuse(noted)
+
+
+def _refuse(noted: list[signal.Signals]) -> None:
+    if noted:
+        raise Stopped(f"stopped by {noted[0].name} before anything moved")
 
 
 @contextmanager

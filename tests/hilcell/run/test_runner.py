@@ -1,5 +1,7 @@
 """How runs end: well, out of tolerance, by a fault, on a full disk; and how they resume."""
 
+import signal
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -7,9 +9,10 @@ import pytest
 
 from hilcell.journal.journal import StorageError, read_journal
 from hilcell.ports import DeviceError, DeviceRefused
+from hilcell.run import stopping
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import Bed, broken_beam
-from tests.hilcell.run.rig import Points, procedure
+from tests.hilcell.run.rig import Points, hang, procedure
 
 
 @pytest.fixture
@@ -123,3 +126,47 @@ def test_every_part_is_announced(bed: Bed) -> None:
         if r.body.get("what") == "step" or r.kind == "point"
     ]
     assert kinds == [1, "p/0", 2]
+
+
+def test_a_slide_that_cannot_be_left_held_is_reported(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entered, release = threading.Event(), threading.Event()
+    monkeypatch.setattr(stopping, "CLOSE_S", 0.05)
+    monkeypatch.setattr(bed.rail, "close", hang(entered, release))
+    runner = bed.runner(procedure(Points(10**6)))
+    assert runner.run([signal.SIGTERM]) == 4
+    release.set()
+    bed.journal.close()
+    assert [*runner.unclosed] == ["Rail"]
+    assert bed.events("closed")[0]["problems"] == {"Rail": "no answer within 0.05 s"}
+
+
+def test_devices_are_closed_once_also_where_the_disk_fills_up_between(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner = bed.runner(procedure(Points(1)))
+    real = bed.journal.append
+
+    def append(kind: Any, key: str, body: dict[str, Any]) -> Any:
+        if body.get("what") == "link":
+            raise StorageError("journal: disk full")
+        return real(kind, key, body)
+
+    monkeypatch.setattr(bed.journal, "append", append)
+    assert runner.run() == 7
+    assert bed.rail.closed == 1
+
+
+def test_a_defect_of_the_main_thread_stops_everything_too(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(message: object) -> None:
+        raise RuntimeError("a defect")
+
+    runner = bed.runner(procedure(Points(10**6)))
+    monkeypatch.setattr(runner, "_follow", broken)
+    assert runner.run() == 5
+    assert bed.rail.stopped_s is not None
+    assert bed.rail.closed == 1
+    assert bed.states()[-1] == "faulted"

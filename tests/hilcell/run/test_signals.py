@@ -1,5 +1,6 @@
 """Signals reach a run whichever thread the system hands them to."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -7,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.ports import Stopped
-from hilcell.run.signals import signals_as_commands, stopped_by_signals
+from hilcell.ports import DeviceError, Stopped
+from hilcell.run.cell_session import CellSession
+from hilcell.run.signals import signals_as_commands, signals_noted, stopped_by_signals
+from tests.hilcell.run.bed import Bed
+from tests.hilcell.run.rig import Points, procedure
 
 ROOT = Path(__file__).parents[3]
 ELSEWHERE = """
@@ -55,9 +59,78 @@ def test_signals_become_commands_and_are_given_back() -> None:
     assert signal.getsignal(signal.SIGHUP) is before
 
 
-def test_before_a_run_lives_a_signal_ends_it() -> None:
-    with (
-        pytest.raises(Stopped, match="stopped by SIGHUP before anything moved"),
-        stopped_by_signals(),
-    ):
-        signal.raise_signal(signal.SIGHUP)
+def left(noted: list[signal.Signals]) -> None:
+    """Start, get a signal, and another on the way out."""
+    with stopped_by_signals(noted):
+        try:
+            signal.raise_signal(signal.SIGHUP)
+        finally:
+            signal.raise_signal(signal.SIGINT)
+            noted.append(signal.SIGTERM)  # it came so far
+
+
+def test_while_a_run_starts_a_signal_ends_it_and_later_ones_do_not_interrupt_its_way_out() -> None:
+    with signals_noted() as noted:
+        with pytest.raises(Stopped, match="stopped by SIGHUP before anything moved"):
+            left(noted)
+        assert noted == [signal.SIGHUP, signal.SIGINT, signal.SIGTERM]
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_noted_before_the_start_ends_it_too() -> None:
+    with pytest.raises(Stopped, match="SIGINT"), stopped_by_signals([signal.SIGINT]):
+        raise AssertionError("it has started")
+
+
+def test_a_signal_noted_while_the_run_is_set_up_stops_it(tmp_path: Path) -> None:
+    bed = Bed(tmp_path)
+    runner = bed.runner(procedure(Points(10**6)))
+    assert runner.run([signal.SIGTERM]) == 4
+    bed.journal.close()
+    assert bed.states()[-1] == "aborted"
+
+
+def three() -> None:
+    """Press ctrl-C three times, and have the system end the process."""
+    for number in (signal.SIGINT, signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGTERM):
+        os.kill(os.getpid(), number)
+
+
+@pytest.mark.parametrize("ends_well", [True, False])
+def test_signals_while_a_run_is_torn_down_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends_well: bool
+) -> None:
+    """Devices are closed once, and the journal says how the run ended."""
+    bed = Bed(tmp_path)
+    close = bed.rail.close
+
+    def closing() -> None:
+        three()
+        close()
+        three()
+
+    def fail(session: CellSession, number: int) -> None:
+        if not ends_well:
+            raise DeviceError("HC-R31", "Rail", "move", "frozen")
+
+    monkeypatch.setattr(bed.rail, "close", closing)
+    runner = bed.runner(procedure(Points(1, fail)))
+    ends = ("closed", "finished", "faulted")
+    bed.journal.listen(  # in the middle of a commit
+        lambda record: three() if {*ends} & {*map(str, record.body.values())} else None
+    )
+    assert runner.run() in ((0,) if ends_well else (3,))
+    assert bed.rail.closed == 1
+
+
+def test_ctrl_c_three_times_stops_a_run_in_good_order(tmp_path: Path) -> None:
+    bed = Bed(tmp_path)
+
+    def pressed(session: CellSession, number: int) -> None:
+        if number == 2:
+            three()
+
+    assert bed.run(procedure(Points(10**6, pressed))) == 4
+    assert bed.states()[-2:] == ["stopping", "aborted"]
+    assert bed.log().end is not None
+    assert bed.rail.closed == 1

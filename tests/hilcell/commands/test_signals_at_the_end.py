@@ -1,0 +1,68 @@
+"""Signals while a command brings its run to an end: whatever comes, the end is a whole one."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from hilcell.commands import run as command
+from hilcell.commands.cli import main
+from hilcell.commands.run_output import print_unclosed
+from hilcell.journal.journal import StorageError, read_journal
+from hilcell.journal.runs import CALIBRATION
+from hilcell.ports import DeviceError
+
+
+def pressed(*_: object, **__: object) -> None:
+    for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM):
+        os.kill(os.getpid(), number)
+
+
+def end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[str], str]:
+    """Return a short run's exit code, the last records of its journal and its words."""
+    code = main(["run", "home", "--name", "R", "--unattended", "--runs", str(tmp_path)])
+    records = read_journal(tmp_path / "R" / "journal.sqlite")
+    return code, [record.kind for record in records[-2:]], capsys.readouterr().err
+
+
+def test_signals_while_a_finished_run_closes_do_not_change_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The simulated cell, the calibration and the last words each get some."""
+    written: list[Path] = []
+
+    def write(calibration: object, path: Path) -> None:
+        pressed()
+        written.append(path)
+
+    monkeypatch.setattr(command, "calibration_after", pressed)
+    monkeypatch.setattr(command, "write_calibration", write)
+    monkeypatch.setattr("hilcell.journal.log.Log.calibrates", True)
+    monkeypatch.setattr(command, "print_unclosed", pressed)
+    code, kinds, words = end(tmp_path, capsys)
+    assert code == 0
+    assert kinds == ["state", "end"]
+    assert written == [tmp_path / "R" / CALIBRATION]
+    assert "internal error" not in words
+
+
+def test_a_signal_while_the_simulated_cell_starts_ends_the_run_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "start_simulation", pressed)
+    code, kinds, words = end(tmp_path, capsys)
+    assert code == 4
+    assert kinds == ["plan", "end"]
+    assert "stopped by SIGINT before anything moved" in words
+
+
+def test_a_slide_that_nobody_confirms_to_be_held_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    hung = DeviceError("HC-R37", "Rail", "close", "the drive keeps its power")
+    print_unclosed({"Rail": hung, "Tracker": StorageError("of no matter")})
+    assert capsys.readouterr().err == (
+        "hilcell: rail could not be confirmed held: Rail: close: the drive keeps its power; it may "
+        "still move: look at it, and use the E-stop before anybody goes near\n"
+    )
