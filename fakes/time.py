@@ -24,15 +24,11 @@ class PlantTime:
 
     def __init__(self, speed: float = math.inf) -> None:
         self.speed = speed
+        self.stepped = math.isinf(speed)  # time passes only when it is made to
         self._lock = threading.Lock()
         self._stepped_s = 0.0
         self._start_s = time.monotonic()
         self._followers: tuple[Follower, ...] = ()
-
-    @property
-    def stepped(self) -> bool:
-        """Whether time passes only when it is made to."""
-        return math.isinf(self.speed)
 
     def now_s(self) -> float:
         """Return simulated seconds since power-on."""

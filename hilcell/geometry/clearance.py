@@ -135,8 +135,10 @@ def segment_to_box_mm(ends_mm: Array, half_mm: Array) -> Array:
     half = half_mm[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = np.concatenate([(-half - start) / along, (half - start) / along], axis=-1)[:, 0]
-    crossings = np.nan_to_num(crossings, nan=0.0).clip(0.0, 1.0)
-    knots = np.sort(np.pad(crossings, ((0, 0), (1, 1)), constant_values=(0.0, 1.0)), axis=1)
+    knots = np.zeros((len(ends_mm), crossings.shape[1] + 2))
+    knots[:, 1:-1] = np.where(np.isnan(crossings), 0.0, crossings).clip(0.0, 1.0)
+    knots[:, -1] = 1.0
+    knots.sort(axis=1)
     slope = np.sum(along * _outside(start + knots[..., None] * along, half), axis=-1)
     after = np.argmax(slope >= 0.0, axis=1)
     after = np.where(slope[:, -1] >= 0.0, after, knots.shape[1] - 1)

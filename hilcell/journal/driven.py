@@ -14,7 +14,7 @@ from hilcell.ports import Array
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
 
-SAME_RAD = np.radians(1.0)  # of each axis: corrections and approaches turn less
+SAME_DEG = 1.0  # of each axis: corrections and approaches turn less
 SAME_MM = 5.0  # of the slide
 
 
@@ -22,8 +22,8 @@ class Driven:
     """Takes a run's records in their order."""
 
     def __init__(self) -> None:
-        self._ends: list[Array] = []  # (7,): the strip's reading, six joints in rad
-        self._under_way: Array | None = None
+        self._ends: list[list[float]] = []  # of seven: the strip's reading, six joints in deg
+        self._under_way: list[float] | None = None
 
     def take(self, record: Record) -> None:
         """Add one record."""
@@ -36,13 +36,12 @@ class Driven:
             self._ends.append(self._under_way)
         self._under_way = None
         if body.get("action") == "robot.move" and "strip_mm" in body:
-            joints_rad = np.radians(body["joints_deg"])
-            self._under_way = np.array([body["strip_mm"], *joints_rad])
+            self._under_way = [body["strip_mm"], *body["joints_deg"]]
 
     def has(self, strip_mm: float, joints_rad: Array) -> bool:
         """Whether a motion ended at joints (6,) with the slide there."""
         if not self._ends:
             return False
-        off = np.abs(np.array(self._ends) - [strip_mm, *joints_rad])
-        near = (off[:, 0] <= SAME_MM) & (off[:, 1:] <= SAME_RAD).all(axis=1)
+        off = np.abs(np.array(self._ends) - [strip_mm, *np.degrees(joints_rad)])
+        near = (off[:, 0] <= SAME_MM) & (off[:, 1:] <= SAME_DEG).all(axis=1)
         return bool(near.any())

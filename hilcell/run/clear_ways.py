@@ -17,7 +17,6 @@ from hilcell.cell.file import Cell, Station
 from hilcell.cell.surroundings import Surroundings, posture
 from hilcell.geometry.clearance import Bools
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.rotations import to_rotvec
 from hilcell.ports import Array
 from hilcell.run.interlocks import Blocked, check_joint_limits
 
@@ -101,8 +100,8 @@ def leaves_cube(cell: Cell, joints_rad: Array) -> Bools:
     """
     found, centre = forward(cell.robot.arm(), joints_rad), cell.grid.centre.matrix()
     off_mm = np.abs(found[:, :3, 3] - centre[:3, 3]) - np.array(cell.grid.size_mm) / 2
-    turn_rad = np.linalg.norm(to_rotvec(found[:, :3, :3] @ centre[:3, :3].T), axis=-1)
-    stated = (off_mm <= CUBE_MM).all(axis=-1) & (turn_rad <= CUBE_RAD)
+    cosine = (np.einsum("nij,ij->n", found[:, :3, :3], centre[:3, :3]) - 1.0) / 2.0  # of the turn
+    stated = (off_mm <= CUBE_MM).all(axis=-1) & (cosine >= np.cos(CUBE_RAD))
     table = cell.base_frame
     stated |= _on_circle(joints_rad, 0, table.axis_1_deg, table.axis_1_sweep_deg)
     stated |= _on_circle(joints_rad, 5, table.axis_6_deg, table.axis_6_sweep_deg)
