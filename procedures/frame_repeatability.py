@@ -13,7 +13,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import lengths_mm, rms
+from hilcell.geometry.statistics import f_quantile, lengths_mm, rms
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
@@ -90,8 +90,6 @@ def repeatability_figures(log: Log) -> dict[str, Any]:
     The ratio of the root mean squares; its interval is that of an F distribution with six degrees
     of freedom for every station compared.
     """
-    from scipy import stats
-
     cell = log.cell
     others = [station for station in cell.station if station.name != cell.grid.station]
     figures: dict[str, Any] = {}
@@ -104,7 +102,7 @@ def repeatability_figures(log: Log) -> dict[str, Any]:
     rms_mm = {kind: rms(list(figures[kind].values())) for kind in ("base", "station")}
     ratio = rms_mm["base"] / rms_mm["station"]
     freedoms = FREEDOMS * len(others)
-    spread = float(np.sqrt(stats.f.ppf(0.5 + CONFIDENCE / 2, freedoms, freedoms)))
+    spread = float(np.sqrt(f_quantile(0.5 + CONFIDENCE / 2, freedoms, freedoms)))
     return figures | {
         "rms_mm": rms_mm,
         "ratio": ratio,

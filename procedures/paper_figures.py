@@ -14,7 +14,7 @@ from hilcell.geometry.circles import base_frame_covariance
 from hilcell.geometry.frames import apply, cross_matrix, inverse
 from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.statistics import lengths_mm, rms
+from hilcell.geometry.statistics import lengths_mm, ranks, rms
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
@@ -93,10 +93,8 @@ def commanded_rad(points: list[Point]) -> Array:
 
 def similarity_rank(log: Log, result: Result) -> float:
     """Return the rank correlation of joint distance and error difference over the vertices."""
-    from scipy import stats
-
     pairs = grid_pairs(log)
-    return float(stats.spearmanr(pairs.joint_rad, pairs.difference_mm).statistic)
+    return float(np.corrcoef(ranks(pairs.joint_rad), ranks(pairs.difference_mm))[0, 1])
 
 
 def interpolation_off_mm(log: Log, result: Result) -> float:

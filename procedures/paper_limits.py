@@ -13,7 +13,7 @@ import numpy as np
 from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import grid_pairs
 from hilcell.geometry.frames import apply, inverse, rigid_fit, three_point_frame
-from hilcell.geometry.statistics import rms, variance_of_mean
+from hilcell.geometry.statistics import chi2_quantile, f_quantile, ranks, rms, variance_of_mean
 from hilcell.journal.log import Log
 from procedures.paper_figures import Result, transfer, validation
 from procedures.paper_stations import stations_needed
@@ -59,14 +59,11 @@ def beyond_chance(log: Log, result: Result) -> Limits:
 
     Mantel's test: pairs of vertices are not independent, so whole vertices are exchanged.
     """
-    from scipy import stats
-    from scipy.spatial.distance import squareform
-
-    pairs = grid_pairs(log)
-    of_joints, of_errors = (
-        squareform(stats.rankdata(each) - (len(each) + 1) / 2)
-        for each in (pairs.joint_rad, pairs.difference_mm)
-    )
+    pairs, count = grid_pairs(log), len(log.select("grid"))
+    one, other = np.triu_indices(count, 1)
+    of_joints, of_errors = np.zeros((2, count, count))
+    for square, each in ((of_joints, pairs.joint_rad), (of_errors, pairs.difference_mm)):
+        square[one, other] = square[other, one] = ranks(each) - (len(each) + 1) / 2
     scale = np.linalg.norm(of_joints) * np.linalg.norm(of_errors)
     rng = np.random.default_rng(8)
     dealt = (rng.permutation(len(of_errors)) for _ in range(PERMUTATIONS))
@@ -107,12 +104,10 @@ def circle_residual(log: Log, result: Result) -> Limits:
 
     Repeatability is that of the visits to the cube; a circle's residual has two coordinates.
     """
-    from scipy import stats
-
     variance_mm2 = rms(distances_mm(log)) ** 2 / 3
     visits_freedom = 3 * len(places_mm(log.cell)) * (VISITS - 1)
     circle_freedom = 2 * log.cell.base_frame.points - 6
-    spread = float(stats.f.ppf(SURE, circle_freedom, visits_freedom))
+    spread = f_quantile(SURE, circle_freedom, visits_freedom)
     return -INFINITE, float(np.sqrt(2 * variance_mm2 * spread))
 
 
@@ -121,13 +116,11 @@ def rigid_slide(log: Log, result: Result) -> Limits:
 
     That of the readings' noise alone, widened by the effect of chance on the fit's residuals.
     """
-    from scipy import stats
-
     cell, reference = log.cell, log.cell.station_named(log.cell.grid.station)
     at_reference_mm = slide_in_world_mm(log, reference)
     slide_mm = apply(inverse(three_point_frame(*at_reference_mm[:3])), at_reference_mm)
     freedom = 3 * len(slide_mm) - 6
-    widened = float(np.sqrt(stats.chi2.ppf(SURE, freedom) / freedom))
+    widened = float(np.sqrt(chi2_quantile(SURE, freedom) / freedom))
     by_noise_mm = []
     for station in (reference, *other_stations(cell)):
         T = station_fit(log, station, reference).T
@@ -185,11 +178,10 @@ def largest_of_many(log: Log, result: Result) -> Limits:
     For normal errors in 3-D their norms follow Maxwell's law: the largest of 135 stays below 3.3
     times their mean in all runs but one in a thousand, and below 2.2 times in every second run.
     """
-    from scipy import stats
-
     count = validation("reference", "points")(log, result)
     mean_mm = validation("reference", "idw", "mean")(log, result)
-    largest = float(stats.maxwell.ppf(SURE ** (1 / count)) / stats.maxwell.mean())
+    mean = np.sqrt(8.0 / np.pi)  # of Maxwell's law with unit standard deviation
+    largest = float(np.sqrt(chi2_quantile(SURE ** (1 / count), 3)) / mean)
     return -INFINITE, max(PAPER_LARGEST_MM, largest * mean_mm)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, rigid_fit, unit
 from hilcell.geometry.rotations import to_rotvec
-from hilcell.geometry.statistics import variance_of_mean
+from hilcell.geometry.statistics import slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
@@ -68,8 +68,6 @@ def steps_mm(cell: Cell) -> Array:
 
 def survey_figures(log: Log) -> dict[str, Any]:
     """Return error curves, backlash, scale, straightness and angles, with uncertainties k = 1."""
-    from scipy import stats
-
     nominal_mm = steps_mm(log.cell)
     forth_mm = path_mm(log, FORTH, FLANGE)
     back_mm = path_mm(log, BACK, FLANGE)[::-1]
@@ -79,7 +77,7 @@ def survey_figures(log: Log) -> dict[str, Any]:
     error_back = (back_mm - origin_mm) @ along - nominal_mm
     # At both ends the slide was not reached from its way's side.
     lost_mm = (error_back - error_forth)[1:-1]
-    slope = stats.linregress(nominal_mm, error_forth)
+    scale, u_scale = slope(nominal_mm, error_forth)
     return {
         "curve": {
             FORTH: np.column_stack([nominal_mm, error_forth]).tolist(),
@@ -90,7 +88,7 @@ def survey_figures(log: Log) -> dict[str, Any]:
             "value": float(lost_mm.mean()),
             "u": float(np.sqrt(variance_of_mean(lost_mm))),
         },
-        "scale_ppm": {"value": float(slope.slope * 1e6), "u": float(slope.stderr * 1e6)},
+        "scale_ppm": {"value": scale * 1e6, "u": u_scale * 1e6},
         "straightness_mm": straightness_mm(forth_mm, along),
         "angles_mrad": angles_mrad(log, along),
     }

@@ -69,6 +69,35 @@ def variance_of_mean(values: ArrayLike) -> float:
     return float(found.var(ddof=1)) / len(found)
 
 
+def ranks(values: ArrayLike) -> Array:
+    """Return the ranks (N,) of values (N,), from 1; equal values share their mean rank."""
+    _, group, count = np.unique(np.asarray(values), return_inverse=True, return_counts=True)
+    shared: Array = np.cumsum(count) - (count - 1) / 2
+    return shared[group]
+
+
+def slope(x: Array, y: Array) -> tuple[float, float]:
+    """Return the slope of the line through points (N,) by least squares in y, and its u."""
+    xx, xy, _, yy = np.cov(x, y, bias=True).ravel()
+    correlation = xy / np.sqrt(xx * yy) if yy > 0.0 else 0.0
+    left = max(0.0, 1.0 - correlation**2) * yy
+    return float(xy / xx), float(np.sqrt(left / xx / (np.size(x) - 2)))
+
+
+def chi2_quantile(share: float, freedom: float) -> float:
+    """Return the chi^2 with so many degrees of freedom below which lies a share of all."""
+    from scipy.special import gammaincinv  # scipy.stats takes a second to import
+
+    return float(2.0 * gammaincinv(freedom / 2.0, share))
+
+
+def f_quantile(share: float, above: float, below: float) -> float:
+    """Return the F(above, below) below which lies a share of all."""
+    from scipy.special import fdtri
+
+    return float(fdtri(above, below, share))
+
+
 def rectangular_variance(half_width: float) -> float:
     """Return the variance of a value known to lie within +- its half-width (GUM 4.3.7, eq 7)."""
     return half_width**2 / 3.0

@@ -7,14 +7,18 @@ import pytest
 
 from hilcell.geometry.statistics import (
     bounds95_mm,
+    chi2_quantile,
     effective_freedom,
+    f_quantile,
     figures_of,
     from_mean_mm,
     lengths_mm,
     pooled_std_mm,
+    ranks,
     reading_variances_mm2,
     repeatability_mm,
     rms,
+    slope,
     trace_freedom,
     variance_of_mean,
 )
@@ -119,3 +123,20 @@ def test_degrees_of_freedom_of_a_sum() -> None:
     assert trace_freedom(np.zeros((3, 3)), 10) == math.inf
     found = effective_freedom([[4.0, 0.0, 2.0], [4.0, 0.0, 2.0]], [4, math.inf])
     np.testing.assert_allclose(found, [16.0, math.inf, 16.0])  # 8^2 / (4^2 / 4)
+
+
+def test_equal_values_share_their_mean_rank() -> None:
+    assert ranks([30.0, 10.0, 20.0, 10.0, 20.0, 20.0]).tolist() == [6.0, 1.5, 4.0, 1.5, 4.0, 4.0]
+
+
+def test_the_slope_of_a_line_and_its_uncertainty() -> None:
+    # By hand: residuals 1/6, -2/6, 1/6 about 1.5 x - 1/6, one degree of freedom, S_xx = 2.
+    x = np.arange(3.0)
+    assert slope(x, np.array([0.0, 1.0, 3.0])) == pytest.approx((1.5, math.sqrt(1 / 12)))
+    assert slope(x, np.full(3, 4.0)) == (0.0, 0.0)
+    assert slope(x, 2.0 * x) == pytest.approx((2.0, 0.0), abs=1e-7)
+
+
+def test_quantiles_are_those_of_the_tables() -> None:
+    assert chi2_quantile(0.95, 3) == pytest.approx(7.8147, abs=1e-4)
+    assert f_quantile(0.95, 3, 10) == pytest.approx(3.7083, abs=1e-4)
