@@ -18,7 +18,6 @@ from tests.whole.bench import (
     command,
     end_of,
     events,
-    hilcell,
     sets,
     simulation,
 )
@@ -193,18 +192,18 @@ def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
     assert judge(engine.events) == []
 
 
-@pytest.mark.parametrize("command", ["run", "resume"])
-def test_nobody_is_left_alone_with_it(tmp_path: Path, cell: Simulation, command: str) -> None:
-    if command == "run":
-        done = hilcell("run", *words(cell, tmp_path), "--unattended", "--json")
+@pytest.mark.parametrize("word", ["run", "resume"])
+def test_nobody_is_left_alone_with_it(tmp_path: Path, cell: Simulation, word: str) -> None:
+    if word == "run":
+        done = command("run", *words(cell, tmp_path), "--unattended", "--json")
     else:
         engine = Engine("run", *words(cell, tmp_path))
         engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
         engine.kill()
-        done = hilcell("resume", "hand", "--runs", tmp_path, "--unattended")
+        done = command("resume", "hand", "--runs", tmp_path, "--unattended")
     assert done.returncode == 2
     assert "layout.reflectors is by_hand: somebody must be there" in done.stderr
-    if command == "run":
+    if word == "run":
         assert end_of(done)["state"] == "idle"
         assert not list(tmp_path.iterdir())
 

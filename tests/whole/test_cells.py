@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.whole.bench import end_of, hilcell, sets
+from tests.whole.bench import command, end_of, sets
 
 QUICK = {
     "plan.quick": "true",
@@ -17,7 +17,7 @@ QUICK = {
 
 def test_another_make_is_calibrated(tmp_path: Path) -> None:
     words = ("--json", "--cell", "six-r", "--runs", tmp_path, "--machine-seed", "4")
-    end = end_of(hilcell("run", *words, *sets(QUICK)))
+    end = end_of(command("run", *words, *sets(QUICK)))
     assert end["exit"] == 0
     figures = end["result"]["validation"]["S800"]
     assert figures["chosen"]["mean"] < 0.3 * figures["before"]["mean"]

@@ -22,7 +22,6 @@ from tests.whole.bench import (
     command,
     end_of,
     events,
-    hilcell,
     sets,
     simulation,
     sweep,
@@ -78,7 +77,7 @@ def test_kills_change_nothing(tmp_path: Path, golden: GoldenRuns, kills: int) ->
             engine.until(reaching(moment))
             acknowledged += points_of(engine.kill())
             name = engine.run
-        last = hilcell("resume", name, "--runs", tmp_path, "--json")
+        last = command("resume", name, "--runs", tmp_path, "--json")
     end = end_of(last)
     assert end["state"] == "finished", last.stderr
     acknowledged += points_of(events(last.stdout))
@@ -130,7 +129,7 @@ def test_a_drive_that_has_latched_the_lost_heartbeat_starts_again(tmp_path: Path
                 line.send(LAST_ERROR[0])
                 while not (answer := line.frame()).startswith(b"t585"):
                     pass
-        last = hilcell("resume", engine.run, "--runs", tmp_path, "--json")
+        last = command("resume", engine.run, "--runs", tmp_path, "--json")
     assert end_of(last)["state"] == "finished", last.stderr
 
 
@@ -179,7 +178,7 @@ def test_a_run_resumes_from_between_any_two_records(
 def test_a_lost_calibration_file_is_written_again(tmp_path: Path, golden: GoldenRuns) -> None:
     whole = golden["small"]
     cut(whole.folder, tmp_path / "copy", whole.end["seq"])
-    done = hilcell("resume", "copy", "--runs", tmp_path, "--json")
+    done = command("resume", "copy", "--runs", tmp_path, "--json")
     assert done.returncode == whole.done.returncode, done.stderr
     assert (tmp_path / "copy" / "calibration.json").is_file()
     again = command("resume", "copy", "--runs", tmp_path)
@@ -261,13 +260,13 @@ def test_a_connection_that_breaks_is_resumed(
 def test_a_calibration_file_that_cannot_be_written_is_owed(tmp_path: Path) -> None:
     file = tmp_path / "owing" / "calibration.json"
     file.mkdir(parents=True)  # in the file's way
-    done = hilcell(
+    done = command(
         "run", "sign-check", "--name", "owing", "--json", "--runs", tmp_path, *sets(SMALL)
     )
     assert done.returncode == EXIT_STORAGE
     assert str(file) in done.stderr
     file.rmdir()
-    resumed = hilcell("resume", "owing", "--runs", tmp_path, "--json")
+    resumed = command("resume", "owing", "--runs", tmp_path, "--json")
     assert resumed.returncode == 0, resumed.stderr
     assert events(resumed.stdout) == []  # nothing is measured, nothing moves
     assert file.is_file()

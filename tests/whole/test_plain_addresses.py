@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.whole.bench import end_of, events, hilcell, sets, sim_command
+from tests.whole.bench import command, end_of, events, sets, sim_command
 from tests.whole.test_refusals import free_port
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
@@ -28,7 +28,7 @@ def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Pat
     with sim_command("--speed", "max", "--ports", asked) as simulated:
         assert simulated.addresses["rail"] == {"channel": f"socket://127.0.0.1:{ports['rail']}"}
         assert simulated.addresses["robot"]["port"] == ports["robot"]
-        done = hilcell(
+        done = command(
             *("run", "home", "--json", "--cell", cell, "--name", "r", "--runs", tmp_path),
             *sets(words),
         )
@@ -41,9 +41,9 @@ def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Pat
     assert [each["simulated"] for each in connected["devices"]] == [True] * 4
     kinds = [each["kind"] for each in connected["devices"]]
     assert kinds == ["drive", "strip", "robot", "tracker"]
-    (row,) = json.loads(hilcell("runs", "--json", "--runs", tmp_path).stdout)["runs"]
+    (row,) = json.loads(command("runs", "--json", "--runs", tmp_path).stdout)["runs"]
     assert row["simulated"] is True
-    hilcell("report", "r", "--runs", tmp_path, "-o", tmp_path / "r.html")
+    command("report", "r", "--runs", tmp_path, "-o", tmp_path / "r.html")
     assert "SIMULATION." in (tmp_path / "r.html").read_text("utf-8")
 
 
@@ -51,7 +51,7 @@ def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Pat
 def test_a_taken_port_is_refused(name: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = int(taken.getsockname()[1])
-        done = hilcell("sim", "--ports", f"{name}={port}")
+        done = command("sim", "--ports", f"{name}={port}")
     assert done.returncode == 2
     assert f"port {port} cannot be opened: Address already in use" in done.stderr
     assert "Traceback" not in done.stderr
@@ -60,12 +60,12 @@ def test_a_taken_port_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("text", ["rail", "rial=1", "rail=0", "rail=65536", "rail=1,rail=2", ""])
 def test_ports_that_are_none(text: str) -> None:
-    done = hilcell("sim", "--ports", text)
+    done = command("sim", "--ports", text)
     assert done.returncode == 2
     assert "rail=PORT,robot=PORT,..." in done.stderr
 
 
 def test_a_simulated_cell_that_runs_keeps_its_ports() -> None:
-    done = hilcell("sim", "--set", "simulation.address=127.0.0.1:1", "--ports", "rail=7")
+    done = command("sim", "--set", "simulation.address=127.0.0.1:1", "--ports", "rail=7")
     assert done.returncode == 2
     assert "the simulated cell at 127.0.0.1:1 has its ports" in done.stderr

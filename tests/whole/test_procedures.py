@@ -8,7 +8,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
-from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets
+from tests.whole.bench import SMALL, command, end_of, events, sets
 from tests.whole.conftest import PaperRun
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
@@ -82,7 +82,7 @@ def test_a_campaign_comes_back_as_it_was_recorded(tmp_path: Path) -> None:
             lines.append(f"{pose},SMR{number + 1},{values}")
     file.write_text("\n".join(lines) + "\n")
     words = {"campaign.poses": str(file), "simulation.data": str(file)}
-    done = hilcell(
+    done = command(
         "run", "campaign", "--cell", "replay", "--json", "--runs", tmp_path, *sets(words)
     )
     end = end_of(done)

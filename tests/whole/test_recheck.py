@@ -5,7 +5,7 @@ from pathlib import Path
 
 from hilcell.calibration.file import read_calibration
 from hilcell.journal.runs import CALIBRATION
-from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets, sim_command
+from tests.whole.bench import SMALL, command, end_of, events, sets, sim_command
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
@@ -18,8 +18,8 @@ def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_pat
     with sim_command("--seed", "1", "--speed", "max", "--faults", str(faults)) as cell:
         words = SMALL | {"simulation.address": cell.control}
         first = words | {"recheck.calibration": str(golden["small"].folder)}
-        done = hilcell("run", "recheck", "--json", "--name", "R", "--runs", runs, *sets(first))
-        again = hilcell("run", "recheck", "--json", "--name", "V", "--runs", runs, *sets(words))
+        done = command("run", "recheck", "--json", "--name", "R", "--runs", runs, *sets(first))
+        again = command("run", "recheck", "--json", "--name", "V", "--runs", runs, *sets(words))
     found = end_of(done)["result"]["recheck"]
     assert done.returncode == 1, done.stderr
     assert found["verdict"] == "update"
@@ -73,7 +73,7 @@ def test_targets_are_measured_and_folded_in(golden: GoldenRuns, tmp_path: Path) 
     small = golden["small"].folder
     words = SMALL | {"targets.file": str(targets), "targets.calibration": str(small)}
     named = ("--json", "--seed", "9", "--name", "T", "--runs", runs)
-    done = hilcell("run", "targets", *named, *sets(words))
+    done = command("run", "targets", *named, *sets(words))
     found = end_of(done)["result"]["targets"]
     assert done.returncode == 0, done.stderr
     assert judge(events(done.stdout)) == []

@@ -97,7 +97,7 @@ def test_a_device_of_the_wrong_identity(tmp_path: Path, fault: str, device: str)
     faults.write_text(f'[[fault]]\nname = "{fault}"\ncount = 1000\n')
     with simulation(faults=str(faults)) as cell:
         words = {"simulation.address": cell.control}
-        done = hilcell("run", "--json", "--runs", tmp_path, *sets(words))
+        done = command("run", "--json", "--runs", tmp_path, *sets(words))
     end = end_of(done)
     assert end["exit"] == 2, done.stderr
     assert device in end["reason"]
@@ -108,7 +108,7 @@ def test_a_device_of_the_wrong_identity(tmp_path: Path, fault: str, device: str)
 def test_a_second_run_on_the_same_cell(tmp_path: Path) -> None:
     engine = Engine("run", "--speed", "20", "--runs", tmp_path, *sets(SMALL))
     engine.until(lambda event: event["kind"] == "intent")
-    done = hilcell("run", "--json", "--runs", tmp_path, *sets(SMALL))
+    done = command("run", "--json", "--runs", tmp_path, *sets(SMALL))
     assert done.returncode == 6
     assert f"locked by run {engine.run}" in done.stderr
     assert end_of(done)["exit"] == 6
@@ -124,11 +124,11 @@ def test_a_real_cell_copied_from_paper_needs_a_name_and_a_serial_of_its_own(
     cell.write_text(text.split("[simulation]")[0])
     refused: list[list[str | Path]] = [["run", "--runs", tmp_path, "--cell", cell], ["check", cell]]
     for words in refused:
-        done = hilcell(*words)
+        done = command(*words)
         assert done.returncode == 2
         assert "name: 'paper' is that of the built-in cell paper" in done.stderr
     cell.write_text(text.replace("speed_mm_s = 250.0", "speed_mm_s = 200.0"))
-    done = hilcell("check", cell)
+    done = command("check", cell)
     assert done.returncode == 0
     assert "serial: 'HC-2014' is that of the built-in cell paper" in done.stderr
 
@@ -217,7 +217,7 @@ def test_an_engine_that_finds_no_place_for_its_file_says_so_and_can_be_resumed(
 
 def test_a_folder_of_runs_that_takes_no_run(tmp_path: Path) -> None:
     (tmp_path / "d").write_text("in the way")
-    done = hilcell("run", "home", "--name", "d", "--runs", tmp_path)
+    done = command("run", "home", "--name", "d", "--runs", tmp_path)
     assert done.returncode == 7
     assert done.stderr == f"hilcell: run folder {tmp_path}/d cannot be used: File exists\n"
 

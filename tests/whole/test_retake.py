@@ -7,7 +7,7 @@ import pytest
 
 from hilcell.ports import HilcellError
 from hilcell.run.client import order
-from tests.whole.bench import SMALL, Engine, command, end_of, events, hilcell, sets
+from tests.whole.bench import SMALL, Engine, command, end_of, events, sets
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
@@ -31,7 +31,7 @@ def test_a_finished_run_is_reopened_measured_and_judged_anew(
     finished: tuple[Path, dict[str, Any]],
 ) -> None:
     runs, before = finished
-    done = hilcell("resume", "mine", "--runs", runs, "--retake", KEY, "--json")
+    done = command("resume", "mine", "--runs", runs, "--retake", KEY, "--json")
     end = end_of(done)
     assert end["state"] == "finished", done.stderr
     printed = events(done.stdout)
@@ -93,7 +93,7 @@ def test_a_name_is_used_once(finished: tuple[Path, dict[str, Any]]) -> None:
 def test_a_folder_without_a_journal_is_taken(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "engine-1.log").write_text("")
-    done = hilcell("run", "home", "--name", "mine", "--runs", tmp_path, "--json")
+    done = command("run", "home", "--name", "mine", "--runs", tmp_path, "--json")
     assert end_of(done)["run"] == "mine"
     assert done.returncode == 0, done.stderr
 

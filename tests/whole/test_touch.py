@@ -8,7 +8,7 @@ import pytest
 from hilcell.calibration.file import read_calibration
 from hilcell.compensation.targets import read_targets
 from hilcell.journal.runs import CALIBRATION
-from tests.whole.bench import SMALL, command, end_of, events, hilcell, sets
+from tests.whole.bench import SMALL, command, end_of, events, sets
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
@@ -18,7 +18,7 @@ HEAD = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n"
 def test_a_program_is_corrected_for_the_visit(golden: GoldenRuns, tmp_path: Path) -> None:
     small, runs = golden["small"].folder, tmp_path / "runs"
     words = SMALL | {"touch.calibration": str(small), "touch.station": "S300"}
-    done = hilcell(
+    done = command(
         "run", "touch", "--seed", "1", "--json", "--name", "T", "--runs", runs, *sets(words)
     )
     assert done.returncode == 0, done.stderr
