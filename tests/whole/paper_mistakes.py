@@ -36,6 +36,11 @@ def failing(log: Log) -> set[str]:
     return {name for name, row in rows_of(log).items() if not row["holds"]}
 
 
+def fails(name: str, log: Log) -> bool:
+    """Whether one row fails, judged on this log alone."""
+    return not BY_NAME[name].judged(log, EXPERIMENT.result(log))["holds"]
+
+
 def changed(log: Log, points: Iterable[Point]) -> Log:
     """Return the log with these points in the places of those with their keys."""
     other = copy.copy(log)
