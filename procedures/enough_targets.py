@@ -7,6 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.decision import (
+    NO_GUARD,
+    Guard,
+    Limits,
+    gravest,
+    guard_of,
+    limits_of,
+    limits_within,
+)
 from hilcell.calibration.errors import validation
 from hilcell.cell.file import Cell
 from hilcell.geometry.sequential import Decision, Outcome, SequentialRule
@@ -17,14 +26,18 @@ OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
     [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1)]
 )
 BLOCK = len(OCTANTS)
-GRAVEST = ("rejected", "undecided", "accepted")
+LEAST_MM = 1e-6  # a limit that no error keeps, where U leaves nothing of the tolerance
 
 
-def rule_of(cell: Cell) -> SequentialRule:
-    """Return the rule by which each station is judged; raises `HilcellError` if none can hold."""
+def rule_of(cell: Cell, guard: Guard = NO_GUARD) -> SequentialRule:
+    """Return the rule by which each station is judged; raises `HilcellError` if none can hold.
+
+    Its limits are the tolerances less ``guard``, as in `hilcell.calibration.decision`.
+    """
+    within = limits_within(limits_of(cell), guard)
     rule = SequentialRule(
-        mean_limit_mm=cell.validation.mean_tolerance_mm,
-        max_limit_mm=cell.validation.max_tolerance_mm,
+        mean_limit_mm=max(within.mean_mm, LEAST_MM),
+        max_limit_mm=max(within.max_mm, LEAST_MM),
         share=cell.plan.share_above_max,
         accept_risk=cell.plan.accept_risk,
         reject_risk=cell.plan.reject_risk,
@@ -63,7 +76,9 @@ def octant_targets(cell: Cell, seed: int, low_mm: Array, high_mm: Array) -> dict
 def decision_at(log: Log, station: str) -> Decision:
     """Return what the corrected targets measured so far at a station have shown."""
     chosen = validation(log, [station]).get("chosen")
-    return rule_of(log.cell).decide([] if chosen is None else chosen.norms_mm)
+    if chosen is None:
+        return rule_of(log.cell).decide([])
+    return rule_of(log.cell, guard_of(log, len(chosen))).decide(chosen.norms_mm)
 
 
 def rounds(log: Log, station: str, how: str) -> Iterator[range]:
@@ -81,34 +96,36 @@ def rounds(log: Log, station: str, how: str) -> Iterator[range]:
 def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
     """Return the gravest decision at ``stations``, the targets of each, and what it means."""
     decisions = [decision_at(log, station) for station in stations]
-    gravest = min((each.outcome for each in decisions), key=GRAVEST.index)
+    outcome = gravest([each.outcome for each in decisions])
     counts = [each.targets for each in decisions]
     errors_mm = validation(log, stations)["chosen"].norms_mm
-    text = meaning(log.cell, gravest, float(errors_mm.max()))
+    within = limits_within(limits_of(log.cell), guard_of(log, len(errors_mm)))
+    text = meaning(log.cell, outcome, float(errors_mm.max()), within)
     return {
-        "outcome": gravest,
+        "outcome": outcome,
         "targets": counts,
-        "text": f"{gravest} after {' + '.join(map(str, counts))} targets: {text}",
+        "text": f"{outcome} after {' + '.join(map(str, counts))} targets: {text}",
         "accept_risk": log.cell.plan.accept_risk,
         "reject_risk": log.cell.plan.reject_risk,
         "share_above_max": log.cell.plan.share_above_max,
     }
 
 
-def meaning(cell: Cell, outcome: Outcome, largest_mm: float) -> str:
-    """Return in words what an outcome has shown, or has not."""
-    limits, plan = cell.validation, cell.plan
+def meaning(cell: Cell, outcome: Outcome, largest_mm: float, limits: Limits) -> str:
+    """Return in words what an outcome has shown, or has not, of ``limits``: less U."""
+    plan = cell.plan
     within = (
-        f"that the mean is below {limits.mean_tolerance_mm:g} mm, and that less than "
-        f"{plan.share_above_max:.1%} of the volume is above {limits.max_tolerance_mm:g} mm"
+        f"that the mean is below {limits.mean_mm:.3f} mm, and that less than "
+        f"{plan.share_above_max:.1%} of the volume is above {limits.max_mm:.3f} mm (the tolerances "
+        "less U)"
     )
     if outcome == "accepted":
         return f"it is shown, at a risk of {plan.accept_risk:.1%} each, {within}"
     if outcome == "undecided":
         return f"it is not shown {within}, nor the contrary; allow more in plan.most_targets"
-    if not largest_mm <= limits.max_tolerance_mm:
-        return f"one is above {limits.max_tolerance_mm:g} mm"
+    if not largest_mm <= limits.max_mm:
+        return f"one is above {limits.max_mm:.3f} mm, the tolerance less U"
     return (
         f"it is shown, at a risk of {plan.reject_risk:.1%}, that the mean is above "
-        f"{limits.mean_tolerance_mm:g} mm"
+        f"{limits.mean_mm:.3f} mm, the tolerance less U"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from hilcell.calibration.file import compensate_targets
@@ -14,6 +15,7 @@ from hilcell.calibration.target_pass import (
     KIND,
     LISTED,
     gross_targets,
+    judged_pass,
     listed,
     targets_result,
 )
@@ -69,15 +71,8 @@ class TargetPass:
             session.flange_point(id, station_of(cell), joints, nominal_mm=nominal_mm)
         self._measure_again(session, names, joints_rad, values)
         check_control_points(session)
-        result = self.result(session.log)["targets"]
-        session.verdict(
-            "targets",
-            holds=result["in_tolerance"],
-            mean_mm=result["as_found"]["mean"],
-            mean_tolerance_mm=cell.validation.mean_tolerance_mm,
-            max_mm=result["as_found"]["max"],
-            max_tolerance_mm=cell.validation.max_tolerance_mm,
-        )
+        found = msgspec.to_builtins(judged_pass(session.log))
+        session.verdict("targets", holds=found.pop("holds"), **found)
 
     def _measure_again(
         self, session: CellSession, names: list[str], joints_rad: Array, values: Array

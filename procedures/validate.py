@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import Coverage, coverages
+from hilcell.calibration.decision import VALIDATION, guard_of, judged, limits_of
 from hilcell.calibration.errors import validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.frames import grid_of, measured_of
@@ -108,23 +110,19 @@ class Validate:
             session.flange_point(id, station, joints_rad[n], nominal_mm=nominal_mm[n])
 
     def _judge(self, session: CellSession) -> None:
-        limits = session.cell.validation
+        limits = limits_of(session.cell)
         for where, figures in self._figures(session.log).items():
-            chosen, decision = figures["chosen"], figures.get("decision", {})
-            holds = (
-                chosen["mean"] <= limits.mean_tolerance_mm
-                and chosen["max"] <= limits.max_tolerance_mm
-                and decision.get("outcome", "accepted") == "accepted"
+            chosen, shown = figures["chosen"], figures.get("decision", {})
+            found = judged(
+                chosen["mean"],
+                chosen["max"],
+                limits,
+                guard_of(session.log, figures["points"]),
+                also=shown.get("outcome", "accepted"),
+                words=shown.get("text", ""),
             )
-            session.verdict(
-                f"validation.{where}",
-                holds=holds,
-                mean_mm=chosen["mean"],
-                mean_tolerance_mm=limits.mean_tolerance_mm,
-                max_mm=chosen["max"],
-                max_tolerance_mm=limits.max_tolerance_mm,
-                **({"decision": decision["text"]} if decision else {}),
-            )
+            facts = msgspec.to_builtins(found)
+            session.verdict(f"{VALIDATION}{where}", holds=facts.pop("holds"), **facts)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors at the grid's station and at the others together, and their bounds."""

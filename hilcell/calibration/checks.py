@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hilcell.calibration.decision import judged_again
 from hilcell.calibration.form import Calibration, StationEntry, Validity
 from hilcell.calibration.influence import SIZE
 from hilcell.compensation.choice import MODELS
@@ -20,6 +21,7 @@ from hilcell.ports import Array, HilcellError
 MOST_ERROR_MM = 100.0  # beyond is no robot's error
 MOST_MM = 1e6
 MOST_TURN_DEG = 180.0
+LAST_WITHOUT_VERDICTS = 2  # schema
 MOST_C = 100.0
 RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number of pitches
 ROUNDING = 1e-6  # of a covariance, relative
@@ -37,6 +39,7 @@ def problems_of(calibration: Calibration) -> list[str]:
         *_uncertainty(calibration),
         *_updates(calibration),
         *_targets(calibration),
+        *_verdicts(calibration),
     ]
     return found or list(_model(calibration))
 
@@ -162,6 +165,23 @@ def _targets(calibration: Calibration) -> Iterator[str]:
                 yield f"{at}: own_mm2: a variance that is not above 0"
         if not _is_covariance(_array(each.common)):
             yield f"{at}: common: wanted a covariance of {SIZE} x {SIZE} finite numbers"
+
+
+def _verdicts(calibration: Calibration) -> Iterator[str]:
+    if calibration.verdicts is None and calibration.schema > LAST_WITHOUT_VERDICTS:
+        yield "verdicts: missing"
+    for place, each in (calibration.verdicts or {}).items():
+        at = f"verdicts.{place[:40]}"
+        figures = (each.mean_mm, each.max_mm, each.mean_U_mm or 0.0, each.max_U_mm or 0.0)
+        if not all(0 <= figure <= MOST_MM for figure in figures):
+            yield f"{at}: {', '.join(f'{each:g}' for each in figures)}, wanted 0 .. {MOST_MM:g} mm"
+        elif not (each.mean_tolerance_mm > 0 and each.max_tolerance_mm > 0):
+            yield f"{at}: a tolerance that is not above 0"
+        elif each.holds and not judged_again(each).holds:
+            yield f"{at}: is said to hold, but its figures do not: {each.figures}"
+    for doubt in calibration.suspicions:
+        if not math.isfinite(doubt.size):
+            yield f"suspicions: {doubt.cause[:40]}: size {doubt.size:g}, wanted a finite number"
 
 
 def _is_covariance(found: Array) -> bool:

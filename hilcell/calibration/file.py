@@ -17,6 +17,7 @@ import numpy as np
 from hilcell import __version__
 from hilcell.calibration.budget import uncertainty_of
 from hilcell.calibration.checks import MOST_MM, problems_of
+from hilcell.calibration.decision import VALIDATION
 from hilcell.calibration.form import (
     Calibration,
     Device,
@@ -36,7 +37,8 @@ from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
 from hilcell.writing import write_whole
 
-SCHEMA = 2  # 2: sealed, and since then with the model's own table; 1: neither
+SCHEMA = 3  # 3: with verdicts; 2: sealed, and since then with the model's own table; 1: neither
+READ = (3, 2, 1)
 UNSEALED = 1
 SEAL = "seal"
 ORIENTATION_TOLERANCE_DEG = 2.0
@@ -74,8 +76,18 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "grid_errors_mm": measured.grid.errors_mm.tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
         "uncertainty": uncertainty_of(log),
+        "verdicts": verdicts_of(log),
     }  # fmt: skip
     return msgspec.convert(msgspec.to_builtins(values), Calibration)
+
+
+def verdicts_of(log: Log) -> dict[str, dict[str, Any]]:
+    """Return the verdicts of a run's validation by place; none where it was not made."""
+    return {
+        key.removeprefix(VALIDATION): verdict
+        for key, verdict in log.verdicts.items()
+        if key.startswith(VALIDATION)
+    }
 
 
 def orientation_tolerance_deg(cell: Cell, method: str) -> float:
@@ -122,8 +134,8 @@ def read_calibration(path: Path) -> Calibration:
     try:
         data = path.read_bytes()
         schema = msgspec.json.decode(data, type=_Head).schema
-        if schema not in (SCHEMA, UNSEALED):
-            known = f"{SCHEMA} and {UNSEALED}"
+        if schema not in READ:
+            known = ", ".join(map(str, READ))
             raise SettingsError(str(path), [f"schema {schema:.6g}, this hilcell reads {known}"])
         content = msgspec.json.decode(data)
         problems = _seal_problems(content)

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from hilcell.calibration.decision import Judged
 from hilcell.calibration.influence import Uncertainty
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid, MeasuredGrid
@@ -155,10 +156,27 @@ class Targets(msgspec.Struct, frozen=True):
         return Remainder([each.measured() for each in self.passes], self.variance_mm2)
 
 
+class Doubt(msgspec.Struct, frozen=True):
+    """A suspicion of the run that made the file which nobody has cleared."""
+
+    cause: str
+    size: float
+    unit: str
+    noticed_by: str = ""
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        by = f", noticed by {self.noticed_by}" if self.noticed_by else ""
+        return f"{self.cause} ({self.size:.4g} {self.unit}{by})"
+
+
 class Calibration(msgspec.Struct, frozen=True):
     """The file. ``method`` is the model's name, for readers that know no ``model``.
 
     Files of old state no ``uncertainty``. ``targets`` are those that later runs have measured.
+    ``verdicts`` are the validation's by place, none where it was not made; files of schema 1 and 2
+    state None. ``suspicions`` are of the same run.
     """
 
     schema: int
@@ -171,6 +189,8 @@ class Calibration(msgspec.Struct, frozen=True):
     model: ModelEntry | None = None
     uncertainty: Uncertainty | None = None
     targets: Targets | None = None
+    verdicts: dict[str, Judged] | None = None
+    suspicions: list[Doubt] = []
 
     def grid(self) -> Grid:
         """Return the grid in {B}."""

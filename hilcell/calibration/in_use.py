@@ -133,10 +133,12 @@ def _newest(runs: Path, cell: Cell, table: str) -> Path:
 def check_usable(path: Path, cell: Cell) -> None:
     """Refuse a calibration of another cell, or one whose sign was not proven.
 
-    Its age and the temperature are no reasons: they are why it is checked.
+    Its age, the temperature and its validation are no reasons: they are why it is checked.
     """
     calibration = read_calibration(path)
-    check_fitness(calibration, datetime.now(UTC), max_age_days=math.inf)
+    check_fitness(
+        calibration, datetime.now(UTC), max_age_days=math.inf, accept_out_of_tolerance=True
+    )
     reasons = list(_foreign(calibration, path, cell))
     if reasons:
         lines = "\n".join(f"  {reason}" for reason in reasons)

@@ -20,7 +20,6 @@ import numpy as np
 
 from hilcell.geometry.frames import cross_matrix, matrix, motion_levers
 from hilcell.geometry.rotations import from_rotvec
-from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 
 RISK = 0.01  # that a calibration which holds is not found to
@@ -215,9 +214,3 @@ def _sigmas(left_mm: Array, own_mm2: Array) -> Array:
     squares = np.einsum("ni,nij,nj->n", left_mm, np.linalg.inv(own_mm2), left_mm)
     sigmas: Array = np.sqrt(squares / 3)
     return sigmas
-
-
-def in_tolerance(errors_mm: Array, mean_mm: float, max_mm: float) -> bool:
-    """Whether mean and largest of the 3D errors (N, 3) keep their tolerances."""
-    found = lengths_mm(errors_mm)
-    return bool(found.mean() <= mean_mm and found.max() <= max_mm)

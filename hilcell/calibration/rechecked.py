@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.decision import judged_errors
 from hilcell.calibration.influence import no_less_than_nought
 from hilcell.calibration.recheck import (
     RISK,
     Judgement,
     Rechecked,
     Verdict,
-    in_tolerance,
     judged,
 )
 from hilcell.calibration.suspicions import Suspicion, suspicions
 from hilcell.calibration.visit import used, visited
 from hilcell.geometry.frames import motion_levers
-from hilcell.geometry.statistics import bounds95_mm, figures_of, lengths_mm
+from hilcell.geometry.statistics import bounds95_mm
 from hilcell.journal.log import Log, commanded_rad
 
 KIND = "recheck"
@@ -49,17 +49,13 @@ def final_verdict(log: Log, found: Judgement) -> Verdict:
     if found.verdict == "redo":
         return "redo"
     errors_mm = found.left_mm if found.verdict == "update" else rechecked(log).errors_mm
-    limits = log.cell.validation
-    kept = in_tolerance(errors_mm, limits.mean_tolerance_mm, limits.max_tolerance_mm)
-    return found.verdict if kept else "redo"
+    return found.verdict if judged_errors(log, errors_mm).holds else "redo"
 
 
 def recheck_result(log: Log) -> dict[str, Any]:
     """Return the verdict, its figures in mm, and the sentence for people; nothing before it."""
     found, judgement = rechecked(log), rechecked_run(log)
-    limits, calibration = log.cell.validation, used(log)
-    errors = figures_of(lengths_mm(found.errors_mm))
-    kept = errors.mean <= limits.mean_tolerance_mm and errors.max <= limits.max_tolerance_mm
+    calibration, as_found = used(log), judged_errors(log, found.errors_mm)
     result = {
         "verdict": final_verdict(log, judgement),
         "calibration": calibration.provenance.latest,
@@ -74,11 +70,13 @@ def recheck_result(log: Log) -> dict[str, Any]:
         "chi2": judgement.chi2,
         "tests": {"motion": judgement.moved._asdict(), "rest": judgement.rest._asdict()},
         "risk": RISK,
-        "mean_mm": errors.mean,
-        "max_mm": errors.max,
-        "mean_tolerance_mm": limits.mean_tolerance_mm,
-        "max_tolerance_mm": limits.max_tolerance_mm,
-        "in_tolerance": kept,
+        "mean_mm": as_found.mean_mm,
+        "max_mm": as_found.max_mm,
+        "mean_tolerance_mm": as_found.mean_tolerance_mm,
+        "max_tolerance_mm": as_found.max_tolerance_mm,
+        "mean_U_mm": as_found.mean_U_mm,
+        "max_U_mm": as_found.max_U_mm,
+        "in_tolerance": as_found.holds,
         "temperature_c": _mean_c(log),
         "calibrated_c": calibration.validity.temperature_c,
         "poses": _poses(log, found, judgement),
@@ -136,7 +134,8 @@ def _words(result: dict[str, Any], worst: int, causes: list[Suspicion]) -> str:
     return (
         f"{begin} As found, {result['points']} corrected poses are {result['mean_mm']:.3f} mm off "
         f"in the mean and {result['max_mm']:.3f} mm at most, {kept} tolerance "
-        f"({result['mean_tolerance_mm']:g} and {result['max_tolerance_mm']:g} mm)."
+        f"({result['mean_tolerance_mm']:g} and {result['max_tolerance_mm']:g} mm; U "
+        f"{result['mean_U_mm']:.3f} and {result['max_U_mm']:.3f} mm added)."
     )
 
 

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import target_bounds
+from hilcell.calibration.decision import Judged, judged_errors
 from hilcell.calibration.form import Calibration, TargetPass, Targets
-from hilcell.calibration.recheck import in_tolerance
 from hilcell.calibration.visit import Visited, used, visited
 from hilcell.compensation.remainder import Remainder
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
@@ -67,10 +67,8 @@ def targets_result(log: Log) -> dict[str, Any]:
     """Return errors as found, by target, and how far they are folded in."""
     calibration, points = used(log), target_points(log)
     station, (_, values) = points[0].station, listed(log) or ([], np.zeros((0, 6)))
-    found, after = visited(log, points, station), folded(log, "")
+    after, errors_mm = folded(log, ""), _errors_mm(log)
     gross, poses = gross_targets(log), _pass(log)[1]
-    errors_mm = found.actual_mm - found.nominal_mm
-    limits = log.cell.validation
     bounds = [
         float(target_bounds(each, station, poses_from_zyx(values)).radii_mm.mean())
         for each in (calibration, after)
@@ -81,9 +79,7 @@ def targets_result(log: Log) -> dict[str, Any]:
         "station": station,
         "points": len(points),
         "as_found": figures_of(lengths_mm(errors_mm))._asdict(),
-        "in_tolerance": in_tolerance(
-            errors_mm, limits.mean_tolerance_mm, limits.max_tolerance_mm
-        ),
+        "in_tolerance": judged_pass(log).holds,
         "share": 1.0 - float(left.mean()),
         "bound_before_mm": bounds[0],
         "bound_after_mm": bounds[1],
@@ -94,6 +90,17 @@ def targets_result(log: Log) -> dict[str, Any]:
         ],
     }  # fmt: skip
     return {"targets": result | {"text": _words(result)}}
+
+
+def judged_pass(log: Log) -> Judged:
+    """Return the decision on the errors as found."""
+    return judged_errors(log, _errors_mm(log))
+
+
+def _errors_mm(log: Log) -> Array:
+    points = target_points(log)
+    found = visited(log, points, points[0].station)
+    return found.actual_mm - found.nominal_mm
 
 
 def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:

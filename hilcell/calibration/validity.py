@@ -1,15 +1,19 @@
-"""Whether a calibration may be used here and now: cell, age, temperature, proof of its sign.
+"""Whether a calibration may be used here and now: sign, validation, cell, age, temperature.
 
 Volume and orientation are judged target by target in `hilcell.calibration.file`. A calibration
 with the wrong sign looks sound and doubles every error, so one that was not proven on the cell is
-refused.
+refused; so is one whose validation failed or was not made, unless somebody accepts that.
 """
 
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
+import msgspec
+
+from hilcell.calibration.decision import Judged, Limits, limits_of
 from hilcell.calibration.form import Calibration
+from hilcell.cell.file import Cell
 from hilcell.ports import HilcellError
 
 TEMPERATURE_MARGIN_K = 2.0
@@ -26,22 +30,53 @@ def check_fitness(
     now: datetime,
     *,
     max_age_days: float = MAX_AGE_DAYS,
-    digest: str | None = None,
+    cell: Cell | None = None,
     temperature_c: float | None = None,
-) -> None:
+    accept_out_of_tolerance: bool = False,
+) -> list[str]:
     """Raise `Unfit` with every reason why the calibration must not be used.
 
-    ``digest`` is the cell's of today, ``temperature_c`` the room's; None leaves each unchecked.
+    ``cell`` is that of today, ``temperature_c`` the room's; None leaves each unchecked. Returns
+    why it is out of tolerance, where that was accepted.
     """
     reasons = [_unproven(calibration), _age(calibration, now, max_age_days)]
-    if digest is not None:
-        reasons.append(_other_cell(calibration, digest))
+    if cell is not None:
+        reasons.append(_other_cell(calibration, cell))
     if temperature_c is not None:
         reasons.append(_temperature(calibration, temperature_c))
+    intolerant = out_of_tolerance(calibration, limits_of(cell) if cell is not None else None)
+    if intolerant and not accept_out_of_tolerance:
+        reasons += [*intolerant, "--accept-out-of-tolerance uses it all the same, and says so"]
     found = [reason for reason in reasons if reason]
     if found:
         run = calibration.provenance.run
         raise Unfit(f"calibration of run {run} refused\n" + "\n".join(f"  {r}" for r in found))
+    return intolerant
+
+
+def out_of_tolerance(calibration: Calibration, limits: Limits | None = None) -> list[str]:
+    """Return why a calibration is not known to be in tolerance, with the figures.
+
+    ``limits`` are those of the cell; None is those that it was judged by. Files of old state no
+    verdict: nothing is known against them.
+    """
+    if calibration.verdicts is None:
+        return []
+    if not calibration.verdicts:
+        return ["its correction was never validated: its run ended before, or measures none"]
+    reasons = [
+        f"validation at {place}: {each.decision or 'does not hold'}: {each.figures}"
+        for place, each in calibration.verdicts.items()
+        if not each.holds
+    ]
+    if limits is not None:
+        reasons += [
+            f"validation at {place} had another tolerance than the cell given, which has mean "
+            f"{limits.mean_mm:g} and largest {limits.max_mm:g} mm: {each.figures}"
+            for place, each in calibration.verdicts.items()
+            if limits != (each.mean_tolerance_mm, each.max_tolerance_mm)
+        ]
+    return reasons + [f"suspected in its run: {doubt.text}" for doubt in calibration.suspicions]
 
 
 def _unproven(calibration: Calibration) -> str:
@@ -70,14 +105,25 @@ def _age(calibration: Calibration, now: datetime, max_age_days: float) -> str:
     return ""
 
 
-def _other_cell(calibration: Calibration, digest: str) -> str:
-    found = calibration.provenance.digest
-    if found == digest:
+def _other_cell(calibration: Calibration, cell: Cell) -> str:
+    """Say that the cell differs; in its tolerance alone is no other cell, and judged apart."""
+    found, verdicts = calibration.provenance.digest, calibration.verdicts or {}
+    if found in {cell.digest, *(_judged_by(cell, each) for each in verdicts.values())}:
         return ""
     return (
         f"it is of cell {calibration.provenance.cell} with digest {found[:12]}, the cell given has "
-        f"{digest[:12]}: another cell, or one whose file was changed since"
+        f"{cell.digest[:12]}: another cell, or one whose file was changed since"
     )
+
+
+def _judged_by(cell: Cell, verdict: Judged) -> str:
+    """Return the digest of a cell as it would be with the tolerance of a verdict."""
+    table = msgspec.structs.replace(
+        cell.validation,
+        mean_tolerance_mm=verdict.mean_tolerance_mm,
+        max_tolerance_mm=verdict.max_tolerance_mm,
+    )
+    return msgspec.structs.replace(cell, validation=table).digest
 
 
 def _temperature(calibration: Calibration, temperature_c: float) -> str:

@@ -283,6 +283,11 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="DAYS",
         help="refuse an older calibration (default: 180)",
     )
+    compensate.add_argument(
+        "--accept-out-of-tolerance",
+        action="store_true",
+        help="use a calibration whose validation failed, was not made or had another tolerance",
+    )
     _bounds_option(compensate)
     _runs_option(compensate)
 

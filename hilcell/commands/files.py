@@ -34,13 +34,22 @@ def compensate(args: argparse.Namespace) -> int:
     calibration = read_calibration(path)
     _check_settings(args.cell, dict(args.set))
     cell = load_cell(args.cell, dict(args.set)) if args.cell else None
-    check_fitness(
+    accepted = check_fitness(
         calibration,
         datetime.now(UTC),
         max_age_days=args.max_age,
         temperature_c=args.temperature,
-        digest=cell.digest if cell else None,
+        cell=cell,
+        accept_out_of_tolerance=args.accept_out_of_tolerance,
     )
+    for reason in accepted:
+        print_message(f"accepted although {reason}")
+    if calibration.verdicts is None:
+        print_message(
+            f"warning: the calibration of run {calibration.provenance.latest} is of an earlier "
+            "version and states no verdict: whether its validation was in tolerance is not known; "
+            "see `hilcell show`"
+        )
     source, out = Path(args.targets), Path(args.output)
     inputs = [source, path, Path(args.cell or source)]
     program = load_program(source)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hilcell.report.budget import Budget
+from hilcell.calibration.decision import RULE, VALIDATION
+from hilcell.calibration.measurement_budget import Budget
 from hilcell.report.facts import Facts
 from hilcell.report.method import adjustment_words, method_words
 from hilcell.report.target_budget import TargetBudget
@@ -115,16 +116,19 @@ def _conditions(facts: Facts) -> str:
 
 def _conformity(facts: Facts) -> str:
     limits, plan = facts.cell.validation, facts.cell.plan
-    rule = "simple acceptance: the measured figure against the limit, uncertainty not added"
+    judged = [v for key, v in facts.log.verdicts.items() if key.startswith(VALIDATION)]
+    rule = RULE
+    if any("mean_U_mm" not in each for each in judged):  # of an earlier version
+        rule = "simple acceptance: the measured figure against the limit, uncertainty not added"
     if "recheck" in facts.log.verdicts:
         return "chi-square tests of the errors against those that the calibration predicts"
     if plan.quick and not facts.procedure.uses:
         rule = (
             f"sequential: that the mean of the volume is below its limit, and less than "
             f"{plan.share_above_max:.0%} of it above the maximum, is each shown at every station "
-            f"at a risk of {plan.accept_risk:.1%}"
+            f"at a risk of {plan.accept_risk:.1%}; {rule}"
         )
-    if not any(name.startswith("validation.") for name in facts.log.verdicts):
+    if not judged:
         return rule
     return (
         f"mean ≤ {limits.mean_tolerance_mm:g} mm and maximum ≤ {limits.max_tolerance_mm:g} mm; "

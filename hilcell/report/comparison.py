@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from hilcell.calibration.contribution import expanded_mm
 from hilcell.calibration.errors import Errors, places, validation
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.errors import HilcellError
@@ -20,7 +21,6 @@ from hilcell.geometry.statistics import Figures, variance_of_mean
 from hilcell.journal.asset import differing
 from hilcell.journal.log import Log
 from hilcell.report.drift import Change, Side, base_variance_mm2, frame_changes, grid_drift, side_of
-from hilcell.report.uncertainty import expanded_mm
 
 
 @dataclass(frozen=True, slots=True)

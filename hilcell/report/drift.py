@@ -21,6 +21,7 @@ from hilcell.calibration.frame_covariance import (
     world_covariance,
 )
 from hilcell.calibration.frames import grid_errors_mm, grid_of, vertex_ids
+from hilcell.calibration.measurement_budget import budget_of
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import (
     RigidFit,
@@ -34,7 +35,6 @@ from hilcell.geometry.frames import (
 from hilcell.geometry.statistics import CONFIDENCE, lengths_mm, pooled_std_mm
 from hilcell.journal.log import Log
 from hilcell.ports import Array
-from hilcell.report.budget import budget_of
 
 Verdict = Literal["within", "beyond", ""]
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from hilcell import __version__
 from hilcell.calibration.errors import OTHERS, places, reduction, validation
+from hilcell.calibration.measurement_budget import budget_of
 from hilcell.clean import harmless
 from hilcell.report import tables
-from hilcell.report.budget import budget_of
 from hilcell.report.certificate import certificate, title
 from hilcell.report.columns import present
 from hilcell.report.curves import curves

@@ -11,7 +11,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hilcell.calibration.contribution import Contribution
 from hilcell.calibration.errors import OTHERS, Errors, places, reduction, validation
+from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.recheck import in_words
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
@@ -20,12 +22,10 @@ from hilcell.journal.asset import Asset
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
 from hilcell.ports import Array
-from hilcell.report.budget import Budget
 from hilcell.report.columns import Column, Sheet, Value, present, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.figures import series_name
 from hilcell.report.method import chosen_poses_words
-from hilcell.report.uncertainty import Contribution
 
 Pair = tuple[str, str]
 

@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from hilcell.calibration.decision import Limits
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.sequential import Decision, Outcome
@@ -80,15 +81,15 @@ def test_a_quick_plan_is_of_the_same_cell() -> None:
 @pytest.mark.parametrize(
     ("outcome", "largest_mm", "text"),
     [
-        ("accepted", 0.1, "at a risk of 5.0% each, that the mean is below 0.2 mm, and that less"),
-        ("undecided", 0.5, "not shown that the mean is below 0.2 mm"),
-        ("rejected", 0.9, "at a risk of 5.0%, that the mean is above 0.2 mm"),
-        ("rejected", 1.1, "one is above 1 mm"),
-        ("rejected", math.nan, "one is above 1 mm"),
+        ("accepted", 0.1, "at a risk of 5.0% each, that the mean is below 0.150 mm, and that less"),
+        ("undecided", 0.5, "not shown that the mean is below 0.150 mm"),
+        ("rejected", 0.9, "at a risk of 5.0%, that the mean is above 0.150 mm"),
+        ("rejected", 1.1, "one is above 0.950 mm"),
+        ("rejected", math.nan, "one is above 0.950 mm"),
     ],
 )
 def test_a_decision_is_stated_in_words(outcome: Outcome, largest_mm: float, text: str) -> None:
-    assert text in enough_targets.meaning(QUICK, outcome, largest_mm)
+    assert text in enough_targets.meaning(QUICK, outcome, largest_mm, Limits(0.15, 0.95))
 
 
 def test_the_table_counts_the_targets_of_each_way() -> None:

@@ -24,7 +24,13 @@ def test_from_sign_check_to_program(tmp_path: Path, golden: GoldenRuns) -> None:
     source, out = tmp_path / "holes.src", tmp_path / "corrected"
     source.write_bytes(SRC.encode())
     (tmp_path / "holes.dat").write_bytes(DAT.encode())
-    words = ("compensate", "last", source, "--station", "S1100", "-o", out)
+    words: tuple[str | Path, ...] = (
+        "compensate", "last", source, "--station", "S1100", "-o", out
+    )  # fmt: skip
+    done = command(*words, "--runs", tmp_path / "runs")
+    assert done.returncode == 2
+    assert "its correction was never validated" in done.stderr
+    words = (*words, "--accept-out-of-tolerance")
     done = command(*words, "--runs", tmp_path / "runs")
     assert done.returncode == 0, done.stderr
     assert "SIMULATED" in done.stderr

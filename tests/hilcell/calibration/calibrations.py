@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hilcell.calibration.decision import Guard, judged, limits_of
 from hilcell.calibration.file import SCHEMA
 from hilcell.calibration.form import (
     Calibration,
@@ -18,6 +19,7 @@ from hilcell.calibration.form import (
     Validity,
 )
 from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, Uncertainty, motion
+from hilcell.cell.file import load_cell
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.measured import Measured
@@ -28,6 +30,7 @@ LOW_MM = np.array([1400.0, -450.0, 500.0])
 PITCH_MM = 450.0
 SHAPE = (3, 3, 3)
 T_W_B = pose_from_zyx(-1850.0, -3.0, 300.0, 0.02, 0.1, -0.06)
+LIMITS = limits_of(load_cell("paper"))
 STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
@@ -92,5 +95,6 @@ def calibration(
         "grid_errors_mm": field_mm(size_mm).tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured(size_mm)).parameters()),
         "uncertainty": uncertainty,
+        "verdicts": {"S1100": judged(0.03, 0.09, LIMITS, Guard(0.04, 0.05))},
     }
     return msgspec.convert(msgspec.to_builtins(values), Calibration)

@@ -171,7 +171,7 @@ def test_all_problems_come_at_once(file: Path) -> None:
         ("{}", "missing required field `schema`"),
         ('{"schema": true}', "not a calibration file"),
         ('{"schema": 1}', "missing required field"),
-        ('{"schema": 0}', f"schema 0, this hilcell reads {SCHEMA} and 1"),
+        ('{"schema": 0}', "schema 0, this hilcell reads 3, 2, 1"),
         ('{"schema": 99}', f"schema 99, this hilcell reads {SCHEMA}"),
         (f'{{"schema": {SCHEMA}}}', "missing required field"),
         (f'{{"schema": {SCHEMA}, "a": {"[" * 9999}', "not a calibration file"),
@@ -225,13 +225,26 @@ def test_an_old_file_states_no_covariance(tmp_path: Path) -> None:
     assert np.isnan(found.covariance_mm2).all()
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda values: values.pop("verdicts"), "verdicts: missing"),
+        (lambda values: values["verdicts"]["S1100"].update(mean_mm=3.7), "said to hold, but"),
+        (lambda values: values["verdicts"]["S1100"].update(mean_U_mm=-1.0), "wanted 0 .. 1e+06 mm"),
+        (lambda values: values["verdicts"]["S1100"].update(max_tolerance_mm=0.0), "not above 0"),
+    ],
+)
+def test_verdicts_that_cannot_be(file: Path, change: Callable[[Any], Any], says: str) -> None:
+    assert says in spoilt(change, file)
+
+
 def test_a_new_file_has_every_key_of_an_old_one(file: Path) -> None:
     new, known = (json.loads(path.read_text()) for path in (file, GOLDEN / "calibration.json"))
     assert known.keys() < new.keys()
     for part in ("provenance", "validity"):
         assert known[part].keys() <= new[part].keys()
     assert known["stations"]["S1100"].keys() == new["stations"]["S1100"].keys()
-    assert new["schema"] == known["schema"] == SCHEMA
+    assert (new["schema"], known["schema"]) == (SCHEMA, 2)
 
 
 def test_a_new_file_without_its_seal_is_no_old_one(file: Path) -> None:

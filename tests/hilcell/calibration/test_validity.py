@@ -6,10 +6,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.decision import Guard, Limits, judged
+from hilcell.calibration.form import Calibration, Doubt
 from hilcell.calibration.validity import Unfit, check_fitness
-from tests.hilcell.calibration.calibrations import STAMP, calibration
+from hilcell.cell.file import load_cell
+from tests.hilcell.calibration.calibrations import LIMITS, STAMP, calibration
 
+CELL = load_cell("paper")
 NOW = datetime(2026, 11, 20, 12, 0, 0, tzinfo=UTC)
 
 
@@ -18,7 +21,7 @@ def aged(days: float, **more: Any) -> Calibration:
 
 
 def test_a_fit_calibration() -> None:
-    check_fitness(aged(179.9), NOW, digest="d" * 64, temperature_c=24.9)
+    check_fitness(aged(179.9, digest=CELL.digest), NOW, cell=CELL, temperature_c=24.9)
     check_fitness(aged(0), NOW, temperature_c=20.0)
     check_fitness(aged(300), NOW, max_age_days=301)
     check_fitness(aged(-0.01), NOW)
@@ -44,8 +47,8 @@ def test_a_date_that_is_none() -> None:
 
 
 def test_another_cell() -> None:
-    with pytest.raises(Unfit, match="digest dddddddddddd, the cell given has eeeeeeeeeeee"):
-        check_fitness(aged(1), NOW, digest="e" * 64)
+    with pytest.raises(Unfit, match=f"digest dddddddddddd, the cell given has {CELL.digest[:12]}"):
+        check_fitness(aged(1), NOW, cell=CELL)
 
 
 @pytest.mark.parametrize("temperature_c", [19.9, 25.1, float("nan")])
@@ -70,5 +73,50 @@ def test_an_unproven_sign() -> None:
 
 def test_all_reasons_at_once() -> None:
     with pytest.raises(Unfit) as told:
-        check_fitness(aged(400, sign_checked=False), NOW, digest="e", temperature_c=40.0)
+        check_fitness(aged(400, sign_checked=False), NOW, cell=CELL, temperature_c=40.0)
     assert len(str(told.value).split("\n")) == 5
+
+
+def validated(mean_mm: float, limits: Limits = LIMITS, **more: Any) -> Calibration:
+    """Return a calibration whose validation found ``mean_mm``, with U = 0.04 mm."""
+    found = judged(mean_mm, 0.1, limits, Guard(0.04, 0.05))
+    return msgspec.structs.replace(aged(1, **more), verdicts={"S1100": found})
+
+
+@pytest.mark.parametrize("over_mm", [0.001, 5.0])
+def test_a_failed_validation(over_mm: float) -> None:
+    bad = validated(LIMITS.mean_mm - 0.04 + over_mm)
+    wanted = f"validation at S1100: .* mean .* \\+ U 0.0400 mm, wanted <= {LIMITS.mean_mm:g}"
+    with pytest.raises(Unfit, match=wanted):
+        check_fitness(bad, NOW)
+    (accepted,) = check_fitness(bad, NOW, accept_out_of_tolerance=True)
+    assert "validation at S1100" in accepted
+
+
+def test_a_validation_that_was_never_made() -> None:
+    never = msgspec.structs.replace(aged(1), verdicts={})
+    with pytest.raises(Unfit, match=r"never validated: .*\n  --accept-out-of-tolerance uses it"):
+        check_fitness(never, NOW)
+    assert len(check_fitness(never, NOW, accept_out_of_tolerance=True)) == 1
+
+
+def test_another_tolerance_than_the_cell_s() -> None:
+    """The reproduction: 3.7 mm off in tolerance, because the tolerance was 10 mm."""
+    wide = {"validation.mean_tolerance_mm": "5.0", "validation.max_tolerance_mm": "10.0"}
+    made = validated(3.7, Limits(5.0, 10.0), digest=load_cell("paper", wide).digest)
+    with pytest.raises(Unfit, match=r"another tolerance .*: mean 3\.7000 \+ U .*, wanted <= 5;"):
+        check_fitness(made, NOW, cell=CELL)
+    assert check_fitness(made, NOW, cell=CELL, accept_out_of_tolerance=True)
+    assert not check_fitness(made, NOW, cell=load_cell("paper", wide))
+
+
+def test_a_suspicion_that_nobody_cleared() -> None:
+    doubt = Doubt("mount slipped", 0.2, "mm", "closing re-visit")
+    doubted = msgspec.structs.replace(aged(1), suspicions=[doubt])
+    with pytest.raises(Unfit, match=r"mount slipped \(0\.2 mm, noticed by closing re-visit\)"):
+        check_fitness(doubted, NOW)
+
+
+def test_files_of_earlier_versions_state_no_verdict() -> None:
+    old = msgspec.structs.replace(aged(1), verdicts=None, schema=2)
+    assert check_fitness(old, NOW) == []

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.budget import DRILL
+from hilcell.calibration.decision import Guard, judged
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import ASSUMED, Influence, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.geometry.frames import apply, inverse
-from tests.hilcell.calibration.calibrations import T_W_B, calibration
+from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration
 from tests.hilcell.commands.workplace import Workplace
 from tests.hilcell.compensation.models import level
 
@@ -364,3 +365,26 @@ def test_a_format_that_cannot_be_loaded_is_refused(
     (plant.folder / "site" / "plant_poses.py").write_text(text)
     assert plant.compensate() == 2
     assert "'poses' cannot be loaded: " in capsys.readouterr().err
+
+
+def test_a_failed_validation_corrects_nothing_unasked(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The reproduction: 3.7 mm off, exit 0."""
+    bad = judged(3.7, 5.0, LIMITS, Guard(0.04, 0.05))
+    made = msgspec.structs.replace(calibration(), verdicts={"S1100": bad})
+    write_calibration(made, desk.folder / "calibration.json")
+    assert desk.compensate() == 2
+    assert "validation at S1100: out of tolerance" in capsys.readouterr().err
+    assert not desk.out.exists()
+    assert desk.compensate("--accept-out-of-tolerance") == 0
+    assert "accepted although validation at S1100" in capsys.readouterr().err
+
+
+def test_a_file_of_an_earlier_version_says_that_it_has_no_verdict(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = msgspec.structs.replace(calibration(), verdicts=None, schema=2)
+    write_calibration(old, desk.folder / "calibration.json")
+    assert desk.compensate() == 0
+    assert "states no verdict" in capsys.readouterr().err

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.calibration.contribution import Contribution
 from hilcell.calibration.influence import ASSUMED, MEASURED
+from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.journal.point_id import PointId
-from hilcell.report.budget import Budget, budget_of
-from hilcell.report.uncertainty import Contribution
 from tests.hilcell.report.journals import Writer
 
 

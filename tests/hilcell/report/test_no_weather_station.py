@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.report.budget import STEEL_EXPANSION_PER_K, budget_of
+from hilcell.calibration.measurement_budget import STEEL_EXPANSION_PER_K, budget_of
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts
 from hilcell.report.html import report_html

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from hilcell.report.uncertainty import (
+from hilcell.calibration.contribution import (
     Contribution,
     Distribution,
     combined_mm,

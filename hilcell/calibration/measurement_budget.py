@@ -7,15 +7,24 @@ depend on its place: `hilcell.calibration.bounds`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from hilcell.calibration.contribution import (
+    Contribution,
+    combined_mm,
+    expanded_mm,
+    thermal_limit_mm,
+)
+from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, world_covariance
 from hilcell.calibration.influence import ASSUMED, MEASURED
-from hilcell.geometry.frames import apply
-from hilcell.geometry.statistics import lengths_mm, rms
-from hilcell.journal.log import Log, positions_mm, variances_mm2
+from hilcell.geometry.frames import apply, motion_levers
+from hilcell.geometry.statistics import lengths_mm, rectangular_variance, rms
+from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
 from hilcell.ports import Array
-from hilcell.report.uncertainty import Contribution, combined_mm, expanded_mm, thermal_limit_mm
 
+NOISE = "Tracker, reading noise"
 STEEL_EXPANSION_PER_K = 11.5e-6  # of what stands between {W} and the points
 
 
@@ -35,6 +44,18 @@ class Budget:
         """Return the expanded uncertainty of one coordinate."""
         return expanded_mm(self.u_mm)
 
+    def of_mean_of(self, count: int) -> float:
+        """Return U of the mean of ``count`` positions: the readings' noise averages, nothing
+        else does.
+        """
+        lines = [
+            replace(each, estimate_mm=each.estimate_mm / math.sqrt(count))
+            if each.name == NOISE
+            else each
+            for each in self.lines
+        ]
+        return expanded_mm(combined_mm(lines))
+
 
 def budget_of(log: Log) -> Budget | None:
     """Return the budget, or nothing where the run has framed no world and measured no points."""
@@ -47,16 +68,36 @@ def budget_of(log: Log) -> Budget | None:
                      "limit of error", "4.3.7"),
         Contribution("SMR centring", stated.smr_centring_limit_mm, "rectangular", ASSUMED,
                      "centre of the optics against the sphere", "4.3.7"),
+        *_world(log),
         _drift(log),
         _thermal(log),
     ])  # fmt: skip
 
 
+def _judged(log: Log) -> list[Point]:
+    """Return the points of the flange's reflector; all, where there are none."""
+    return [p for p in log.points.values() if p.smr_mm is not None] or list(log.points.values())
+
+
+def _world(log: Log) -> list[Contribution]:
+    """Return what {W} is uncertain by at the points, where the run measured its three nests."""
+    if len(floor_points(log)) != FLOOR_NESTS:
+        return []
+    centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
+    covariance = world_covariance(log, np.zeros(3), centring_mm2)
+    at_mm = apply(log.matrix("world"), positions_mm(_judged(log)))
+    J = motion_levers(at_mm)[:, :, :6]
+    variances_mm2 = np.einsum("nij,jk,nik->n", J, covariance, J) / 3
+    u_mm = math.sqrt(float(variances_mm2.mean()))
+    how = "noise and centring of the three floor nests, carried to the points"
+    return [Contribution("World frame", u_mm, "normal", f"{MEASURED}, and {ASSUMED}", how, "5.1.2")]
+
+
 def _reading_noise(log: Log) -> Contribution:
-    points = [p for p in log.points.values() if p.smr_mm is not None] or list(log.points.values())
+    points = _judged(log)
     noise_mm = math.sqrt(variances_mm2(points).mean())
     how = f"scatter of the readings of {len(points)} points"
-    return Contribution("Tracker, reading noise", noise_mm, "normal", MEASURED, how, "4.2.3")
+    return Contribution(NOISE, noise_mm, "normal", MEASURED, how, "4.2.3")
 
 
 def _drift(log: Log) -> Contribution:

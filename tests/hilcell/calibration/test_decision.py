@@ -1,0 +1,84 @@
+"""The one decision rule, at its edges."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from hilcell.calibration.decision import (
+    Guard,
+    Judged,
+    Limits,
+    guard_of,
+    judged,
+    judged_again,
+    limits_within,
+)
+from hilcell.calibration.measurement_budget import NOISE, budget_of
+from hilcell.geometry.sequential import Outcome
+from hilcell.journal.point_id import PointId
+from hilcell.ports import HilcellError
+from tests.hilcell.report.journals import Writer
+
+LIMITS, GUARD = Limits(0.15, 0.4), Guard(0.05, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("mean_mm", "max_mm", "outcome"),
+    [
+        (0.0, 0.0, "accepted"),
+        (0.0999, 0.2999, "accepted"),
+        (0.1001, 0.2, "undecided"),
+        (0.05, 0.3001, "undecided"),
+        (0.1999, 0.4999, "undecided"),
+        (0.2001, 0.2, "rejected"),
+        (0.05, 0.5001, "rejected"),
+        (math.nan, 0.2, "rejected"),
+        (0.05, math.nan, "rejected"),
+        (math.inf, math.inf, "rejected"),
+    ],
+)
+def test_the_guard_band(mean_mm: float, max_mm: float, outcome: Outcome) -> None:
+    found = judged(mean_mm, max_mm, LIMITS, GUARD)
+    assert (found.outcome, found.holds) == (outcome, outcome == "accepted")
+
+
+def test_an_uncertainty_that_is_no_number_accepts_nothing() -> None:
+    assert not judged(0.0, 0.0, LIMITS, Guard(math.nan, 0.0)).holds
+
+
+@pytest.mark.parametrize("also", ["undecided", "rejected"])
+def test_another_test_must_accept_as_well(also: Outcome) -> None:
+    found = judged(0.01, 0.02, LIMITS, GUARD, also=also, words="too few targets")
+    assert (found.holds, found.outcome, found.decision) == (False, also, "too few targets")
+
+
+def test_a_verdict_is_judged_again_by_other_limits() -> None:
+    stated = judged(0.09, 0.2, LIMITS, GUARD)
+    assert judged_again(stated) == stated
+    assert not judged_again(stated, Limits(0.12, 0.4)).holds
+    old = Judged(holds=True, mean_mm=0.14, mean_tolerance_mm=0.15, max_mm=0.3, max_tolerance_mm=0.4)
+    assert judged_again(old).holds  # it was simply accepted then
+
+
+def test_what_is_left_of_a_tolerance() -> None:
+    assert limits_within(LIMITS, GUARD) == pytest.approx((0.1, 0.3))
+
+
+def test_the_noise_of_readings_averages_and_nothing_else(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "few").began()
+    for n, nest in enumerate(("F1", "F2", "F3")):
+        writer.point(PointId("world", nest=nest), (1000.0 * n, 1000.0 * (n == 1), 0))
+    log = writer.facts().log
+    budget = budget_of(log)
+    assert budget is not None
+    noise_mm = next(line.u_mm for line in budget.lines if line.name == NOISE)
+    one, many = guard_of(log, 1), guard_of(log, 100)
+    assert one.mean_mm == one.max_mm == many.max_mm == budget.U_mm
+    assert one.mean_mm**2 - many.mean_mm**2 == pytest.approx(4 * 0.99 * noise_mm**2)
+    assert "World frame" in [line.name for line in budget.lines]
+
+
+def test_nothing_is_judged_without_a_world(tmp_path: Path) -> None:
+    with pytest.raises(HilcellError, match="no position was measured"):
+        guard_of(Writer(tmp_path / "none").began().facts().log, 3)
