@@ -12,6 +12,7 @@ import os
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 
+from hilcell.run.cell_lock import OVERRIDE
 from tests.hilcell.report.browser import NAMES, found
 from tests.whole.golden import GoldenRuns
 
@@ -55,6 +56,12 @@ def pytest_report_header() -> str:
     """Name the browser in which the report is looked at."""
     none = f"none of {', '.join(NAMES)} is installed: its tests are skipped"
     return f"browser for the report: {found() or none}"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _locks(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Lock devices among these tests alone: what else runs on this machine is not theirs."""
+    os.environ[OVERRIDE] = str(tmp_path_factory.mktemp("locks"))
 
 
 @pytest.fixture(scope="session")

@@ -45,6 +45,7 @@ from hilcell.commands.run_output import (
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import StorageError
+from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import (
     CALIBRATION,
@@ -57,7 +58,13 @@ from hilcell.journal.runs import (
     read_log,
 )
 from hilcell.ports import HilcellError, Stopped
-from hilcell.run.cell_lock import CellLocked, lock_of_device, lock_of_name, locked
+from hilcell.run.cell_lock import (
+    CellLocked,
+    lock_of_device,
+    lock_of_name,
+    locked,
+    locks_folder,
+)
 from hilcell.run.client import order
 from hilcell.run.control import Control
 from hilcell.run.exits import EXIT_STORAGE, RESUMABLE, exit_code
@@ -122,8 +129,29 @@ def resume(args: argparse.Namespace) -> int:
     if live_engine(folder) is not None:
         return _resume_live(folder, args.retake)
     log = read_log(folder)
+    _open_retakes(log, folder, args.retake)
     cell, inputs = log.cell, log.inputs
-    asked = [key for key in args.retake if key not in log.retakes]
+    check_attended(cell, unattended=args.unattended)
+    procedure: Procedure = load_entry("procedures", inputs.procedure)
+    runs = folder.resolve().parent  # by whatever path the run was named, it has one lock
+    with locked(lock_of_name(runs, cell.name), f"cell {cell.name}", folder.name):
+        journal = RunJournal(folder / JOURNAL, encodable(folder.name), create=False)
+        try:  # only now nobody else writes it: another engine may have gone on meanwhile
+            asked = _open_retakes(journal.log, folder, args.retake)
+        except HilcellError:
+            journal.close()
+            raise
+        output = _output(args.json, journal.run, inputs.points, journal)
+        for key in asked:
+            journal.append("event", "", {"what": "retake asked", "key": key})
+        points = journal.log.points.items()
+        output.skip_measured(key for key, at in points if at.id.kind != "control")
+        return _perform(cell, procedure, journal, output, folder, args)
+
+
+def _open_retakes(log: Log, folder: Path, retakes: Sequence[str]) -> list[str]:
+    """Return the retakes that the journal does not ask for yet; refuse a run that is finished."""
+    asked = [key for key in retakes if key not in log.retakes]
     if refusals := [why for key in asked if (why := retake_refusal(log, key))]:
         raise HilcellError("\n".join(refusals))
     written = not log.calibrates or (folder / CALIBRATION).is_file()
@@ -132,15 +160,7 @@ def resume(args: argparse.Namespace) -> int:
         raise HilcellError(
             f"run {folder.name} is finished; start a new one with `hilcell run`", code="HC-J09"
         )
-    check_attended(cell, unattended=args.unattended)
-    procedure: Procedure = load_entry("procedures", inputs.procedure)
-    with locked(lock_of_name(folder.parent, cell.name), f"cell {cell.name}", folder.name):
-        journal = RunJournal(folder / JOURNAL, encodable(folder.name), create=False)
-        output = _output(args.json, journal.run, inputs.points, journal)
-        for key in asked:
-            journal.append("event", "", {"what": "retake asked", "key": key})
-        output.skip_measured(key for key, at in log.points.items() if at.id.kind != "control")
-        return _perform(cell, procedure, journal, output, folder, args)
+    return asked
 
 
 def machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
@@ -250,9 +270,8 @@ def _run(
                 if simulated is not None:
                     stack.callback(simulated.close)
             addresses = simulated.options if simulated is not None else {}
-            for place, tables in device_places(cell, addresses).items():
-                what = f"device {' and '.join(tables)} at {place}"
-                stack.enter_context(locked(lock_of_device(place), what, journal.run))
+            if simulated is None or (cell.simulation and cell.simulation.address):
+                _lock_devices(cell, addresses, journal.run, stack)  # nobody else has our own ones
             clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
             devices = build_devices(cell, addresses, clock)
             runner = Runner(
@@ -286,6 +305,17 @@ def _run(
         except StorageError as unwritten:  # a disk that takes no engine takes no end either
             return Ending(EXIT_STORAGE, unwritten)
         return Ending(code, error)
+
+
+def _lock_devices(
+    cell: Cell, addresses: Mapping[str, Mapping[str, object]], run: str, stack: ExitStack
+) -> None:
+    """Lock the places at which the devices are reached; raises `CellLocked`, `StorageError`."""
+    for place, tables in device_places(cell, addresses).items():
+        what = f"device {' and '.join(tables)} at {place}"
+        stack.enter_context(locked(lock_of_device(place), what, run))
+    if note := locks_folder()[1]:
+        print_message(f"warning: {note}")
 
 
 def _with_calibration(ending: Ending, journal: RunJournal, folder: Path) -> Ending:

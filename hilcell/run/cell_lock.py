@@ -1,21 +1,29 @@
 """Locks of a cell: two runs never command the same devices.
 
-Locks are of the operating system (flock): they vanish with their process, however it dies.
+Locks are of the operating system (flock): they vanish with their process, however it dies. Those
+of devices lie in one folder for all users of this machine. Another user may have put files there:
+no link is followed, nothing is truncated, and only a plain file with no second name is written.
 """
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import os
-import tempfile
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
 from hilcell.journal.journal import StorageError
 from hilcell.ports import HilcellError
+
+OVERRIDE = "HILCELL_LOCKS"  # names another folder, which all users of this machine must share
+USUAL = Path("/run/lock/hilcell")
+BEFORE_SET_UP = Path("/tmp/hilcell-locks")  # noqa: S108 - sticky; see the module's words
+FOR_ALL = 0o1777  # everybody may add a file, nobody may remove another's
+HOLDER_BYTES = 256  # written in place: a file that is no lock loses no more than its beginning
 
 
 class CellLocked(HilcellError):
@@ -30,49 +38,103 @@ def lock_of_name(runs: Path, cell: str) -> Path:
 
 
 def lock_of_device(known_by: str) -> Path:
-    """Return the lock, on this machine, of a device known by its place or by its identity."""
-    return _locks() / hashlib.sha256(known_by.encode()).hexdigest()
+    """Return the lock, on this machine, of a device known by its place or by its identity.
+
+    Raises `StorageError` where no folder for it can be used.
+    """
+    return locks_folder()[0] / hashlib.sha256(known_by.encode()).hexdigest()
 
 
-def _locks() -> Path:
-    """Return the same folder for all runs of a user, whatever their TMPDIR."""
+def locks_folder() -> tuple[Path, str]:
+    """Return the folder of the devices' locks, and what its user has to know; "" for nothing.
+
+    Raises `StorageError` where none can be used.
+    """
+    if override := os.environ.get(OVERRIDE):
+        _make_for_all(Path(override))
+        return Path(override), ""
     try:
-        fixed = Path("/tmp")  # noqa: S108 - the folder in it is the user's alone
-        base = fixed if fixed.is_dir() else Path(tempfile.gettempdir())
-        return base / f"hilcell-locks-{os.getuid()}"
-    except OSError as error:
-        raise StorageError(f"locks folder cannot be used: {error.strerror}") from error
+        _make_for_all(USUAL)
+    except StorageError as error:
+        _make_for_all(BEFORE_SET_UP)
+        return BEFORE_SET_UP, (
+            f"{error}; the devices' locks lie in {BEFORE_SET_UP}, which excludes nobody who can "
+            f"use {USUAL}: set it up with `sudo install -d -m {FOR_ALL:o} {USUAL}`"
+        )
+    return USUAL, ""
+
+
+def _make_for_all(folder: Path) -> None:
+    """Make a folder in which every user can lock, unless it is there."""
+    with _storage_errors(folder, "locks"):
+        before = os.umask(0)  # else another user could find it closed for a moment
+        try:
+            folder.mkdir(FOR_ALL)
+        except FileExistsError:
+            found = folder.lstat()
+            if not stat.S_ISDIR(found.st_mode):
+                raise OSError(errno.ENOTDIR, "it is no folder, or a link") from None
+            if not os.access(folder, os.W_OK | os.X_OK):
+                raise OSError(errno.EACCES, os.strerror(errno.EACCES)) from None
+        finally:
+            os.umask(before)
 
 
 @contextmanager
 def locked(path: Path, what: str, run: str) -> Iterator[None]:
     """Hold the lock at ``path``; raises `CellLocked` with its holder, and `StorageError`."""
-    with _opened(path) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            holder = file.read().decode(errors="replace").strip() or "another run"
-            raise CellLocked(
-                f"{what} is locked by {holder}; wait for its end or `hilcell stop` it"
-            ) from None
-        with _storage_errors(path.parent):
-            file.truncate(0)
-            file.write(f"run {run} (pid {os.getpid()})".encode(errors="replace"))
-        yield
-
-
-def _opened(path: Path) -> BinaryIO:
-    with _storage_errors(path.parent):
+    kind = "runs" if path.suffix == ".lock" else "locks"
+    with _storage_errors(path.parent, kind):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        return path.open("a+b", buffering=0)  # what a full disk refuses is not tried again later
+        file = _opened(path)
+    try:
+        with _storage_errors(path.parent, kind):
+            _take(file, what)
+            words = f"run {run} (pid {os.getpid()})".encode(errors="replace")
+            os.pwrite(file, words[:HOLDER_BYTES].ljust(HOLDER_BYTES), 0)
+        yield
+    finally:
+        os.close(file)
+
+
+def _take(file: int, what: str) -> None:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        holder = os.pread(file, HOLDER_BYTES, 0).decode(errors="replace").strip()
+        raise CellLocked(
+            f"{what} is locked by {holder or 'another run'}; wait for its end or `hilcell stop` it"
+        ) from None
+
+
+def _opened(path: Path) -> int:
+    """Open a lock's file, and make it only where there is none; raises `OSError`.
+
+    In a sticky folder a system may refuse to create what another user has created.
+    """
+    flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    while True:
+        try:
+            file = os.open(path, flags)
+            break
+        except FileNotFoundError:
+            try:
+                file = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o666)
+            except FileExistsError:
+                continue  # another run was quicker
+            os.fchmod(file, 0o666)  # whatever the umask: others lock it, too
+            break
+    found = os.fstat(file)
+    if not stat.S_ISREG(found.st_mode) or found.st_nlink != 1:
+        os.close(file)
+        raise OSError(errno.EINVAL, f"{path.name} is no lock: no plain file, or one with two names")
+    return file
 
 
 @contextmanager
-def _storage_errors(folder: Path) -> Iterator[None]:
+def _storage_errors(folder: Path, kind: str) -> Iterator[None]:
     """Raise `StorageError` where a folder cannot be used."""
     try:
         yield
     except OSError as error:
-        kind = "locks" if folder == _locks() else "runs"
         raise StorageError(f"{kind} folder {folder} cannot be used: {error.strerror}") from error

@@ -40,6 +40,7 @@ def test_signals_while_a_finished_run_closes_do_not_change_its_end(
     monkeypatch.setattr(command, "write_calibration", write)
     monkeypatch.setattr("hilcell.journal.log.Log.calibrates", True)
     monkeypatch.setattr(command, "print_unclosed", pressed)
+    monkeypatch.setattr(command, "lock_of_device", None)  # nobody else reaches a cell of our own
     code, kinds, words = end(tmp_path, capsys)
     assert code == 0
     assert kinds == ["state", "end"]

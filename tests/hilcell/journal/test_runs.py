@@ -140,14 +140,6 @@ def test_what_leaves_nothing_to_resume_is_not_to_be_resumed() -> None:
     assert not run._wants_new_run(None)
 
 
-def test_locks_do_not_depend_on_the_folder_of_temporary_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = lock_of_device("10.0.0.1:7000")
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    assert lock_of_device("10.0.0.1:7000") == before
-
-
 @pytest.mark.parametrize(
     ("text", "why"),
     [

@@ -1,0 +1,118 @@
+"""Locks of devices: one folder for all users, and what others have planted there is left alone."""
+
+import os
+import stat
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from hilcell.journal.journal import StorageError
+from hilcell.run import cell_lock
+from hilcell.run.cell_lock import OVERRIDE, CellLocked, lock_of_device, locked, locks_folder
+
+PLACE = "10.0.0.1:7000"
+
+
+@pytest.fixture
+def usual(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the usual folder, as on a machine on which nobody has made it yet."""
+    monkeypatch.delenv(OVERRIDE)
+    monkeypatch.setattr(cell_lock, "USUAL", tmp_path / "run-lock" / "hilcell")
+    monkeypatch.setattr(cell_lock, "BEFORE_SET_UP", tmp_path / "tmp-locks")
+    (tmp_path / "run-lock").mkdir()
+    return tmp_path / "run-lock" / "hilcell"
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.lstat().st_mode)
+
+
+def test_all_users_share_one_folder_and_its_files(usual: Path) -> None:
+    """Whatever TMPDIR and the umask say; nobody may remove another's lock."""
+    before = os.umask(0o077)
+    try:
+        with locked(lock_of_device(PLACE), "rail", "r"):
+            pass
+    finally:
+        os.umask(before)
+    assert locks_folder() == (usual, "")
+    assert mode(usual) == 0o1777
+    assert [mode(each) for each in usual.iterdir()] == [0o666]
+
+
+def test_no_folder_of_a_user_decides(usual: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = lock_of_device(PLACE)
+    monkeypatch.setenv("TMPDIR", str(usual.parent))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(os, "getuid", lambda: 4711)
+    assert lock_of_device(PLACE) == first
+    assert lock_of_device("10.0.0.2:7000") != first
+
+
+def test_a_machine_that_has_no_such_folder_says_so(usual: Path) -> None:
+    usual.parent.rmdir()
+    folder, note = locks_folder()
+    assert mode(folder) == 0o1777
+    assert note == (
+        f"locks folder {usual} cannot be used: No such file or directory; the devices' locks lie "
+        f"in {folder}, which excludes nobody who can use {usual}: set it up with "
+        f"`sudo install -d -m 1777 {usual}`"
+    )
+
+
+def test_a_folder_of_the_plant_s_own(
+    usual: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(OVERRIDE, str(tmp_path / "own"))
+    assert locks_folder() == (tmp_path / "own", "")
+    monkeypatch.setenv(OVERRIDE, str(tmp_path / "none" / "own"))
+    with pytest.raises(StorageError, match="none/own cannot be used: No such file"):
+        lock_of_device(PLACE)  # never a silent fallback
+    assert not usual.exists()
+
+
+def test_a_folder_that_is_a_link_is_not_used(usual: Path, tmp_path: Path) -> None:
+    (tmp_path / "victim").mkdir()
+    usual.symlink_to(tmp_path / "victim")
+    folder, note = locks_folder()
+    assert folder == tmp_path / "tmp-locks"
+    assert "it is no folder, or a link" in note
+    folder.rmdir()
+    folder.symlink_to(tmp_path / "victim")
+    with pytest.raises(StorageError, match="it is no folder, or a link"):
+        locks_folder()
+    assert [*(tmp_path / "victim").iterdir()] == []
+
+
+@pytest.mark.parametrize("plant", ["symlink_to", "hardlink_to"])
+def test_what_was_planted_is_neither_followed_nor_changed(
+    usual: Path, tmp_path: Path, plant: str
+) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    lock = lock_of_device(PLACE)
+    getattr(lock, plant)(victim)
+    with pytest.raises(StorageError, match=f"locks folder {usual} cannot be used"):
+        locked(lock, "rail", "r").__enter__()
+    assert victim.read_text() == "precious"
+
+
+def test_a_fifo_does_not_keep_a_run_waiting(usual: Path) -> None:
+    lock = lock_of_device(PLACE)
+    os.mkfifo(lock)
+    with pytest.raises(StorageError, match="is no lock"):
+        locked(lock, "rail", "r").__enter__()
+
+
+def test_an_existing_lock_is_taken_as_it_is(usual: Path) -> None:
+    """An existing file is opened, never created again, and its holder's words are replaced."""
+    lock = lock_of_device(PLACE)
+    lock.write_text("run earlier-with-a-long-name (pid 123456)")
+    with (
+        locked(lock, "rail", "r"),
+        pytest.raises(CellLocked, match=rf"rail is locked by run r \(pid {os.getpid()}\); wait"),
+    ):
+        locked(lock, "rail", "other").__enter__()
+    with locked(lock, "rail", "again"):
+        pass
