@@ -85,6 +85,14 @@ class CellSession(RunContext):
         """Refuse a motion from where the robot rests to joints (6,) that is not clear."""
         self._motion.check_way(rail, joints_rad, what)
 
+    def check_held(self) -> RailReading:
+        """Return a young reading of a slide that is held, at its station, so the robot may move."""
+        return self._motion.check_held(self.held)
+
+    def begin_sweep(self, rail: RailReading, joints_rad: Array, what: str) -> None:
+        """Judge the readings by which the robot sweeps to joints (6,), immediately before it."""
+        self._motion.begin(rail, self.held, joints_rad, what)
+
     # -- points -------------------------------------------------------------------------------
 
     def flange_point(

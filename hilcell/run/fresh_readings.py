@@ -6,8 +6,8 @@ it reads again; the interlocks judge the age of the new reading all the same.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+from time import monotonic
 from typing import TypeVar
 
 from hilcell.ports import RailReading, RobotReading
@@ -24,7 +24,7 @@ def fresh(read: Callable[[], R], limit_s: float, taken: R | None = None) -> R:
     """
     reading = read() if taken is None else taken
     for _ in range(TRIES - 1):
-        if time.monotonic() - reading.taken_s <= limit_s:
+        if monotonic() - reading.taken_s <= limit_s:
             break
         reading = read()
     return reading

@@ -88,13 +88,15 @@ class Motion:
     def _prepare_rail(self, action: str, facts: dict[str, object]) -> None:
         self._run.checkpoint()
         self.held = None
-        parked = self.park_robot()  # read at rest, after its motion ended
-        robot = fresh(self._run.devices.robot.read, self._run.cell.settle.reading_age_s, parked)
-        rail_may_move(self._run.cell, robot, time.monotonic())
+        robot = self._check_parked(self.park_robot())  # read at rest, after its motion ended
         self._run.intend("", action, **facts)
+        self._check_parked(robot)  # the commit may have taken long
 
-    def _fresh_rail(self) -> RailReading:
-        return fresh(self._run.devices.rail.read, self._run.cell.settle.reading_age_s)
+    def _check_parked(self, taken: RobotReading) -> RobotReading:
+        """Return a young reading of a robot that lets the slide move."""
+        robot = fresh(self._run.devices.robot.read, self._run.cell.settle.reading_age_s, taken)
+        rail_may_move(self._run.cell, robot, time.monotonic())
+        return robot
 
     def _hold_rail(self) -> None:
         self._run.devices.rail.hold()
@@ -108,12 +110,11 @@ class Motion:
         now = self._run.devices.robot.read()
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < 1e-4)):
             return now
-        rail = self._fresh_rail()
-        robot_may_move(self._run.cell, rail, None, time.monotonic())
+        rail = self.check_held(None)
         self._last = now
         self.check_way(rail, safe_rad, "park")
         self._run.intend("", "robot.park")
-        return self._drive(safe_rad, self._run.cell.robot.speed_percent)
+        return self._drive([safe_rad], self._run.cell.robot.speed_percent, rail, None, "park")
 
     def robot_to(self, joints_rad: Array, what: str) -> RobotReading:
         """Go to joints (6,), every axis from below, and settle.
@@ -121,13 +122,13 @@ class Motion:
         Coming from one side on every axis takes the joints' backlash out of the error.
         """
         check_joint_limits(self._run.cell, joints_rad, what)
-        rail = self._rail_under_robot()
+        rail = self.check_held(self.held)
         speed_percent = self._first_pass.speed_percent(rail.strip_mm, joints_rad, what)
-        rail = self._rail_under_robot(rail)  # the run may have paused
+        rail = self.check_held(self.held, rail)  # the run may have paused
         stops = self._stops(rail, joints_rad, what)
         place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
         self._run.intend(what, "robot.move", **place)
-        reading = [self._drive(stop, speed_percent) for stop in stops][-1]
+        reading = self._drive(stops, speed_percent, rail, self.held, what)
         self._run.clock.wait(self._run.cell.settle.robot_s)
         return reading
 
@@ -136,11 +137,10 @@ class Motion:
         if self._run.cell.surroundings is not None:
             check_way(self._run.cell, rail.strip_mm, self._resting_rad(), joints_rad, what)
 
-    def _rail_under_robot(self, taken: RailReading | None = None) -> RailReading:
-        """Return a young reading of a slide that is held where the robot may move."""
-        limit_s = self._run.cell.settle.reading_age_s
-        rail = fresh(self._run.devices.rail.read, limit_s, taken)
-        robot_may_move(self._run.cell, rail, self.held, time.monotonic())
+    def check_held(self, station: Station | None, taken: RailReading | None = None) -> RailReading:
+        """Return a young reading of a slide that is held, at ``station``, so the robot may move."""
+        rail = fresh(self._run.devices.rail.read, self._run.cell.settle.reading_age_s, taken)
+        robot_may_move(self._run.cell, rail, station, time.monotonic())
         return rail
 
     def _stops(self, rail: RailReading, joints_rad: Array, what: str) -> list[Array]:
@@ -153,10 +153,37 @@ class Motion:
         """Return the joints (6,) where the robot rests, by a reading young enough to move by."""
         limit_s = self._run.cell.settle.reading_age_s
         robot = fresh(self._run.devices.robot.read, limit_s, self._last)
-        self._last = None  # it holds until the next motion begins
         check_rests(self._run.cell, robot, time.monotonic())
+        self._last = robot
         return robot.joints_rad
 
-    def _drive(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        self._last = self._run.devices.robot.move_to(joints_rad, speed_percent)
-        return self._last
+    def begin(
+        self, rail: RailReading, station: Station | None, joints_rad: Array, what: str
+    ) -> RailReading:
+        """Judge the readings by which the robot moves to joints (6,), immediately before it does.
+
+        Those at hand may have grown old: by a commit, or by the motion before. Then they are taken
+        again, and a robot that may stand elsewhere has its way checked again.
+        """
+        rail = self.check_held(station, rail)
+        if self._run.cell.surroundings is not None:
+            proven = self._last
+            self._resting_rad()
+            if self._last is not proven:
+                self.check_way(rail, joints_rad, what)
+        self._last = None  # nobody knows where a motion that fails has ended
+        return rail
+
+    def _drive(
+        self,
+        stops: list[Array],
+        speed_percent: float,
+        rail: RailReading,
+        station: Station | None,
+        what: str,
+    ) -> RobotReading:
+        """Go to joints (6,) in turn; return the reading at the last of them."""
+        for stop in stops:
+            rail = self.begin(rail, station, stop, what)
+            reading = self._last = self._run.devices.robot.move_to(stop, speed_percent)
+        return reading

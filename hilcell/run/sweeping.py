@@ -7,7 +7,6 @@ for; the reader of the stream pairs them.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import msgspec
@@ -18,8 +17,7 @@ from hilcell.journal.stream_file import StreamFile, StreamRecord
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_stated
-from hilcell.run.fresh_readings import fresh
-from hilcell.run.interlocks import check_joint_limits, robot_may_move
+from hilcell.run.interlocks import check_joint_limits
 
 PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 
@@ -53,8 +51,7 @@ def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
     check_joint_limits(session.cell, order.target_rad, order.key)
     check_stated(session.cell, order.key)
     session.robot_to(order.start_rad, order.key)
-    rail = fresh(session.devices.rail.read, session.cell.settle.reading_age_s)
-    robot_may_move(session.cell, rail, session.held, time.monotonic())
+    rail = session.check_held()
     session.check_way(rail, order.target_rad, order.key)
     reflector = session.cell.tracker.reflector
     joints_deg = np.degrees(order.target_rad)
@@ -65,6 +62,7 @@ def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
         robot.sweep(order.axis, order.end_rad, order.speed_rad_s) as sweep,
     ):
         stream.kickoff()
+        session.begin_sweep(rail, order.target_rad, order.key)
         sweep.kickoff()
         while not sweep.ended:
             session.clock.wait(PACE_S)

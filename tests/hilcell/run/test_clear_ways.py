@@ -1,5 +1,6 @@
 """The arm keeps clear of the cell's volumes: in plans, and before every motion."""
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,9 @@ import pytest
 
 from hilcell.cell.file import Cell, KeepOut, Pose, load_cell
 from hilcell.geometry.clearance import placed_mm
+from hilcell.journal.journal import Record
 from hilcell.ports import Array, RobotReading
-from hilcell.run import sweeping
+from hilcell.run import fresh_readings, sweeping
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import (
     check_path,
@@ -250,12 +252,30 @@ def test_a_reading_from_before_a_motion_is_not_where_the_next_one_starts(post: B
 
     def go(session: CellSession, number: int) -> None:
         session.robot_to(LEFT, "start of a sweep")
-        session.check_way(session.devices.rail.read(), LEFT, "sweep")
+        session.begin_sweep(session.devices.rail.read(), LEFT, "sweep")
         post.robot.joints_rad = RIGHT  # the sweep took it there
         session.robot_to(LEFT, "next")
 
     assert fault_of(post, go) == "HC-B34"
     assert post.robot.moves == 2
+
+
+def test_a_robot_that_was_moved_while_the_disk_stalled_has_its_way_checked_again(
+    post: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    post.robot.joints_rad = LEFT
+    runner = post.runner(procedure(Points(1, go_to(LEFT))))
+
+    def stall(record: Record) -> None:
+        if record.kind == "intent":
+            post.robot.joints_rad = RIGHT  # jogged there, by hand
+            monkeypatch.setattr(fresh_readings, "monotonic", lambda: time.monotonic() + 9.0)
+
+    post.journal.listen(stall)
+    assert runner.run() == 3
+    post.journal.close()
+    assert post.log().life[-1].body["error"]["code"] == "HC-B34"
+    assert post.robot.moves == 0
 
 
 def test_the_last_half_degree_is_a_way_too(tmp_path: Path) -> None:

@@ -2,11 +2,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from hilcell.cell.file import load_cell
+from hilcell.journal.journal import Record
 from hilcell.ports import RailReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.fresh_readings import TRIES, fresh
@@ -14,6 +18,7 @@ from tests.hilcell.run.bed import Bed
 from tests.hilcell.run.rig import Points, procedure
 
 LIMIT_S = 0.5
+NO_WAITS = {"settle.robot_s": "0.0", "settle.rail_s": "0.0"}
 
 
 def aged(ages_s: Iterator[float]) -> Callable[[], RailReading]:
@@ -59,3 +64,80 @@ def test_a_pc_that_is_late_now_and_then_moves_on(tmp_path: Path, late: int, code
         session.robot_to(np.radians(bed.cell.robot.home_deg), "p")
 
     assert bed.run(procedure(Points(1, act))) == code
+
+
+STALL_S, AGE_S = 0.06, 0.05
+
+
+def stalled(tmp_path: Path, act: Callable[[CellSession], None], **later: float) -> list[str]:
+    """Return what was done in a run whose disk stalls at every intent, and how it ended.
+
+    ``later``: how old the readings of a device are once the disk has stalled.
+    """
+    bed = Bed(tmp_path, cell=load_cell("paper", {**NO_WAITS, "settle.reading_age_s": str(AGE_S)}))
+    done: list[str] = []
+
+    def noting(device: Any, name: str, kind: str) -> None:
+        real = getattr(device, name)
+
+        def call(*words: Any) -> Any:
+            done.append(f"{kind} {name}")
+            found = real(*words)
+            if name == "read" and "commit" in done:
+                found = replace(found, taken_s=found.taken_s - later.get(kind, 0.0))
+            return found
+
+        setattr(device, name, call)
+
+    def stall(record: Record) -> None:
+        if record.kind == "intent":
+            done.append("commit")
+            time.sleep(STALL_S)  # the fault: nothing is waited for
+
+    for name in ("read", "home", "move_to"):
+        noting(bed.rail, name, "rail")
+    for name in ("read", "move_to"):
+        noting(bed.robot, name, "robot")
+    runner = bed.runner(procedure(Points(1, lambda session, _: act(session))))
+    bed.journal.listen(stall)
+    done.append(str(runner.run()))
+    return done[done.index("commit") :]
+
+
+def to_home(session: CellSession) -> None:
+    session.robot_to(np.radians(session.cell.robot.home_deg), "p")
+
+
+def park(session: CellSession) -> None:
+    session.devices.robot.move_to(np.radians(session.cell.robot.home_deg), 10.0)
+    session.park_robot()
+
+
+@pytest.mark.parametrize("act", [to_home, park])
+def test_after_a_commit_that_took_long_the_robot_moves_by_new_readings(
+    tmp_path: Path, act: Callable[[CellSession], None]
+) -> None:
+    did = stalled(tmp_path, act)
+    before = did[: did.index("robot move_to")]
+    assert {*before} == {"commit", "rail read", "robot read"}
+    assert did[-1] == "0"
+
+
+@pytest.mark.parametrize("act", [to_home, park])
+def test_after_a_commit_that_took_long_no_robot_moves_by_old_ones(
+    tmp_path: Path, act: Callable[[CellSession], None]
+) -> None:
+    did = stalled(tmp_path, act, rail=9.0)
+    assert "robot move_to" not in did
+    assert did[-1] == "3"
+
+
+def test_after_a_commit_that_took_long_the_slide_moves_by_new_readings(tmp_path: Path) -> None:
+    did = stalled(tmp_path, CellSession.home_rail)
+    assert {*did[: did.index("rail home")]} == {"commit", "robot read"}
+
+
+def test_after_a_commit_that_took_long_no_slide_moves_by_old_ones(tmp_path: Path) -> None:
+    did = stalled(tmp_path, CellSession.home_rail, robot=9.0)
+    assert "rail home" not in did
+    assert did[-1] == "3"
