@@ -12,6 +12,7 @@ from decimal import Decimal
 import numpy as np
 
 from drivers.program_krl.data import POSE, Number
+from drivers.program_krl.tokens import statements
 from drivers.program_krl.turns import check_turns
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
@@ -77,14 +78,24 @@ class Program:
         postures = [(target.where, target.posture) for target in self.targets]
         check_turns(arm, T_W_B, postures, self.values(), command)
 
-    def with_positions(self, positions_mm: Array) -> dict[str, bytes]:
-        """Return the files by name, with other X, Y, Z (N, 3); nothing else differs."""
+    @property
+    def remarks(self) -> list[str]:
+        """Return what stands behind a semicolon in the files."""
+        lines = [line for text in self.texts.values() for line in text.splitlines()]
+        return [remark for _, sign, remark in (line.partition(";") for line in lines) if sign]
+
+    def with_positions(self, positions_mm: Array, remark: str = "") -> dict[str, bytes]:
+        """Return the files by name, with other X, Y, Z (N, 3) and a remark below their headers;
+        nothing else differs.
+        """
         edits: dict[str, list[Edit]] = {name: [] for name in self.texts}
         for target, position in zip(self.targets, positions_mm, strict=True):
             for name, value_mm in zip(POSE[:3], position, strict=True):
                 number = target.numbers[name]
                 text = formatted(float(value_mm), number.text)
                 edits[target.file].append(Edit(number.start, number.end, text))
+        for name, text in self.texts.items():
+            edits[name] += [_remark(text, remark)] if remark and text else []
         return {
             name: _edited(text, edits[name]).encode(ENCODING) for name, text in self.texts.items()
         }
@@ -96,6 +107,15 @@ def formatted(value: float, like: str) -> str:
     decimals = max(DECIMALS, -exponent if isinstance(exponent, int) else 0)
     text = f"{value:.{decimals}f}"
     return text if float(text) else text.removeprefix("-")
+
+
+def _remark(text: str, remark: str) -> Edit:
+    """Return a comment below ``DEF`` or ``DEFDAT``, the first statement of a file."""
+    first = next(statements(text))
+    at = text.find("\n", first.tokens[0].start) + 1
+    new_line = "\r\n" if text[:at].endswith("\r\n") else "\n"
+    plain = remark.encode(ENCODING, "replace").decode(ENCODING)
+    return Edit(at, at, f"; {plain}{new_line}")
 
 
 def _edited(text: str, edits: list[Edit]) -> str:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from hilcell.calibration.file import compensate_targets, read_calibration
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.form import Calibration, written_now
 from hilcell.calibration.in_use import written_by
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell, load_cell
@@ -18,6 +19,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
 from hilcell.commands.output import print_message
 from hilcell.compensation.programs import Program, load_program, notes_of, suffixes, write_program
+from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.journal.runs import find_run
 from hilcell.ports import Array
@@ -62,7 +64,8 @@ def compensate(args: argparse.Namespace) -> int:
     if args.bounds:
         write_bounds(Path(args.bounds), bounds, names, out, inputs=inputs)
         inputs.append(Path(args.bounds))
-    written = _write(program, names, command, source, out, inputs)
+    stamp = stamp_of(calibration, args.station, accepted)
+    written = _write(program, names, command, source, out, stamp, inputs)
     print_message(f"{len(names)} targets corrected for {args.station} into {written}")
     print_message(summary(bounds, names))
     if drill_mm is not None:
@@ -74,6 +77,14 @@ def compensate(args: argparse.Namespace) -> int:
             "output is for trying out, not for a machine"
         )
     return 0
+
+
+def stamp_of(calibration: Calibration, station: str, accepted: Sequence[str]) -> Stamp:
+    """Return the stamp of targets that a calibration corrects now."""
+    made = calibration.provenance
+    remarks = ["OUT OF TOLERANCE (accepted)"] if accepted else []
+    remarks += ["no verdict stated"] if calibration.verdicts is None else []
+    return Stamp(made.latest, written_now(), station, made.simulated, tuple(remarks))
 
 
 def _check_settings(cell: str | None, settings: dict[str, str]) -> None:
@@ -132,13 +143,14 @@ def _write(
     command: Array,
     source: Path,
     out: Path,
+    stamp: Stamp,
     inputs: list[Path],
 ) -> str:
     """Write the list or the program, print its notes, and return in words where it was written."""
     if program is None:
-        write_targets(out, names, command, inputs=inputs)
+        write_targets(out, names, command, stamp=stamp, inputs=inputs)
         return str(out)
-    written = write_program(program, command[:, :3], source, out, inputs=inputs)
+    written = write_program(program, command[:, :3], source, out, stamp=stamp, inputs=inputs)
     for note in notes_of(program, "{W}"):
         print_message(f"{source.name}: {note}")
     return " and ".join(map(str, written))

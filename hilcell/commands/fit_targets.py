@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hilcell.calibration.form import written_now
 from hilcell.calibration.influence import bounds_of
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import summary, write_bounds
 from hilcell.commands.output import print_message
 from hilcell.compensation.programs import Program, load_program, notes_of, write_program
+from hilcell.compensation.stamp import Stamp
 from hilcell.fit.methods import UNDETERMINED_MM, Fitted
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Measurements, Robot
@@ -45,6 +47,7 @@ class Job:
     out: Path
     bounds: Path | None
     tool: str
+    train: str
     inputs: list[Path]
 
 
@@ -64,7 +67,7 @@ def job_of(args: argparse.Namespace, train: Measurements, inputs: list[Path]) ->
         raise SettingsError("fit", [f"--tool {tool}: measured were {', '.join(names)}"])
     source = Path(args.correct)
     bounds = Path(args.bounds) if args.bounds else None
-    return Job(source, Path(args.output), bounds, tool, [*inputs, source])
+    return Job(source, Path(args.output), bounds, tool, Path(args.train).name, [*inputs, source])
 
 
 def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[str, object]:
@@ -102,13 +105,15 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
     if job.bounds:
         write_bounds(job.bounds, bounds, targets.names, job.out, inputs=inputs)
         inputs = [*inputs, job.bounds]
-    written = [job.out]
+    written, stamp = [job.out], Stamp(f"fit of {job.train}", written_now())
     if program is not None:
-        written = write_program(program, command[:, :3, 3], job.source, job.out, inputs=inputs)
+        written = write_program(
+            program, command[:, :3, 3], job.source, job.out, stamp=stamp, inputs=inputs
+        )
     elif joints is not None:
-        write_joints(job.out, targets.names, joints, inputs=inputs)
+        write_joints(job.out, targets.names, joints, stamp=stamp, inputs=inputs)
     else:
-        write_poses(job.out, targets.names, command, inputs=inputs)
+        write_poses(job.out, targets.names, command, stamp=stamp, inputs=inputs)
     for note in notes_of(program, ROOT) if program else ():
         print_message(f"{job.source.name}: {note}")
     where = " ".join(f"{each:.4f}" for each in controller.tool_mm)

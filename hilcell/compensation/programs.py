@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from hilcell.cell.devices import load_entry
+from hilcell.compensation.stamp import Stamp, refuse_corrected
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
 from hilcell.writing import NotWritten, write_together
@@ -41,22 +42,32 @@ class Program(Protocol):
     def needs_arm(self) -> str:
         """Return what of the joints `check_joints` would check, as a plural; may be empty."""
 
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Return the comments in the files, where a stamp may be."""
+
     def values(self) -> Array:
         """Return the targets (N, 6): x, y, z in mm, Z-Y-X angles a, b, c in deg."""
 
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
         """Raise `HilcellError` where ``command`` (N, 6) would mean other turns of the joints."""
 
-    def with_positions(self, positions_mm: Array) -> Mapping[str, bytes]:
-        """Return the files by name, with other x, y, z (N, 3); nothing else differs."""
+    def with_positions(self, positions_mm: Array, remark: str = "") -> Mapping[str, bytes]:
+        """Return the files by name, with other x, y, z (N, 3), and a remark as a comment in each
+        where it is not empty; nothing else differs.
+        """
 
 
 def load_program(path: Path) -> Program | None:
-    """Read a program by the format of its suffix; None where no format has it."""
+    """Read a program by the format of its suffix; None where no format has it.
+
+    Raises `SettingsError`, and `CorrectedBefore` for one that carries a stamp.
+    """
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in entry_points(group="hilcell.programs").names:
         return None
     program: Program = load_entry("programs", suffix)(path)
+    refuse_corrected(str(path), program.remarks)
     return program
 
 
@@ -71,9 +82,17 @@ def notes_of(program: Program, frame: str) -> list[str]:
 
 
 def write_program(
-    program: Program, positions_mm: Array, source: Path, out: Path, *, inputs: Iterable[Path] = ()
+    program: Program,
+    positions_mm: Array,
+    source: Path,
+    out: Path,
+    *,
+    stamp: Stamp,
+    inputs: Iterable[Path] = (),
 ) -> list[Path]:
     """Write the program at ``source`` with other positions under another stem; return the paths.
+
+    Each file carries the stamp as a comment.
 
     ``out`` may end in one of the program's suffixes, not in that of a list. Raises `NotWritten` as
     `write_together` does; the nominal program is an input as well: corrected again, it would be
@@ -86,7 +105,7 @@ def write_program(
             f"{out} is a list of targets by its name, and {source.name} is a program; name it "
             f"{out.stem} or {out.stem}{source.suffix}"
         )
-    files = program.with_positions(positions_mm)
+    files = program.with_positions(positions_mm, stamp.text)
     stem = out.stem if out.suffix.lower() in program.suffixes else out.name
     contents = {out.with_name(stem + Path(name).suffix): data for name, data in files.items()}
     write_together(contents, inputs=[source, *map(source.with_name, files), *inputs])

@@ -1,7 +1,8 @@
 """CSV files of named rows in {W}: strict reading, whole writing.
 
 Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with Z-Y-X angles. Python
-takes ``1_0`` for 10, digits of any script, and ``nan`` for a number; all are refused here.
+takes ``1_0`` for 10, digits of any script, and ``nan`` for a number; all are refused here. So is a
+list that was corrected before: it has a stamp in a column of its own.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,6 +18,7 @@ import numpy as np
 
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.clean import clean
+from hilcell.compensation.stamp import COLUMN, Stamp, refuse_corrected
 from hilcell.ports import Array
 from hilcell.writing import write_whole
 
@@ -35,7 +37,7 @@ class NamedRows:
 
 
 def read_targets(path: Path) -> tuple[list[str], Array]:
-    """Return names and values (N, 6); raises `SettingsError` with every problem and its line."""
+    """Return names and values (N, 6); raises as `read_named_rows` does."""
     rows = read_named_rows(path, [HEADER], "targets")
     return rows.names, np.array(rows.values)
 
@@ -49,9 +51,10 @@ def read_named_rows(
     """Return the rows of a CSV that has one of ``headers``: a name, then numbers.
 
     ``fault_of`` says in words what is wrong with finite values, or nothing. Raises
-    `SettingsError` with every problem and its line.
+    `SettingsError` with every problem and its line, and `CorrectedBefore`.
     """
     lines = _lines(path)
+    refuse_corrected(str(path), (cell for cells in lines for cell in cells))
     header = [cell.strip() for cell in lines[0]] if lines else []
     if header not in headers:
         wanted = " or ".join(",".join(each) for each in headers)
@@ -125,22 +128,40 @@ def _number(column: str, cell: str) -> float:
 
 
 def write_targets(
-    path: Path, names: list[str], values: Array, *, inputs: Iterable[Path] = ()
+    path: Path,
+    names: list[str],
+    values: Array,
+    *,
+    stamp: Stamp | None = None,
+    inputs: Iterable[Path] = (),
 ) -> None:
-    """Write targets (N, 6); raises `NotWritten` as `write_whole` does."""
-    rows = (
-        [name, *(f"{each:.4f}" for each in row[:3]), *(f"{each:.6f}" for each in row[3:])]
-        for name, row in zip(names, values, strict=True)
-    )
-    write_rows(path, HEADER, rows, inputs=inputs)
+    """Write targets (N, 6), corrected ones with their stamp; raises `NotWritten`."""
+    write_rows(path, HEADER, target_rows(names, values), stamp=stamp, inputs=inputs)
+
+
+def target_rows(names: Iterable[str], values: Array) -> Iterator[list[str]]:
+    """Yield the rows of targets (N, 6)."""
+    for name, row in zip(names, values, strict=True):
+        yield [name, *(f"{each:.4f}" for each in row[:3]), *(f"{each:.6f}" for each in row[3:])]
 
 
 def write_rows(
-    path: Path, header: list[str], rows: Iterable[list[str]], *, inputs: Iterable[Path] = ()
+    path: Path,
+    header: list[str],
+    rows: Iterable[list[str]],
+    *,
+    stamp: Stamp | None = None,
+    inputs: Iterable[Path] = (),
 ) -> None:
     """Write a CSV; raises `NotWritten` as `write_whole` does."""
+    write_whole(path, csv_of(header, rows, stamp), inputs=inputs)
+
+
+def csv_of(header: list[str], rows: Iterable[list[str]], stamp: Stamp | None = None) -> bytes:
+    """Return a CSV; a stamp is a column of its own."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    write_whole(path, text.getvalue().encode(), inputs=inputs)
+    more = [] if stamp is None else [stamp.text]
+    writer.writerow([*header, COLUMN] if more else header)
+    writer.writerows([*row, *more] for row in rows)
+    return text.getvalue().encode()

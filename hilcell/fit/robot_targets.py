@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hilcell.compensation import targets
+from hilcell.compensation.stamp import Stamp
 from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.inverse import Bools, refined
 from hilcell.geometry.kinematics import Arm, Array, forward
@@ -170,20 +171,32 @@ def read_robot_targets(path: Path, reach: Reach) -> tuple[RobotTargets, bool]:
     return RobotTargets(rows.names, reach.poses(joints), joints), True
 
 
-def write_poses(path: Path, names: list[str], poses: Array, *, inputs: Iterable[Path]) -> None:
-    """Write poses (N, 4, 4) as `read_robot_targets` reads them."""
-    targets.write_targets(path, names, zyx_from_pose(poses), inputs=inputs)
+def write_poses(
+    path: Path,
+    names: list[str],
+    poses: Array,
+    *,
+    stamp: Stamp | None = None,
+    inputs: Iterable[Path],
+) -> None:
+    """Write poses (N, 4, 4), corrected ones with their stamp."""
+    targets.write_targets(path, names, zyx_from_pose(poses), stamp=stamp, inputs=inputs)
 
 
 def write_joints(
-    path: Path, names: list[str], joints_rad: Array, *, inputs: Iterable[Path]
+    path: Path,
+    names: list[str],
+    joints_rad: Array,
+    *,
+    stamp: Stamp | None = None,
+    inputs: Iterable[Path],
 ) -> None:
-    """Write joints (N, 6) as `read_robot_targets` reads them."""
+    """Write joints (N, 6), corrected ones with their stamp."""
     rows = (
         [name, *(f"{each:.6f}" for each in row)]
         for name, row in zip(names, np.degrees(joints_rad), strict=True)
     )
-    targets.write_rows(path, JOINT_HEADER, rows, inputs=inputs)
+    targets.write_rows(path, JOINT_HEADER, rows, stamp=stamp, inputs=inputs)
 
 
 def _turned(angles_rad: Array) -> Array:

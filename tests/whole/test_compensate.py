@@ -36,7 +36,12 @@ def test_from_sign_check_to_program(tmp_path: Path, golden: GoldenRuns) -> None:
     assert "SIMULATED" in done.stderr
     assert done.stdout == ""
     src, dat = (tmp_path / f"corrected{end}" for end in (".src", ".dat"))
-    assert src.read_bytes().startswith(b"DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\nLIN {X 1")
+    stamp = b"; hilcell: corrected by sign-check for S1100 on 20"
+    assert src.read_bytes().startswith(b"DEF HOLES( )\r\n" + stamp)
+    line = src.read_bytes().splitlines()[1]
+    assert line.endswith(b"Z; SIMULATION; OUT OF TOLERANCE (accepted)")
+    assert b"\r\nPTP HOME\r\nLIN XP1\r\nLIN {X 1" in src.read_bytes()
+    assert dat.read_bytes().startswith(b"DEFDAT HOLES\r\n" + stamp)
     assert src.read_bytes().endswith(b",A 0.0,B 75.0,C 0.0}\r\nEND")
     assert dat.read_bytes().endswith(b",A 0,B 75,C 0,S 6,T 19}\r\nENDDAT\r\n")
     assert dat.read_bytes() != DAT.encode()

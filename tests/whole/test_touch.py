@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.file import read_calibration
-from hilcell.compensation.targets import read_targets
 from hilcell.journal.runs import CALIBRATION
+from tests.hilcell.commands.workplace import read_corrected
 from tests.whole.bench import SMALL, command, end_of, events, sets
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
@@ -47,7 +47,7 @@ def test_a_program_is_corrected_for_the_visit(golden: GoldenRuns, tmp_path: Path
         out = tmp_path / "o.csv"
         done = command("compensate", run, targets, "--station", "S300", "-o", out)
         assert done.returncode == 0, done.stderr
-        sent.append(read_targets(out)[1][0, :3])
+        sent.append(read_corrected(out)[1][0, :3])
     np.testing.assert_allclose(sent[1] - sent[0], found["shift_mm"], atol=0.02)
 
 

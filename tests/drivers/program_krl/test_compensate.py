@@ -7,7 +7,7 @@ import pytest
 
 from drivers.program_krl.files import load_program
 from hilcell.cell.file import load_cell
-from hilcell.compensation.targets import read_targets, write_targets
+from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import apply, inverse
 from tests.drivers.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
@@ -59,17 +59,19 @@ def test_program_and_list_agree(desk: Workplace, tmp_path: Path) -> None:
     write_targets(targets, [f"H{n}" for n in range(5)], program.values())
     assert desk.compensate() == 0
     assert desk.compensate(source=targets, out=out) == 0
-    _, listed = read_targets(out)
+    _, listed, _ = workplace.read_corrected(out)
     np.testing.assert_allclose(load_program(desk.out).values()[:, :3], listed[:, :3], atol=6e-4)
 
 
-def test_zero_errors_change_nothing_twice(desk: Workplace) -> None:
-    desk.calibrate(0.0)
+def test_what_was_corrected_is_not_corrected_again(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
     again = desk.folder / "again.src"
     assert desk.compensate() == 0
-    assert desk.compensate(source=desk.out, out=again) == 0
-    assert again.read_bytes() == desk.out.read_bytes()
-    assert again.with_suffix(".dat").read_bytes() == desk.out.with_suffix(".dat").read_bytes()
+    before = desk.files
+    assert desk.compensate(source=desk.out, out=again) == 2
+    assert "corrected by 20261101-120000-calibrate-abcd for S1100 on" in capsys.readouterr().err
+    assert desk.files == before
 
 
 @pytest.mark.parametrize(

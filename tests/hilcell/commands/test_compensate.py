@@ -17,13 +17,14 @@ from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import ASSUMED, Influence, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
-from hilcell.compensation.targets import read_targets, write_targets
+from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import apply, inverse
 from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration
-from tests.hilcell.commands.workplace import Workplace
+from tests.hilcell.commands.workplace import Workplace, read_corrected
 from tests.hilcell.compensation.models import level
 
 TARGETS = np.array([[0.0, 0, 1200, 0, 75, 0], [0.0, 50, 1250, 0, 75, 0]])
+STAMP = r"hilcell: corrected by 20261101-\S+ for S1100 on 2026-\d\d-\d\dT\d\d:\d\d:\d\dZ"
 BOUNDS = r"95 % bounds of the corrected targets: median 0\.\d{3} mm, largest 0\.\d{3} mm at H[12].*"
 
 
@@ -41,8 +42,9 @@ def arrived_mm(command: np.ndarray) -> np.ndarray:
 
 def test_a_corrected_list_arrives(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
     assert desk.compensate() == 0
-    names, command = read_targets(desk.out)
+    names, command, (stamp,) = read_corrected(desk.out)
     assert names == ["H1", "H2"]
+    assert re.fullmatch(STAMP, stamp)
     assert np.abs(command[:, :3] - TARGETS[:, :3]).max() > 0.3
     np.testing.assert_allclose(arrived_mm(command[:, :3]), TARGETS[:, :3], atol=2e-3)
     reported = capsys.readouterr()
@@ -55,6 +57,28 @@ def test_simulated_is_warned_of(desk: Workplace, capsys: pytest.CaptureFixture[s
     desk.calibrate(simulated=True)
     assert desk.compensate() == 0
     assert "SIMULATED: run 20261101" in capsys.readouterr().err
+    _, _, (stamp,) = read_corrected(desk.out)
+    assert re.fullmatch(f"{STAMP}; SIMULATION", stamp)
+
+
+def test_what_was_corrected_is_not_corrected_again(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert desk.compensate() == 0
+    again = desk.folder / "again.csv"
+    for command in (
+        lambda: desk.compensate(source=desk.out, out=again),
+        lambda: main(["plan", str(desk.out)]),
+    ):
+        assert command() == 2
+        assert "corrected by 20261101-120000-calibrate-abcd for S1100 on 2026-" in (
+            capsys.readouterr().err
+        )
+    assert not again.exists()
+    text = desk.out.read_text()
+    desk.out.write_text(text.replace(",corrected_by", "", 1))  # as a spreadsheet would not
+    assert desk.compensate(source=desk.out, out=again) == 2
+    assert "was corrected before" in capsys.readouterr().err
 
 
 def test_bounds_are_written_beside_the_targets(
@@ -69,7 +93,7 @@ def test_bounds_are_written_beside_the_targets(
     for row, bound in zip(rows, wide, strict=True):
         u = np.array([float(row[f"u_{axis}_mm"]) for axis in "xyz"])
         assert 1.9 * np.linalg.norm(u) > bound > 1.6 * np.linalg.norm(u)  # 1.61 of a sphere
-    names, _ = read_targets(desk.out)
+    names, _, _ = read_corrected(desk.out)
     assert names == ["H1", "H2"]
     assert desk.compensate("--bounds", str(bounds), "--temperature", "22.5") == 0
     narrow = [float(r["bound95_mm"]) for r in csv.DictReader(bounds.read_text().splitlines())]
@@ -253,6 +277,7 @@ class Program:
     suffixes = (".poses",)
     notes = ("comments are left",)
     needs_arm = "wrists"
+    remarks = ()
 
     @property
     def names(self):
@@ -264,7 +289,7 @@ class Program:
     def check_joints(self, arm, T_W_B, command):
         raise HilcellError(f"wrists of {len(command)} poses turn over at {T_W_B[0, 3]:g}")
 
-    def with_positions(self, positions_mm):
+    def with_positions(self, positions_mm, remark=""):
         lines = [
             " ".join([row[0], *(f"{each:.3f}" for each in position), *row[4:]])
             for row, position in zip(self.rows, positions_mm, strict=True)
@@ -379,6 +404,8 @@ def test_a_failed_validation_corrects_nothing_unasked(
     assert not desk.out.exists()
     assert desk.compensate("--accept-out-of-tolerance") == 0
     assert "accepted although validation at S1100" in capsys.readouterr().err
+    _, _, (stamp,) = read_corrected(desk.out)
+    assert re.fullmatch(rf"{STAMP}; OUT OF TOLERANCE \(accepted\)", stamp)
 
 
 def test_a_file_of_an_earlier_version_says_that_it_has_no_verdict(
@@ -388,3 +415,5 @@ def test_a_file_of_an_earlier_version_says_that_it_has_no_verdict(
     write_calibration(old, desk.folder / "calibration.json")
     assert desk.compensate() == 0
     assert "states no verdict" in capsys.readouterr().err
+    _, _, (stamp,) = read_corrected(desk.out)
+    assert stamp.endswith("; no verdict stated")

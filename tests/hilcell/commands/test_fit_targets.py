@@ -26,6 +26,7 @@ from hilcell.geometry.frames import (
 from hilcell.geometry.inverse import refine_inverse
 from hilcell.geometry.kinematics import Array, forward
 from tests.hilcell.commands.test_fit import write_rows
+from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.fit.test_fit import IRB120
 from tests.hilcell.fit.urdfs import PLAIN
 
@@ -116,7 +117,8 @@ def test_corrected_poses_bring_the_tool_to_its_targets(
     arm = replace(urdf.arm(), tool=urdf.tool @ tool_of(found))
     missed = {}
     for name, path in (("before", targets), ("after", out)):
-        command = poses_from_zyx(read_targets(path)[1])
+        read = read_targets if path == targets else read_corrected
+        command = poses_from_zyx(read(path)[1])
         at = refine_inverse(arm, inverse(urdf.base) @ command, joints)
         missed[name] = np.linalg.norm(reached_mm(at, "SMR2") - wanted_mm(found, poses), axis=1)
     assert missed["before"].mean() > 0.2
@@ -139,8 +141,13 @@ def test_corrected_joints_bring_the_tool_to_its_targets(
     assert fit(folder, "--correct", targets, "--tool", "SMR1", "-o", out) == 0
     found = json.loads(capsys.readouterr().out)["corrected"]
     poses = chain_forward(urdf.chain, joints) @ tool_of(found)
-    header = [["name", *(f"j{n}_deg" for n in range(1, 7))]]
-    command = np.radians(read_named_rows(out, header, "targets").values)
+    _, values, stamps = read_corrected(out)
+    assert [stamp.partition(" on ")[0] for stamp in stamps] == [
+        "hilcell: corrected by fit of train.csv"
+    ]
+    assert fit(folder, "--correct", out, "--tool", "SMR1", "-o", tmp_path / "again.csv") == 2
+    assert "was corrected before" in capsys.readouterr().err
+    command = np.radians(values)
     assert np.abs(command - joints).max() < 0.02
     missed = np.linalg.norm(reached_mm(command, "SMR1") - wanted_mm(found, poses), axis=1)
     assert missed.max() < 0.05
@@ -168,7 +175,7 @@ def test_a_program_is_corrected_in_place(
     assert f"drill.src: its targets were taken in {root}, its base must be {root}" in said
     assert "{W}" not in said
     written = (tmp_path / "out.src").read_text().splitlines()
-    for line, wanted in zip(written[1:3], read_targets(tmp_path / "c.csv")[1], strict=True):
+    for line, wanted in zip(written[2:4], read_corrected(tmp_path / "c.csv")[1], strict=True):
         numbers = [float(each.split()[1].rstrip("}")) for each in line[5:].split(",")]
         np.testing.assert_allclose(numbers, wanted, atol=2e-4)
 
