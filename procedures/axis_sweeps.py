@@ -21,7 +21,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_sweep
 from hilcell.run.procedure import Span, Step, Table
 from hilcell.run.sweeping import SweepOrder, record_sweep
-from procedures.durations import first_pass_percent, robot_moves_s
+from procedures.durations import closing, first_pass_percent, robot_moves_s, step
 from procedures.plan import check_range, check_reach, poses_at
 
 LEFT_OUT = "axes not swept"
@@ -68,7 +68,7 @@ class AxisSweeps:
                 seconds += cell.settle.robot_s + STREAM_S + turn_deg / cell.sweeps.speed_deg_s
                 here_rad = end_rad
         count = len(WAYS) * len(axes_of(cell))
-        return Step(self.name, 0, seconds, (Span("sweep", count, seconds),))
+        return step(self.name, 0, [Span("sweep", count, seconds), *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Sweep, and journal each axis's curve as soon as it is known, once."""
@@ -76,9 +76,11 @@ class AxisSweeps:
         if reason := left_out(cell):
             session.event(LEFT_OUT, reason=reason)
             return
-        for axis in axes_of(cell):
-            if axis not in session.log.curves:
-                session.curve(CurveRecord.of(self._swept(session, axis)))
+        left = [axis for axis in axes_of(cell) if axis not in session.log.curves]
+        swept = [self._swept(session, axis) for axis in left]
+        session.close_step()
+        for found in swept:
+            session.curve(CurveRecord.of(found))
 
     def _swept(self, session: CellSession, axis: int) -> SweptAxis:
         """Return an axis's result, of further sweeps where the first cannot be used."""
@@ -109,8 +111,9 @@ class AxisSweeps:
                 cell.sweeps.rate_hz,
             )
             self._record(session, order)
-        data = read_stream(session.folder, session.log.streams[key])
-        T_B_L = inverse(T_W_B) @ session.frames.tracker_in_world()
+        record = session.log.streams[key]
+        data = read_stream(session.folder, record)
+        T_B_L = inverse(T_W_B) @ session.frames.tracker_in_world(record.set_up)
         xyz_mm = apply(T_B_L, data.xyz_mm)
         return SweepStream(data.device_s, xyz_mm, data.window_s, data.joints_rad, data.asked_s)
 

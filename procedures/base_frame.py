@@ -17,7 +17,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_poses
 from hilcell.run.procedure import Span, Step
-from procedures.durations import flange_points, step
+from procedures.durations import closing, flange_points, step
 
 ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
 FEWEST_ON_ARC = 5
@@ -36,7 +36,7 @@ class BaseFrame:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse sweeps that leave the joint limits or come too near to a volume."""
         check_circles(cell, cell.station_named(cell.grid.station))
-        return step(self.name, 2 * points_on_arc(cell), [sweeps(cell)])
+        return step(self.name, 2 * points_on_arc(cell), [sweeps(cell), *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Sweep, fit and frame, once."""
@@ -53,6 +53,7 @@ class BaseFrame:
             ]
             for axis in (1, 6)
         ]
+        session.close_step()
         T_W_B, axis_1, axis_6 = frame_of_sweeps(session.cell, session.log, *swept)
         session.frame(
             "base",

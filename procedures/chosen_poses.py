@@ -22,7 +22,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
-from procedures.durations import flange_points, step
+from procedures.durations import closing, flange_points, step
 from procedures.plan import drivable, joints_for, poses_at, turned
 
 CANDIDATES, PLACES = 128, 64
@@ -44,7 +44,7 @@ class ChosenPoses:
         if not most:
             return Step(self.name, 0, 0.0)
         joints_rad = candidates_rad(cell)[:most]
-        return step(self.name, len(joints_rad), [flange_points(cell, joints_rad)])
+        return step(self.name, len(joints_rad), [flange_points(cell, joints_rad), *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Choose once, then measure."""
@@ -57,6 +57,7 @@ class ChosenPoses:
         world_mm = apply(session.frames.base_in_world(station), nominal_mm)
         for number, (joints, at_mm) in enumerate(zip(joints_rad, world_mm, strict=True)):
             session.flange_point(PointId("pose", number=number), station, joints, nominal_mm=at_mm)
+        session.close_step()
 
     def _choose(self, session: CellSession) -> dict[str, Any]:
         joints_rad = candidates_rad(session.cell)

@@ -38,6 +38,13 @@ def floor_points(cell: Cell) -> Span:
     return readings(cell, len(cell.layout.floor), cell.nest_samples)
 
 
+def closing(cell: Cell, *, carried: bool = False, points: int = 1) -> list[Span]:
+    """Return the spans of `CellSession.close_step`, and of proofs before it within many points."""
+    if cell.layout.by_hand:
+        return [floor_points(cell)] if carried else []
+    return [floor_points(cell)] * math.ceil(points / cell.plan.prove_every)
+
+
 def robot_moves_s(
     cell: Cell, from_rad: Array, to_rad: Array, percent: Array | None = None
 ) -> Array:

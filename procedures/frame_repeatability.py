@@ -26,7 +26,7 @@ from procedures.base_frame import (
     sweep,
     sweeps,
 )
-from procedures.durations import leg, readings, step
+from procedures.durations import closing, leg, readings, step
 from procedures.plan import other_stations
 
 SIX = 6
@@ -55,7 +55,7 @@ class FrameRepeatability:
         six = readings(cell, SIX, MORE_READINGS * cell.nest_samples)
         for station in cell.station:
             check_circles(cell, station)
-            spans += [leg(cell, here, station), six, sweeps(cell)]
+            spans += [leg(cell, here, station), six, sweeps(cell), *closing(cell)]
             here = station
         return step(self.name, len(cell.station) * (2 * points_on_arc(cell) + SIX), spans)
 
@@ -74,6 +74,7 @@ class FrameRepeatability:
             for number, joints in enumerate(sweep(session.cell, axis)):
                 id = PointId("frames", station=station.name, axis=axis, number=number)
                 session.flange_point(id, station, joints)
+        session.close_step()
         circles = (session.log.select("frames", station.name, axis=axis) for axis in (1, 6))
         session.frame(
             f"base.{station.name}", frame_of_sweeps(session.cell, session.log, *circles)[0]

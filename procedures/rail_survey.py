@@ -15,7 +15,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import FLANGE, CellSession
 from hilcell.run.procedure import Span, Step, Table
-from procedures.durations import measure_s, rail_move_s, step
+from procedures.durations import closing, measure_s, rail_move_s, step
 
 FORTH, BACK = "forth", "back"
 
@@ -36,7 +36,7 @@ class RailSurvey:
         seconds = points * measure_s(cell, cell.nest_samples)
         seconds += rail_move_s(cell, cell.survey.from_mm - cell.rail.travel_min_mm)
         seconds += (stops - 2) * rail_move_s(cell, cell.survey.step_mm) + rail_move_s(cell, 0.0)
-        return step(self.name, points, [Span("survey", points, seconds)])
+        return step(self.name, points, [Span("survey", points, seconds), *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Go forth and back."""
@@ -44,6 +44,7 @@ class RailSurvey:
         for way, order in ((FORTH, steps), (BACK, steps[::-1])):
             for number, position_mm in enumerate(order):
                 self._stop(session, way, number, float(position_mm))
+        session.close_step()
 
     def _stop(self, session: CellSession, way: str, number: int, position_mm: float) -> None:
         names = (FLANGE, *(nest.name for nest in session.cell.layout.slide))

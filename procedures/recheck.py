@@ -24,7 +24,7 @@ from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_poses
 from hilcell.run.procedure import Procedure, Step, Table
-from procedures.durations import flange_points, step
+from procedures.durations import closing, flange_points, step
 from procedures.home import Home
 from procedures.station import HoldStation
 from procedures.world_frame import WorldFrame
@@ -47,7 +47,11 @@ class Recheck:
         """Refuse a calibration that is missing, and poses out of reach."""
         joints_rad = commands_rad(cell, calibration_named(cell, TABLE), seed)
         check_poses(cell, cell.station_named(cell.grid.station), joints_rad, "re-check pose")
-        return step(self.name, len(joints_rad), [flange_points(cell, joints_rad)])
+        return step(
+            self.name,
+            len(joints_rad),
+            [flange_points(cell, joints_rad), *closing(cell, carried=True)],
+        )
 
     def perform(self, session: CellSession) -> None:
         """Keep the calibration, measure, judge."""
@@ -66,6 +70,7 @@ class Recheck:
             session.event("outlier measured again", key=ids[n].key)
             again = joints_rad[n], nominal_mm[n]
             session.flange_point(ids[n], station, again[0], nominal_mm=again[1], retake=True)
+        session.close_step(carried=True)
         result = self.result(session.log)["recheck"]
         session.verdict(
             "recheck",

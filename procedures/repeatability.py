@@ -19,7 +19,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
-from procedures.durations import flange_points, step
+from procedures.durations import closing, flange_points, step
 from procedures.plan import check_targets, joints_for, poses_at
 
 VISITS, QUICK_VISITS = 10, 5
@@ -40,7 +40,7 @@ class Repeatability:
         places = poses_at(cell, places_mm(cell))
         places_rad = check_targets(cell, there, places, "repeatability place")
         visits_rad = np.tile(places_rad, (visits_of(cell), 1))
-        return step(self.name, len(visits_rad), [flange_points(cell, visits_rad)])
+        return step(self.name, len(visits_rad), [flange_points(cell, visits_rad), *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Go round the places; going on to the next is what leaves the last."""
@@ -50,6 +50,7 @@ class Repeatability:
             for place, target in enumerate(joints):
                 id = PointId("repeatability", place=place, number=visit)
                 session.flange_point(id, station, target)
+        session.close_step()
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return RP of ISO 9283 as measured and of the robot alone, and the floor."""

@@ -12,7 +12,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
-from procedures.durations import flange_points, step
+from procedures.durations import closing, flange_points, step
 from procedures.plan import check_range, check_targets, joints_for, poses_at
 
 Vertex = tuple[PointId, Array, Array]  # identity, joints (6,) in rad, nominal position (3,) in {W}
@@ -38,7 +38,14 @@ class RobotGrid:
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
             check_range(cell, world_mm, f"grid at {station.name}")
-        return step(self.name, len(vertices_mm), [flange_points(cell, joints_rad)])
+        return step(
+            self.name,
+            len(vertices_mm),
+            [
+                flange_points(cell, joints_rad),
+                *closing(cell, carried=True, points=len(vertices_mm)),
+            ],
+        )
 
     def perform(self, session: CellSession) -> None:
         """Measure every vertex."""
@@ -53,6 +60,7 @@ class RobotGrid:
             session.flange_point(id, station, joints, nominal_mm=nominal_mm)
         for id, joints, nominal_mm in self._doubtful(session, vertices):
             session.flange_point(id, station, joints, nominal_mm=nominal_mm, retake=True)
+        session.close_step(carried=True)
         session.reach("measure_grid")
 
     def _doubtful(self, session: CellSession, vertices: list[Vertex]) -> list[Vertex]:

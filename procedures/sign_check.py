@@ -25,9 +25,8 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
-from procedures.durations import flange_points, floor_points, leg, step
+from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import check_targets, joints_for, other_stations, poses_at
-from procedures.world_frame import check_control_points
 
 CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
 IDS = {how: PointId("sign", how=how) for how in ("before", "corrected")}
@@ -51,7 +50,7 @@ class SignCheck:
         last = there if cell.plan.quick else [there, *other_stations(cell)][-1]
         back = leg(cell, last, there)
         both = flange_points(cell, joints_rad[[0] * len(IDS)])
-        return step(self.name, len(IDS), [back, floor_points(cell), both])
+        return step(self.name, len(IDS), [back, both, *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Send both, measure, and journal the verdict."""
@@ -61,11 +60,10 @@ class SignCheck:
         target_mm = worst_mm(session.log)
         commands = {"before": target_mm, "corrected": self.command(session.log, target_mm)}
         nominal_mm = apply(session.frames.base_in_world(station), target_mm)[0]
-        if not all(session.log.find(id) for id in IDS.values()):
-            check_control_points(session)
         for how, command in commands.items():
             joints = joints_for(session.cell, command)[0]
             session.flange_point(IDS[how], station, joints, nominal_mm=nominal_mm)
+        session.close_step()
         figures = self.result(session.log)["sign"]
         holds = figures["corrected_mm"] < CLEARLY * figures["before_mm"]
         session.verdict("sign", holds=holds, limit=CLEARLY, **figures)

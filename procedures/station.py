@@ -13,7 +13,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step, Table
-from procedures.durations import approach_s, measure_s, rail_move_s, step
+from procedures.durations import approach_s, closing, measure_s, rail_move_s, step
 
 APPROACH_MM = 150.0
 STRIP_LIMIT_MM = 0.035
@@ -66,7 +66,7 @@ class StationRepeatability:
         visits = 2 * cell.survey.repeats
         plain = Span("plain approach", visits, visits * (each_s + away_s))
         by_strip = Span("strip approach", visits, visits * (each_s + by_strip_s))
-        return step(self.name, len(HOWS) * visits, [plain, by_strip])
+        return step(self.name, len(HOWS) * visits, [plain, by_strip, *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Approach, measure, go away, come back."""
@@ -76,6 +76,7 @@ class StationRepeatability:
             for way, sides in ways.items():
                 for number, side in enumerate(sides):
                     self._visit(session, how, way, number, side)
+        session.close_step()
         result = self.result(session.log)["station_repeatability"]
         session.verdict(
             "station-repeatability",

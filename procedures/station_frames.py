@@ -27,9 +27,8 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
-from procedures.durations import floor_points, leg, park_s, readings, step
+from procedures.durations import closing, leg, park_s, readings, step
 from procedures.plan import check_range, other_stations
-from procedures.world_frame import check_control_points
 
 THREE, FEW = "three_points", 3
 THREE_SAMPLES = 3  # the paper does not state how many readings it took of each
@@ -96,7 +95,7 @@ def frame_spans(cell: Cell, here: Station, there: Station) -> list[Span]:
     """Return the spans of going to a station and framing it."""
     nests = readings(cell, len(cell.layout.slide), cell.nest_samples)
     few = [] if cell.plan.quick else [readings(cell, FEW, THREE_SAMPLES)]
-    return [leg(cell, here, there), floor_points(cell), nests, *few]
+    return [leg(cell, here, there), nests, *few, *closing(cell, carried=True)]
 
 
 def frame_station(session: CellSession, station: Station) -> None:
@@ -107,14 +106,16 @@ def frame_station(session: CellSession, station: Station) -> None:
     reference = cell.station_named(cell.grid.station)
     session.hold_station(station)
     session.park_robot()
-    check_control_points(session)
     for number, nest in enumerate(cell.layout.slide):
         id = slide_id(station, nest)
         session.slide_point(id, station, nest, samples=cell.nest_samples)
         if cell.layout.by_hand and number < FEW and not cell.plan.quick:
             three_point(session, station, nest)  # while the reflector is there
-    if not cell.plan.quick:
-        _frame_by_three(session, station)
+    three = [] if cell.plan.quick else _three_points(session, station)
+    session.close_step(carried=True)
+    if three:
+        three_mm = apply(session.log.matrix("world"), positions_mm(three))
+        session.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
     moved = moved_nests(session.log, station, reference)
     left_out = check_nests(cell, station, moved)
     fit = station_fit(session.log, station, reference)
@@ -131,12 +132,9 @@ def frame_station(session: CellSession, station: Station) -> None:
     )
 
 
-def _frame_by_three(session: CellSession, station: Station) -> None:
-    """Measure and journal the paper's own frame."""
-    nests = session.cell.layout.slide[:FEW]
-    few = [three_point(session, station, nest) for nest in nests]
-    three_mm = apply(session.log.matrix("world"), positions_mm(few))
-    session.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
+def _three_points(session: CellSession, station: Station) -> list[Point]:
+    """Measure the points of the paper's own frame."""
+    return [three_point(session, station, nest) for nest in session.cell.layout.slide[:FEW]]
 
 
 def _figures(frame: dict[str, Any]) -> dict[str, Any]:

@@ -29,10 +29,10 @@ from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_poses
 from hilcell.run.procedure import Procedure, Step, Table
-from procedures.durations import approach_s, flange_points, floor_points, step
+from procedures.durations import approach_s, closing, flange_points, step
 from procedures.home import Home
 from procedures.recheck import use
-from procedures.world_frame import WorldFrame, check_control_points
+from procedures.world_frame import WorldFrame
 
 TABLE = "targets"
 MOST_TARGETS = 1000
@@ -55,7 +55,11 @@ class TargetPass:
         joints_rad = commands_rad(cell, calibration_named(cell, TABLE), names, values)
         check_poses(cell, station, joints_rad, "target")
         there_s = approach_s(cell, cell.rail.travel_min_mm, station)
-        whole = step(self.name, len(names), [flange_points(cell, joints_rad), floor_points(cell)])
+        whole = step(
+            self.name,
+            len(names),
+            [flange_points(cell, joints_rad), *closing(cell, carried=True, points=len(names))],
+        )
         return Step(self.name, whole.points, whole.duration_s + there_s, whole.spans)
 
     def perform(self, session: CellSession) -> None:
@@ -70,7 +74,7 @@ class TargetPass:
             id = PointId(KIND, target=name)
             session.flange_point(id, station_of(cell), joints, nominal_mm=nominal_mm)
         self._measure_again(session, names, joints_rad, values)
-        check_control_points(session)
+        session.close_step(carried=True)
         found = msgspec.to_builtins(judged_pass(session.log))
         session.verdict("targets", holds=found.pop("holds"), **found)
 

@@ -19,7 +19,7 @@ from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step, Table
-from procedures.durations import approach_s, step
+from procedures.durations import approach_s, closing, step
 from procedures.home import Home
 from procedures.recheck import use
 from procedures.touch import touch_once, touch_result, touch_spans
@@ -48,7 +48,7 @@ class TouchStation:
                 code="HC-C10",
             )
         way_s = approach_s(cell, cell.rail.travel_min_mm, station)
-        planned = step(self.name, touches[0].measured, touches)
+        planned = step(self.name, touches[0].measured, [*touches, *closing(cell, carried=True)])
         return Step(planned.name, planned.points, planned.duration_s + way_s)
 
     def perform(self, session: CellSession) -> None:
@@ -61,6 +61,7 @@ class TouchStation:
                 T_W_S, covariance = np.array(entry.T_W_S), np.array(entry.covariance)
                 session.frame(key, T_W_S, covariance=covariance)
         touch_once(session, station, calibration.error_model())
+        session.close_step(carried=True)
         if "touch" not in session.log.verdicts:
             session.verdict("touch", holds=True, station=station.name)
 

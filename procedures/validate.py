@@ -26,12 +26,11 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures import enough_targets
-from procedures.durations import flange_points, floor_points, leg, step
+from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import check_targets, drivable, poses_at, turned
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch import touch_once, touch_result, touch_spans
-from procedures.world_frame import check_control_points
 
 WAYS = ("before", "idw", "chosen")  # as it is, by the paper's method, by the chosen one
 QUICK_WAYS = ("before", "chosen")
@@ -60,11 +59,12 @@ class Validate:
             else:
                 spans.append(leg(cell, here, station))
             for how in ways(cell):
-                spans += [floor_points(cell)] if how in controlled(cell) else []
                 measured = touch_spans(cell, station) if how == "chosen" else []
                 measured.append(flange_points(cell, joints_rad[: planned(cell, how)]))
-                spans += measured
-                points += sum(span.measured for span in measured)
+                count = sum(span.measured for span in measured)
+                proofs = closing(cell, carried=True, points=count) if how in closed(cell) else []
+                spans += [*measured, *proofs]
+                points += count
             here = station
         return step(self.name, points, spans)
 
@@ -80,6 +80,8 @@ class Validate:
             for how in ways(session.cell):
                 for numbers in rounds(session.log, name, how, len(poses)):
                     self._send(session, station, how, numbers, poses, models.get(how))
+                if how in closed(session.cell):
+                    session.close_step(carried=True)
         self._judge(session)
         session.reach("validate")
 
@@ -95,8 +97,6 @@ class Validate:
         ids = [PointId("validate", station=station.name, how=how, number=n) for n in numbers]
         if all(session.log.find(id) for id in ids):
             return
-        if numbers[0] == 0 and not session.log.find(ids[0]) and how in controlled(session.cell):
-            check_control_points(session)
         wanted = poses[numbers]
         nominal_mm = apply(session.frames.base_in_world(station), wanted[:, :3, 3])
         joints_rad, visit = np.zeros((len(ids), 6)), -1
@@ -200,15 +200,12 @@ def ways(cell: Cell) -> tuple[str, ...]:
     return QUICK_WAYS if cell.plan.quick else WAYS
 
 
-def controlled(cell: Cell) -> tuple[str, ...]:
-    """Return the ways before which the tracker is proven.
+def closed(cell: Cell) -> tuple[str, ...]:
+    """Return the ways after which the tracker is proven; at each station after the last at least.
 
-    Once a station where the reflector is carried by hand. A quick plan has just proven it: with
-    the sign of the correction, and with each other station's frame.
+    Once a station in a quick plan, and where the reflector is carried by hand.
     """
-    if cell.plan.quick:
-        return ()
-    return WAYS[:1] if cell.layout.by_hand else WAYS
+    return WAYS[-1:] if cell.plan.quick or cell.layout.by_hand else WAYS
 
 
 def planned(cell: Cell, how: str) -> int | None:

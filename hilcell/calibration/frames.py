@@ -16,9 +16,10 @@ from hilcell.compensation.measured import Measured, StaticPoses
 from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.compensation.transfer import base_at
-from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.frames import apply, inverse, three_point_frame
 from hilcell.journal.log import Log, Point, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
+from hilcell.journal.set_ups import world_key
 from hilcell.ports import Array
 
 
@@ -28,10 +29,12 @@ class Frames:
     def __init__(self, cell: Cell, log: Log) -> None:
         self.cell, self._log = cell, log
 
-    def tracker_in_world(self) -> Array:
-        """Return T_W_L (4, 4)."""
-        if "world" in self._log.frames:
-            return self._log.matrix("world")
+    def tracker_in_world(self, set_up: int | None = None) -> Array:
+        """Return T_W_L (4, 4) at a set-up, or at the present one."""
+        number = self._log.set_ups.number if set_up is None else set_up
+        for key in (world_key(number), "world"):
+            if key in self._log.frames:
+                return self._log.matrix(key)
         return self.cell.tracker.pose.matrix()
 
     def based(self) -> bool:
@@ -98,6 +101,12 @@ class Frames:
     def tracker_from_world(self, xyz_mm: Array) -> Array:
         """Carry positions (N, 3) in {W} into the tracker's frame."""
         return apply(inverse(self.tracker_in_world()), np.atleast_2d(xyz_mm))
+
+
+def world_from_tracker(cell: Cell, measured_mm: Array) -> Array:
+    """Return T_W_L (4, 4): the three first of the floor nests (N, 3) span {W} after eqs 14-16."""
+    nominal_mm = np.array([nest.xyz_mm for nest in cell.layout.floor])
+    return three_point_frame(*nominal_mm[:3]) @ inverse(three_point_frame(*measured_mm[:3]))
 
 
 def grid_of(cell: Cell) -> Grid:

@@ -26,6 +26,7 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     most_poses: Annotated[int, Meta(ge=0, le=100)] = 12
     turn_deg: Annotated[float, Meta(ge=0, le=45)] = 15.0
     tilt_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
+    prove_every: Annotated[int, Meta(ge=10, le=1000)] = 100
     tilt_poses: Annotated[int, Meta(ge=4, le=100)] = 24
 
     @property

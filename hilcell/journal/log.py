@@ -22,6 +22,7 @@ from hilcell.journal.driven import Driven
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import PointId
+from hilcell.journal.set_ups import SetUps, carried, world_key
 from hilcell.journal.states import OVER, CalibrationState, RunState
 from hilcell.journal.stream_file import StreamRecord
 from hilcell.ports import Air, Array
@@ -57,8 +58,8 @@ class Readings(msgspec.Struct, frozen=True, omit_defaults=True):
 class Point(msgspec.Struct, frozen=True, kw_only=True):
     """One acknowledged measurement, raw, with all that is needed to use it later.
 
-    ``xyz_mm`` is the mean of ``samples`` in the tracker's frame, ``nominal_mm`` the nominal target
-    in {W}; joints in deg, ``pose`` is what the controller said, row by row.
+    ``xyz_mm`` is the mean of ``samples``, as seen from the tracker's first set-up, ``nominal_mm``
+    the nominal target in {W}; joints in deg, ``pose`` is what the controller said, row by row.
     """
 
     id: PointId
@@ -83,6 +84,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     rail_mm: float | None = None
     strip_mm: float | None = None
     readings: Readings | None = None
+    set_up: int = 0  # at which it was measured
 
     @property
     def air(self) -> Air | None:
@@ -196,6 +198,7 @@ class Log:
         self.moved = False  # in this session
         self.visit = 0  # one more with each order to the slide: a touched base is of one visit
         self.driven = Driven()
+        self.set_ups = SetUps()
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
         self.link: LinkRecord | None = None  # of the last session that ended
         self.seated = ""  # the place of a reflector that is carried by hand
@@ -217,9 +220,10 @@ class Log:
             case "state":
                 self._take_state(record)
             case "point":
-                self._take_point(_point(record))
+                self._take_point(self._carried(_point(record)))
             case "frame":
                 self.frames[record.key] = body
+                self._carry_nests(record.key)
             case "verdict":
                 self.verdicts[record.key] = body
                 self.judged[record.key] = record
@@ -232,6 +236,33 @@ class Log:
                 self.moved = True
                 self.visit += str(body.get("action", "")).startswith("rail.")
         self.driven.take(record)
+        for key in self.set_ups.take(record):
+            self._drop(key)
+
+    def _carried(self, point: Point) -> Point:
+        """Return a point as its tracker would have seen it from the first set-up."""
+        key = world_key(point.set_up)
+        if not point.set_up or key not in self.frames:
+            return point
+        seen = carried(point.xyz_mm, point.std_mm, self.matrix("world"), self.matrix(key))
+        return msgspec.structs.replace(point, xyz_mm=seen[0], std_mm=seen[1])
+
+    def _carry_nests(self, frame: str) -> None:
+        """Carry the nests that a later set-up's frame was built of."""
+        for key, point in self.points.items():
+            if point.set_up and frame == world_key(point.set_up):
+                self.points[key] = self._carried(point)
+
+    def _drop(self, key: str) -> None:
+        """Leave out a point of a tracker that had moved; it stays in the journal."""
+        self.streams.pop(key, None)
+        self.retakes.pop(key, None)
+        point = self.points.pop(key, None)
+        if point is None:
+            return
+        self._keys[point.id.kind].remove(key)
+        if point.id.kind == "touch":
+            self.frames.pop(f"touch.{point.station}", None)
 
     def _take_point(self, point: Point) -> None:
         if point.key not in self.points:

@@ -49,6 +49,7 @@ class StreamRecord(msgspec.Struct, frozen=True, kw_only=True):
     first_device_s: float
     last_device_s: float
     longest_gap_s: float  # between two samples
+    set_up: int = 0  # of the tracker
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from hilcell.run.operator import Operator
 from hilcell.run.reflector_prompts import FLANGE
 from hilcell.run.retake import still_refused
 from hilcell.run.run_context import RunContext
+from hilcell.run.tracker_guard import TrackerGuard
 
 __all__ = ["FLANGE", "CellSession"]
 
@@ -47,6 +48,7 @@ class CellSession(RunContext):
         self._motion = Motion(self)
         self._measuring = Measuring(self, self._motion, ask)
         self._operator = Operator(self, self._motion, self._measuring, ask)
+        self._guard = TrackerGuard(self, self.floor_point)
         self._arm = cell.robot.arm()
 
     # -- motions ------------------------------------------------------------------------------
@@ -92,6 +94,24 @@ class CellSession(RunContext):
     def begin_sweep(self, rail: RailReading, joints_rad: Array, what: str) -> None:
         """Judge the readings by which the robot sweeps to joints (6,), immediately before it."""
         self._motion.begin(rail, self.held, joints_rad, what)
+
+    # -- the tracker's set-up -----------------------------------------------------------------
+
+    def frame_world(self) -> None:
+        """Frame {W} from the floor nests, or prove that the frame in the journal still holds."""
+        self._guard.frame_world()
+
+    def close_step(self, *, carried: bool = False) -> None:
+        """Prove the tracker at the end of a step that has measured something.
+
+        Where the reflector is carried by hand to the nests, only if ``carried``.
+        """
+        if carried or not self.cell.layout.by_hand:
+            self._guard.prove_new()
+
+    def prove_where_doubtful(self) -> None:
+        """Prove it after a pause, and after many points."""
+        self._guard.prove_where_doubtful()
 
     # -- points -------------------------------------------------------------------------------
 
@@ -149,6 +169,8 @@ class CellSession(RunContext):
         *,
         retake: bool,
     ) -> Point:
+        self.checkpoint()
+        self._guard.prove_where_doubtful()
         self.flange_at(station)
         robot = self.robot_to(joints_rad, id.key)
         expected = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
@@ -194,6 +216,7 @@ class CellSession(RunContext):
         if known := self.log.find(id):
             return known
         self.checkpoint()
+        self._guard.prove_where_doubtful()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
         self._operator.seat(nest.name, expected)

@@ -12,6 +12,7 @@ from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_rides
+from hilcell.run.tracker_guard import BlockLost
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,15 @@ class Part(Protocol):
         """Compute this act's share of the result from the log alone."""
 
 
+def _performed(part: Part, session: CellSession) -> bool:
+    """Perform an act; return whether what it measured counts."""
+    try:
+        part.perform(session)
+    except BlockLost:
+        return False
+    return True
+
+
 Table = tuple[list[str], list[list[str]]]
 
 
@@ -114,13 +124,20 @@ class Procedure:
     def perform(self, session: CellSession) -> None:
         """Perform all acts, and all again where a point is re-measured behind the last one."""
         self._acts(session)
-        while session.retake_waiting():
+        while self._retaken(session):
             self._acts(session)
+
+    def _retaken(self, session: CellSession) -> bool:
+        try:
+            return session.retake_waiting()
+        except BlockLost:
+            return True
 
     def _acts(self, session: CellSession) -> None:
         for number, part in enumerate(self.parts, start=1):
             session.event("step", name=part.name, number=number, of=len(self.parts))
-            part.perform(session)
+            while not _performed(part, session):
+                pass
 
     def result(self, log: Log) -> dict[str, Any]:
         """Compute the result from the log alone."""

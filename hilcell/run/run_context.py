@@ -83,5 +83,7 @@ class RunContext:
     def point(self, id: PointId, **facts: object) -> Point:
         """Journal a point and return it."""
         head = {"id": id, "group": id.group, "session": self.log.session}
+        if self.log.set_ups.number:
+            head["set_up"] = self.log.set_ups.number
         self._journal.append("point", id.key, head | facts)
         return self.log.point(id)

@@ -48,6 +48,7 @@ def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
         return session.log.streams[order.key]
     tracker, robot = streams_of(session.devices.tracker), sweeps_of(session.devices.robot)
     session.checkpoint()
+    session.prove_where_doubtful()
     check_joint_limits(session.cell, order.target_rad, order.key)
     check_stated(session.cell, order.key)
     session.robot_to(order.start_rad, order.key)
@@ -70,7 +71,7 @@ def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
             file.take(stream.collect())
         sweep.complete()
         file.take(stream.complete())
-        record = file.finish()
+        record = msgspec.structs.replace(file.finish(), set_up=session.log.set_ups.number)
         speed_deg_s, rate_hz = float(np.degrees(sweep.speed_rad_s)), stream.rate_hz
     session.event(
         "stream",

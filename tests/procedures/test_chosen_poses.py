@@ -39,6 +39,9 @@ class Journal:
         plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in facts.items()}
         self.log.events.append(SimpleNamespace(body={"what": what} | plain))
 
+    def close_step(self) -> None:
+        self.sent.append(("closed", []))
+
     def flange_point(self, id: PointId, station: object, joints_rad: Array, **_: object) -> None:
         self.sent.append((id.key, np.degrees(joints_rad).round(9).tolist()))
 
@@ -68,9 +71,9 @@ def test_poses_are_chosen_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chosen_poses, "choice", lambda log, rad: Design([5, 2], [0.3, 0.2, 0.1]))
     ChosenPoses().perform(session)
     first = list(journal.sent)
-    assert [key for key, _ in first] == ["pose/000", "pose/001"]
+    assert [key for key, _ in first] == ["pose/000", "pose/001", "closed"]
     wanted_deg = np.degrees(candidates_rad(QUICK))[[5, 2]]
-    np.testing.assert_allclose([joints for _, joints in first], wanted_deg, atol=1e-8)
+    np.testing.assert_allclose([joints for _, joints in first[:2]], wanted_deg, atol=1e-8)
     monkeypatch.setattr(chosen_poses, "choice", lambda log, rad: Design([7], [0.1, 0.1]))
     ChosenPoses().perform(session)  # resumed, with more known by now
     assert journal.sent == first + first
@@ -84,7 +87,7 @@ def test_a_robot_that_is_not_identified_gets_no_poses(monkeypatch: pytest.Monkey
     journal = Journal()
     monkeypatch.setattr(chosen_poses, "choice", refuse)
     ChosenPoses().perform(cast("CellSession", journal))
-    assert journal.sent == []
+    assert journal.sent == [("closed", [])]
     assert journal.log.events[0].body["reason"] == "too few"
 
 

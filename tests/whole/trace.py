@@ -38,6 +38,8 @@ class Trace:
                 self._motion(event)
             case "point":
                 self._point(event)
+            case "event" if event["what"] == "tracker moved":
+                self._points -= set(event["invalid"])
             case "event" if event["what"] == "closed":
                 self._closings += 1
 

@@ -1,0 +1,227 @@
+"""{W} from the nests on the floor (section 5.1), and the proof that the tracker still stands there.
+
+A tracker that was bumped measures everything beside its place, and every reading looks good. So the
+floor nests are measured again at the end of every measuring step, after every pause and after so
+many points. Where all of them have moved alike, the tracker has: the points since its last proof
+are invalid, {W} is framed again at its new set-up, and the step is performed again. Where they
+have moved against each other, a nest has, and nothing can be trusted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.frames import world_from_tracker
+from hilcell.cell.file import Cell
+from hilcell.cell.layout import Nest
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.statistics import lengths_mm
+from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
+from hilcell.journal.point_id import PointId
+from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED, world_key
+from hilcell.ports import Array, DeviceError
+from hilcell.run.run_context import RunContext
+
+SIGMAS = 4.0  # of the readings' noise, beyond the stated drift
+MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
+
+
+class BlockLost(Exception):
+    """The points since the tracker's last proof are invalid; their act is performed again."""
+
+
+class TrackerGuard:
+    """Frames {W} and proves it; ``measure`` measures a floor nest."""
+
+    def __init__(self, run: RunContext, measure: Callable[[PointId, Nest], Point]) -> None:
+        self._run, self._measure = run, measure
+
+    def frame_world(self) -> None:
+        """Frame {W} at the tracker's present set-up; where that is done, prove it."""
+        cell, log = self._run.cell, self._run.log
+        number = log.set_ups.number
+        if world_key(number) in log.frames:
+            self.prove()
+            return
+        measured_mm = positions_mm(self._measured(_nest_ids(cell, number)))
+        if number:
+            self._check_nests(measured_mm)
+        else:
+            check_places(cell, measured_mm)
+            check_distances(cell, measured_mm)
+        self._run.frame(world_key(number), world_from_tracker(cell, measured_mm))
+
+    def prove(self) -> None:
+        """Prove that the tracker stands where {W} was framed.
+
+        Raises `BlockLost` where it has moved, after {W} was framed again, and `DeviceError`
+        where a nest has, or where frames rest on what was measured since the last proof.
+        """
+        cell, log = self._run.cell, self._run.log
+        before = [log.point(id) for id in _nest_ids(cell, log.set_ups.number)]
+        now = self._measured([_control_id(log, nest) for nest in cell.layout.floor])
+        off_mm = lengths_mm(positions_mm(now) - positions_mm(before))
+        limits_mm = limits_of(cell, before, now)
+        if bool(np.all(off_mm <= limits_mm)):
+            self._run.event(PROVEN, off_mm=off_mm)
+            return
+        self._check_nests(positions_mm(now))
+        facts = {"moved_mm": float(off_mm.max()), "limit_mm": float(limits_mm.min())}
+        self._check_renewable(facts)
+        number, invalid = log.set_ups.number + 1, list(log.set_ups.unproven)
+        self._run.event(TRACKER_MOVED, set_up=number, invalid=invalid, **facts)
+        self.frame_world()
+        raise BlockLost
+
+    def prove_new(self) -> None:
+        """Prove it where something was measured in {W} since it was last proven."""
+        log = self._run.log
+        if log.set_ups.unproven and world_key(log.set_ups.number) in log.frames:
+            self.prove()
+
+    def prove_where_doubtful(self) -> None:
+        """Prove it after a pause, and after as many points as the plan allows between proofs.
+
+        A reflector that is carried by hand stays where it is; every seat of it is a pause.
+        """
+        cell, done = self._run.cell, self._run.log.set_ups
+        doubtful = done.interrupted or len(done.unproven) >= cell.plan.prove_every
+        if doubtful and not cell.layout.by_hand:
+            self.prove_new()
+
+    def _measured(self, ids: list[PointId]) -> list[Point]:
+        nests = self._run.cell.layout.floor
+        return [self._measure(id, nest) for id, nest in zip(ids, nests, strict=True)]
+
+    def _check_nests(self, now_mm: Array) -> None:
+        """Refuse nests whose distances have changed: one of them has moved, not the tracker."""
+        cell = self._run.cell
+        before = [self._run.log.point(id) for id in _nest_ids(cell, 0)]
+        limit = float(limits_of(cell, before, before).max())
+        for i, j in combinations(range(len(before)), 2):
+            then, now = (
+                float(np.linalg.norm(at_mm[i] - at_mm[j]))
+                for at_mm in (positions_mm(before), now_mm)
+            )
+            if not abs(now - then) <= limit:
+                names = [cell.layout.floor[n].name for n in (i, j)]
+                raise _moved(
+                    f"{' to '.join(names)} was {then:.3f} mm, is {now:.3f} mm",
+                    f"{then:.3f} +-{limit:.3f} mm",
+                    "a floor nest or its reflector has moved; fix it, then start a new run",
+                    {"nests": names, "distance_mm": now, "wanted_mm": then, "limit_mm": limit},
+                )
+
+    def _check_renewable(self, facts: dict[str, Any]) -> None:
+        """Refuse to go on where frames rest on invalid points, or after too many set-ups."""
+        log = self._run.log
+        invalid = [log.points[key] for key in log.set_ups.unproven if key in log.points]
+        built = next((key for point in invalid if (key := _rests_on(log, point))), "")
+        if not built and log.set_ups.number < MOST_SET_UPS:
+            return
+        act = "fix its stand, then start a new run"
+        if built:
+            act = f"{built} rests on points measured since it was proven; start a new run"
+        raise _moved(
+            f"moved by {facts['moved_mm']:.3f} mm",
+            f"<= {facts['limit_mm']:.3f} mm",
+            f"the tracker was bumped: {act}",
+            facts,
+        )
+
+
+def limits_of(cell: Cell, before: Sequence[Point], now: Sequence[Point]) -> Array:
+    """Return by how much each nest (N,) may seem to move: stated drift, and the readings' noise."""
+    noise_mm2 = (variances_mm2(before) + variances_mm2(now)).sum(axis=1)
+    limits: Array = np.sqrt(3.0) * cell.uncertainty.drift_limit_mm + SIGMAS * np.sqrt(noise_mm2)
+    return limits
+
+
+def check_places(cell: Cell, measured_mm: Array) -> None:
+    """Refuse nests that were seen outside the tracker's search for them.
+
+    Distances do not tell that two nests changed places in a symmetric triangle; places do.
+    """
+    nests, limit_mm = cell.layout.floor, cell.tracker.find_radius_mm
+    nominal_mm = np.array([nest.xyz_mm for nest in nests])
+    expected_mm = apply(inverse(cell.tracker.pose.matrix()), nominal_mm)
+    off_mm = np.linalg.norm(measured_mm[:, None] - expected_mm[None], axis=-1)
+    for nest, row_mm, found_mm in zip(nests, off_mm, np.diag(off_mm), strict=True):
+        if found_mm <= limit_mm:
+            continue
+        near = zip(nests, row_mm, strict=True)
+        at = [other.name for other, each_mm in near if each_mm <= limit_mm]
+        where = f", where {at[0]} is expected" if at else ""
+        raise DeviceError(
+            "HC-T32",
+            "Tracker",
+            "world frame",
+            f"{nest.name} was seen {found_mm:.1f} mm from its expected place{where}",
+            wanted=f"<= {limit_mm:.1f} mm (tracker.find_radius_mm)",
+            act="nests swapped, or the tracker does not stand as tracker.pose says; check, then "
+            "resume",
+            fields={
+                "nest": nest.name,
+                "off_mm": float(found_mm),
+                "limit_mm": limit_mm,
+                "seen_at": at[:1],
+            },
+        )
+
+
+def check_distances(cell: Cell, measured_mm: Array) -> None:
+    """Refuse nests whose distances are not those of the cell file: swapped, lifted, wrong unit."""
+    nests = cell.layout.floor
+    limit_mm = 2 * cell.layout.nest_tolerance_mm
+    for i, j in combinations(range(len(nests)), 2):
+        wanted_mm = float(np.linalg.norm(nests[i].xyz_mm - nests[j].xyz_mm))
+        found_mm = float(np.linalg.norm(measured_mm[i] - measured_mm[j]))
+        if not abs(found_mm - wanted_mm) <= limit_mm:
+            raise DeviceError(
+                "HC-T32",
+                "Tracker",
+                "world frame",
+                f"{nests[i].name} to {nests[j].name} is {found_mm:.2f} mm",
+                wanted=f"{wanted_mm:.2f} +-{limit_mm:.1f} mm",
+                act="nests swapped, a reflector not seated, or wrong units; check, then resume",
+                fields={
+                    "nests": [nests[i].name, nests[j].name],
+                    "distance_mm": found_mm,
+                    "wanted_mm": wanted_mm,
+                    "limit_mm": limit_mm,
+                },
+            )
+
+
+def _nest_ids(cell: Cell, set_up: int) -> list[PointId]:
+    """Return the identities of the points that frame {W} at a set-up."""
+    return [PointId("world", number=set_up or None, nest=nest.name) for nest in cell.layout.floor]
+
+
+def _control_id(log: Log, nest: Nest) -> PointId:
+    """Return the identity of the nest's next control point."""
+    turn = sum(point.id.nest == nest.name for point in log.points.values())
+    return PointId("control", session=log.session, turn=turn, nest=nest.name)
+
+
+def _rests_on(log: Log, point: Point) -> str:
+    """Return the frame or verdict that was built with a point, if there is one."""
+    built = {
+        "base": "base",
+        "slide": f"station.{point.station}",
+        "three": f"three_points.{point.station}",
+        "grid": "fit",
+        "pose": "fit",
+        "repeatability": "fit",
+    }.get(point.id.kind, "")
+    return built if built in log.frames or built in log.verdicts else ""
+
+
+def _moved(found: str, wanted: str, act: str, fields: dict[str, Any]) -> DeviceError:
+    return DeviceError(
+        "HC-T33", "Tracker", "control points", found, wanted=wanted, act=act, fields=fields
+    )

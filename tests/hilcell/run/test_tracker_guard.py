@@ -1,0 +1,226 @@
+"""Nests that are swapped or wrong are refused; a tracker that was bumped is noticed and mended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.geometry.frames import apply, inverse, matrix
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.journal.point_id import PointId
+from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED
+from hilcell.ports import Array, DeviceError, TrackerReading
+from hilcell.run.cell_session import CellSession
+from hilcell.run.tracker_guard import MOST_SET_UPS, check_distances, check_places
+from tests.hilcell.run.bed import CELL, Bed
+from tests.hilcell.run.rig import Points, procedure
+
+NESTS_MM = np.array([nest.xyz_mm for nest in CELL.layout.floor])
+SEEN_MM = apply(inverse(CELL.tracker.pose.matrix()), NESTS_MM)
+STEP = [PointId("six", nest=nest.name) for nest in CELL.layout.floor]
+Act = Callable[[CellSession, int], None]
+
+
+def test_the_nests_of_the_cell_file_are_accepted() -> None:
+    check_distances(CELL, NESTS_MM + 0.3)
+
+
+@pytest.mark.parametrize(
+    "measured_mm",
+    [NESTS_MM[[1, 0, 2]], NESTS_MM / 1000.0, NESTS_MM * 1000.0, NESTS_MM + np.diag([0, np.nan, 0])],
+    ids=["swapped", "in metres", "in micrometres", "not a number"],
+)
+def test_other_distances_are_refused(measured_mm: Array) -> None:
+    with pytest.raises(DeviceError) as raised:
+        check_distances(CELL, measured_mm)
+    assert raised.value.code == "HC-T32"
+
+
+def test_nests_that_changed_places_are_seen_by_their_places() -> None:
+    """F2 and F3 lie equally far from F1: no distance changes, but {W} would be mirrored."""
+    seen_mm = SEEN_MM + 3.0
+    check_places(CELL, seen_mm)
+    check_distances(CELL, seen_mm[[0, 2, 1]])
+    with pytest.raises(DeviceError, match=r"F2 .* where F3 is expected") as raised:
+        check_places(CELL, seen_mm[[0, 2, 1]])
+    assert raised.value.code == "HC-T32"
+    with pytest.raises(DeviceError):
+        check_places(CELL, seen_mm + np.diag([0.0, np.nan, 0.0]))
+
+
+class Floor:
+    """A tracker that sees the floor nests from where it stands now, ``T`` (4, 4) in its first
+    frame; a nest may be lifted by ``lifted_mm`` (3, 3).
+    """
+
+    def __init__(self, bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.T, self.lifted_mm = np.eye(4), np.zeros((3, 3))
+        monkeypatch.setattr(bed.tracker, "measure", self.measure)
+
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        seen_mm = apply(inverse(self.T), SEEN_MM + self.lifted_mm)
+        nearest = seen_mm[np.argmin(np.linalg.norm(seen_mm - near_mm, axis=1))]
+        std_mm = np.full(3, 0.005)
+        return TrackerReading(nearest, std_mm, samples, reflector, None, time.monotonic())
+
+
+def moved(x_mm: float, turn_rad: float = 0.0) -> Array:
+    return matrix(from_rotvec(np.array([0.0, 0.0, turn_rad])), np.array([x_mm, 0.0, 0.0]))
+
+
+def measured_step(session: CellSession) -> None:
+    for id, nest in zip(STEP, CELL.layout.floor, strict=True):
+        session.floor_point(id, nest)
+
+
+def performed(bed: Bed, act: Act) -> dict[str, Any]:
+    def whole(session: CellSession, number: int) -> None:
+        session.reach("reference")
+        session.frame_world()
+        act(session, number)
+
+    bed.run(procedure(Points(1, whole)))
+    return bed.log().end or {}
+
+
+@pytest.mark.parametrize("T", [moved(0.5), moved(-3.0), moved(0.0, 1e-3)], ids=str)
+def test_a_step_of_a_tracker_that_was_bumped_is_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, T: Array
+) -> None:
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+
+    def act(session: CellSession, number: int) -> None:
+        measured_step(session)
+        if not bed.events(TRACKER_MOVED):
+            floor.T = T
+        session.close_step()
+
+    assert performed(bed, act)["exit"] == 0, bed.log().fault
+    (event,) = bed.events(TRACKER_MOVED)
+    assert event["invalid"] == [id.key for id in STEP]
+    assert bed.events(PROVEN)[-1]["off_mm"] == pytest.approx([0.0] * 3, abs=1e-6)
+    log = bed.log()
+    assert log.set_ups.number == 1
+    for id, seen_mm in zip(STEP, SEEN_MM, strict=True):
+        point = log.point(id)
+        assert point.set_up == 1
+        np.testing.assert_allclose(point.xyz_mm, seen_mm, atol=1e-6)  # as from the first set-up
+        taken = [r.body["xyz_mm"] for r in bed.records("point") if r.key == id.key]
+        assert len(taken) == 2  # the journal keeps both, raw
+        np.testing.assert_allclose(apply(T, taken[1:]), [seen_mm], atol=1e-6)
+
+
+def test_a_small_drift_is_no_bump(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+
+    def act(session: CellSession, number: int) -> None:
+        measured_step(session)
+        floor.T = moved(0.03)
+        session.close_step()
+
+    assert performed(bed, act)["exit"] == 0
+    assert not bed.events(TRACKER_MOVED)
+    assert not {id.key for id in STEP} & bed.log().set_ups.unproven.keys()
+
+
+@pytest.mark.parametrize("lift_mm", [0.2, -0.2, np.nan])
+def test_a_nest_that_moved_alone_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lift_mm: float
+) -> None:
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+
+    def act(session: CellSession, number: int) -> None:
+        measured_step(session)
+        floor.lifted_mm[1, :] = lift_mm
+        session.close_step()
+
+    end = performed(bed, act)
+    assert end["error"]["code"] in ("HC-T33", "HC-J12")  # a NaN is stopped by the journal
+    assert not bed.events(TRACKER_MOVED)
+
+
+def test_what_rests_on_unproven_points_is_not_mended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+
+    def act(session: CellSession, number: int) -> None:
+        session.floor_point(PointId("base", axis=1, number=0), CELL.layout.floor[0])
+        session.frame("base", np.eye(4))
+        floor.T = moved(1.0)
+        session.close_step()
+
+    end = performed(bed, act)
+    assert end["error"]["code"] == "HC-T33"
+    assert "base rests on points" in end["reason"]
+
+
+def test_a_tracker_that_moves_again_and_again_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+
+    def act(session: CellSession, number: int) -> None:
+        measured_step(session)
+        floor.T = moved(0.2) @ floor.T
+        session.close_step()
+
+    end = performed(bed, act)
+    assert "fix its stand" in end["reason"]
+    assert bed.log().set_ups.number == MOST_SET_UPS
+
+
+def test_a_resumed_run_measures_again_what_was_not_proven(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tracker was bumped while the engine was dead."""
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+
+    def dies(session: CellSession, number: int) -> None:
+        measured_step(session)
+        raise DeviceError("HC-T02", "Tracker", "measure", "gone")
+
+    assert performed(bed, dies)["exit"] == 3
+    floor.T = moved(2.0)
+
+    def act(session: CellSession, number: int) -> None:
+        measured_step(session)
+        session.close_step()
+
+    assert performed(bed, act)["exit"] == 0, bed.log().fault
+    assert [bed.log().point(id).set_up for id in STEP] == [1, 1, 1]
+
+
+def test_the_tracker_is_proven_after_a_pause_and_after_many_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bed = Bed(tmp_path)
+    Floor(bed, monkeypatch)
+
+    def act(session: CellSession, number: int) -> None:
+        session.prove_where_doubtful()
+        proofs = len(bed.events(PROVEN))
+        measured_step(session)
+        session.prove_where_doubtful()
+        assert len(bed.events(PROVEN)) == proofs  # neither
+        session._journal.append("state", "", {"machine": "run", "from": "running", "to": "paused"})
+        session.prove_where_doubtful()
+        assert len(bed.events(PROVEN)) == proofs + 1
+        session._journal.append("state", "", {"machine": "run", "from": "paused", "to": "running"})
+        for n in range(CELL.plan.prove_every):
+            session.floor_point(PointId("six", nest=str(n)), CELL.layout.floor[0])
+        session.prove_where_doubtful()
+        assert len(bed.events(PROVEN)) == proofs + 2
+
+    assert performed(bed, act)["exit"] == 0, bed.log().fault

@@ -1,0 +1,37 @@
+"""What goes wrong without a fault of any device: it is noticed, and the result is right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hilcell.journal.set_ups import TRACKER_MOVED
+from tests.whole.bench import SMALL, Engine, sets, simulation
+from tests.whole.golden import GoldenRuns
+from tests.whole.trace import judge
+
+BUMP_MM = 0.5
+
+
+def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
+    tmp_path: Path, golden: GoldenRuns
+) -> None:
+    with simulation() as cell:
+        words = sets(SMALL | {"simulation.address": cell.control})
+        engine = Engine("run", "--runs", tmp_path, *words)
+        engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/1-1-1")
+        assert cell.ask(do="fault", name="tracker.drift_step", value=BUMP_MM)["ok"]
+        printed = engine.rest()
+    end = printed[-1]
+    assert (end["state"], end["exit"]) == ("finished", 0), end
+    assert end["result"]["tracker"]["moved"] == 1
+    (moved,) = [e for e in printed if e["kind"] == "event" and e["what"] == TRACKER_MOVED]
+    assert moved["moved_mm"] == pytest.approx(BUMP_MM, abs=0.05)
+    assert len(moved["invalid"]) == 27
+    assert all(key.startswith("grid/") for key in moved["invalid"])
+    assert judge(printed) == []
+    whole = golden["small"].result
+    for place, figures in end["result"]["validation"].items():
+        wanted = whole["validation"][place]["chosen"]["mean"]
+        assert figures["chosen"]["mean"] == pytest.approx(wanted, abs=0.03), place
