@@ -382,6 +382,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
                 f"validation: {per_cell} targets in each of {cells} grid cells are "
                 f"{per_cell * cells}, at most {MOST_POINTS}"
             )
+        targets, others = self.validation.others, len(self.station) - 1
+        if not targets >= others:
+            yield f"validation.others: {targets} targets, wanted one at each of {others} stations"
 
     def _bad_survey(self) -> Iterator[str]:
         for end_mm in (self.survey.from_mm, self.survey.to_mm):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -60,5 +60,16 @@ class Measured:
         return hash(self._content)
 
     @cached_property
-    def _content(self) -> bytes:
-        return pickle.dumps((self.grid, self.robot, self.poses, self.curves))
+    def _content(self) -> Any:
+        return _plain((self.grid, self.robot, self.poses, self.curves))
+
+
+def _plain(value: Any) -> Any:
+    """Return a value's numbers as something that can be compared and hashed."""
+    if isinstance(value, np.ndarray):
+        return value.shape, value.tobytes()
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    if is_dataclass(value):
+        return tuple(_plain(getattr(value, field.name)) for field in fields(value))
+    return value

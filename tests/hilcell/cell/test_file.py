@@ -351,3 +351,8 @@ def test_a_pose_leaves_room_to_come_from_below(margin_deg: float, low_deg: float
     limits_deg = np.degrees(robot.margin_limits_rad)
     assert limits_deg[0] == pytest.approx([joint.min_deg + low_deg for joint in robot.joint])
     assert limits_deg[1] == pytest.approx([joint.max_deg - margin_deg for joint in robot.joint])
+
+
+def test_every_other_station_has_a_target() -> None:
+    with pytest.raises(SettingsError, match=r"validation.others: 1 targets, wanted one at each of"):
+        load_cell("paper", {"validation.others": "1"})
