@@ -86,6 +86,11 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     _run_argument(resume)
     _watch_options(resume)
     resume.add_argument(
+        "--accept-changes",
+        action="store_true",
+        help="go on with another device, cell file or version of hilcell; the journal keeps it",
+    )
+    resume.add_argument(
         "--retake",
         action="append",
         default=[],

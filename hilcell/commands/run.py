@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
@@ -33,6 +33,7 @@ from hilcell.cell.devices import (
 from hilcell.cell.file import Cell, load_cell
 from hilcell.clean import encodable
 from hilcell.clock import WallClock
+from hilcell.commands.going_on import agrees, asks
 from hilcell.commands.output import print_message
 from hilcell.commands.run_output import (
     JsonOutput,
@@ -67,10 +68,11 @@ from hilcell.run.cell_lock import (
 )
 from hilcell.run.client import order
 from hilcell.run.control import Control
-from hilcell.run.exits import EXIT_STORAGE, RESUMABLE, exit_code
+from hilcell.run.exits import EXIT_ABORTED, EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
+from hilcell.run.same_cell import NONE, Changes, accepted, cell_file, changed_inputs, not_as_before
 from hilcell.run.signals import signals_noted, stopped_by_signals
 from hilcell.writing import NotWritten
 
@@ -127,26 +129,35 @@ def resume(args: argparse.Namespace) -> int:
     """Let a paused run go on, or continue one that ended early."""
     folder = find_run(args.runs, args.run)
     if live_engine(folder) is not None:
-        return _resume_live(folder, args.retake)
+        return _resume_live(folder, args)
     log = read_log(folder)
     _open_retakes(log, folder, args.retake)
     cell, inputs = log.cell, log.inputs
     check_attended(cell, unattended=args.unattended)
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     runs = folder.resolve().parent  # by whatever path the run was named, it has one lock
-    with locked(lock_of_name(runs, cell.name), f"cell {cell.name}", folder.name):
-        journal = RunJournal(folder / JOURNAL, encodable(folder.name), create=False)
-        try:  # only now nobody else writes it: another engine may have gone on meanwhile
-            asked = _open_retakes(journal.log, folder, args.retake)
-        except HilcellError:
-            journal.close()
-            raise
+    with (
+        locked(lock_of_name(runs, cell.name), f"cell {cell.name}", folder.name),
+        closing(RunJournal(folder / JOURNAL, encodable(folder.name), create=False)) as journal,
+    ):
+        log = journal.log  # only now nobody else writes it: another engine may have gone on
+        asked = _open_retakes(log, folder, args.retake)
+        changes = NONE
+        if asked or log.retakes or log.state != "finished":  # else all is measured
+            changes = Changes(changed_inputs(log, procedure.uses), accepted=args.accept_changes)
+            if changes.inputs and args.unattended and not changes.accepted:
+                raise not_as_before(changes.inputs)
+            if asks(args):
+                if not agrees(folder.name, log, procedure, changes.inputs):
+                    return EXIT_ABORTED
+                accepted(journal, changes.inputs, "the operator")
+                changes = Changes(accepted=args.accept_changes)
         output = _output(args.json, journal.run, inputs.points, journal)
         for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
-        points = journal.log.points.items()
+        points = log.points.items()
         output.skip_measured(key for key, at in points if at.id.kind != "control")
-        return _perform(cell, procedure, journal, output, folder, args)
+        return _perform(cell, procedure, journal, output, folder, args, changes)
 
 
 def _open_retakes(log: Log, folder: Path, retakes: Sequence[str]) -> list[str]:
@@ -208,8 +219,13 @@ def check_attended(cell: Cell, *, unattended: bool) -> None:
         )
 
 
-def _resume_live(folder: Path, retakes: Sequence[str]) -> int:
-    for key in retakes:
+def _resume_live(folder: Path, args: argparse.Namespace) -> int:
+    if asks(args):
+        log = read_log(folder)
+        procedure: Procedure = load_entry("procedures", log.inputs.procedure)
+        if not agrees(folder.name, log, procedure, []):
+            return EXIT_ABORTED
+    for key in args.retake:
         order(folder, "retake", key=key)
     answer = order(folder, "proceed")
     print_message(f"run {folder.name}: asked to go on; it was {answer.state}")
@@ -223,6 +239,7 @@ def _perform(
     output: RunOutput,
     folder: Path,
     args: argparse.Namespace,
+    changes: Changes = NONE,
 ) -> int:
     """Run to an end, write the calibration, and print the outcome."""
     log = journal.log
@@ -234,7 +251,7 @@ def _perform(
                 ending = Ending(finish(procedure, journal), None)
                 ending = _with_calibration(ending, journal, folder)
             else:
-                ending = _run(cell, procedure, journal, folder, args, noted)
+                ending = _run(cell, procedure, journal, folder, args, noted, changes)
             code, fault, unclosed = ending
         output.close(code, log, fault)
         print_end(folder, log, procedure, output, fault)
@@ -258,6 +275,7 @@ def _run(
     folder: Path,
     args: argparse.Namespace,
     noted: list[signal.Signals],
+    changes: Changes,
 ) -> Ending:
     """Bring up devices and perform; failures before the runner lives are journalled here."""
     log, inputs, stop = journal.log, journal.log.inputs, threading.Event()
@@ -283,6 +301,7 @@ def _run(
                 stop=stop,
                 unattended=args.unattended,
                 ordered=args.screen,
+                changes=changes,
             )
             stack.callback(Control(folder, runner).close)
             # While its engine is there: afterwards a file that is missing is a lost one.
@@ -344,6 +363,7 @@ def _plan_record(
         "procedure": procedure.name,
         "cell": msgspec.to_builtins(cell),
         "digest": cell.digest,
+        "cell_file": cell_file(args.cell),
         "seed": args.seed,
         "machine_seed": machine_seed(cell, args),
         "speed": speed,

@@ -124,6 +124,7 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     points: int
     duration_s: float
     machine_seed: int | None = None
+    cell_file: str = ""  # where the cell came from; "" in journals that do not say it
     driven_by: list[
         str
     ] = []  # runs finished before, newest first: the poses that they drove are known

@@ -34,6 +34,7 @@ from hilcell.run.interlocks import Sight, overview
 from hilcell.run.procedure import Procedure
 from hilcell.run.protocol import Status
 from hilcell.run.retake import retake_refusal
+from hilcell.run.same_cell import NONE, Changes
 from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine
 from hilcell.run.stopping import SafeStop, close_all, facts_of_problems
@@ -58,6 +59,7 @@ class Runner:
         stop: threading.Event,
         unattended: bool,
         ordered: bool = False,
+        changes: Changes = NONE,
     ) -> None:
         """``ordered``: by a screen; an attended run begins to move only after it attends."""
         self.log = journal.log
@@ -66,7 +68,14 @@ class Runner:
         self._safe_stop = SafeStop(devices)
         self._messages: queue.SimpleQueue[Message | str] = queue.SimpleQueue()
         self._worker = Worker(
-            cell, procedure, journal, devices, clock, self._messages.put, unattended=unattended
+            cell,
+            procedure,
+            journal,
+            devices,
+            clock,
+            self._messages.put,
+            unattended=unattended,
+            changes=changes,
         )
         self._gate, self._asking = self._worker.gate, self._worker.asking
         self._why_paused = ""

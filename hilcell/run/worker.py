@@ -20,6 +20,7 @@ from hilcell.run.device_status import CellMonitor
 from hilcell.run.pause_gate import REST_S, PauseGate
 from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
+from hilcell.run.same_cell import NONE, Changes, accepted, changed_assets, not_as_before
 
 ENDED = "the run has ended"
 SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
@@ -84,6 +85,7 @@ class Worker:
         send: Callable[[Message | str], None],
         *,
         unattended: bool,
+        changes: Changes = NONE,
     ) -> None:
         self.monitor = CellMonitor(devices)
         self.devices = self.monitor.devices
@@ -93,7 +95,7 @@ class Worker:
         self.session: CellSession | None = None
         self._cell, self._procedure = cell, procedure
         self._journal, self._clock = journal, clock
-        self._send, self._unattended = send, unattended
+        self._send, self._unattended, self._changes = send, unattended, changes
         self._locks = ExitStack()
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
@@ -123,9 +125,17 @@ class Worker:
 
     def _perform(self) -> None:
         identities = connect_all(self.devices, self._claim)
-        self._journal.append("event", "", {"what": "connected", "devices": identities})
+        changes = [*self._changes.inputs, *changed_assets(self._journal.log.assets, identities)]
+        connected = {"what": "connected", "devices": identities}
+        if changes and self._unattended and not self._changes.accepted:
+            raise not_as_before(changes)
+        if not changes:
+            self._journal.append("event", "", connected)
         self._await_screen()
         self._send(Started())
+        if changes:
+            self._agree(changes)
+            self._journal.append("event", "", connected)  # only now the next resume's measure
         self._checkpoint()
         self.session = CellSession(
             self._cell,
@@ -137,6 +147,14 @@ class Worker:
             pause=self._pause,
         )
         self._procedure.perform(self.session)
+
+    def _agree(self, changes: list[str]) -> None:
+        """Wait until the operator, who sees what has changed, has the run go on."""
+        by = "--accept-changes"
+        if not self._changes.accepted:
+            by = "the operator"
+            self._pause(f"not as before: {'; '.join(changes)}")
+        accepted(self._journal, changes, by)
 
     def _claim(self, identities: list[Identity]) -> None:
         """Lock each device by its serial number: another run may reach it by another address.

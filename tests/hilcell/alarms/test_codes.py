@@ -110,6 +110,7 @@ ORDINARY = {
     "screen back",
     "stream",
     "no poses chosen",
+    "changes accepted",
 }
 ALARMING = {
     "no reading", "safe stop", "closed", "command refused", "screen lost", "answer refused",

@@ -1,22 +1,27 @@
 """``resume`` judges a journal only while it holds its run's lock."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from hilcell import __version__
 from hilcell.commands import run as command
 from hilcell.commands.cli import main
 from hilcell.journal.journal import Journal, read_journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.run.cell_lock import lock_of_name, locked
+from hilcell.run.same_cell import Changes
 from tests.hilcell.report.journals import Writer
 
 
-def left(folder: Path) -> Path:
+def left(folder: Path, **plan: Any) -> Path:
     """Leave a run in the middle."""
-    return Writer(folder).began().left()
+    return Writer(folder, **({"versions": {"hilcell": __version__}} | plan)).began().left()
 
 
 def test_a_run_that_another_engine_finishes_meanwhile_is_not_begun_again(
@@ -54,3 +59,78 @@ def test_a_run_has_one_lock_by_whatever_path(
     with locked(lock_of_name(tmp_path / "runs", "paper"), "cell paper", "r"):
         assert main(["resume", named, "--unattended"]) == 6
     assert "cell paper is locked by run r" in capsys.readouterr().err
+
+
+class Terminal(StringIO):
+    """Somebody at a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def resumed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, answer: str | None, *words: str
+) -> tuple[int, list[Changes]]:
+    """Resume a run with somebody at a terminal; return the exit code, and what went on."""
+    gone_on: list[Changes] = []
+
+    def perform(*given: Any) -> int:
+        gone_on.append(given[-1])
+        return 0
+
+    monkeypatch.setattr(command, "_perform", perform)
+    if answer is not None:
+        monkeypatch.setattr(sys, "stdin", Terminal(answer))
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    return main(["resume", "r", "--runs", str(folder.parent), *words]), gone_on
+
+
+@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("\n", 4), ("no\n", 4), ("", 4)])
+def test_at_a_terminal_a_resume_says_what_moves_and_asks(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    answer: str,
+    code: int,
+) -> None:
+    folder = left(tmp_path / "r")
+    before = read_journal(folder / JOURNAL)
+    found, gone_on = resumed(folder, monkeypatch, answer)
+    assert (found, len(gone_on)) == (code, int(code == 0))
+    words = capsys.readouterr().err
+    assert "SIMULATED run r: running, 0 points are measured" in words
+    assert "step 1 of 1, home, moves the robot to its safe pose, then the slide" in words
+    assert ("nothing was moved" in words) is (code == 4)
+    assert read_journal(folder / JOURNAL) == before
+
+
+@pytest.mark.parametrize("words", [("--unattended",), ("--screen",), ()])
+def test_scripts_and_screens_are_not_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    folder = left(tmp_path / "r")
+    assert resumed(folder, monkeypatch, "" if words else None, *words) == (0, [Changes([])])
+
+
+CHANGE = f"hilcell 0.0.1 began this run, this is {__version__}"
+
+
+def test_another_version_is_refused_where_nobody_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = left(tmp_path / "r", versions={"hilcell": "0.0.1"})
+    assert resumed(folder, monkeypatch, None, "--unattended") == (2, [])
+    assert CHANGE in capsys.readouterr().err
+    accepted = ("--unattended", "--accept-changes")
+    assert resumed(folder, monkeypatch, None, *accepted) == (0, [Changes([CHANGE], accepted=True)])
+
+
+def test_at_a_terminal_another_version_is_agreed_to_and_journalled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = left(tmp_path / "r", versions={"hilcell": "0.0.1"})
+    assert resumed(folder, monkeypatch, "n\n") == (4, [])
+    assert resumed(folder, monkeypatch, "y\n") == (0, [Changes()])
+    assert f"not as before: {CHANGE}" in capsys.readouterr().err
+    last = read_journal(folder / JOURNAL)[-1].body
+    assert last == {"what": "changes accepted", "changes": [CHANGE], "by": "the operator"}

@@ -21,6 +21,7 @@ from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import NoReading
 from hilcell.run.procedure import Procedure
 from hilcell.run.runner import Runner
+from hilcell.run.same_cell import NONE, Changes
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk
 
 CELL = load_cell("paper", {"settle.robot_s": "0.0", "settle.rail_s": "0.0"})
@@ -62,7 +63,7 @@ class Bed:
         assert isinstance(self.devices.robot, DeskRobot)
         return self.devices.robot
 
-    def runner(self, what: Procedure) -> Runner:
+    def runner(self, what: Procedure, changes: Changes = NONE) -> Runner:
         fresh = not self.path.exists()
         self.journal = RunJournal(self.path, "r", create=fresh)
         if fresh:
@@ -77,10 +78,11 @@ class Bed:
             stop=stop,
             unattended=self.unattended,
             ordered=self.ordered,
+            changes=changes,
         )
 
-    def run(self, what: Procedure) -> int:
-        code = self.runner(what).run()
+    def run(self, what: Procedure, changes: Changes = NONE) -> int:
+        code = self.runner(what, changes).run()
         self.journal.close()
         return code
 

@@ -1,0 +1,126 @@
+"""I18: a resumed run goes on with what it began with, or somebody agrees to what has changed.
+
+Points of one robot, tracker, drive or strip say nothing about another one's. A run keeps the cell
+as it was when it began; an edited cell file changes nothing in it, and the operator has to know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from hilcell import __version__
+from hilcell.cell.file import built_in_cells, load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.journal.asset import Asset, asset_of
+from hilcell.journal.log import Log
+from hilcell.journal.run_journal import RunJournal
+from hilcell.ports import DeviceRefused, Identity
+
+NAMED = 3  # changed keys of a cell file; the others are counted
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """Changes that were found before the devices were opened, and whether all are accepted."""
+
+    inputs: Sequence[str] = ()
+    accepted: bool = False
+
+
+NONE = Changes()
+
+
+def cell_file(where: str) -> str:
+    """Return where a run's cell is found again: a built-in name, or an absolute path."""
+    return where if where in built_in_cells() else str(Path(where).resolve())
+
+
+def changed_inputs(log: Log, uses: str) -> list[str]:
+    """Return what differs from the journal: hilcell's version, and the cell file.
+
+    ``uses`` is the cell's table into which the run itself wrote its calibration; "" for none.
+    """
+    changes = []
+    before = log.inputs.versions.get("hilcell", __version__)
+    if before != __version__:
+        changes.append(f"hilcell {before} began this run, this is {__version__}")
+    if log.inputs.cell_file:
+        changes += _changed_cell(log, uses)
+    return changes
+
+
+def _changed_cell(log: Log, uses: str) -> list[str]:
+    where = log.inputs.cell_file
+    try:
+        cell = load_cell(where, log.inputs.settings)
+    except SettingsError as error:
+        return [f"cell file {where} has changed, and is no cell any more: {error.problems[0]}"]
+    frozen, now = msgspec.to_builtins(log.cell), msgspec.to_builtins(cell)
+    for values in (frozen, now):
+        values.pop(uses, None)
+    keys = list(_different(frozen, now))
+    more = f", and {len(keys) - NAMED} more" if len(keys) > NAMED else ""
+    found = f"cell file {where} has changed: {', '.join(keys[:NAMED])}{more}"
+    return [f"{found}; the run keeps the cell that it began with"] if keys else []
+
+
+def _different(before: object, now: object, key: str = "") -> Iterator[str]:
+    """Yield each key that differs, with both values."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for name in sorted(before.keys() | now.keys()):
+            inner = f"{key}.{name}" if key else str(name)
+            yield from _different(before.get(name), now.get(name), inner)
+    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        for number, (one, other) in enumerate(zip(before, now, strict=True), 1):
+            yield from _different(one, other, f"{key}[{number}]")
+    elif before != now:
+        yield f"{key} {_short(before)} -> {_short(now)}"
+
+
+def _short(value: object) -> str:
+    text = f"{value}"
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def changed_assets(before: Sequence[Asset], now: Sequence[Identity]) -> list[str]:
+    """Return the assets that are not those which answered before; none answered at a first time."""
+    if not before:
+        return []
+    first = {asset.kind: asset for asset in before}
+    found = {asset.kind: asset for asset in (asset_of(msgspec.to_builtins(each)) for each in now)}
+    return [
+        f"{kind}: {_words(first.get(kind))} before, {_words(found.get(kind))} now"
+        for kind in sorted(first.keys() | found.keys())
+        if _words(first.get(kind)) != _words(found.get(kind))
+    ]
+
+
+def _words(asset: Asset | None) -> str:
+    if asset is None:
+        return "none"
+    firmware = f", firmware {asset.firmware}" if asset.firmware else ""
+    return f"{asset.maker} {asset.model}, serial {asset.serial}{firmware}".lstrip()
+
+
+def accepted(journal: RunJournal, changes: Sequence[str], by: str) -> None:
+    """Journal that somebody, or an option, has accepted changes."""
+    if changes:
+        body = {"what": "changes accepted", "changes": list(changes), "by": by}
+        journal.append("event", "", body)
+
+
+def not_as_before(changes: Sequence[str]) -> DeviceRefused:
+    """Return the error for a run that nobody attends."""
+    return DeviceRefused(
+        "HC-C30",
+        "Cell",
+        "resume",
+        "; ".join(changes),
+        wanted="as when the run began",
+        act="put back what was there; or resume attended and agree, or with --accept-changes",
+        fields={"changes": list(changes)},
+    )
