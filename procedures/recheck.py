@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.in_use import USED, calibration_in, calibration_named, record_of
+from hilcell.calibration.in_use import calibration_in, calibration_named, record_of
 from hilcell.calibration.rechecked import recheck_result, rechecked_run
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.geometry.frames import apply
 from hilcell.geometry.inverse import ReachError
+from hilcell.journal.calibration_facts import USED
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import Coverage, coverages
-from hilcell.calibration.decision import VALIDATION, guard_of, judged, limits_of
+from hilcell.calibration.decision import guard_of, judged, limits_of
 from hilcell.calibration.errors import validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.frames import grid_of, measured_of
@@ -20,6 +20,7 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
+from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array

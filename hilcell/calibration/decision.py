@@ -25,7 +25,6 @@ from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
 
 GRAVEST: tuple[Outcome, ...] = ("rejected", "undecided", "accepted")
-VALIDATION = "validation."  # the key of a verdict is this and the place
 RULE = (
     "guard band: accepted where the figure plus its expanded uncertainty U (k = 2) keeps the limit "
     "(ISO 14253-1; JCGM 106, 8.3.2)"

@@ -17,7 +17,6 @@ import numpy as np
 from hilcell import __version__
 from hilcell.calibration.budget import uncertainty_of
 from hilcell.calibration.checks import MOST_MM, problems_of
-from hilcell.calibration.decision import VALIDATION
 from hilcell.calibration.form import (
     Calibration,
     Device,
@@ -33,6 +32,7 @@ from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
+from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
 from hilcell.writing import write_whole

@@ -19,11 +19,14 @@ from hilcell.calibration.file import read_calibration
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import Cell
+from hilcell.journal.calibration_facts import USED
+from hilcell.journal.index import read_index
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, find_run, is_run, newest_first, read_log
+from hilcell.journal.standing import Standing, standings
 from hilcell.ports import HilcellError
 
-USED = "calibration used"  # the event
+USABLE = ("current", "not validated")  # the second is judged by its verdicts
 
 
 class NoCalibration(HilcellError):
@@ -120,14 +123,36 @@ def _instead(folder: Path) -> str:
 
 
 def _newest(runs: Path, cell: Cell, table: str) -> Path:
+    gone = ""
+    known = standings(read_index(runs))
     for folder in newest_first(runs):
         path = folder / CALIBRATION
         if path.is_file() and read_calibration(path).provenance.cell == cell.name:
-            return path
+            standing = known.get(folder.name)
+            if standing is None or standing.state in USABLE:
+                return path
+            gone = gone or f" (that of run {folder.name} is {standing.text})"
     raise NoCalibration(
-        f"no finished run in {runs} has calibrated cell {cell.name}; `hilcell run calibrate` "
+        f"no finished run in {runs} has calibrated cell {cell.name}{gone}; `hilcell run calibrate` "
         f"first, or name a run or its calibration.json with --set {table}.calibration=RUN"
     )
+
+
+def standing_of(folder: Path) -> Standing | None:
+    """Return how the calibration of a run stands among those of its folder of runs.
+
+    None where the run is not there, not finished, or cannot be read.
+    """
+    return standings(read_index(folder.parent)).get(folder.name)
+
+
+def standing_by_name(calibration: Calibration, path: Path, runs: Path) -> Standing | None:
+    """Return how a calibration stands that was read from a file.
+
+    A file that lies alone is looked for in ``runs`` by its run. None as in `standing_of`.
+    """
+    folder = path.parent if is_run(path.parent) else runs / calibration.provenance.latest
+    return standing_of(folder.resolve()) if is_run(folder) else None
 
 
 def check_usable(path: Path, cell: Cell) -> None:

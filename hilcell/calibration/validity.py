@@ -7,6 +7,7 @@ refused; so is one whose validation failed or was not made, unless somebody acce
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 
 import msgspec
@@ -14,6 +15,7 @@ import msgspec
 from hilcell.calibration.decision import Judged, Limits, limits_of
 from hilcell.calibration.form import Calibration
 from hilcell.cell.file import Cell
+from hilcell.journal.standing import Standing
 from hilcell.ports import HilcellError
 
 TEMPERATURE_MARGIN_K = 2.0
@@ -33,10 +35,13 @@ def check_fitness(
     cell: Cell | None = None,
     temperature_c: float | None = None,
     accept_out_of_tolerance: bool = False,
+    standing: Standing | None = None,
+    accept_not_current: bool = False,
 ) -> list[str]:
     """Raise `Unfit` with every reason why the calibration must not be used.
 
-    ``cell`` is that of today, ``temperature_c`` the room's; None leaves each unchecked. Returns
+    ``cell`` is that of today, ``temperature_c`` the room's, ``standing`` that among the cell's
+    calibrations; None leaves each unchecked. Returns
     why it is out of tolerance, where that was accepted.
     """
     reasons = [_unproven(calibration), _age(calibration, now, max_age_days)]
@@ -45,6 +50,8 @@ def check_fitness(
     if temperature_c is not None:
         reasons.append(_temperature(calibration, temperature_c))
     intolerant = out_of_tolerance(calibration, limits_of(cell) if cell is not None else None)
+    if standing is not None and not accept_not_current:
+        reasons += _not_current(standing)
     if intolerant and not accept_out_of_tolerance:
         reasons += [*intolerant, "--accept-out-of-tolerance uses it all the same, and says so"]
     found = [reason for reason in reasons if reason]
@@ -77,6 +84,18 @@ def out_of_tolerance(calibration: Calibration, limits: Limits | None = None) -> 
             if limits != (each.mean_tolerance_mm, each.max_tolerance_mm)
         ]
     return reasons + [f"suspected in its run: {doubt.text}" for doubt in calibration.suspicions]
+
+
+def _not_current(standing: Standing) -> Iterator[str]:
+    if standing.state in ("current", "not validated"):
+        return
+    yield f"it is {standing.text}"
+    yield (
+        f"the current one of the cell is that of run {standing.current}"
+        if standing.current
+        else "no calibration of the cell is current: calibrate again"
+    )
+    yield "--accept-not-current uses it all the same, and says so"
 
 
 def _unproven(calibration: Calibration) -> str:

@@ -155,6 +155,17 @@ def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     runs = _command(commands, "runs", "commands.past:runs", "list the runs")
     _runs_option(runs)
     _json_option(runs, "one object with all runs")
+    revoke = _command(
+        commands, "revoke", "commands.revoke:revoke", "revoke the calibration of a run"
+    )
+    _run_argument(revoke)
+    revoke.add_argument(
+        "--reason", type=_reason, required=True, metavar="TEXT", help="kept in the journal"
+    )
+    revoke.add_argument(
+        "--operator", type=clean, default="", metavar="NAME", help="kept in the journal"
+    )
+    _json_option(revoke, "one object")
     compare = _command(
         commands,
         "compare",
@@ -293,6 +304,11 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="store_true",
         help="use a calibration whose validation failed, was not made or had another tolerance",
     )
+    compensate.add_argument(
+        "--accept-not-current",
+        action="store_true",
+        help="use a calibration that is revoked, superseded or out of date",
+    )
     _bounds_option(compensate)
     _runs_option(compensate)
 
@@ -423,6 +439,12 @@ def _run_name(text: str) -> str:
             f"found {text[:80]!r}"
         )
     return text
+
+
+def _reason(text: str) -> str:
+    if not (found := clean(text)):
+        raise argparse.ArgumentTypeError("words are wanted that say why")
+    return found
 
 
 def _finite(text: str) -> float:

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import os
-from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from hilcell.calibration.file import compensate_targets, read_calibration
-from hilcell.calibration.form import Calibration, written_now
-from hilcell.calibration.in_use import written_by
-from hilcell.calibration.validity import check_fitness
+from hilcell.calibration.file import compensate_targets
+from hilcell.calibration.form import Calibration
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
 from hilcell.commands.output import print_message
+from hilcell.commands.released import released
 from hilcell.compensation.programs import Program, load_program, notes_of, suffixes, write_program
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.targets import read_targets, write_targets
-from hilcell.journal.runs import find_run
 from hilcell.ports import Array
 
 DRILL_KEY = "uncertainty.drill_offset_mm"
@@ -30,30 +25,12 @@ LISTS = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets wi
 
 def compensate(args: argparse.Namespace) -> int:
     """Write corrected targets, or a corrected program, for one station."""
-    where = Path(args.calibration)
-    is_file = os.path.isfile(where)  # noqa: PTH113 - Path.is_file raises for a name too long
-    path = where if is_file else written_by(find_run(args.runs, args.calibration))
-    calibration = read_calibration(path)
     _check_settings(args.cell, dict(args.set))
     cell = load_cell(args.cell, dict(args.set)) if args.cell else None
-    accepted = check_fitness(
-        calibration,
-        datetime.now(UTC),
-        max_age_days=args.max_age,
-        temperature_c=args.temperature,
-        cell=cell,
-        accept_out_of_tolerance=args.accept_out_of_tolerance,
-    )
-    for reason in accepted:
-        print_message(f"accepted although {reason}")
-    if calibration.verdicts is None:
-        print_message(
-            f"warning: the calibration of run {calibration.provenance.latest} is of an earlier "
-            "version and states no verdict: whether its validation was in tolerance is not known; "
-            "see `hilcell show`"
-        )
+    found = released(args, cell)
+    calibration = found.calibration
     source, out = Path(args.targets), Path(args.output)
-    inputs = [source, path, Path(args.cell or source)]
+    inputs = [source, found.path, Path(args.cell or source)]
     program = load_program(source)
     names, targets = _listed(source) if program is None else (program.names, program.values())
     command = compensate_targets(calibration, args.station, targets, names)
@@ -64,27 +41,15 @@ def compensate(args: argparse.Namespace) -> int:
     if args.bounds:
         write_bounds(Path(args.bounds), bounds, names, out, inputs=inputs)
         inputs.append(Path(args.bounds))
-    stamp = stamp_of(calibration, args.station, accepted)
-    written = _write(program, names, command, source, out, stamp, inputs)
+    written = _write(program, names, command, source, out, found.stamp(args.station), inputs)
     print_message(f"{len(names)} targets corrected for {args.station} into {written}")
     print_message(summary(bounds, names))
     if drill_mm is not None:
         at_mm = " ".join(f"{each:g}" for each in drill_mm)
         print_message(f"they hold at the drill, ({at_mm}) mm from the reflector in {{T}}")
-    if calibration.provenance.simulated:
-        print_message(
-            f"hilcell: SIMULATED: run {calibration.provenance.run} measured no real robot; the "
-            "output is for trying out, not for a machine"
-        )
+    for note in found.notes():
+        print_message(note)
     return 0
-
-
-def stamp_of(calibration: Calibration, station: str, accepted: Sequence[str]) -> Stamp:
-    """Return the stamp of targets that a calibration corrects now."""
-    made = calibration.provenance
-    remarks = ["OUT OF TOLERANCE (accepted)"] if accepted else []
-    remarks += ["no verdict stated"] if calibration.verdicts is None else []
-    return Stamp(made.latest, written_now(), station, made.simulated, tuple(remarks))
 
 
 def _check_settings(cell: str | None, settings: dict[str, str]) -> None:

@@ -10,12 +10,15 @@ from hilcell.clean import encodable, harmless
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.journal.index import RunRow, read_index, row_of
 from hilcell.journal.runs import find_run, read_log
+from hilcell.journal.standing import Standing, standings
 from hilcell.run.procedure import Procedure
 
 
 def runs(args: argparse.Namespace) -> int:
     """List the runs of a folder, in the order of their names."""
-    found = [_summary(row) for row in sorted(read_index(args.runs), key=lambda row: row.name)]
+    rows = read_index(args.runs)
+    known = standings(rows)
+    found = [_summary(row, known.get(row.name)) for row in sorted(rows, key=lambda row: row.name)]
     if args.json:
         print_json({"runs": found})
         return 0
@@ -23,9 +26,17 @@ def runs(args: argparse.Namespace) -> int:
         print_message(f"no runs in {args.runs}")
         return 0
     headers = ["run", "procedure", "cell", "state", "points", "exit"]
-    rows = [[*(_word(each.get(name)) for name in headers), _kind(each)] for each in found]
-    print_table(([*headers, "kind"], rows))
+    cells = [
+        [*(_word(each.get(name)) for name in headers), _kind(each), _standing(each)]
+        for each in found
+    ]
+    print_table(([*headers, "kind", "calibration"], cells))
     return 0
+
+
+def _standing(summary: dict[str, Any]) -> str:
+    standing = summary.get("standing")
+    return "" if standing is None else harmless(str(standing["text"]))
 
 
 def _kind(summary: dict[str, Any]) -> str:
@@ -38,7 +49,7 @@ def _word(value: object) -> str:
     return "" if value is None else harmless(str(value))
 
 
-def _summary(row: RunRow) -> dict[str, Any]:
+def _summary(row: RunRow, standing: Standing | None) -> dict[str, Any]:
     name = encodable(row.name)
     if not row.readable:
         return {"run": name, "state": row.state, "reason": encodable(row.reason)}
@@ -53,6 +64,18 @@ def _summary(row: RunRow) -> dict[str, Any]:
         "operator": row.operator,
         "job": row.job,
         "live": row.live,
+        "standing": None if standing is None else _facts(standing),
+    }
+
+
+def _facts(standing: Standing) -> dict[str, Any]:
+    """Return how a run's calibration stands among those of its cell."""
+    return {
+        "state": standing.state,
+        "by": standing.by or None,
+        "reason": encodable(standing.reason),
+        "current": standing.current or None,
+        "text": encodable(standing.text),
     }
 
 
@@ -64,7 +87,7 @@ def show(args: argparse.Namespace) -> int:
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     finished = log.state == "finished"
     result = procedure.result(log) if finished else {}
-    summary = _summary(row_of(folder)) | {
+    summary = _summary(row_of(folder), standings(read_index(folder.parent)).get(folder.name)) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
         "machine_seed": inputs.truth_seed,
@@ -81,6 +104,8 @@ def show(args: argparse.Namespace) -> int:
         return 0
     rows = [[name, str(summary[name])] for name in _SHOWN if summary.get(name) not in ("", None)]
     rows.append(["state", summary["state"]])
+    if standing := _standing(summary):
+        rows.append(["its calibration", standing])
     print_table((["run", summary["run"]], rows))
     if result:
         print_table(procedure.table(result))

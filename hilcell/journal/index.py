@@ -20,12 +20,13 @@ from pathlib import Path
 
 import msgspec
 
+from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader
 from hilcell.journal.journal import ABSENT, Record, StorageError, read_journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
-SCHEMA = 1  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 2  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
@@ -68,6 +69,24 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     before_mean_mm: float | None = None
     chosen_mean_mm: float | None = None
     chosen_max_mm: float | None = None
+    machine_seed: int | None = None
+    moved: bool = False
+    facts: CalibrationFacts = CalibrationFacts()
+
+    @property
+    def calibrates(self) -> bool:
+        """Whether the run ended with a calibration."""
+        return self.finished and self.facts.kind != ""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run came to its end."""
+        return self.state == "finished" and self.exit is not None
+
+    @property
+    def order(self) -> tuple[str, str, str]:
+        """Return what runs are sorted by: when they ended."""
+        return self.ended, self.begun, self.name
 
     @property
     def readable(self) -> bool:
@@ -164,10 +183,15 @@ class _Grid(msgspec.Struct):
     station: str
 
 
+class _Simulation(msgspec.Struct):
+    address: str = ""
+
+
 class _Cell(msgspec.Struct):
     name: str
     serial: str
     grid: _Grid
+    simulation: _Simulation | None = None
 
 
 class _Plan(msgspec.Struct):
@@ -177,6 +201,14 @@ class _Plan(msgspec.Struct):
     job: str
     seed: int
     simulated: bool
+    machine_seed: int | None = None
+
+    @property
+    def truth_seed(self) -> int | None:
+        """Return the seed of the simulated machine, as `PlanRecord.truth_seed` has it."""
+        if self.cell.simulation is None or self.cell.simulation.address:
+            return None
+        return self.seed if self.machine_seed is None else self.machine_seed
 
 
 class _Device(msgspec.Struct):
@@ -235,7 +267,9 @@ def _from_records(name: str, records: Iterable[Record]) -> RunRow:
     fault = ""
     simulated = False
     points: set[str] = set()
+    reader = CalibrationReader()
     for record in records:
+        reader.take(record)
         match record.kind:
             case "plan":
                 plan = record
@@ -259,7 +293,8 @@ def _from_records(name: str, records: Iterable[Record]) -> RunRow:
             code="HC-J06",
         )
     row = _row(name, plan, state, end, fault, len(points))
-    return msgspec.structs.replace(row, simulated=row.simulated or simulated)
+    simulated = row.simulated or simulated
+    return msgspec.structs.replace(row, simulated=simulated, moved=reader.moved, facts=reader.facts)
 
 
 def _row(
@@ -283,6 +318,7 @@ def _row(
         job=inputs.job,
         seed=inputs.seed,
         simulated=inputs.simulated,
+        machine_seed=inputs.truth_seed,
         points=points,
         exit=last.exit if last is not None else None,
         before_mean_mm=before_mean_mm,

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hilcell.calibration.decision import RULE, VALIDATION
+from hilcell.calibration.decision import RULE
 from hilcell.calibration.measurement_budget import Budget
+from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.report.facts import Facts
 from hilcell.report.method import adjustment_words, method_words
 from hilcell.report.target_budget import TargetBudget

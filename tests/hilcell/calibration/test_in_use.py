@@ -12,7 +12,6 @@ from hilcell.calibration import in_use
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import (
-    USED,
     NoCalibration,
     calibration_named,
     record_of,
@@ -23,6 +22,7 @@ from hilcell.calibration.validity import Unfit
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.in_use import RecheckTable
 from hilcell.cell.settings import SettingsError
+from hilcell.journal.calibration_facts import USED
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.ports import HilcellError
 from tests.hilcell.calibration.calibrations import calibration

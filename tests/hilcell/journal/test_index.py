@@ -462,6 +462,7 @@ def test_the_command_keeps_its_keys(runs: Path, capsys: pytest.CaptureFixture[st
     assert listed[2] == {
         "run": "2-faulted", "procedure": "home", "cell": "paper", "state": "faulted", "points": 8,
         "exit": 3, "simulated": True, "operator": "Bob", "job": "J-17", "live": False,
+        "standing": None,
     }  # fmt: skip
     assert listed[3]["state"] == "running, engine gone"
     assert main(["runs", "--runs", str(runs)]) == 0

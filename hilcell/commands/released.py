@@ -1,0 +1,88 @@
+"""A calibration that a command may correct by: found, judged, with what is to be said of it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from hilcell.calibration.file import read_calibration
+from hilcell.calibration.form import Calibration, written_now
+from hilcell.calibration.in_use import USABLE, standing_by_name, written_by
+from hilcell.calibration.validity import check_fitness
+from hilcell.cell.file import Cell
+from hilcell.compensation.stamp import Stamp
+from hilcell.journal.runs import find_run
+from hilcell.journal.standing import Standing
+
+
+@dataclass(frozen=True)
+class Released:
+    """``accepted`` says why it is out of tolerance, where that was accepted; ``standing`` is None
+    where it is not known.
+    """
+
+    calibration: Calibration
+    path: Path
+    runs: Path
+    standing: Standing | None
+    accepted: list[str]
+
+    def stamp(self, station: str) -> Stamp:
+        """Return the stamp of targets that are corrected now."""
+        made = self.calibration.provenance
+        remarks = ["OUT OF TOLERANCE (accepted)"] if self.accepted else []
+        remarks += ["no verdict stated"] if self.calibration.verdicts is None else []
+        if self.standing is not None and self.standing.state not in USABLE:
+            by = f" by {self.standing.by}" if self.standing.by else ""
+            remarks.append(f"{self.standing.state.upper()}{by} (accepted)")
+        return Stamp(made.latest, written_now(), station, made.simulated, tuple(remarks))
+
+    def notes(self) -> Iterator[str]:
+        """Yield the warnings for the user of the output."""
+        made = self.calibration.provenance
+        yield from (f"accepted although {reason}" for reason in self.accepted)
+        if self.standing is None:
+            yield (
+                f"warning: run {made.latest} is not in {self.runs}, or not finished: whether its "
+                "calibration is current is not known"
+            )
+        elif self.standing.state not in USABLE:
+            yield f"accepted although it is {self.standing.text}"
+        if self.calibration.verdicts is None:
+            yield (
+                f"warning: the calibration of run {made.latest} is of an earlier version and "
+                "states no verdict: whether its validation was in tolerance is not known; see "
+                "`hilcell show`"
+            )
+        if made.simulated:
+            yield (
+                f"hilcell: SIMULATED: run {made.run} measured no real robot; the output is for "
+                "trying out, not for a machine"
+            )
+
+
+def released(args: argparse.Namespace, cell: Cell | None) -> Released:
+    """Return the calibration that ``args`` name; raises `Unfit`, `NoCalibration`, `SettingsError`.
+
+    ``cell`` is that of today, None leaves it unchecked.
+    """
+    where = Path(args.calibration)
+    is_file = os.path.isfile(where)  # noqa: PTH113 - Path.is_file raises for a name too long
+    path = where if is_file else written_by(find_run(args.runs, args.calibration))
+    calibration = read_calibration(path)
+    standing = standing_by_name(calibration, path, args.runs)
+    accepted = check_fitness(
+        calibration,
+        datetime.now(UTC),
+        max_age_days=args.max_age,
+        temperature_c=args.temperature,
+        cell=cell,
+        accept_out_of_tolerance=args.accept_out_of_tolerance,
+        standing=standing,
+        accept_not_current=args.accept_not_current,
+    )
+    return Released(calibration, path, args.runs, standing, accepted)

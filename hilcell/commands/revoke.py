@@ -1,0 +1,41 @@
+"""``revoke``: a calibration that must not be used any more, journalled in the run that made it."""
+
+from __future__ import annotations
+
+import argparse
+
+from hilcell.calibration.in_use import standing_of
+from hilcell.clean import encodable
+from hilcell.commands.output import print_json, print_message
+from hilcell.journal.calibration_facts import REVOKED
+from hilcell.journal.engine_file import live_engine
+from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.runs import JOURNAL, find_run, read_log
+from hilcell.ports import HilcellError
+from hilcell.run.cell_lock import lock_of_name, locked
+
+
+def revoke(args: argparse.Namespace) -> int:
+    """Revoke the calibration of a run, and name the one that is current then."""
+    folder = find_run(args.runs, args.run)
+    log = read_log(folder)
+    if not log.calibrates or live_engine(folder) is not None:
+        raise HilcellError(
+            f"run {folder.name} has no calibration to revoke: it is {log.state}", code="HC-J09"
+        )
+    cell = f"cell {log.cell.name}"
+    with locked(lock_of_name(folder.parent, log.cell.name), cell, folder.name):
+        journal = RunJournal(folder / JOURNAL, encodable(folder.name), create=False)
+        try:
+            body = {"what": REVOKED, "reason": args.reason, "operator": args.operator}
+            journal.append("event", "", body)
+        finally:
+            journal.close()
+    standing = standing_of(folder.resolve())
+    current = standing.current if standing is not None else ""
+    if args.json:
+        print_json({"run": folder.name, "reason": args.reason, "current": current or None})
+        return 0
+    left = f"current is {current}" if current else f"{cell} has no current calibration any more"
+    print_message(f"the calibration of run {folder.name} is revoked; {left}")
+    return 0

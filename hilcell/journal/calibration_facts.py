@@ -1,0 +1,81 @@
+"""The calibration that a run made, changed or judged, or that was revoked, from its journal."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from hilcell.journal.journal import Record
+
+USED = "calibration used"  # the events
+REVOKED = "calibration revoked"
+VALIDATION = "validation."  # the key of a verdict is this and the place
+
+Kind = Literal["", "made", "base", "targets", "touch"]
+
+
+class CalibrationFacts(msgspec.Struct, frozen=True):
+    """``kind`` says how a run that finishes comes to a calibration: measured, or one of before with
+    base, targets or a station's base changed; "" is none. ``used`` is the run whose calibration it
+    took, ``validated`` whether places were validated and all hold, ``redo`` that a re-check found
+    the used one to hold no more. ``revoked`` is why somebody has revoked its own.
+    """
+
+    kind: Kind = ""
+    used: str = ""
+    validated: bool = False
+    redo: bool = False
+    revoked: str = ""
+
+
+class _Verdict(msgspec.Struct):
+    holds: bool
+    verdict: str = ""
+
+
+class _Event(msgspec.Struct):
+    what: str
+    run: str = ""
+    reason: str = ""
+
+
+class CalibrationReader:
+    """Gathers the facts from the records of a journal, in their order."""
+
+    def __init__(self) -> None:
+        self._verdicts: dict[str, _Verdict] = {}
+        self._used = self._revoked = ""
+        self.moved = False  # the cell
+
+    def take(self, record: Record) -> None:
+        """Add one record; raises `msgspec.ValidationError`."""
+        self.moved = self.moved or record.kind == "intent"
+        if record.kind == "verdict":
+            self._verdicts[record.key] = msgspec.convert(record.body, _Verdict)
+        elif record.kind == "event" and record.body["what"] in (USED, REVOKED):
+            event = msgspec.convert(record.body, _Event)
+            if event.what == USED:
+                self._used = event.run
+            else:
+                self._revoked = event.reason
+
+    @property
+    def facts(self) -> CalibrationFacts:
+        """Return what the records have said."""
+        recheck = self._verdicts.get("recheck", _Verdict(holds=True)).verdict
+        places = [v.holds for key, v in self._verdicts.items() if key.startswith(VALIDATION)]
+        return CalibrationFacts(
+            self._kind(recheck), self._used, bool(places) and all(places), recheck == "redo",
+            self._revoked,
+        )  # fmt: skip
+
+    def _kind(self, recheck: str) -> Kind:
+        """Return the kind, as `Log.calibrates` and `calibration_after` tell them apart."""
+        if "fit" in self._verdicts:
+            return "made"
+        if "touch" in self._verdicts:
+            return "touch"
+        if "targets" in self._verdicts:
+            return "targets" if self._verdicts["targets"].holds else ""
+        return "base" if recheck == "update" else ""

@@ -1,0 +1,101 @@
+"""Which calibration of a cell is current, and which are superseded, revoked or out of date.
+
+It follows from the runs of a folder: a later calibration that was validated supersedes those before
+it, as does one that a re-check or a pass over targets has made of the current one. A re-check whose
+verdict is redo revokes the one that it judged, `hilcell revoke` any; one that was made of a revoked
+one is revoked as well. One that somebody has revoked supersedes nothing: it is as if it had not
+been made. A touched base is out of date as soon as the cell has moved in a later run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Literal
+
+from hilcell.journal.index import RunRow
+
+State = Literal["current", "superseded", "revoked", "out of date", "not validated"]
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """``by`` is the run that superseded or revoked it, ``current`` the cell's current one; "" where
+    there is none.
+    """
+
+    state: State
+    by: str = ""
+    reason: str = ""
+    current: str = ""
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        by = f" by {self.by}" if self.by else ""
+        return f"{self.state}{by}" + (f": {self.reason}" if self.reason else "")
+
+
+def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
+    """Return the standing of each calibration of finished runs, by the run's name."""
+    ordered = sorted((row for row in rows if row.readable), key=lambda row: (_cell(row), row.order))
+    found: dict[str, Standing] = {}
+    for _, of_cell in groupby(ordered, key=_cell):
+        found |= _of_cell(list(of_cell))
+    return found
+
+
+def _cell(row: RunRow) -> tuple[str, ...]:
+    """Return what tells cells apart: of simulated ones, the machine as well."""
+    return row.cell, row.serial, str(row.simulated), str(row.machine_seed)
+
+
+def _of_cell(rows: list[RunRow]) -> dict[str, Standing]:
+    """Return the standings of one cell's calibrations; rows in the order of their ends."""
+    found: dict[str, Standing] = {}
+    touches = {row.name: row.facts.used for row in rows if row.facts.kind == "touch"}
+    current = ""
+    for row in (row for row in rows if row.calibrates):
+        made, used = row.facts.kind == "made", touches.get(row.facts.used, row.facts.used)
+        if made and not (row.facts.validated and row.exit == 0):
+            found[row.name] = Standing("not validated")
+        elif not made and current and used != current:
+            found[row.name] = Standing("superseded", current)
+        else:
+            found[row.name] = Standing("current")
+            if not (row.facts.revoked or row.name in touches):
+                before = [name for name in found if found[name].state != "superseded"]
+                found |= dict.fromkeys(before, Standing("superseded", row.name))
+                found[row.name], current = Standing("current"), row.name
+    found |= _left(rows, found) | _revoked(rows)
+    named = current if current and found[current].state == "current" else ""
+    calibrated = {row.name for row in rows if row.calibrates}
+    return {name: replace(found[name], current=named) for name in calibrated}
+
+
+def _revoked(rows: list[RunRow]) -> dict[str, Standing]:
+    """Return the revoked ones: by somebody, by a re-check, and those made of them."""
+    found: dict[str, Standing] = {}
+    for row in rows:
+        if row.facts.redo and row.finished and not row.facts.revoked:
+            found[row.facts.used] = Standing("revoked", row.name, "its re-check says redo")
+    for row in rows:
+        if row.facts.revoked:
+            found[row.name] = Standing("revoked", "", row.facts.revoked)
+        elif row.calibrates and row.facts.used in found:
+            why = found[row.facts.used].text
+            found[row.name] = Standing("revoked", row.facts.used, f"it is based on one {why}")
+    return found
+
+
+def _left(rows: list[RunRow], found: dict[str, Standing]) -> dict[str, Standing]:
+    """Return the touched bases whose visit is over: a later run has moved the cell."""
+    left = {}
+    for row in rows:
+        if row.name in found and row.facts.kind == "touch":
+            others = (each for each in rows if each.moved and each.name != row.name)
+            later = [each.name for each in others if each.begun >= row.ended]
+            if later and found[row.name].state == "current":
+                left[row.name] = Standing("out of date", later[0])
+    return left

@@ -1,0 +1,139 @@
+"""`revoke`, and `compensate` with calibrations that are not current."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.file import write_calibration
+from hilcell.commands.cli import main
+from hilcell.compensation.targets import write_targets
+from hilcell.journal.calibration_facts import USED
+from hilcell.journal.index import read_index
+from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log
+from hilcell.run.cell_lock import lock_of_name, locked
+from tests.hilcell.calibration.calibrations import calibration
+from tests.hilcell.commands.workplace import read_corrected
+from tests.hilcell.report.journals import Writer
+
+
+def finished(
+    runs: Path, name: str, verdicts: dict[str, Any], used: str = "", code: int = 0
+) -> None:
+    """Write a run that finished, with a calibration of its own."""
+    writer = Writer(runs / name).began()
+    if used:
+        writer.journal.append("event", "", {"what": USED, "run": used})
+    for key, more in verdicts.items():
+        writer.journal.append("verdict", key, {"holds": True} | more)
+    writer.state("run", "finished")
+    writer.journal.append("end", "", {"state": "finished", "exit": code, "result": {}})
+    writer.journal.close()
+    write_calibration(calibration(run=name), runs / name / CALIBRATION)
+
+
+MADE: dict[str, Any] = {"fit": {}, "validation.S1100": {}}
+REDO: dict[str, Any] = {"recheck": {"holds": False, "verdict": "redo"}}
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """Return a folder of runs with one calibration, and targets beside it."""
+    targets = np.array([[0.0, 0, 1200, 0, 75, 0], [0.0, 50, 1250, 0, 75, 0]])
+    write_targets(tmp_path / "targets.csv", ["H1", "H2"], targets)
+    finished(tmp_path / "runs", "1-made", MADE)
+    return tmp_path / "runs"
+
+
+def compensate(runs: Path, run: str, *words: str) -> int:
+    out = str(runs.parent / "out.csv")
+    return main(
+        ["compensate", run, str(runs.parent / "targets.csv"), "--station", "S1100", "-o", out,
+         "--runs", str(runs), *words]
+    )  # fmt: skip
+
+
+def test_the_current_one_is_taken(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert compensate(runs, "1-made") == 0
+    assert "not known" not in capsys.readouterr().err
+
+
+def test_a_revoked_one_is_refused_and_the_current_one_named(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    finished(runs, "2-made", MADE)
+    words = ("revoke", "2-made", "--runs", str(runs), "--reason", "wrong reflector", "--json")
+    assert main([*words]) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "run": "2-made", "reason": "wrong reflector", "current": "1-made",
+    }  # fmt: skip
+    assert compensate(runs, "2-made") == 2
+    refusal = capsys.readouterr().err
+    assert "it is revoked: wrong reflector" in refusal
+    assert "the current one of the cell is that of run 1-made" in refusal
+    assert not (runs.parent / "out.csv").exists()
+    assert compensate(runs, "2-made", "--accept-not-current") == 0
+    assert "accepted although it is revoked: wrong reflector" in capsys.readouterr().err
+    _, _, (stamp,) = read_corrected(runs.parent / "out.csv")
+    assert stamp.endswith("; REVOKED (accepted)")
+    assert compensate(runs, "1-made") == 0
+    assert read_log(runs / "2-made").state == "finished"
+
+
+def test_a_superseded_one_is_refused(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    finished(runs, "2-made", MADE)
+    assert compensate(runs, "1-made") == 2
+    assert "it is superseded by 2-made" in capsys.readouterr().err
+    assert compensate(runs, str(runs / "1-made" / CALIBRATION)) == 2
+    copied = runs.parent / "copied.json"
+    copied.write_bytes((runs / "1-made" / CALIBRATION).read_bytes())
+    assert compensate(runs, str(copied)) == 2
+    assert compensate(runs, "1-made", "--accept-not-current") == 0
+    _, _, (stamp,) = read_corrected(runs.parent / "out.csv")
+    assert stamp.endswith("; SUPERSEDED by 2-made (accepted)")
+
+
+def test_a_re_check_with_redo_leaves_none(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    finished(runs, "2-recheck", REDO, used="1-made", code=1)
+    assert compensate(runs, "1-made") == 2
+    refusal = capsys.readouterr().err
+    assert "it is revoked by 2-recheck: its re-check says redo" in refusal
+    assert "no calibration of the cell is current: calibrate again" in refusal
+
+
+def test_runs_and_show_say_how_it_stands(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    finished(runs, "2-made", MADE)
+    finished(runs, "3-home", {})
+    assert main(["runs", "--json", "--runs", str(runs)]) == 0
+    listed = {each["run"]: each["standing"] for each in json.loads(capsys.readouterr().out)["runs"]}
+    assert listed["1-made"]["state"] == "superseded"
+    assert listed["1-made"]["by"] == listed["1-made"]["current"] == "2-made"
+    assert (listed["2-made"]["state"], listed["3-home"]) == ("current", None)
+    assert main(["runs", "--runs", str(runs)]) == 0
+    assert "superseded by 2-made" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("words", [(), ("--reason", ""), ("--reason", " \x1b")])
+def test_a_reason_is_wanted(runs: Path, words: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["revoke", "1-made", "--runs", str(runs), *words])
+
+
+def test_what_has_no_calibration_is_not_revoked(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    finished(runs, "2-home", {})
+    assert main(["revoke", "2-home", "--runs", str(runs), "--reason", "x"]) == 2
+    assert "run 2-home has no calibration to revoke" in capsys.readouterr().err
+    with locked(lock_of_name(runs, "paper"), "cell paper", "another"):
+        assert main(["revoke", "1-made", "--runs", str(runs), "--reason", "x"]) == 6
+
+
+def test_the_index_notices_a_revoked_one(runs: Path) -> None:
+    (before,) = read_index(runs)
+    assert main(["revoke", "1-made", "--runs", str(runs), "--reason", "x"]) == 0
+    (after,) = read_index(runs)
+    assert (before.facts.revoked, after.facts.revoked) == ("", "x")
+    assert (runs / "1-made" / JOURNAL).exists()

@@ -1,0 +1,105 @@
+"""Which calibration of a cell is current, from the runs of a folder."""
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from hilcell.journal.calibration_facts import CalibrationFacts
+from hilcell.journal.index import RunRow
+from hilcell.journal.standing import Standing, standings
+
+
+def row(name: str, *, code: int = 0, state: str = "finished", **facts: Any) -> RunRow:
+    """Return a run whose name is the second at which it began and ended."""
+    t = f"2026-11-22T10:00:{name[:2]}Z"
+    return RunRow(
+        name=name, begun=t, ended=t, state=state, exit=code, cell="paper", serial="P-1",
+        moved=True, facts=CalibrationFacts(**facts),
+    )  # fmt: skip
+
+
+def made(name: str, **more: Any) -> RunRow:
+    facts: dict[str, Any] = {"kind": "made", "validated": True}
+    return row(name, **(facts | more))
+
+
+def states(*rows: RunRow) -> dict[str, str]:
+    return {name: each.text for name, each in sorted(standings(rows).items())}
+
+
+def test_a_later_one_supersedes() -> None:
+    assert states(made("02"), made("01")) == {"01": "superseded by 02", "02": "current"}
+    assert standings([made("01"), made("02")])["01"].current == "02"
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        made("02", validated=False),
+        made("02", code=1),
+        made("02", state="aborted", code=4),
+        row("02"),
+        row("02", kind="touch", used="01"),
+    ],
+)
+def test_what_was_not_validated_supersedes_nothing(bad: RunRow) -> None:
+    assert states(made("01"), bad)["01"] == "current"
+
+
+def test_what_was_not_validated_is_superseded() -> None:
+    assert states(made("01", validated=False)) == {"01": "not validated"}
+    assert states(made("01", validated=False), made("02"))["01"] == "superseded by 02"
+
+
+@pytest.mark.parametrize("kind", ["base", "targets"])
+def test_an_update_of_the_current_one_supersedes_it(kind: str) -> None:
+    update = row("02", kind=kind, used="01", code=1)
+    assert states(made("01"), update) == {"01": "superseded by 02", "02": "current"}
+    stale = row("03", kind=kind, used="01", code=1)
+    assert states(made("01"), made("02"), stale)["03"] == "superseded by 02"
+    assert states(made("01"), made("02"), stale)["02"] == "current"
+
+
+def test_a_re_check_with_redo_revokes_what_it_judged() -> None:
+    found = standings([made("01"), made("02"), row("03", redo=True, used="02", code=1)])
+    assert found["02"] == Standing("revoked", "03", "its re-check says redo")
+    assert found["01"] == Standing("superseded", "02")  # the robot has changed since
+    assert states(row("02", state="aborted", redo=True, used="01"), made("01"))["01"] == "current"
+
+
+def test_what_is_based_on_a_revoked_one_is_revoked() -> None:
+    update = row("02", kind="base", used="01", code=1)
+    found = standings([made("01", revoked="wrong reflector"), update])
+    assert found["01"].text == "revoked: wrong reflector"
+    assert found["02"].state == "revoked"
+    assert "it is based on one revoked: wrong reflector" in found["02"].text
+
+
+def test_one_that_was_revoked_supersedes_nothing() -> None:
+    found = standings([made("01"), made("02", revoked="nest was loose")])
+    assert found["01"] == Standing("current", current="01")
+    assert found["02"] == Standing("revoked", "", "nest was loose", "01")
+
+
+def test_a_revoked_re_check_revokes_nothing() -> None:
+    redo = row("02", redo=True, used="01", code=1, revoked="the tracker was cold")
+    assert states(made("01"), redo) == {"01": "current"}
+
+
+def test_a_touched_base_holds_until_the_cell_moves() -> None:
+    touch = row("02", kind="touch", used="01")
+    assert states(made("01"), touch) == {"01": "current", "02": "current"}
+    assert states(made("01"), touch, row("03"))["02"] == "out of date by 03"
+    assert states(made("01"), touch, made("03"))["02"] == "superseded by 03"
+    of_touch = row("03", kind="targets", used="02", code=1)
+    assert states(made("01"), touch, of_touch)["03"] == "current"
+
+
+def test_cells_and_machines_are_apart() -> None:
+    other = [
+        msgspec.structs.replace(made("02"), **change)
+        for change in ({"cell": "hard"}, {"serial": "P-2"}, {"simulated": True, "machine_seed": 3})
+    ]
+    for each in other:
+        assert states(made("01"), each) == {"01": "current", "02": "current"}
