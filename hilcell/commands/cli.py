@@ -7,21 +7,15 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import math
 import os
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from hilcell import __version__
 from hilcell.clean import clean
+from hilcell.commands import arguments
 from hilcell.commands.output import print_error, print_message
-
-LEAST_SPEED, MOST_SPEED = 1.0, 1e6
-MOST_SEED = 2**63 - 1
-MOST_PORT = 65535
-SIMULATED = ("rail", "robot", "tracker", "control")
 
 EPILOG = """\
 exit codes: 0 in tolerance; 1 measured, out of tolerance; 2 refused before anything moved;
@@ -56,7 +50,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     _cell_options(run)
     run.add_argument(
         "--seed",
-        type=_seed,
+        type=arguments.seed_of,
         default=1,
         metavar="N",
         help="of random targets; of the simulated machine, too, unless it has its own (default: 1)",
@@ -65,7 +59,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     _runs_option(run)
     run.add_argument(
         "--speed",
-        type=_speed,
+        type=arguments.speed_of,
         metavar="X|max",
         help="of a simulated cell's time: a factor, or as fast as it goes (default: max)",
     )
@@ -75,7 +69,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     run.add_argument(
         "--name",
-        type=_run_name,
+        type=arguments.run_name,
         metavar="RUN",
         help="the run's name and folder (default: made of time and procedure)",
     )
@@ -160,7 +154,7 @@ def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     _run_argument(revoke)
     revoke.add_argument(
-        "--reason", type=_reason, required=True, metavar="TEXT", help="kept in the journal"
+        "--reason", type=arguments.reason, required=True, metavar="TEXT", help="kept in the journal"
     )
     revoke.add_argument(
         "--operator", type=clean, default="", metavar="NAME", help="kept in the journal"
@@ -210,17 +204,19 @@ def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     sim = _command(commands, "sim", "commands.cell:sim", "run the simulated cell by itself")
     _cell_options(sim)
     sim.add_argument(
-        "--seed", type=_seed, default=1, metavar="N", help="of the machine (default: 1)"
+        "--seed", type=arguments.seed_of, default=1, metavar="N", help="of the machine (default: 1)"
     )
     _machine_seed_option(sim)
     sim.add_argument(
         "--truth", action="store_true", help="the control channel answers what is true; for tests"
     )
-    sim.add_argument("--speed", type=_speed, default=1.0, metavar="X|max", help="default: 1")
+    sim.add_argument(
+        "--speed", type=arguments.speed_of, default=1.0, metavar="X|max", help="default: 1"
+    )
     sim.add_argument("--faults", default="", metavar="FILE", help="faults to inject, TOML")
     sim.add_argument(
         "--ports",
-        type=_ports,
+        type=arguments.ports_of,
         default={},
         metavar="NAME=PORT,...",
         help="TCP ports of rail, robot, tracker, control (default: free ones)",
@@ -288,13 +284,13 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     _set_option(compensate)
     compensate.add_argument(
         "--temperature",
-        type=_finite,
+        type=arguments.finite,
         metavar="T_C",
         help="the room's: refuse one further than 2 K from the calibrated",
     )
     compensate.add_argument(
         "--max-age",
-        type=_days,
+        type=arguments.days,
         default=180.0,
         metavar="DAYS",
         help="refuse an older calibration (default: 180)",
@@ -336,7 +332,7 @@ def _set_option(parser: argparse.ArgumentParser) -> None:
         "--set",
         action="append",
         default=[],
-        type=_assignment,
+        type=arguments.assignment,
         metavar="KEY=VALUE",
         help="override one value of the cell file; may be repeated",
     )
@@ -382,7 +378,7 @@ def _json_option(parser: argparse.ArgumentParser, text: str) -> None:
 def _machine_seed_option(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--machine-seed",
-        type=_seed,
+        type=arguments.seed_of,
         default=None,
         metavar="N",
         help="of the simulated machine: robot, rail, tracker (default: the seed; where a run uses "
@@ -390,87 +386,9 @@ def _machine_seed_option(command: argparse.ArgumentParser) -> None:
     )
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def _speed(text: str) -> float:
-    value = math.inf if text == "max" else _number(text)
-    if not (text == "max" or LEAST_SPEED <= value <= MOST_SPEED):
-        raise argparse.ArgumentTypeError(
-            f"a factor of {LEAST_SPEED:g} .. {MOST_SPEED:g}, or max, is wanted (not slower than "
-            f"real time, in which the devices' watchdogs run), found {text[:80]!r}"
-        )
-    return value
-
-
-def _seed(text: str) -> int:
-    value = int(text) if text.isdecimal() and len(text) < 20 else -1
-    if not 0 <= value <= MOST_SEED:
-        raise argparse.ArgumentTypeError(
-            f"a whole number of 0 .. {MOST_SEED} is wanted, found {text[:80]!r}"
-        )
-    return value
-
-
-def _ports(text: str) -> dict[str, int]:
-    found: dict[str, int] = {}
-    for word in text.split(","):
-        name, _, port = word.partition("=")
-        number = int(port) if port.isascii() and port.isdecimal() and len(port) < 6 else 0
-        if number and number in found.values():
-            raise argparse.ArgumentTypeError(f"port {number} is given twice; each needs its own")
-        if name not in SIMULATED or name in found or not 1 <= number <= MOST_PORT:
-            raise argparse.ArgumentTypeError(
-                f"rail=PORT,robot=PORT,... of {', '.join(SIMULATED)}, each once, with ports of "
-                f"1 .. {MOST_PORT} is wanted, found {word[:80]!r}"
-            )
-        found[name] = number
-    return found
-
-
-def _run_name(text: str) -> str:
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", text) or text == "last":
-        raise argparse.ArgumentTypeError(
-            "1 to 100 letters, digits, '_', '.' and '-' are wanted, the first a letter or digit, "
-            f"found {text[:80]!r}"
-        )
-    return text
-
-
-def _reason(text: str) -> str:
-    if not (found := clean(text)):
-        raise argparse.ArgumentTypeError("words are wanted that say why")
-    return found
-
-
-def _finite(text: str) -> float:
-    value = _number(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"a finite number is wanted, found {text[:80]!r}")
-    return value
-
-
-def _days(text: str) -> float:
-    value = _number(text)
-    if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"days, 0 or more, are wanted, found {text[:80]!r}")
-    return value
-
-
-def _assignment(text: str) -> tuple[str, str]:
-    key, sign, value = text.partition("=")
-    if not (key and sign) or "\n" in text:
-        raise argparse.ArgumentTypeError(f"KEY=VALUE on one line is wanted, found {text[:80]!r}")
-    return key.strip(), value.strip()
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    args = _parser().parse_args(arguments)
+    args = _parser().parse_args(words)
     # Many small matrices: a second thread of the linear algebra makes them up to 30 times slower.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     module, _, function = args.act.partition(":")

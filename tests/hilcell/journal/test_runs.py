@@ -13,7 +13,8 @@ import pytest
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.commands import run
-from hilcell.commands.cli import _ports, main
+from hilcell.commands.arguments import ports_of
+from hilcell.commands.cli import main
 from hilcell.errors import DeviceError, HilcellError
 from hilcell.journal.index import read_index
 from hilcell.journal.runs import JOURNAL, find_run, forget, run_folders
@@ -149,4 +150,4 @@ def test_what_leaves_nothing_to_resume_is_not_to_be_resumed() -> None:
 )
 def test_ports_that_cannot_be_are_refused(text: str, why: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError, match=why):
-        _ports(text)
+        ports_of(text)

@@ -1,0 +1,100 @@
+"""Values on the command line, checked: each function raises `argparse.ArgumentTypeError`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+
+from hilcell.clean import clean
+
+LEAST_SPEED, MOST_SPEED = 1.0, 1e6
+MOST_SEED = 2**63 - 1
+MOST_PORT = 65535
+SIMULATED = ("rail", "robot", "tracker", "control")
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def speed_of(text: str) -> float:
+    """Return a factor of real time, infinite for ``max``."""
+    value = math.inf if text == "max" else _number(text)
+    if not (text == "max" or LEAST_SPEED <= value <= MOST_SPEED):
+        raise argparse.ArgumentTypeError(
+            f"a factor of {LEAST_SPEED:g} .. {MOST_SPEED:g}, or max, is wanted (not slower than "
+            f"real time, in which the devices' watchdogs run), found {text[:80]!r}"
+        )
+    return value
+
+
+def seed_of(text: str) -> int:
+    """Return a whole number."""
+    value = int(text) if text.isdecimal() and len(text) < 20 else -1
+    if not 0 <= value <= MOST_SEED:
+        raise argparse.ArgumentTypeError(
+            f"a whole number of 0 .. {MOST_SEED} is wanted, found {text[:80]!r}"
+        )
+    return value
+
+
+def ports_of(text: str) -> dict[str, int]:
+    """Return ports by the name of the simulated device."""
+    found: dict[str, int] = {}
+    for word in text.split(","):
+        name, _, port = word.partition("=")
+        number = int(port) if port.isascii() and port.isdecimal() and len(port) < 6 else 0
+        if number and number in found.values():
+            raise argparse.ArgumentTypeError(f"port {number} is given twice; each needs its own")
+        if name not in SIMULATED or name in found or not 1 <= number <= MOST_PORT:
+            raise argparse.ArgumentTypeError(
+                f"rail=PORT,robot=PORT,... of {', '.join(SIMULATED)}, each once, with ports of "
+                f"1 .. {MOST_PORT} is wanted, found {word[:80]!r}"
+            )
+        found[name] = number
+    return found
+
+
+def run_name(text: str) -> str:
+    """Return a name that a folder can have."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", text) or text == "last":
+        raise argparse.ArgumentTypeError(
+            "1 to 100 letters, digits, '_', '.' and '-' are wanted, the first a letter or digit, "
+            f"found {text[:80]!r}"
+        )
+    return text
+
+
+def reason(text: str) -> str:
+    """Return words."""
+    if not (found := clean(text)):
+        raise argparse.ArgumentTypeError("words are wanted that say why")
+    return found
+
+
+def finite(text: str) -> float:
+    """Return a finite number."""
+    value = _number(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"a finite number is wanted, found {text[:80]!r}")
+    return value
+
+
+def days(text: str) -> float:
+    """Return a number of days, 0 or more."""
+    value = _number(text)
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"days, 0 or more, are wanted, found {text[:80]!r}")
+    return value
+
+
+def assignment(text: str) -> tuple[str, str]:
+    """Return key and value."""
+    key, sign, value = text.partition("=")
+    if not (key and sign) or "\n" in text:
+        raise argparse.ArgumentTypeError(f"KEY=VALUE on one line is wanted, found {text[:80]!r}")
+    return key.strip(), value.strip()
