@@ -27,6 +27,7 @@ from hilcell.calibration.form import (
     written_now,
 )
 from hilcell.calibration.frames import Frames, measured_of
+from hilcell.calibration.volume import turned_deg
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.choice import MODELS
@@ -199,13 +200,11 @@ def compensate_targets(
 
 
 def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> None:
-    wanted = np.array(calibration.validity.orientation)
-    cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], wanted) - 1.0) / 2.0
-    turned_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    found_deg = turned_deg(np.array(calibration.validity.orientation), poses)
     limit_deg = calibration.validity.orientation_tolerance_deg
-    far = np.flatnonzero(~(turned_deg <= limit_deg))
+    far = np.flatnonzero(~(found_deg <= limit_deg))
     if len(far):
-        named = ", ".join(f"{names[n]} by {turned_deg[n]:.2f} deg" for n in far[:NAMED])
+        named = ", ".join(f"{names[n]} by {found_deg[n]:.2f} deg" for n in far[:NAMED])
         raise HilcellError(
             f"{len(far)} of {len(names)} targets turned away from the calibrated orientation, "
             f"wanted <= {limit_deg} deg: {named}; calibrate with their orientation, or for more "

@@ -230,7 +230,30 @@ def _add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _cell_options(plan)
     plan.add_argument("--free", action="store_true", help="stations anywhere along the rail, too")
     plan.add_argument("-o", "--output", default="", metavar="OUT", help="CSV: station,order,name")
+    plan.add_argument(
+        "--calibration",
+        default="",
+        metavar="CALIBRATION",
+        help="a run or calibration.json: no hole where `compensate` would refuse it",
+    )
+    _release_options(plan)
     _json_option(plan, "one object")
+    prepare = _command(
+        commands,
+        "prepare",
+        "commands.prepare:prepare",
+        "plan holes, correct them, and write a file of targets for each station",
+    )
+    prepare.add_argument("holes", metavar="HOLES.csv", help="as for `plan`")
+    _cell_options(prepare)
+    prepare.add_argument(
+        "--calibration", required=True, metavar="CALIBRATION", help="a run or calibration.json"
+    )
+    prepare.add_argument(
+        "-o", "--output", required=True, metavar="FOLDER", help="a new folder, or an empty one"
+    )
+    _release_options(prepare)
+    _json_option(prepare, "one object")
 
 
 def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -282,31 +305,36 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="refuse a calibration of another cell, and turns of the joints that change",
     )
     _set_option(compensate)
-    compensate.add_argument(
+    _release_options(compensate)
+    _bounds_option(compensate)
+
+
+def _release_options(parser: argparse.ArgumentParser) -> None:
+    """Add the conditions under which a calibration is used."""
+    parser.add_argument(
         "--temperature",
         type=arguments.finite,
         metavar="T_C",
         help="the room's: refuse one further than 2 K from the calibrated",
     )
-    compensate.add_argument(
+    parser.add_argument(
         "--max-age",
         type=arguments.days,
         default=180.0,
         metavar="DAYS",
         help="refuse an older calibration (default: 180)",
     )
-    compensate.add_argument(
+    parser.add_argument(
         "--accept-out-of-tolerance",
         action="store_true",
         help="use a calibration whose validation failed, was not made or had another tolerance",
     )
-    compensate.add_argument(
+    parser.add_argument(
         "--accept-not-current",
         action="store_true",
         help="use a calibration that is revoked, superseded or out of date",
     )
-    _bounds_option(compensate)
-    _runs_option(compensate)
+    _runs_option(parser)
 
 
 def _command(

@@ -25,7 +25,7 @@ LISTS = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets wi
 
 def compensate(args: argparse.Namespace) -> int:
     """Write corrected targets, or a corrected program, for one station."""
-    _check_settings(args.cell, dict(args.set))
+    check_settings(args.cell, dict(args.set))
     cell = load_cell(args.cell, dict(args.set)) if args.cell else None
     found = released(args, cell)
     calibration = found.calibration
@@ -36,7 +36,7 @@ def compensate(args: argparse.Namespace) -> int:
     command = compensate_targets(calibration, args.station, targets, names)
     if program is not None:
         _check_program(calibration, args.station, program, command, source, cell)
-    drill_mm = _drill_mm(cell)
+    drill_mm = drill_mm_of(cell)
     bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, drill_mm)
     if args.bounds:
         write_bounds(Path(args.bounds), bounds, names, out, inputs=inputs)
@@ -52,7 +52,7 @@ def compensate(args: argparse.Namespace) -> int:
     return 0
 
 
-def _check_settings(cell: str | None, settings: dict[str, str]) -> None:
+def check_settings(cell: str | None, settings: dict[str, str]) -> None:
     """Refuse settings that would change nothing; raises `SettingsError`."""
     if settings and not cell:
         raise SettingsError("--set", ["it changes the cell of --cell CELL; none is given"])
@@ -67,7 +67,7 @@ def _check_settings(cell: str | None, settings: dict[str, str]) -> None:
         )
 
 
-def _drill_mm(cell: Cell | None) -> tuple[float, float, float] | None:
+def drill_mm_of(cell: Cell | None) -> tuple[float, float, float] | None:
     """Return where the cell states that its drill is, if it does."""
     if cell is None or not any(cell.uncertainty.drill_offset_mm):
         return None

@@ -6,8 +6,11 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
+from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.settings import SettingsError
 from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.released import released
 from hilcell.compensation.targets import write_rows
 from hilcell.planning.holes import read_holes
 from hilcell.planning.plan import HolePlan, StationPlan, ratio
@@ -17,7 +20,9 @@ from hilcell.planning.plan import plan as plan_holes
 def plan(args: argparse.Namespace) -> int:
     """Print the fewest stations for the holes, and their orders with a lower bound on travel."""
     cell = load_cell(args.cell, dict(args.set))
-    found = plan_holes(cell, read_holes(Path(args.holes)), free=args.free)
+    calibrated = _calibrated(args, cell)
+    holes = read_holes(Path(args.holes))
+    found = plan_holes(cell, holes, free=args.free, calibrated=calibrated)
     if args.output:
         header = ["station", "order", "name"]
         write_rows(
@@ -28,6 +33,18 @@ def plan(args: argparse.Namespace) -> int:
     else:
         _print(cell, found)
     return 0
+
+
+def _calibrated(args: argparse.Namespace, cell: Cell) -> Volume | None:
+    """Return where the calibration that is named corrects; refused as `compensate` refuses it."""
+    if not args.calibration:
+        return None
+    if args.free:
+        raise SettingsError("--free", ["stations that are not calibrated; leave out one of both"])
+    found = released(args, cell)
+    for note in found.notes():
+        print_message(note)
+    return Volume(found.calibration)
 
 
 def _rows(found: HolePlan) -> Iterator[list[str]]:

@@ -18,6 +18,7 @@ from hilcell.geometry.rotations import from_rotvec, from_zyx
 
 NORMALS = ["name", "x_mm", "y_mm", "z_mm", "nx", "ny", "nz"]
 LEAST_NORMAL = 1e-6  # a shorter one is a zero that was rounded
+ROUNDING = 1e-9  # of a cosine
 TURNS = 24  # about the tool's axis, 15 deg apart
 MOST_HOLES = 5000  # routes hold all distances between holes at once
 
@@ -37,6 +38,21 @@ class Holes:
         poses[..., :3, 3] = self.points_mm[:, None]
         poses[..., 3, 3] = 1.0
         return poses
+
+    def with_turn_near(self, R: Array) -> Holes:
+        """Return the holes with one more turn each: of free ones that nearest to ``R`` (3, 3)."""
+        if self.tools.shape[1] == 1:
+            return self  # angles, which fix the turn
+        z = self.tools[:, 0, :, 2]
+        axis = np.cross(R[:, 2], z)
+        sine = np.linalg.norm(axis, axis=1)
+        angle_rad = np.arctan2(sine, z @ R[:, 2])
+        vectors = axis * (angle_rad / np.maximum(sine, np.finfo(float).tiny))[:, None]
+        nearest = from_rotvec(vectors) @ R  # by the shortest rotation
+        there = np.einsum("ni,ni->n", nearest[:, :, 2], z) > 1.0 - ROUNDING
+        nearest[~there] = self.tools[~there, 0]  # of opposite axes none is the shortest
+        tools = np.concatenate([self.tools, nearest[:, None]], axis=1)
+        return Holes(self.names, self.points_mm, tools)
 
 
 def read_holes(path: Path) -> Holes:

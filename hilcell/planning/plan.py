@@ -8,6 +8,7 @@ holes of one station; between stations the robot is at its safe pose.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.kinematics import Array
 from hilcell.planning.cover import fewest
 from hilcell.planning.holes import Holes
-from hilcell.planning.reach import Reach, reach
+from hilcell.planning.reach import Reach, Served, reach
 from hilcell.planning.route import route
 
 RASTER_MM = 50.0  # of free stations along the rail
@@ -51,18 +52,36 @@ class HolePlan:
         return sum(each.bound_mm for each in self.stations)
 
 
+class Calibrated(Served, Protocol):
+    """Where a calibration corrects."""
+
+    @property
+    def stations(self) -> list[str]:
+        """Return the names of the calibrated stations."""
+
+    def orientation(self, station: str) -> Array:
+        """Return the calibrated orientation (3, 3) in {W} at a station."""
+
+
 def ratio(travel_mm: float, bound_mm: float) -> float:
     """Return travel over bound, 1 where nothing is travelled."""
     return travel_mm / bound_mm if bound_mm > 0 else 1.0
 
 
-def plan(cell: Cell, holes: Holes, *, free: bool = False) -> HolePlan:
+def plan(
+    cell: Cell, holes: Holes, *, free: bool = False, calibrated: Calibrated | None = None
+) -> HolePlan:
     """Plan the holes at recorded stations; ``free`` adds a raster along the travel.
 
-    Raises `UnreachableHoles`.
+    With ``calibrated`` each hole is drilled at a station, and with a turn of the tool, where it is
+    corrected. Raises `UnreachableHoles`.
     """
     candidates = _candidates(cell, free=free)
-    reached = reach(cell, holes, candidates)
+    if calibrated is not None:
+        candidates = [each for each in candidates if each.name in calibrated.stations]
+        for station in candidates:
+            holes = holes.with_turn_near(calibrated.orientation(station.name))
+    reached = reach(cell, holes, candidates, calibrated)
     off_mm = _off_mm(cell, holes, candidates)
     new = np.array([station not in cell.station for station in candidates])
     chosen = fewest(reached.ok, (new + _remoteness(off_mm, reached.ok)) / 2)

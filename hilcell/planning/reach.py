@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,17 +39,34 @@ class Reach:
     turn: Ints
 
 
-def reach(cell: Cell, holes: Holes, stations: Sequence[Station]) -> Reach:
-    """Return which holes each station reaches; raises `UnreachableHoles` with the reasons."""
+class Served(Protocol):
+    """Poses that are corrected at a station, where others are refused."""
+
+    def takes(self, station: str, poses: Array) -> Bools:
+        """Return which poses (..., 4, 4) in {W} are corrected at a station."""
+
+    def refusal(self, stations: Sequence[str], poses: Array) -> str:
+        """Return why none of poses (K, 4, 4) in {W} is corrected at the stations."""
+
+
+def reach(
+    cell: Cell, holes: Holes, stations: Sequence[Station], served: Served | None = None
+) -> Reach:
+    """Return which holes each station reaches, and corrects where ``served`` says so.
+
+    Raises `UnreachableHoles` with the reasons.
+    """
     room_rad = np.empty((len(holes.names), len(stations)))
     turn = np.empty(room_rad.shape, dtype=int)
     poses = holes.poses()
     for number, station in enumerate(stations):
         room = _room_rad(cell, _in_base(cell, station, poses))
+        if served is not None:
+            room = np.where(served.takes(station.name, poses), room, -np.inf)
         turn[:, number] = room.argmax(axis=1)
         room_rad[:, number] = room.max(axis=1)
     ok = (room_rad >= 0.0) & _in_range(cell, holes)[:, None]
-    _refuse_unreached(cell, holes, stations, ok)
+    _refuse_unreached(cell, holes, stations, ok, served)
     return Reach(ok, turn)
 
 
@@ -88,17 +106,32 @@ def _in_range(cell: Cell, holes: Holes) -> Bools:
     return seen
 
 
-def _refuse_unreached(cell: Cell, holes: Holes, stations: Sequence[Station], ok: Bools) -> None:
+def _refuse_unreached(
+    cell: Cell, holes: Holes, stations: Sequence[Station], ok: Bools, served: Served | None
+) -> None:
     bad = np.flatnonzero(~ok.any(axis=1))
     if len(bad):
         named = "".join(
-            f"\n  {holes.names[n]}: {_reason(cell, _one(holes, n), stations)}" for n in bad[:NAMED]
+            f"\n  {holes.names[n]}: {_why_not(cell, _one(holes, n), stations, served)}"
+            for n in bad[:NAMED]
         )
         raise UnreachableHoles(
             f"{len(bad)} of {len(ok)} holes cannot be drilled from any of {len(stations)} stations"
             f" in status {cell.robot.status}:{named}{f'{chr(10)}  ...' if len(bad) > NAMED else ''}"
-            "\nmove the part or the tracker, or try --free stations"
+            "\nmove the part or the tracker, or "
+            + ("try --free stations" if served is None else "calibrate a larger volume")
         )
+
+
+def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Served | None) -> str:
+    """Return why one hole is drilled from no station: out of reach, or reached and not served."""
+    if served is not None and _in_range(cell, hole).all():
+        poses = hole.poses()[0]
+        rooms = {each.name: _room_rad(cell, _in_base(cell, each, poses)) for each in stations}
+        reached = [name for name, room in rooms.items() if (room >= 0.0).any()]
+        if reached:
+            return served.refusal(reached, poses)
+    return _reason(cell, hole, stations)
 
 
 def _one(holes: Holes, number: int) -> Holes:

@@ -11,7 +11,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import HEADER
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.planning import holes as module
-from hilcell.planning.holes import NORMALS, TURNS, read_holes, tools_against
+from hilcell.planning.holes import NORMALS, TURNS, Holes, read_holes, tools_against
 
 
 def file_of(folder: Path, *lines: str) -> Path:
@@ -93,3 +93,18 @@ def test_too_many_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     lines = [f"H{n},1,2,3,1,0,0" for n in range(3)]
     (problem,) = problems_of(file_of(tmp_path, ",".join(NORMALS), *lines))
     assert problem == "3 holes, wanted at most 2: split the file"
+
+
+def test_the_turn_nearest_to_an_orientation() -> None:
+    """It is turned by no more than the angle between the axes, and opposite axes add nothing."""
+    R = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # z along x
+    normals = np.array([[-1.0, 0.0, 0.0], [-1.0, 0.02, 0.0], [1.0, 0.0, 0.0]])
+    holes = Holes(["A", "B", "C"], np.zeros((3, 3)), tools_against(normals))
+    found = holes.with_turn_near(R).tools
+    assert found.shape[1] == holes.tools.shape[1] + 1
+    z = -normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    np.testing.assert_allclose(found[:, -1, :, 2], z, atol=1e-12)
+    cosine = (np.einsum("nij,ij->n", found[:, -1], R) - 1) / 2
+    np.testing.assert_allclose(np.arccos(np.clip(cosine[:2], -1, 1)), [0.0, 0.02], atol=1e-5)
+    fixed = Holes(["A"], np.zeros((1, 3)), R[None, None])
+    assert fixed.with_turn_near(np.eye(3)) is fixed

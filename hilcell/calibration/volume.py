@@ -1,0 +1,76 @@
+"""Where a calibration corrects: its stations, its volume, its orientation.
+
+`compensate` refuses by it and a plan of holes chooses by it: neither contradicts the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilcell.calibration.form import Calibration
+from hilcell.compensation.grid import ROUNDING_MM
+from hilcell.geometry.frames import inverse
+from hilcell.geometry.statistics import lengths_mm
+from hilcell.ports import Array
+
+Bools = NDArray[np.bool_]
+ROUNDING_DEG = 1e-4  # of angles in a file: a planned target stays inside when it is read again
+
+
+class Volume:
+    """The calibrated poses, at each station."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._grid = calibration.grid()
+        self._validity = calibration.validity
+        self._bases = {name: np.array(each.T_W_B) for name, each in calibration.stations.items()}
+
+    @property
+    def stations(self) -> list[str]:
+        """Return the names of the calibrated stations."""
+        return list(self._bases)
+
+    def orientation(self, station: str) -> Array:
+        """Return the calibrated orientation (3, 3) in {W} at a station."""
+        turned: Array = self._bases[station][:3, :3] @ np.array(self._validity.orientation)
+        return turned
+
+    def takes(self, station: str, poses: Array) -> Bools:
+        """Return which poses (..., 4, 4) in {W} are corrected at a station."""
+        outside_mm, turned_deg = self._beyond(station, poses.reshape(-1, 4, 4))
+        limit_deg = self._validity.orientation_tolerance_deg - ROUNDING_DEG
+        taken: Bools = (outside_mm <= 0.0) & (turned_deg <= limit_deg)
+        return taken.reshape(poses.shape[:-2])
+
+    def refusal(self, stations: Sequence[str], poses: Array) -> str:
+        """Return why none of poses (K, 4, 4) in {W} is corrected, where least is missing."""
+        known = [name for name in stations if name in self._bases]
+        if not known:
+            return f"none of its stations is calibrated; calibrated: {', '.join(self._bases)}"
+        beyond = {name: self._beyond(name, poses) for name in known}
+        at = min(known, key=lambda name: (beyond[name][0].min(), beyond[name][1].min()))
+        outside_mm, turned_deg = (float(each.min()) for each in beyond[at])
+        if outside_mm > 0.0:
+            return f"outside the calibrated volume by {outside_mm:.1f} mm at {at}"
+        return (
+            f"turned by {turned_deg:.2f} deg from the calibrated orientation at {at}, wanted <= "
+            f"{self._validity.orientation_tolerance_deg:g} deg; calibrate with plan.tilt_deg"
+        )
+
+    def _beyond(self, station: str, poses: Array) -> tuple[Array, Array]:
+        """Return how far poses (N, 4, 4) are outside (mm, 0 inside) and turned (deg), each (N,)."""
+        in_base = inverse(self._bases[station]) @ poses
+        places_mm = in_base[:, :3, 3]
+        outside_mm = lengths_mm(places_mm - self._grid.clamped(places_mm))
+        outside_mm[outside_mm <= ROUNDING_MM] = 0.0
+        return outside_mm, turned_deg(np.array(self._validity.orientation), in_base)
+
+
+def turned_deg(orientation: Array, poses: Array) -> Array:
+    """Return by how much poses (N, 4, 4) are turned from an orientation (3, 3), deg (N,)."""
+    cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], orientation) - 1.0) / 2.0
+    turned: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return turned
