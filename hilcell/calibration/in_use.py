@@ -15,7 +15,8 @@ from typing import Any
 
 import msgspec
 
-from hilcell.calibration.file import read_calibration
+from hilcell.calibration.decision import Judged
+from hilcell.calibration.file import read_calibration, verdicts_of
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import Cell
@@ -136,6 +137,20 @@ def _newest(runs: Path, cell: Cell, table: str) -> Path:
         f"no finished run in {runs} has calibrated cell {cell.name}{gone}; `hilcell run calibrate` "
         f"first, or name a run or its calibration.json with --set {table}.calibration=RUN"
     )
+
+
+def with_verdicts(calibration: Calibration, path: Path) -> Calibration:
+    """Return a file of an earlier version with the verdicts that its run's journal holds.
+
+    As it is, where that run is not beside it, or cannot be read.
+    """
+    origin = path.parent.parent / calibration.provenance.run
+    if calibration.verdicts is not None or not is_run(path.parent) or not is_run(origin):
+        return calibration
+    with suppress(HilcellError):
+        found = msgspec.convert(verdicts_of(read_log(origin)), dict[str, Judged])
+        return msgspec.structs.replace(calibration, verdicts=found)
+    return calibration
 
 
 def standing_of(folder: Path) -> Standing | None:

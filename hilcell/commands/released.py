@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.form import Calibration, written_now
-from hilcell.calibration.in_use import USABLE, standing_by_name, written_by
+from hilcell.calibration.in_use import USABLE, standing_by_name, with_verdicts, written_by
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell
 from hilcell.compensation.stamp import Stamp
@@ -73,7 +73,7 @@ def released(args: argparse.Namespace, cell: Cell | None) -> Released:
     where = Path(args.calibration)
     is_file = os.path.isfile(where)  # noqa: PTH113 - Path.is_file raises for a name too long
     path = where if is_file else written_by(find_run(args.runs, args.calibration))
-    calibration = read_calibration(path)
+    calibration = with_verdicts(read_calibration(path), path)
     standing = standing_by_name(calibration, path, args.runs)
     accepted = check_fitness(
         calibration,

@@ -16,7 +16,7 @@ from typing import Protocol, Self, TypedDict
 
 import numpy as np
 
-from hilcell.compensation.choice import choose
+from hilcell.compensation.choice import NOMINAL, choose
 from hilcell.compensation.model import Prediction
 from hilcell.compensation.scattered import NEIGHBOURS, NearestPoses, Nominal
 from hilcell.fit.fitted_arm import TERMS, FittedArm
@@ -214,16 +214,18 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         name: AtPoints.learn(placement, kept, name) for name in POINT_MODELS
     }
     methods |= arms
-    judged, coverage = validated, dict[str, Coverage]()
+    judged, coverage, reason = validated, dict[str, Coverage](), ""
     best = min(arms, key=lambda name: validated[name]["mean_mm"], default=None)
     if test is not None:
         refuse_another_robot(placement, test, "the test set")
         judged, coverage = _judged(methods, test, best)
         _refuse_contradicting(test, chosen, coverage[chosen], judged[chosen])
+        if reason := worse_than_nominal(chosen, judged):
+            chosen = NOMINAL
     result: FitResult = {
         "methods": judged,
         "chosen": chosen,
-        "reason": _reason(chosen, validated),
+        "reason": reason or _reason(chosen, validated),
         "refused": refused,
         "outliers": _outliers(methods[best or "nominal"], train.at(sorted(order[bad]))),
         "coverage": coverage,
@@ -362,6 +364,17 @@ def _refuse_contradicting(
         )
 
 
+def worse_than_nominal(chosen: str, judged: Mapping[str, Mapping[str, float]]) -> str:
+    """Return why nominal positions are kept: the choice misses the test rows by more; "" else."""
+    mean_mm, nominal_mm = judged[chosen]["mean_mm"], judged[NOMINAL]["mean_mm"]
+    if chosen == NOMINAL or mean_mm < nominal_mm:
+        return ""
+    return (
+        f"{chosen} has the least misses at training poses left out, but misses the test rows by "
+        f"{mean_mm:.4f} mm in the mean, nominal positions by {nominal_mm:.4f} mm: nominal is kept"
+    )
+
+
 def _outliers(method: Method, left_out: Measurements) -> list[Outlier]:
     if not len(left_out):
         return []
@@ -417,7 +430,7 @@ def _reason(chosen: str, validated: Mapping[str, Mapping[str, float]]) -> str:
         f"{name} {figures['mean_mm']:.4f} / {figures['p95_mm']:.4f}"
         for name, figures in validated.items()
     )
-    if chosen == "nominal":
+    if chosen == NOMINAL:
         return f"no method beats nominal positions at poses left out: mean / p95 mm {listed}"
     return f"least mean and p95 of misses at training poses left out: mean / p95 mm {listed}"
 

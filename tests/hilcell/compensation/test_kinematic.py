@@ -1,6 +1,7 @@
 """The identified robot as a model: what it predicts, when curves are used, its JSON form."""
 
 import json
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -175,6 +176,13 @@ def test_nominal_is_kept_where_nothing_beats_it() -> None:
     found = model.predict(poses_at(drawn_mm(1, 3)))
     assert not found.error_mm.any()
     np.testing.assert_allclose(np.trace(found.covariance_mm2[0]) / 3, 0.05**2, rtol=0.3)
+
+
+@pytest.mark.parametrize("mean_mm", [6.1, 5.3, math.nan])
+def test_a_model_worse_than_nominal_is_not_chosen(mean_mm: float) -> None:
+    """The reproduction: 6.1 against 5.3 mm, and by far the smaller largest miss."""
+    figures = {"nominal": {"mean": 5.3, "max": 60.0}, "kinematic": {"mean": mean_mm, "max": 7.0}}
+    assert choose(figures) == "nominal"
 
 
 def test_the_largest_miss_counts_beside_the_mean() -> None:

@@ -427,6 +427,8 @@ def on_a_line(seed: int) -> Measurements:
 def test_positions_on_one_line_are_predicted_along_it_and_refused_elsewhere() -> None:
     result = fit(IRB120, on_a_line(1), on_a_line(2))
     assert result["methods"][result["chosen"]]["mean_mm"] < 0.06
+    assert result["chosen"] == "nominal"  # idw was chosen, and is worse on these test rows
+    assert "nominal is kept" in result["reason"]
     test = replace(measured(2, 20, ["SMR1"]), source="test.csv")
     with pytest.raises(FitError, match=r"test\.csv: \d+ of 20 rows|the test set: .* miss half"):
         fit(IRB120, on_a_line(1), test)

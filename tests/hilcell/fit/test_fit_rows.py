@@ -1,11 +1,12 @@
 """`fit` on poses that were measured again, on rows in any order, and on rows that contradict."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hilcell.fit.methods import fit
+from hilcell.fit.methods import fit, worse_than_nominal
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Measurements
 from tests.hilcell.fit.test_fit import IRB120, measured
@@ -73,3 +74,12 @@ def test_test_rows_that_contradict_the_training_rows_are_refused(
         match=r"test\.csv: \d+\.\d% of 40 rows .* wanted at least 50%.*contradict.*measure",
     ):
         fit(IRB120, rows, other)
+
+
+def test_a_choice_worse_than_nominal_on_the_test_rows_is_not_kept() -> None:
+    """The reproduction: 6.1 against 5.3 mm, chosen without a word."""
+    judged = {"nominal": {"mean_mm": 5.3}, "idw": {"mean_mm": 6.1}, "tool": {"mean_mm": 0.1}}
+    assert re.search(r"by 6\.1000 mm .* by 5\.3000 mm: nominal", worse_than_nominal("idw", judged))
+    assert not worse_than_nominal("tool", judged)
+    assert not worse_than_nominal("nominal", judged)
+    assert worse_than_nominal("idw", judged | {"idw": {"mean_mm": float("nan")}})
