@@ -78,6 +78,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
         "uncertainty": uncertainty_of(log),
         "verdicts": verdicts_of(log),
+        "failed": failed_of(log),
     }  # fmt: skip
     return msgspec.convert(msgspec.to_builtins(values), Calibration)
 
@@ -89,6 +90,21 @@ def verdicts_of(log: Log) -> dict[str, dict[str, Any]]:
         for key, verdict in log.verdicts.items()
         if key.startswith(VALIDATION)
     }
+
+
+def failed_of(log: Log) -> dict[str, str]:
+    """Return the verdicts besides the validation's that do not hold, in words."""
+    return {
+        key: ", ".join(
+            f"{name} {_figure(value)}" for name, value in body.items() if name != "holds"
+        )
+        for key, body in log.verdicts.items()
+        if not body["holds"] and not key.startswith(VALIDATION)
+    }
+
+
+def _figure(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def orientation_tolerance_deg(cell: Cell, method: str) -> float:

@@ -176,7 +176,8 @@ class Calibration(msgspec.Struct, frozen=True):
 
     Files of old state no ``uncertainty``. ``targets`` are those that later runs have measured.
     ``verdicts`` are the validation's by place, none where it was not made; files of schema 1 and 2
-    state None. ``suspicions`` are of the same run.
+    state None. ``failed`` are other verdicts of the same run that do not hold, each in words;
+    ``suspicions`` are its as well.
     """
 
     schema: int
@@ -190,6 +191,7 @@ class Calibration(msgspec.Struct, frozen=True):
     uncertainty: Uncertainty | None = None
     targets: Targets | None = None
     verdicts: dict[str, Judged] | None = None
+    failed: dict[str, str] = {}
     suspicions: list[Doubt] = []
 
     def grid(self) -> Grid:

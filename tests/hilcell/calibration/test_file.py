@@ -3,7 +3,8 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -12,13 +13,16 @@ import pytest
 from hilcell.calibration.file import (
     SCHEMA,
     compensate_targets,
+    failed_of,
     read_calibration,
+    verdicts_of,
     write_calibration,
 )
 from hilcell.calibration.form import Calibration
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.interpolation import Trilinear
 from hilcell.compensation.targets import write_targets
+from hilcell.journal.log import Log
 from tests.hilcell.calibration.calibrations import READINGS_MM2, calibration, measured
 from tests.hilcell.compensation.models import level
 
@@ -236,6 +240,18 @@ def test_an_old_file_states_no_covariance(tmp_path: Path) -> None:
 )
 def test_verdicts_that_cannot_be(file: Path, change: Callable[[Any], Any], says: str) -> None:
     assert says in spoilt(change, file)
+
+
+def test_a_run_s_verdicts_stand_in_its_file() -> None:
+    figures = {"mean_mm": 0.03, "mean_tolerance_mm": 0.2}
+    verdicts = {
+        "fit": {"holds": True, "method": "idw"},
+        "closing": {"holds": False, "shift_mm": 0.21234567, "cause": "mount slipped"},
+        "validation.S1100": {"holds": False} | figures,
+    }
+    log = cast("Log", SimpleNamespace(verdicts=verdicts))
+    assert failed_of(log) == {"closing": "shift_mm 0.2123, cause mount slipped"}
+    assert verdicts_of(log) == {"S1100": {"holds": False} | figures}
 
 
 def test_a_new_file_has_every_key_of_an_old_one(file: Path) -> None:

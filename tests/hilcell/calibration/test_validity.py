@@ -117,6 +117,13 @@ def test_a_suspicion_that_nobody_cleared() -> None:
         check_fitness(doubted, NOW)
 
 
+def test_another_verdict_that_does_not_hold() -> None:
+    """The run ended with exit code 1, whatever its validation found."""
+    failed = msgspec.structs.replace(aged(1), failed={"closing": "shift_mm 0.2"})
+    with pytest.raises(Unfit, match=r"closing did not hold: shift_mm 0\.2"):
+        check_fitness(failed, NOW)
+
+
 def test_files_of_earlier_versions_state_no_verdict() -> None:
     old = msgspec.structs.replace(aged(1), verdicts=None, schema=2)
     assert check_fitness(old, NOW) == []
