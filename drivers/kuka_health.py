@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from drivers import krl
+from drivers.kuka_life import LOST
 from hilcell.clean import clean
-from hilcell.ports import DeviceError, DeviceRefused
+from hilcell.ports import Array, DeviceError, DeviceRefused
 
 DEVICE = "Robot"
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+FRAME = ("X", "Y", "Z", "A", "B", "C")
 STOPPED = 9
 ERRORS = {
     1: "unknown command",
     2: "target outside the software limits",
+    LOST: "the PC's life sign was late, and the robot has braked by itself",
     STOPPED: "stopped by HC_STOP",
 }
+CODES = {LOST: "HC-B43", STOPPED: "HC-B21"}  # all others: refused
 
 # Variable, the values with which work may go on, the alarm otherwise, the next act; causes first.
 HEALTH: dict[str, tuple[tuple[str | bool, ...], str, str]] = {
@@ -35,8 +40,9 @@ HEALTH: dict[str, tuple[tuple[str | bool, ...], str, str]] = {
 
 def refused_motion(error: int) -> DeviceError:
     """Return the error for HC_ERR of a motion."""
+    code = CODES.get(error, "HC-B20")
     return DeviceError(
-        "HC-B21" if error == STOPPED else "HC-B20",
+        code,
         DEVICE,
         "move",
         f"HC_ERR {error}: {ERRORS.get(error, 'unknown')}",
@@ -60,3 +66,13 @@ def unwell(
         act=act,
         fields={"variable": name},
     )
+
+
+def joints_text(joints_deg: Array) -> str:
+    """Return joints (6,) in words."""
+    return ", ".join(f"{n} {v:.3f}" for n, v in zip(AXES, joints_deg, strict=True)) + " deg"
+
+
+def frame_text(values: tuple[float, ...] | list[float]) -> str:
+    """Return a frame's six values in words."""
+    return ", ".join(f"{n} {v:.3f}" for n, v in zip(FRAME, values, strict=True))

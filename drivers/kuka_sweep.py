@@ -16,13 +16,13 @@ import numpy as np
 
 from drivers import krl
 from drivers.c3 import C3Connection
-from drivers.kuka_health import STOPPED
+from drivers.kuka_health import AXES, STOPPED
+from drivers.kuka_life import LOST
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience
 from hilcell.ports import Array, Clock, DeviceError, JointSample, RobotReading, Stopped
 
 DEVICE = "Robot"
-AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 MEASURED, ACTUAL = "$AXIS_ACT_MEAS", "$AXIS_ACT"
 PERCENT = 100
 STALL_S = 5.0
@@ -246,7 +246,7 @@ def await_rest(line: C3Connection) -> None:
         over = patience.over()
         now_deg = _axes_deg(line.read(ACTUAL), ACTUAL)
         stands = bool(np.all(np.abs(now_deg - before_deg) <= STILL_DEG))
-        if stands and _whole(line, "HC_ERR") == STOPPED:
+        if stands and _whole(line, "HC_ERR") in (STOPPED, LOST):
             return
         before_deg = now_deg
         pause.wait(DWELL_S)

@@ -10,6 +10,7 @@ the last digit.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from itertools import cycle
 from typing import Annotated
 
@@ -20,7 +21,8 @@ from msgspec import Meta
 from drivers import krl
 from drivers.c3 import C3Connection
 from drivers.keep_alive import KeepAlive
-from drivers.kuka_health import HEALTH, refused_motion, unwell
+from drivers.kuka_health import AXES, FRAME, HEALTH, frame_text, joints_text, refused_motion, unwell
+from drivers.kuka_life import LIVING_VERSION, LifeSign, program_text
 from drivers.kuka_sweep import KukaSweep, give_back_left_behind
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience, Supervision
@@ -52,9 +54,6 @@ STILL_DEG = 0.0005
 STILL_MM = 0.01
 PROGRESS_DEG = 0.01
 FRAME_TOLERANCE = 0.001  # mm and deg
-
-AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
-FRAME = ("X", "Y", "Z", "A", "B", "C")
 
 # Each poll of a motion looks at HC_ACK and at the next of these, so that all are seen within eight
 # polls: with 4 to 12 ms an exchange, each of them once in 0.30 to 0.45 s.
@@ -92,7 +91,7 @@ class KukaC3Robot:
         self._stop_line: C3Connection | None = None
         self._keeper: KeepAlive | None = None
         self._round = cycle(ROUND)
-        self._watch = Supervision(DEVICE, "HC-B27")
+        self._watch, self._life = Supervision(DEVICE, "HC-B27"), LifeSign()
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._override, self._version = 100, PROGRAM_VERSION
         self._written: dict[str, str] = {}
@@ -121,7 +120,7 @@ class KukaC3Robot:
             self._close_wires()
             raise
         self._keeper = KeepAlive((self._line, self._stop_line), "$MODE_OP")
-        return [identity]
+        return [replace(identity, firmware=program_text(self._version))]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move all axes (PTP); return the reading at rest, after motion ended."""
@@ -238,7 +237,7 @@ class KukaC3Robot:
         tool, base = self._options.tool, self._options.base
         install = "install drivers/krl/hilcell.src again"
         code, low, high, act = {
-            "HC_VER": ("HC-B17", PROGRAM_VERSION, SWEEPING_VERSION, install),
+            "HC_VER": ("HC-B17", PROGRAM_VERSION, LIVING_VERSION, install),
             "$OV_PRO": ("HC-B16", 1, 100, "raise the programme override"),
             "$ACT_TOOL": ("HC-B07", tool, tool, "restart the program hilcell"),
             "$ACT_BASE": ("HC-B07", base, base, "restart the program hilcell"),
@@ -253,8 +252,8 @@ class KukaC3Robot:
         if not all(abs(f - w) <= FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
             raise _refused(
                 "HC-B06",
-                f"{name} is {_frame_text(found)}",
-                wanted=_frame_text(wanted),
+                f"{name} is {frame_text(found)}",
+                wanted=frame_text(wanted),
                 act="correct the frame on the controller, or robot.smr_mm in the cell file",
                 variable=name,
                 found_frame=found,
@@ -265,8 +264,7 @@ class KukaC3Robot:
         """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
         if self._version >= SWEEPING_VERSION:
             give_back_left_behind(self.wire())
-        if self._value("HC_STOP") is not False:
-            self.wire().write("HC_STOP", "FALSE")
+        self._release()
         patience = Patience(CATCH_UP_S, POLL_LOOK_S)
         self._sequence = self.integer("HC_SEQ")
         over = False
@@ -282,8 +280,13 @@ class KukaC3Robot:
                 )
             over = patience.over()
             self._clock.wait(POLL_S)
+            self._release()  # a motion that a dead engine left behind brakes by itself
         self._rest_deg = self._axes_deg()
         self._under_way = self._stopped = False
+
+    def _release(self) -> None:
+        if self._value("HC_STOP") is not False:
+            self.wire().write("HC_STOP", "FALSE")
 
     # -- moving -------------------------------------------------------------------------------
 
@@ -296,6 +299,7 @@ class KukaC3Robot:
         self.wire().write("HC_TGT", krl.structure("E6AXIS", axes))
         self._write_once("HC_VEL", str(speed_percent))
         self._write_once("HC_CMD", str(PTP_JOINTS))
+        self._life.begin(self._write_once, self._version)
         self._under_way, self._ended_s = True, None
         self._watch.begin()
         self.wire().write("HC_SEQ", str(number))
@@ -323,9 +327,11 @@ class KukaC3Robot:
         now_deg, wanted = self._axes_deg(), f"HC_ACK {number}"
         if limits.stalled(now_deg):
             self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
+            if error := self.integer("HC_ERR"):
+                raise refused_motion(error)
             raise _failed(
                 "HC-B23",
-                f"no axis moved for {STALL_S:.0f} s at {_joints_text(now_deg)}, "
+                f"no axis moved for {STALL_S:.0f} s at {joints_text(now_deg)}, "
                 f"HC_ACK {self.integer('HC_ACK')}",
                 wanted=wanted,
                 act="see the panel; is the program hilcell running? resume",
@@ -336,7 +342,7 @@ class KukaC3Robot:
             raise _failed(
                 "HC-B29",
                 f"still under way after {limits.spent_s:.0f} s at full override, at "
-                f"{_joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}",
+                f"{joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}",
                 wanted=f"{wanted} within {limits.limit_s:.0f} s",
                 act="the arm creeps; see the panel and robot.joint.speed_deg_s, resume",
                 spent_s=limits.spent_s,
@@ -364,8 +370,8 @@ class KukaC3Robot:
             over = patience.over()
         raise _failed(
             "HC-B24",
-            f"stands or creeps at {_joints_text(axes_deg)}",
-            wanted=f"{_joints_text(target_deg)} +-{AXIS_TOLERANCE_DEG} deg, at rest",
+            f"stands or creeps at {joints_text(axes_deg)}",
+            wanted=f"{joints_text(target_deg)} +-{AXIS_TOLERANCE_DEG} deg, at rest",
             act="the robot stopped short of its target; see the panel, resume",
             axes_deg=axes_deg,
             target_deg=target_deg,
@@ -391,7 +397,11 @@ class KukaC3Robot:
         return self._rest_deg
 
     def acknowledged(self, number: int) -> bool:
-        """Whether a motion has ended; raises `DeviceError` where the program refused it."""
+        """Whether a motion has ended; raises `DeviceError` where the program refused it.
+
+        Each look is a sign of life to the program.
+        """
+        self._life.give(self.wire())
         if self.integer("HC_ACK") != number:
             return False
         if (error := self.integer("HC_ERR")) != 0:
@@ -486,11 +496,3 @@ def _unreadable(name: str, error: krl.KrlError) -> DeviceError:
         act="check the server's version, resume",
         fields={"variable": name},
     )
-
-
-def _joints_text(joints_deg: Array) -> str:
-    return ", ".join(f"{n} {v:.3f}" for n, v in zip(AXES, joints_deg, strict=True)) + " deg"
-
-
-def _frame_text(values: tuple[float, ...] | list[float]) -> str:
-    return ", ".join(f"{n} {v:.3f}" for n, v in zip(FRAME, values, strict=True))

@@ -2,7 +2,8 @@
 
 Nobody may read more here than a controller knows: joints and poses are its own nominal ones.
 The program waits for ``HC_SEQ <> HC_ACK``, moves, then sets HC_ERR and HC_ACK. HC_STOP brakes and
-keeps the program in its interrupt until it is FALSE again.
+keeps the program in its interrupt until it is FALSE again. So does the timer that runs while a
+motion is under way, unless it is set back before it reaches zero.
 """
 
 from __future__ import annotations
@@ -26,12 +27,14 @@ from fakes.krl import (
     parse_integer,
     parse_rounded,
 )
+from fakes.life_timer import LifeTimer
 from fakes.robot_motion import RobotMotion, RobotState
 from fakes.transforms import Array
 from hilcell.cell.file import Cell
 
 MOVE_PTP = 1
-OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, STOPPED = 0, 1, 2, 9
+OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, LOST, STOPPED = 0, 1, 2, 8, 9
+LIFE_MS = 1500
 AXES = tuple(f"A{n}" for n in range(1, 7))
 EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 FRAME = ("X", "Y", "Z", "A", "B", "C")
@@ -59,6 +62,8 @@ class KrlController:
         self._tool = dict(zip(FRAME, (*cell.robot.smr_mm, 0.0, 0.0, 0.0), strict=True))
         self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
         self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0, "HC_OV_OLD": 0, "HC_OV_SET": 0}
+        self._integers["HC_LIFE"] = LIFE_MS
+        self._timer = LifeTimer(self._timer_ran_out)
         self._acknowledged = self._error = 0
         self._running: int | None = None
         self._in_stop = False
@@ -77,6 +82,7 @@ class KrlController:
             self._mode, self._program = "#EX", "#P_ACTIVE"
             self._emergency, self._message = False, False
             self._in_stop, self._running = False, None
+            self._timer.stop()
             self._keeps_acknowledge = self._frozen = False
             self._acknowledged, self._error = self._integers["HC_SEQ"], OK
             self._set_override(100)
@@ -100,6 +106,8 @@ class KrlController:
                 self._target_deg |= parse_aggregate(text, "E6AXIS")
             elif name in self._integers:
                 self._integers[name] = parse_integer(text)
+            elif name == "$TIMER[10]":
+                self._timer.set_ms(parse_integer(text))
             elif name == "HC_STOP":
                 self._stop(parse_boolean(text))
             elif name == "$OV_PRO":
@@ -136,7 +144,7 @@ class KrlController:
     def _program_readers(self) -> dict[str, Callable[[], str]]:
         integers = {name: partial(self._integer, name) for name in self._integers}
         return integers | {
-            "HC_VER": lambda: "2",
+            "HC_VER": lambda: "3",
             "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg, EXTERNAL),
             "HC_ACK": self._read_acknowledge,
             "HC_ERR": lambda: str(self._error),
@@ -221,21 +229,34 @@ class KrlController:
         if not self._frozen:
             speed = min(max(self._integers["HC_VEL"], 1), 100) / 100.0
             self._motion.move(np.radians(target_deg), speed)
+        self._timer.start(-self._integers["HC_LIFE"])
         return OK
 
     def _acknowledge(self) -> None:
         if self._running is not None and not self._keeps_acknowledge:
             self._acknowledged, self._running = self._running, None
+            self._timer.stop()
 
     def _stop(self, wanted: bool) -> None:
         if wanted and not self._in_stop:
-            self._in_stop = True
-            self._error = STOPPED
-            self._motion.brake()
+            self._brake(STOPPED)
         elif not wanted and self._in_stop:
             self._in_stop = self._keeps_acknowledge = self._frozen = False
             self._running = None
             self._acknowledged = self._integers["HC_SEQ"]
+
+    def _brake(self, why: int) -> None:
+        """Enter the program's interrupt."""
+        self._timer.stop()
+        self._in_stop, self._error = True, why
+        self._motion.brake()
+
+    def _timer_ran_out(self) -> None:
+        """Brake a motion of which the PC has not spoken in time; called by the timer's thread."""
+        with self._lock:
+            self._run_program()  # a motion that has ended meanwhile needs no sign any more
+            if self._timer.ran_out and self._running is not None and not self._in_stop:
+                self._brake(LOST)
 
     def _set_override(self, percent: int) -> None:
         if not 0 <= percent <= 100:

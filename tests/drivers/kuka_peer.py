@@ -24,7 +24,7 @@ VARIABLES = {
     "$ACT_BASE": "0",
     "$TOOL": "{FRAME: X 98.0, Y 0.0, Z 127.0, A 0.0, B 0.0, C 0.0}",
     "$BASE": "{FRAME: X 0.0, Y 0.0, Z 0.0, A 0.0, B 0.0, C 0.0}",
-    "HC_VER": "2",
+    "HC_VER": "3",
     "HC_TGT": "{E6AXIS: A1 0.0, A2 0.0, A3 0.0, A4 0.0, A5 0.0, A6 0.0}",
     "HC_VEL": "10",
     "HC_CMD": "0",
@@ -34,6 +34,7 @@ VARIABLES = {
     "HC_STOP": "FALSE",
     "HC_OV_OLD": "0",
     "HC_OV_SET": "0",
+    "HC_LIFE": "1500",
 }
 Mangle = Callable[[str, bytes], list[bytes]]
 

@@ -78,7 +78,8 @@ def test_a_sweep_lowers_the_override_and_gives_it_back(peer: KukaPeer, robot: Ku
     assert samples[-1].joints_rad[0] > samples[0].joints_rad[0]
     assert np.all(samples[0].joints_rad[1:] == np.radians([-90.0, 90.0, 0.0, 0.0, 0.0]))
     assert all(sample.before_s <= sample.after_s for sample in samples)
-    order = ["HC_OV_SET", "HC_OV_OLD", "$OV_PRO", "HC_TGT", "HC_VEL", "HC_CMD", "HC_SEQ"]
+    order = ["HC_OV_SET", "HC_OV_OLD", "$OV_PRO", "HC_TGT", "HC_VEL", "HC_CMD"]
+    order += ["HC_LIFE", "HC_SEQ"]
     assert writes(peer) == [*order, "$OV_PRO", "HC_OV_OLD"]
     assert robot.read().joints_rad[0] == pytest.approx(END_RAD)
 
