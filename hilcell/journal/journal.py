@@ -1,7 +1,9 @@
 """The journal: one SQLite file a run, append-only, hash-chained, one commit a record.
 
 A record that `Journal.append` has returned is durable: it survives kill -9 and power loss (WAL with
-synchronous=FULL). Nothing may be shown, counted or acted upon before that return.
+synchronous=FULL). Nothing may be shown, counted or acted upon before that return. Others can still
+damage the files while they are written: that is looked for before each record, and what was written
+is read back every `READ_BACK` records and before the end.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import sqlite3
 import stat
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -20,9 +23,12 @@ from typing import Any, Literal
 import msgspec
 
 from hilcell.errors import HilcellError
+from hilcell.journal.open_file import OpenFile
 
 SCHEMA = 1
+READ_BACK = 500  # records between two checks that the file holds what was acknowledged
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other errors hide a file
+SMALLEST_PAGE = 512  # bytes
 NULL = b"null"  # JSON of None, and of every number that is not finite
 Kind = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 
@@ -42,11 +48,35 @@ CREATE TRIGGER record_is_never_deleted BEFORE DELETE ON record
 BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
 """
 
+# As bytes: a text that is damaged is noticed where it is decoded.
+_ROWS = """
+SELECT seq, CAST(t AS BLOB), CAST(kind AS BLOB), CAST(key AS BLOB), CAST(body AS BLOB), hash
+FROM record WHERE seq > ? ORDER BY seq
+"""
+_BEYOND = (  # errors that are not of the file's content
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_PERM,
+    sqlite3.SQLITE_READONLY,
+)
+
 
 class StorageError(HilcellError):
-    """The journal cannot be written or read."""
+    """The journal cannot be written or read. ``record`` is the number of the first bad one."""
 
     code = "HC-J04"
+
+    def __init__(self, text: str = "", *, code: str = "", record: int | None = None) -> None:
+        super().__init__(text, code=code)
+        self.record = record
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the journal keeps of the error, plain enough for JSON."""
+        fields = {} if self.record is None else {"fields": {"record": self.record}}
+        return super().facts() | fields
 
 
 class NotFinite(HilcellError):
@@ -98,11 +128,16 @@ class Journal:
                 self._base.execute("COMMIT")
         except sqlite3.Error as error:
             raise StorageError(f"journal {path}: cannot be opened: {error}") from error
-        self._place = _place(path)
+        self._files = OpenFile(path), OpenFile(path.with_name(f"{path.name}-wal"))
+        self._unsound: StorageError | None = None
         self._seq, self._hash = 0, b""
-        for record, stored in _stored(self._base, path):
-            self._seq, self._hash = record.seq, stored
-            self._take(record)
+        try:
+            for record, stored in _stored(self._base, path):
+                self._seq, self._hash = record.seq, stored
+                self._take(record)
+        except sqlite3.Error as error:
+            raise StorageError(f"journal {path}: cannot be read: {error}") from error
+        self._read_back_to = self._seq
 
     def listen(self, listener: Callable[[Record], None]) -> None:
         """Call ``listener`` with every record appended from now on, once it is durable."""
@@ -126,7 +161,7 @@ class Journal:
             record = Record(self._seq + 1, moment, kind, key, plain)
             digest = chain(self._hash, record)
             row = (record.seq, record.t, kind, key, text.decode(), digest)
-            self._check_place()
+            self._check_files()
             try:
                 self._base.execute("INSERT INTO record VALUES (?, ?, ?, ?, ?, ?)", row)
             except sqlite3.Error as error:
@@ -135,37 +170,72 @@ class Journal:
                     f"make room or mend the disk, then `hilcell resume {self.run}`",
                     code="HC-J01",
                 ) from error
+            for file in self._files:
+                file.note()
             self._seq, self._hash = record.seq, digest
+            if self._seq >= self._read_back_to + READ_BACK:
+                self._read_back(self._read_back_to)
             self._take(record)
         return record
+
+    def read_back(self) -> None:
+        """Read the whole file as another process would; raises `StorageError`, then and ever after.
+
+        The file must hold every record that was acknowledged.
+        """
+        with self._lock:
+            self._check_files()
+            self._read_back(0)
+
+    def _read_back(self, after: int) -> None:
+        """Read what was written after a record, once it is in the main file."""
+        seq, last = after, b""
+        try:
+            self._base.execute("PRAGMA wal_checkpoint(PASSIVE)")
+            with closing(_reader(self.path)) as base:  # a new one: it has cached nothing
+                for record, stored in _stored(base, self.path, after):
+                    seq, last = record.seq, stored
+        except sqlite3.Error as error:
+            self._refuse(f"it cannot be read back: {error}", seq + 1)
+        except StorageError as error:
+            self._refuse(str(error).removeprefix(f"journal {self.path}: "), seq + 1)
+        if (seq, last) != (self._seq, self._hash) and self._seq > after:
+            self._refuse(f"it ends with record {seq}", seq + 1)
+        self._read_back_to = self._seq
+
+    def _refuse(self, found: str, record: int) -> None:
+        """Acknowledge nothing more."""
+        self._unsound = StorageError(
+            f"journal {self.path}: it does not hold the {self._seq} records that were written: "
+            f"{found}; somebody or the disk has damaged the file while run {self.run} wrote it; "
+            "check the disk, then fetch the run's folder from the backup or start a new run",
+            code="HC-J13",
+            record=record,
+        )
+        raise self._unsound
 
     def _take(self, record: Record) -> None:
         """Hand a durable record on: one that the file held before, or one just appended."""
         for listener in self._listeners:
             listener(record)
 
-    def _check_place(self) -> None:
-        """Refuse to write into a file that nobody will find again."""
-        if _place(self.path) != self._place:
-            raise StorageError(
-                f"journal {self.path}: the file was taken away or replaced while run {self.run} "
-                f"wrote it; put it back, then `hilcell resume {self.run}`",
-                code="HC-J10",
-            )
+    def _check_files(self) -> None:
+        """Refuse to write into files that nobody will find again, or that have lost records."""
+        if self._unsound is not None:
+            raise self._unsound
+        for file in self._files:
+            if lost := file.lost():
+                raise StorageError(
+                    f"journal {self.path}: {file.path.name} was {lost} while run {self.run} wrote "
+                    f"it; put it back, then `hilcell resume {self.run}` measures what is missing",
+                    code="HC-J10",
+                    record=self._seq + 1,
+                )
 
     def close(self) -> None:
         """Close the file."""
         with self._lock:
             self._base.close()
-
-
-def _place(path: Path) -> tuple[int, int] | None:
-    """Return which file is at a path, or None where none is."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
 
 
 def _plain(value: Any) -> Any:
@@ -203,11 +273,8 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
     try:
         if not is_there(path):
             raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
-        base = _reader(path)
-        try:
+        with closing(_reader(path)) as base:
             return [record for record, _ in _stored(base, path, after)]
-        finally:
-            base.close()
     except sqlite3.Error as error:
         raise StorageError(f"journal {path}: cannot be read: {error}") from error
     except OSError as error:
@@ -233,8 +300,14 @@ def _reader(path: Path) -> sqlite3.Connection:
 
 
 def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tuple[Record, bytes]]:
-    """Yield records with their hashes, verified against the chain from ``after`` on."""
+    """Yield records with their hashes, verified against the chain from ``after`` on.
+
+    Raises `StorageError`, and `sqlite3.Error` where the file cannot be read.
+    """
+    wanted = after + 1
     try:
+        if not after:
+            _check_pages(base, path)
         if not base.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
             return  # killed while it was made: nothing was recorded
         found = dict(base.execute("SELECT name, value FROM meta")).get("schema")
@@ -246,19 +319,39 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
             )
         first = base.execute("SELECT hash FROM record WHERE seq = ?", (after,)).fetchone()
         before = first[0] if first else b""
-        rows = base.execute("SELECT * FROM record WHERE seq > ? ORDER BY seq", (after,))
-        for wanted, (seq, t, kind, key, body, stored) in enumerate(rows, start=after + 1):
-            record = Record(seq, t, kind, key, msgspec.json.decode(body))
+        for row in base.execute(_ROWS, (after,)):
+            record, stored = _record(row)
             before = chain(before, record)
-            if seq != wanted or before != stored:
-                raise StorageError(
-                    f"journal {path}: record {seq} is not the one that was written; "
-                    "the file was changed or damaged, and its results cannot be trusted",
-                    code="HC-J02",
-                )
+            if record.seq != wanted or before != stored:
+                raise ValueError("it is not the one that was written")
             yield record, stored
-    except (sqlite3.DatabaseError, msgspec.DecodeError) as error:
+            wanted += 1
+    except (sqlite3.Error, ValueError, TypeError) as error:
+        code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
+        if code in _BEYOND:
+            raise
+        other = "not a journal, or " if code == sqlite3.SQLITE_NOTADB else ""
         raise StorageError(
-            f"journal {path}: damaged or not a journal: {error}",
+            f"journal {path}: {other}damaged at record {wanted}: {error}; the file was changed or "
+            "damaged, and its results cannot be trusted",
             code="HC-J02",
+            record=wanted,
         ) from error
+
+
+def _record(row: tuple[Any, ...]) -> tuple[Record, bytes]:
+    """Return a row as it was written; raises `ValueError` where it cannot have been."""
+    seq, t, kind, key, body, stored = row
+    texts = {"t": t, "kind": kind, "key": key}
+    found = {"seq": seq, "body": msgspec.json.decode(body)}
+    found |= {name: bytes.decode(text) for name, text in texts.items()}
+    return msgspec.convert(found, Record), stored
+
+
+def _check_pages(base: sqlite3.Connection, path: Path) -> None:
+    """Raise `ValueError` where SQLite finds its own pages damaged: they may hide records."""
+    if 0 < path.stat().st_size < SMALLEST_PAGE:
+        raise ValueError("the file is cut short")  # SQLite takes it for a new one
+    (found,) = base.execute("PRAGMA integrity_check(1)").fetchone()
+    if found != "ok":
+        raise ValueError(str(found))

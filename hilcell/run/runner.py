@@ -328,6 +328,7 @@ class Runner:
             self._worker.ended_within(WORKER_S)
         self._note("closed", self._close_devices())
         self._journal.append("event", "", {"what": "link"} | self._link())
+        self._journal.read_back()  # a result is computed only from what is kept
         if error is None:
             try:
                 return self._finish()

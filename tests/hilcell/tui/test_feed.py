@@ -268,7 +268,10 @@ def test_a_damaged_journal_is_reported(tmp_path: Path) -> None:
     (tmp_path / "journal.sqlite").write_bytes(b"no journal at all, but long enough to be one")
     screen = Screen(tmp_path)
     screen.feed.start()
-    assert "damaged or not a journal" in screen.until(lambda fresh: bool(fresh.trouble)).trouble
+    assert (
+        "not a journal, or damaged at record 1"
+        in screen.until(lambda fresh: bool(fresh.trouble)).trouble
+    )
     screen.close()
 
 
