@@ -350,8 +350,8 @@ def _record(row: tuple[Any, ...]) -> tuple[Record, bytes]:
 
 def _check_pages(base: sqlite3.Connection, path: Path) -> None:
     """Raise `ValueError` where SQLite finds its own pages damaged: they may hide records."""
-    if 0 < path.stat().st_size < SMALLEST_PAGE:
-        raise ValueError("the file is cut short")  # SQLite takes it for a new one
     (found,) = base.execute("PRAGMA integrity_check(1)").fetchone()
     if found != "ok":
         raise ValueError(str(found))
+    if 0 < path.stat().st_size < SMALLEST_PAGE:
+        raise ValueError("the file is cut short")  # SQLite takes it for a new one
