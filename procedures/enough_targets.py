@@ -21,11 +21,13 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.sequential import Decision, Outcome, SequentialRule
 from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
+from hilcell.run.cell_session import CellSession
 
 OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
     [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1)]
 )
 BLOCK = len(OCTANTS)
+DECIDED = "station decided"  # the event
 LEAST_MM = 1e-6  # a limit that no error keeps, where U leaves nothing of the tolerance
 
 
@@ -78,7 +80,23 @@ def decision_at(log: Log, station: str) -> Decision:
     chosen = validation(log, [station]).get("chosen")
     if chosen is None:
         return rule_of(log.cell).decide([])
-    return rule_of(log.cell, guard_of(log, len(chosen))).decide(chosen.norms_mm)
+    return rule_of(log.cell, guard_at(log, station)).decide(chosen.norms_mm)
+
+
+def guard_at(log: Log, station: str) -> Guard:
+    """Return the U by which a station was decided: that of then, not of what is measured later."""
+    for record in reversed(log.events):
+        if record.body["what"] == DECIDED and record.body["station"] == station:
+            return Guard(record.body["mean_U_mm"], record.body["max_U_mm"])
+    return guard_of(log, len(validation(log, [station])["chosen"]))
+
+
+def keep_guard(session: CellSession, station: str) -> None:
+    """Journal the U by which a station was decided, once."""
+    known = (each.body for each in session.log.events if each.body["what"] == DECIDED)
+    if station not in [body["station"] for body in known]:
+        guard = guard_at(session.log, station)
+        session.event(DECIDED, station=station, mean_U_mm=guard.mean_mm, max_U_mm=guard.max_mm)
 
 
 def rounds(log: Log, station: str, how: str) -> Iterator[range]:
@@ -99,7 +117,9 @@ def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
     outcome = gravest([each.outcome for each in decisions])
     counts = [each.targets for each in decisions]
     errors_mm = validation(log, stations)["chosen"].norms_mm
-    within = limits_within(limits_of(log.cell), guard_of(log, len(errors_mm)))
+    guards = [guard_at(log, station) for station in stations]
+    widest = Guard(max(each.mean_mm for each in guards), max(each.max_mm for each in guards))
+    within = limits_within(limits_of(log.cell), widest)
     text = meaning(log.cell, outcome, float(errors_mm.max()), within)
     return {
         "outcome": outcome,

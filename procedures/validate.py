@@ -80,6 +80,8 @@ class Validate:
             for how in ways(session.cell):
                 for numbers in rounds(session.log, name, how, len(poses)):
                     self._send(session, station, how, numbers, poses, models.get(how))
+                if session.cell.plan.quick and how == "chosen":
+                    enough_targets.keep_guard(session, name)
                 if how in closed(session.cell):
                     session.close_step(carried=True)
         self._judge(session)

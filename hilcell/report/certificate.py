@@ -55,7 +55,8 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
              + (", thermometer" if measured_air else "")),
         Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts)),
         Item("7.8.6.2", "Conformity, decision rule", _conformity(facts)),
-        Item("7.8.2.1 l", "Validity", "the results relate only to the item calibrated, in the "
+        Item("7.8.2.1 l", "Validity",
+             _revoked(facts) + "the results relate only to the item calibrated, in the "
              + ("volume, orientation and temperatures stated here" if measured_air else
                 "volume and orientation stated here; no temperature was measured")),
     ]  # fmt: skip
@@ -89,7 +90,7 @@ def _measured_with(facts: Facts) -> str:
 
 
 def _dates(facts: Facts) -> str:
-    first, last = facts.records[0].t[:10], facts.records[-1].t[:10]
+    first, last = facts.records[0].t[:10], facts.last.t[:10]
     return first if first == last else f"{first} to {last}"
 
 
@@ -113,6 +114,10 @@ def _conditions(facts: Facts) -> str:
     if not celsius:
         return "air not measured: the tracker has no weather station"
     return f"air {min(celsius):.2f} to {max(celsius):.2f} °C at the tracker; see the table of air"
+
+
+def _revoked(facts: Facts) -> str:
+    return f"REVOKED: {facts.revoked}; " if facts.revoked else ""
 
 
 def _conformity(facts: Facts) -> str:

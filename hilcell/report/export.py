@@ -187,7 +187,7 @@ def run_table(facts: Facts) -> list[Row]:
         ["job", inputs.job],
         ["state", facts.log.state],
         ["began_utc", facts.records[0].t],
-        ["ended_utc", facts.records[-1].t],
+        ["ended_utc", facts.last.t],
     ]
     rows += [[f"version.{name}", version] for name, version in inputs.versions.items()]
     rows += [[f"device.{asset.device}", asset.text] for asset in facts.log.assets]

@@ -14,6 +14,7 @@ from typing import Any
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.clean import encodable
+from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.journal import Record, chain, read_journal
 from hilcell.journal.log import Log, PlanRecord
 from hilcell.journal.runs import JOURNAL
@@ -44,9 +45,25 @@ class Facts:
         return self.log.state == "finished"
 
     @property
+    def revoked(self) -> str:
+        """Return why the run's calibration was revoked, "" where it was not."""
+        found = [record.body["reason"] for record in self.records if _revokes(record)]
+        return str(found[-1]) if found else ""
+
+    @property
+    def last(self) -> Record:
+        """Return the last record of the run itself."""
+        return next(record for record in reversed(self.records) if not _revokes(record))
+
+    @property
     def table(self) -> Table | None:
         """Return the procedure's own table of its result."""
         return self.procedure.table(self.result) if self.result else None
+
+
+def _revokes(record: Record) -> bool:
+    """Whether a record was added after the run, to revoke its calibration."""
+    return record.kind == "event" and record.body["what"] == REVOKED
 
 
 def read_facts(folder: Path) -> Facts:

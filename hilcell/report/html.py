@@ -90,6 +90,8 @@ def validation_of(facts: Facts) -> bool:
 def standing(facts: Facts) -> tuple[str, str]:
     """Return how the run stands: a kind for the style sheet, and words."""
     end, state = facts.log.end, facts.log.state
+    if facts.revoked:
+        return "bad", f"its calibration is revoked: {facts.revoked}"
     if facts.finished and end is not None:
         if end["exit"] == 0:
             return "good", "in tolerance" if facts.log.verdicts else "finished"
@@ -101,7 +103,7 @@ def standing(facts: Facts) -> tuple[str, str]:
 
 def measured(facts: Facts) -> str:
     """Return from when to when the run went, to the second, UTC."""
-    first, last = facts.records[0].t, facts.records[-1].t
+    first, last = facts.records[0].t, facts.last.t
     begin, end = first[:19].replace("T", " "), last[:19].replace("T", " ")
     return f"{begin} to {end[11:] if end[:10] == begin[:10] else end}"
 

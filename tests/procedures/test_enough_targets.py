@@ -9,12 +9,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision import Limits
+from hilcell.calibration.decision import Guard, Limits
+from hilcell.calibration.errors import Errors
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.sequential import Decision, Outcome
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
+from hilcell.run.cell_session import CellSession
 from procedures import enough_targets
 from procedures.calibrate import CALIBRATE, validation_table
 from procedures.paper import PaperRows
@@ -61,6 +63,32 @@ def test_targets_are_sent_until_the_station_is_decided(
         sent += numbers
     assert sent == list(range(decided))
     assert list(enough_targets.rounds(log, "S300", "before")) == [range(8)]
+
+
+def test_a_station_stays_decided_by_the_uncertainty_of_then(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """U grew after S300 was decided: seed 22 of `hard` was accepted, and undecided in the end."""
+    events: list[Any] = []
+    found = Errors(np.zeros((40, 3)), np.tile([0.045, 0.0, 0.0], (40, 1)))
+    log = cast("Log", SimpleNamespace(cell=QUICK, events=events))
+    session = cast(
+        "CellSession",
+        SimpleNamespace(
+            log=log,
+            event=lambda what, **facts: events.append(SimpleNamespace(body={"what": what} | facts)),
+        ),
+    )
+    monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
+    now = Guard(0.03, 0.03)
+    monkeypatch.setattr(enough_targets, "guard_of", lambda log, count: now)
+    assert enough_targets.decision_at(log, "S300").outcome == "accepted"
+    enough_targets.keep_guard(session, "S300")
+    now = Guard(0.065, 0.065)
+    assert enough_targets.decision_at(log, "S300").outcome == "accepted"
+    assert enough_targets.decision_at(log, "S1900").outcome == "undecided"
+    enough_targets.keep_guard(session, "S300")
+    assert len(events) == 1
 
 
 def test_a_plan_that_can_never_accept_is_refused() -> None:
