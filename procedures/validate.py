@@ -20,6 +20,7 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
+from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
@@ -124,7 +125,7 @@ class Validate:
                 words=shown.get("text", ""),
             )
             facts = msgspec.to_builtins(found)
-            session.verdict(f"validation.{where}", holds=facts.pop("holds"), **facts)
+            session.verdict(f"{VALIDATION}{where}", holds=facts.pop("holds"), **facts)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors at the grid's station and at the others together, and their bounds."""

@@ -38,6 +38,7 @@ def plan(args: argparse.Namespace) -> int:
 def _calibrated(args: argparse.Namespace, cell: Cell) -> Volume | None:
     """Return where the calibration that is named corrects; refused as `compensate` refuses it."""
     if not args.calibration:
+        print_message("not asked where a calibration corrects: --calibration RUN does")
         return None
     if args.free:
         raise SettingsError("--free", ["stations that are not calibrated; leave out one of both"])

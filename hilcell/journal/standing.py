@@ -75,17 +75,20 @@ def _of_cell(rows: list[RunRow]) -> dict[str, Standing]:
 
 
 def _revoked(rows: list[RunRow]) -> dict[str, Standing]:
-    """Return the revoked ones: by somebody, by a re-check, and those made of them."""
+    """Return the revoked ones: by somebody, by a re-check, and those made of them afterwards.
+
+    Made before a re-check that judged an older one, an update stands: it knows what has changed.
+    """
     found: dict[str, Standing] = {}
     for row in rows:
-        if row.facts.redo and row.finished and not row.facts.revoked:
-            found[row.facts.used] = Standing("revoked", row.name, "its re-check says redo")
-    for row in rows:
-        if row.facts.revoked:
-            found[row.name] = Standing("revoked", "", row.facts.revoked)
-        elif row.calibrates and row.facts.used in found:
-            why = found[row.facts.used].text
-            found[row.name] = Standing("revoked", row.facts.used, f"it is based on one {why}")
+        facts = row.facts
+        if facts.revoked:
+            found[row.name] = Standing("revoked", "", facts.revoked)
+        elif row.calibrates and facts.used in found:
+            why = f"it is based on one {found[facts.used].text}"
+            found[row.name] = Standing("revoked", facts.used, why)
+        if facts.redo and row.finished and not facts.revoked:
+            found.setdefault(facts.used, Standing("revoked", row.name, "its re-check says redo"))
     return found
 
 

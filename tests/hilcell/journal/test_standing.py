@@ -76,6 +76,16 @@ def test_what_is_based_on_a_revoked_one_is_revoked() -> None:
     assert "it is based on one revoked: wrong reflector" in found["02"].text
 
 
+def test_a_redo_of_an_older_one_leaves_its_update() -> None:
+    update = row("02", kind="base", used="01", code=1)
+    redo = row("03", redo=True, used="01", code=1)
+    late = row("04", kind="targets", used="01", code=1)
+    found = states(made("01"), update, redo, late)
+    assert found["01"].startswith("revoked by 03")
+    assert found["02"] == "current"
+    assert found["04"].startswith("revoked by 01: it is based on one revoked by 03")
+
+
 def test_one_that_was_revoked_supersedes_nothing() -> None:
     found = standings([made("01"), made("02", revoked="nest was loose")])
     assert found["01"] == Standing("current", current="01")
