@@ -177,6 +177,11 @@ def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _json_option(explain, "one object")
     show = _command(commands, "show", "commands.past:show", "show a run, computed from its journal")
     _run_argument(show)
+    show.add_argument(
+        "--check",
+        action="store_true",
+        help="judge the run's invariants from its journal; exit 1 where one is broken",
+    )
     _json_option(show, "one object")
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from hilcell.cell.devices import load_entry
 from hilcell.clean import encodable, harmless
+from hilcell.commands.invariants import check
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.journal.index import RunRow, read_index, row_of
 from hilcell.journal.runs import find_run, read_log
@@ -82,6 +83,8 @@ def _facts(standing: Standing) -> dict[str, Any]:
 def show(args: argparse.Namespace) -> int:
     """Show a run; its result is recomputed from the journal."""
     folder = find_run(args.runs, args.run)
+    if args.check:
+        return check(folder, as_json=args.json)
     log = read_log(folder)
     inputs = log.inputs
     procedure: Procedure = load_entry("procedures", inputs.procedure)

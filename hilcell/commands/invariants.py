@@ -1,0 +1,59 @@
+"""``show --check``: the invariants of a run, judged from its journal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hilcell.clean import encodable, harmless
+from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.invariants.judging import judge
+from hilcell.invariants.tally import INVARIANTS, Break, Verdict
+from hilcell.journal.journal import read_journal
+from hilcell.journal.runs import JOURNAL
+
+FIRST = 3  # violations of one invariant that are printed
+
+
+def check(folder: Path, *, as_json: bool) -> int:
+    """Print each invariant, whether it holds and how often it was judged; 1 where one is broken."""
+    verdicts = judge(read_journal(folder / JOURNAL))
+    if as_json:
+        found = {name: _facts(verdict) for name, verdict in verdicts.items()}
+        print_json({"run": encodable(folder.name), "invariants": found})
+    else:
+        _print(verdicts)
+    return 0 if all(verdict.holds for verdict in verdicts.values()) else 1
+
+
+def _facts(verdict: Verdict) -> dict[str, object]:
+    return {
+        "holds": verdict.holds,
+        "checked": verdict.checked,
+        "broken": [_place(each) for each in verdict.broken],
+        "unproven": [_place(each) for each in verdict.unproven],
+    }
+
+
+def _place(found: Break) -> dict[str, object]:
+    return {"record": found.seq, "what": encodable(found.what)}
+
+
+def _print(verdicts: dict[str, Verdict]) -> None:
+    rows = [
+        [name, INVARIANTS[name], _word(verdict), str(verdict.checked)]
+        for name, verdict in verdicts.items()
+    ]
+    print_table((["", "invariant", "holds", "checked"], rows))
+    for name, verdict in verdicts.items():
+        for word, found in (("broken", verdict.broken), ("not proven", verdict.unproven)):
+            for each in found[:FIRST]:
+                print_message(f"{name} {word} at record {each.seq}: {harmless(each.what)}")
+            if len(found) > FIRST:
+                print_message(f"{name} {word} at {len(found) - FIRST} more records")
+
+
+def _word(verdict: Verdict) -> str:
+    """Return the verdict in words; an invariant that was never judged is not claimed."""
+    if not verdict.holds:
+        return "BROKEN"
+    return "yes" if verdict.checked else "not checked"

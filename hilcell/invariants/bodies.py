@@ -1,0 +1,146 @@
+"""The bodies of records as the rules read them: typed, with None where a journal lacks a fact."""
+
+from __future__ import annotations
+
+import msgspec
+
+from hilcell.journal.log import Readings
+
+Three = tuple[float, float, float]
+
+
+class Life(msgspec.Struct, frozen=True):
+    """A change of state; ``by`` says what made a waiting run go on."""
+
+    machine: str
+    before: str = msgspec.field(name="from")
+    to: str
+    reason: str = ""
+    by: str | None = None
+
+
+class Seen(msgspec.Struct, frozen=True, kw_only=True):
+    """The reading that admits a motion: of the robot for the slide's, of the rail for the robot's.
+
+    Times in s of the PC's monotonic clock; ``age_s`` is that when the motion was journalled.
+    """
+
+    taken_s: float
+    age_s: float
+    still: bool
+    ended_s: float | None = None
+    powered: bool | None = None
+    strip_mm: float | None = None
+    joints_deg: tuple[float, ...] = ()
+
+
+class Motion(msgspec.Struct, frozen=True, kw_only=True):
+    """A motion that is about to begin."""
+
+    action: str
+    session: int | None = None
+    seen: Seen | None = None
+
+
+class Measured(msgspec.Struct, frozen=True, kw_only=True):
+    """A point, raw."""
+
+    group: str
+    station: str = ""
+    session: int | None = None
+    set_up: int = 0
+    retaken: bool = False
+    xyz_mm: Three | None = None
+    std_mm: Three | None = None
+    samples: int = 1
+    strip_mm: float | None = None
+    smr_mm: Three | None = None
+    commanded_deg: tuple[float, ...] | None = None
+    readings: Readings | None = None
+
+
+class Framed(msgspec.Struct, frozen=True):
+    """A frame; ``points`` are the keys of those it was computed from, where the journal says it."""
+
+    points: list[str] | None = None
+
+
+class Ended(msgspec.Struct, frozen=True):
+    """The end of a session."""
+
+    state: str
+    exit: int
+    reason: str = ""
+    result: dict[str, object] = {}
+
+
+class Station(msgspec.Struct, frozen=True):
+    """A station and what the strip reads there."""
+
+    name: str
+    strip_mm: float
+
+
+class Rail(msgspec.Struct, frozen=True):
+    """The slide's tolerance."""
+
+    strip_tolerance_mm: float = 0.01
+
+
+class Robot(msgspec.Struct, frozen=True):
+    """The safe pose."""
+
+    safe_deg: tuple[float, ...] = ()
+
+
+class Settle(msgspec.Struct, frozen=True):
+    """Rest before a measurement, and the greatest age of a reading."""
+
+    robot_s: float = 1.0
+    rail_s: float = 2.0
+    reading_age_s: float = 0.5
+
+
+class Layout(msgspec.Struct, frozen=True):
+    """Whether reflectors are mounted."""
+
+    reflectors: str = "mounted"
+
+
+class Uncertainty(msgspec.Struct, frozen=True):
+    """The stated drift of the tracker's frame."""
+
+    drift_limit_mm: float = 0.02
+
+
+class Simulation(msgspec.Struct, frozen=True):
+    """A simulated cell."""
+
+    address: str = ""
+
+
+class CellFacts(msgspec.Struct, frozen=True):
+    """The cell as it was frozen, as far as the rules need it."""
+
+    station: list[Station] = []
+    rail: Rail = Rail()
+    robot: Robot = Robot()
+    settle: Settle = Settle()
+    layout: Layout = Layout()
+    uncertainty: Uncertainty = Uncertainty()
+    simulation: Simulation | None = None
+
+
+class Inputs(msgspec.Struct, frozen=True):
+    """The frozen inputs."""
+
+    cell: CellFacts
+    speed: float | None = None
+    versions: dict[str, str] = {}
+
+    @property
+    def time_factor(self) -> float:
+        """Return by how much the PC's time is shorter than the cell's; infinite where unknown."""
+        if self.cell.simulation is None:
+            return 1.0
+        return float("inf") if self.speed is None else self.speed

@@ -1,0 +1,152 @@
+"""The run as the records so far state it; the rules look at it before a record is added to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+from hilcell.invariants.bodies import CellFacts, Inputs, Life, Measured, Motion, Station
+from hilcell.journal.journal import Record
+from hilcell.journal.set_ups import INTERRUPTED, PROOFS, PROVEN, TRACKER_MOVED
+from hilcell.journal.states import OVER, WAITING
+
+HELD = ("station held", "station found held")
+AGAIN = ("retake asked", "outlier measured again")  # events that allow a point a second time
+
+
+@dataclass(slots=True)
+class Scene:
+    """``points`` are those that count, ``unproven`` those since the tracker's last proof."""
+
+    inputs: Inputs = field(default_factory=lambda: Inputs(CellFacts()))
+    state: str = "idle"
+    session: int = 0
+    held: str = ""  # the station at which the slide was reported held in this session
+    last: Motion | None = None  # motion of this session, and what it was for
+    last_key: str = ""
+    rail_moved: bool = False  # in this session
+    robot_moved: bool = False
+    points: dict[str, Measured] = field(default_factory=dict)
+    dropped: dict[str, Measured] = field(default_factory=dict)
+    again: set[str] = field(default_factory=set)
+    set_up: int = 0
+    framed: set[int] = field(default_factory=set)  # set-ups with a {W}
+    control: dict[str, Measured] = field(default_factory=dict)  # by nest, since the last proof
+    unproven: set[str] = field(default_factory=set)
+    verified: bool = False  # the tracker was proven, or {W} framed, in this session
+    interrupted: bool = False  # nobody may have seen the tracker since its last proof
+
+    @property
+    def cell(self) -> CellFacts:
+        """Return the cell as it was frozen."""
+        return self.inputs.cell
+
+    @property
+    def ended(self) -> bool:
+        """Whether no session is under way."""
+        return self.state in ("idle", *OVER)
+
+    @property
+    def waits(self) -> bool:
+        """Whether the run waits for the operator."""
+        return self.state in WAITING
+
+    def station(self, name: str) -> Station | None:
+        """Return a station of the cell."""
+        return next((each for each in self.cell.station if each.name == name), None)
+
+    def take(self, record: Record) -> None:
+        """Add a record."""
+        body = record.body
+        match record.kind:
+            case "plan":
+                self.inputs = msgspec.convert(body, Inputs)
+            case "state" if body.get("machine") == "run":
+                self._take_state(msgspec.convert(body, Life))
+            case "intent":
+                self._take_motion(record.key, msgspec.convert(body, Motion))
+            case "point":
+                self._take_point(record.key, msgspec.convert(body, Measured))
+            case "frame" if is_world(record.key):
+                self.framed.add(set_up_of(record.key))
+                self._prove()
+            case "event":
+                self._take_event(body)
+
+    def _take_state(self, life: Life) -> None:
+        self.state = life.to
+        self.interrupted |= life.to in INTERRUPTED
+        if life.to == "checking":
+            self.session, self.verified = self.session + 1, False
+            self.held, self.last, self.last_key = "", None, ""
+            self.rail_moved = self.robot_moved = False
+
+    def _take_motion(self, key: str, motion: Motion) -> None:
+        self.last, self.last_key = motion, key
+        if of_rail(motion):
+            self.held, self.rail_moved = "", True
+        else:
+            self.robot_moved = True
+
+    def _take_point(self, key: str, point: Measured) -> None:
+        self.points[key] = point
+        self.again.discard(key)
+        if is_control(key):
+            self.control[nest_of(key)] = point
+        elif not is_proof(key):
+            self.unproven.add(key)
+
+    def _take_event(self, body: dict[str, Any]) -> None:
+        what = body.get("what")
+        if what in HELD:
+            self.held = body["station"]
+        elif what in AGAIN:
+            self.again.add(body["key"])
+        elif what == "stream":
+            self.unproven.add(body["key"])
+        elif what == PROVEN:
+            self._prove()
+        elif what == TRACKER_MOVED:
+            self.set_up = body["set_up"]
+            for key in body["invalid"]:
+                self.unproven.discard(key)
+                if key in self.points:
+                    self.dropped[key] = self.points.pop(key)
+
+    def _prove(self) -> None:
+        self.unproven.clear()
+        self.control.clear()
+        self.interrupted, self.verified = False, True
+
+
+def of_rail(motion: Motion) -> bool:
+    """Whether it is the slide that moves."""
+    return motion.action.startswith("rail.")
+
+
+def is_world(frame: str) -> bool:
+    """Whether a frame is the {W} of one of the tracker's set-ups."""
+    return frame.partition(".")[0] == "world"
+
+
+def set_up_of(frame: str) -> int:
+    """Return the set-up of a {W}."""
+    number = frame.partition(".")[2]
+    return int(number) if number.isdecimal() else 0
+
+
+def is_control(key: str) -> bool:
+    """Whether a point proves the tracker."""
+    return key.startswith("control/")
+
+
+def is_proof(key: str) -> bool:
+    """Whether a point frames {W} or proves the tracker."""
+    return key.startswith(tuple(f"{kind}/" for kind in PROOFS))
+
+
+def nest_of(key: str) -> str:
+    """Return the nest of a point of {W} or of a proof."""
+    return key.rpartition("/")[2]

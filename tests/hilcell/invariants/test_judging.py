@@ -1,0 +1,175 @@
+"""The checker: a journal that is well holds all invariants, each doctored one breaks its own."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from hilcell.invariants.judging import judge
+from hilcell.journal.journal import StorageError
+from tests.hilcell.invariants.doctored import Doctored, event, flange, rail, robot, state
+
+NAN = math.nan
+LATE = {"taken_s": 17.0, "age_s": 0.1, "ended_s": 18.0}
+OTHER = [{"device": "Robot", "kind": "robot", "model": "KR", "serial": "9"}]
+
+
+def broken(journal: Doctored) -> dict[str, list[str]]:
+    verdicts = judge(journal.records())
+    return {name: [b.what for b in each.broken] for name, each in verdicts.items() if each.broken}
+
+
+def test_a_good_journal_holds_every_invariant_and_judges_each() -> None:
+    verdicts = judge(Doctored().records())
+    assert list(verdicts) == [f"I{n}" for n in range(1, 19)]
+    assert broken(Doctored()) == {}
+    assert all(each.checked for each in verdicts.values())
+
+
+def readings(**facts: object) -> dict[str, object]:
+    return {f"readings__{name}": value for name, value in facts.items()}
+
+
+CASES: list[tuple[str, Doctored]] = [
+    ("I1", Doctored().after("point 1", rail("not parked", 1))),
+    ("I1", Doctored().change("approach", seen__still=False)),
+    ("I1", Doctored().change("approach", seen__joints_deg=[0.0, -99.8, 110.0, 0.0, -30.0, 0.0])),
+    ("I1", Doctored().change("approach", seen__joints_deg=[NAN, -100.0, 110.0, 0.0, -30.0, 0.0])),
+    ("I1", Doctored().change("approach", seen__joints_deg=[])),
+    ("I1", Doctored().change("approach", seen__ended_s=5.1)),
+    ("I2", Doctored().change("move 1", seen__still=False)),
+    ("I2", Doctored().change("move 1", seen__powered=True)),
+    ("I2", Doctored().change("move 1", seen__powered=None)),
+    ("I2", Doctored().change("move 1", seen__strip_mm=10.03)),
+    ("I2", Doctored().change("move 1", seen__strip_mm=NAN)),
+    ("I2", Doctored().change("move 1", seen__ended_s=9.1)),
+    ("I2", Doctored().change("point 1", strip_mm=10.03)),
+    ("I2", Doctored().change("point 1", strip_mm=NAN)),
+    ("I2", Doctored().without("held")),
+    ("I3", Doctored().move("point 3", "finish")),
+    ("I3", Doctored().move("point 1", "paused")),
+    ("I3", Doctored().change("point 1", readings__rail__ended_s=18.1)),
+    ("I3", Doctored().change("point 1", readings__rail__ended_s=None)),
+    ("I3", Doctored().change("point 1", readings__robot__ended_s=19.1)),
+    ("I4", Doctored().change("point 1", readings__robot__ended_s=20.1)),
+    ("I4", Doctored().without("move 1")),
+    ("I4", Doctored().change("point 1", reflector=None)),
+    ("I4", Doctored().change("point 1", temperature_c=None)),
+    ("I4", Doctored().change("point 1", smr_mm=None)),
+    ("I4", Doctored().change("point 1", frame=None)),
+    ("I5", Doctored().move("park", "fault")),
+    ("I5", Doctored().move("park", "paused")),
+    ("I5", Doctored().move("move 3", "finish")),
+    ("I6", Doctored().change("fault", reason="Robot: link lost")),
+    ("I6", Doctored().change("end 1", reason="Robot: link lost")),
+    ("I6", Doctored().change("fault", reason="")),
+    ("I7", Doctored().without("closed")),
+    ("I7", Doctored().after("closed", event("twice", "closed", problems={}))),
+    ("I7", Doctored().change("closed", took_s=15.1)),
+    ("I7", Doctored().change("closed", took_s=NAN)),
+    ("I8", Doctored().after("point 1", flange("twice", "grid/1", 1))),
+    ("I8", Doctored().change("end 2", result={"points": {"world": 6, "grid": 2, "control": 18}})),
+    ("I9", Doctored().after("point 3", robot("again", "grid/1", 2))),
+    ("I9", Doctored().without("found")),
+    ("I9", Doctored().without("proven again")),
+    ("I9", Doctored().without("run")),
+    ("I10", Doctored().change("base", points=["grid/7"])),
+    ("I10", Doctored().after("moved", ("of it", "frame", "six", {"points": ["grid/2"]}))),
+    ("I10", Doctored().change("end 2", result={"points": {"world": 6, "grid": 4, "control": 18}})),
+    ("I10", Doctored().change("moved", invalid=[])),
+    ("I11", Doctored().change("move 3", session=1)),
+    ("I11", Doctored().change("point 3", session=1)),
+    ("I12", Doctored().without("closed")),
+    ("I13", Doctored().change("proceed", by="")),
+    ("I13", Doctored().change("proceed", by="screen lost")),
+    ("I14", Doctored().change("move 1", seen__age_s=0.51)),
+    ("I14", Doctored().change("approach", seen__age_s=NAN)),
+    ("I14", Doctored().change("point 1", readings__rail__taken_s=19.9)),
+    ("I14", Doctored().change("point 1", readings__tracker__age_s=-1.0)),
+    ("I15", Doctored().change("world.1 F1", set_up=0)),
+    ("I15", Doctored().change("world.1 F1", xyz_mm=[5.0, 0.0, 4.0])),
+    ("I15", Doctored().change("world.1 F2", xyz_mm=[1505.2, 0.0, 0.0])),
+    ("I15", Doctored().change("control F3", xyz_mm=[0.0, 1500.0, 0.2])),
+    ("I15", Doctored().change("control F3", xyz_mm=[0.0, 1500.0, NAN])),
+    ("I15", Doctored().without("control F3")),
+    ("I16", Doctored().without("proven 1")),
+    ("I16", Doctored().without("proven 2")),
+    ("I16", Doctored().without("proven after pause")),
+    ("I16", Doctored().without("proven again")),
+    ("I17", Doctored().change("verdict", holds=False)),
+    ("I18", Doctored().change("connected again", devices=OTHER)),
+    ("I18", Doctored().change("connected again", hilcell="0.2.0")),
+]
+
+
+@pytest.mark.parametrize(("invariant", "journal"), CASES)
+def test_every_break_is_found(invariant: str, journal: Doctored) -> None:
+    assert broken(journal).get(invariant)
+
+
+def test_each_invariant_is_broken_once() -> None:
+    assert {name for name, _ in CASES} == {f"I{n}" for n in range(1, 19)}
+
+
+def test_a_gap_is_found() -> None:
+    records = Doctored().records()
+    del records[9]
+    assert judge(records)["I8"].broken
+
+
+@pytest.mark.parametrize(
+    "journal",
+    [
+        Doctored().after("found", event("agreed", "changes accepted")).move("agreed", "resume")
+        .change("connected again", devices=OTHER),
+        Doctored().change("connected", hilcell=None).change("connected again", hilcell="0.2.0"),
+        Doctored().after("point 3", event("odd", "outlier measured again", key="grid/3"),
+                         robot("odd move", "grid/3", 2),
+                         flange("odd point", "grid/3", 2, 1)).change("odd point", retaken=True),
+    ],
+    ids=["accepted", "version not kept", "retake"],
+)  # fmt: skip
+def test_what_was_agreed_to_breaks_nothing(journal: Doctored) -> None:
+    assert broken(journal) == {}
+
+
+def test_a_device_that_cannot_tell_is_not_proven() -> None:
+    journal = Doctored().change("closed", problems={"Rail": "no answer within 10 s"})
+    verdict = judge(journal.records())["I12"]
+    assert verdict.holds
+    assert [each.what for each in verdict.unproven] == ["Rail: no answer within 10 s"]
+    assert verdict.checked == 1  # the robot
+
+
+def test_a_lost_fact_is_not_judged() -> None:
+    """Journals of earlier versions lack facts: nothing is claimed, nothing breaks."""
+    journal = Doctored()
+    for name in ("approach", "move 1", "move 2", "move 2 again", "park", "move 3"):
+        journal.change(name, seen=None, session=None)
+    journal.change("proceed", by=None).change("closed", took_s=None)
+    assert broken(journal) == {}
+    assert judge(journal.records())["I13"].checked == 0
+
+
+def test_a_reflector_that_is_carried_proves_less_often() -> None:
+    journal = Doctored().without("proven 1").change("plan", cell__layout__reflectors="by_hand")
+    assert judge(journal.records())["I16"].checked == 0
+    assert broken(journal) == {}
+
+
+def test_settling_is_judged_in_the_time_of_the_cell() -> None:
+    journal = Doctored().change("point 1", readings__robot__ended_s=19.5)
+    assert "I3" in broken(journal)
+    fast = journal.change("plan", cell__simulation={}, speed=2.0)
+    assert broken(fast) == {}
+
+
+def test_a_damaged_record_is_named() -> None:
+    journal = Doctored().change("held", station=None)
+    with pytest.raises(StorageError, match="record 11"):
+        judge(journal.records())
+
+
+def test_a_state_out_of_turn_is_found() -> None:
+    assert "I9" in broken(Doctored().after("run", state("twice", "checking", "running")))
