@@ -34,7 +34,7 @@ class Scene:
     set_up: int = 0
     framed: set[int] = field(default_factory=set)  # set-ups with a {W}
     control: dict[str, Measured] = field(default_factory=dict)  # by nest, since the last proof
-    unproven: set[str] = field(default_factory=set)
+    unproven: dict[str, int] = field(default_factory=dict)  # the session that added each
     verified: bool = False  # the tracker was proven, or {W} framed, in this session
     interrupted: bool = False  # nobody may have seen the tracker since its last proof
 
@@ -96,7 +96,7 @@ class Scene:
         if is_control(key):
             self.control[nest_of(key)] = point
         elif not is_proof(key):
-            self.unproven.add(key)
+            self.unproven[key] = self.session
 
     def _take_event(self, body: dict[str, Any]) -> None:
         what = body.get("what")
@@ -105,13 +105,13 @@ class Scene:
         elif what in AGAIN:
             self.again.add(body["key"])
         elif what == "stream":
-            self.unproven.add(body["key"])
+            self.unproven[body["key"]] = self.session
         elif what == PROVEN:
             self._prove()
         elif what == TRACKER_MOVED:
             self.set_up = body["set_up"]
             for key in body["invalid"]:
-                self.unproven.discard(key)
+                self.unproven.pop(key, None)
                 if key in self.points:
                     self.dropped[key] = self.points.pop(key)
 

@@ -33,7 +33,7 @@ class TrackerSetUps:
                 self._frame(record, msgspec.convert(record.body, Framed))
             case "state" if record.body.get("machine") == "run":
                 if msgspec.convert(record.body, Life).to == "finished":
-                    self._closed(record, "the run's end")
+                    self._closed(record, "the run's end", list(self._scene.unproven))
             case "event":
                 self._event(record)
 
@@ -41,13 +41,14 @@ class TrackerSetUps:
         body, scene = record.body, self._scene
         match body.get("what"):
             case "step":
-                self._closed(record, f"step {body['name']}")
+                here = [key for key, session in scene.unproven.items() if session == scene.session]
+                self._closed(record, f"step {body['name']}", here)
             case "stream":
                 self._followed(record, body["key"])
             case found if found == PROVEN:
                 self._proof(record)
             case found if found == TRACKER_MOVED:
-                kept = sorted(scene.unproven - set(body["invalid"]))
+                kept = sorted(scene.unproven.keys() - set(body["invalid"]))
                 what = f"kept {', '.join(kept)} of a tracker that had moved"
                 self._check("I10", record, not kept, what)
 
@@ -65,13 +66,14 @@ class TrackerSetUps:
             what = f"{key} added before the tracker was proven after a pause"
             self._check("I16", record, not scene.interrupted, what)
 
-    def _closed(self, record: Record, before: str) -> None:
-        """Judge the end of what was measured before a step, or before the end."""
-        scene = self._scene
-        if self._mounted and scene.framed:
-            some = ", ".join(sorted(scene.unproven)[:3])
-            what = f"{len(scene.unproven)} points unproven before {before}: {some}"
-            self._check("I16", record, not scene.unproven, what)
+    def _closed(self, record: Record, before: str, unproven: list[str]) -> None:
+        """Judge the end of what was measured before a step, or before the end.
+
+        A step that an earlier session has begun goes on, and is proven first.
+        """
+        if self._mounted and self._scene.framed:
+            what = f"{len(unproven)} points unproven before {before}: {', '.join(unproven[:3])}"
+            self._check("I16", record, not unproven, what)
 
     @property
     def _mounted(self) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 from hilcell.invariants.judging import judge as verdicts_of
 from hilcell.journal.journal import Record
 
-HEAD = ("run", "seq", "t", "kind", "key")  # of an event; the rest is the record's body
+HEAD = ("run", "seq", "t", "kind")  # of an event; the rest is the record's body, and its key
 
 
 def judge(events: Iterable[dict[str, Any]]) -> list[str]:
@@ -24,4 +24,5 @@ def judge(events: Iterable[dict[str, Any]]) -> list[str]:
 def record_of(event: dict[str, Any]) -> Record:
     """Return the record that an event was printed from."""
     body = {name: value for name, value in event.items() if name not in HEAD}
-    return Record(event["seq"], event.get("t", ""), event["kind"], event.get("key", ""), body)
+    key = "" if event["kind"] == "event" else body.pop("key", "")  # an event's is in its body
+    return Record(event["seq"], event["t"], event["kind"], key, body)
