@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import Coverage, coverages
-from hilcell.calibration.decision import guard_of, judged, limits_of
+from hilcell.calibration.decision import check_limits, guard_of, judged, limits_of
 from hilcell.calibration.errors import validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.frames import grid_of, measured_of
@@ -49,7 +49,8 @@ class Validate:
     yields = "mean, p95 and maximum of the position error per station"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Refuse targets out of reach."""
+        """Refuse targets out of reach, and limits that nothing could keep."""
+        check_limits(cell)
         here, points, spans = cell.station_named(cell.grid.station), 0, []
         for name, poses in target_poses(cell, seed).items():
             station = cell.station_named(name)

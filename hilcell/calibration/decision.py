@@ -12,15 +12,17 @@ largest of many; in their mean the noise of readings averages.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
 
+from hilcell.calibration.contribution import expanded_mm
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.cell.file import Cell
 from hilcell.geometry.sequential import Outcome
-from hilcell.geometry.statistics import figures_of, lengths_mm
+from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
 
@@ -77,6 +79,25 @@ class Judged(msgspec.Struct, frozen=True):
 def limits_of(cell: Cell) -> Limits:
     """Return the limits that a cell states."""
     return Limits(cell.validation.mean_tolerance_mm, cell.validation.max_tolerance_mm)
+
+
+def check_limits(cell: Cell) -> None:
+    """Raise `HilcellError` where the stated uncertainties alone leave nothing of a limit.
+
+    Hours of measurement could then accept nothing.
+    """
+    stated = cell.uncertainty
+    limits_mm = (stated.tracker_limit_mm, stated.smr_centring_limit_mm)
+    least_mm = expanded_mm(math.sqrt(sum(map(rectangular_variance, limits_mm))))
+    for name, limit_mm in (("mean", cell.validation.mean_tolerance_mm),
+                           ("max", cell.validation.max_tolerance_mm)):  # fmt: skip
+        if not limit_mm > least_mm:
+            raise HilcellError(
+                f"validation.{name}_tolerance_mm {limit_mm:g}: nothing could be accepted, the "
+                f"tracker and the reflector's centring alone have U = {least_mm:.3f} mm (k = 2); "
+                "wanted more",
+                code="HC-C10",
+            )
 
 
 def guard_of(log: Log, count: int) -> Guard:

@@ -9,15 +9,18 @@ from hilcell.calibration.decision import (
     Guard,
     Judged,
     Limits,
+    check_limits,
     guard_of,
     judged,
     judged_again,
     limits_within,
 )
 from hilcell.calibration.measurement_budget import NOISE, budget_of
+from hilcell.cell.file import load_cell
 from hilcell.geometry.sequential import Outcome
 from hilcell.journal.point_id import PointId
 from hilcell.ports import HilcellError
+from procedures.validate import Validate
 from tests.hilcell.report.journals import Writer
 
 LIMITS, GUARD = Limits(0.15, 0.4), Guard(0.05, 0.1)
@@ -63,6 +66,15 @@ def test_a_verdict_is_judged_again_by_other_limits() -> None:
 
 def test_what_is_left_of_a_tolerance() -> None:
     assert limits_within(LIMITS, GUARD) == pytest.approx((0.1, 0.3))
+
+
+@pytest.mark.parametrize("name", ["mean", "max"])
+def test_a_limit_that_nothing_could_keep_is_refused_before_anything_moves(name: str) -> None:
+    """U of 0.015 and 0.0127 mm, rectangular, is 0.0227 mm."""
+    check_limits(load_cell("paper", {f"validation.{name}_tolerance_mm": "0.023"}))
+    cell = load_cell("paper", {f"validation.{name}_tolerance_mm": "0.0226"})
+    with pytest.raises(HilcellError, match=rf"validation\.{name}_tolerance_mm .* U = 0\.023 mm"):
+        Validate().plan(cell, 1)
 
 
 def test_the_noise_of_readings_averages_and_nothing_else(tmp_path: Path) -> None:
