@@ -14,13 +14,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hilcell.clean import clean
-from hilcell.ports import HilcellError
+from hilcell.errors import HilcellError
 
 
 class NotWritten(HilcellError):
     """A file that cannot, or must not, be written."""
 
     code = "HC-J07"
+
+
+class NotPrinted(HilcellError):
+    """Data that stdout does not take: a full disk, or a pipe that nobody reads any more."""
+
+    code = "HC-J14"
 
 
 def write_whole(path: Path, content: bytes, *, inputs: Iterable[Path] = ()) -> None:

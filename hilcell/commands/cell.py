@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import signal
-import sys
 import threading
 from typing import Any
-
-import msgspec
 
 from hilcell.cell.copied import check_copied
 from hilcell.cell.devices import abilities, check_options, load_entry, start_simulation
 from hilcell.cell.file import load_cell
-from hilcell.commands.output import print_answer, print_message
+from hilcell.commands.output import (
+    flush_data,
+    print_answer,
+    print_data,
+    print_json,
+    print_message,
+)
 from hilcell.commands.run import machine_seed
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
@@ -77,8 +80,8 @@ def sim(args: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     try:
-        print(msgspec.json.encode(simulated.options | {"control": simulated.address}).decode())
-        sys.stdout.flush()
+        print_json(simulated.options | {"control": simulated.address})
+        flush_data()
         print_message(
             "simulated cell is up; in another terminal:\n"
             f"  hilcell run --cell {args.cell} --set simulation.address={simulated.address}\n"
@@ -93,5 +96,5 @@ def sim(args: argparse.Namespace) -> int:
 def diagram(args: argparse.Namespace) -> int:
     """Print the state machines as Mermaid diagrams."""
     for table in (RUN, CALIBRATION):
-        print(f"%% {table.name}\n{mermaid(table)}\n")
+        print_data(f"%% {table.name}\n{mermaid(table)}\n")
     return 0

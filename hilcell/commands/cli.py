@@ -10,12 +10,21 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from hilcell import __version__
 from hilcell.clean import clean
 from hilcell.commands import arguments
-from hilcell.commands.output import print_error, print_message
+from hilcell.commands.output import (
+    flush_data,
+    print_error,
+    print_json,
+    print_message,
+    stdout_checked,
+)
+from hilcell.writing import NotPrinted
 
 EPILOG = """\
 exit codes: 0 in tolerance; 1 measured, out of tolerance; 2 refused before anything moved;
@@ -24,8 +33,21 @@ another run; 7 storage fault. After 3, 4 and 7, `hilcell resume RUN` continues.
 hilcell is not a safety function: keep the E-stop in reach."""
 
 
+class _Parser(argparse.ArgumentParser):
+    """Argparse takes no notice of a stdout that fails."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print the help, or an error; raises `NotPrinted`."""
+        if file is not sys.stdout:
+            super()._print_message(message, file)
+            return
+        with stdout_checked():
+            sys.stdout.write(message)
+            sys.stdout.flush()
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser: argparse.ArgumentParser = _Parser(
         prog="hilcell",
         description="Calibrates a robot on a cheap rail with a laser tracker, unattended.",
         epilog=EPILOG,
@@ -421,21 +443,24 @@ def _machine_seed_option(command: argparse.ArgumentParser) -> None:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    args = _parser().parse_args(words)
+    try:
+        args = _parser().parse_args(words)
+    except NotPrinted as error:  # the help
+        return _refuse(error, as_json=False)
     # Many small matrices: a second thread of the linear algebra makes them up to 30 times slower.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     module, _, function = args.act.partition(":")
     try:
         act = getattr(importlib.import_module(f"hilcell.{module}"), function)
-        return int(act(args))
+        code = int(act(args))
+        flush_data()
     except KeyboardInterrupt:
         print_message("hilcell: interrupted")
         return 4
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 0
     except Exception as error:  # noqa: BLE001 - the last place where an error can be reported
         return _refuse(error, as_json=getattr(args, "json", False) and args.command == "run")
+    else:
+        return code
 
 
 def _refuse(error: Exception, *, as_json: bool) -> int:
@@ -444,8 +469,8 @@ def _refuse(error: Exception, *, as_json: bool) -> int:
     code = exit_code(error)
     print_error(error)
     if as_json:
-        import json
-
         end: dict[str, object] = {"kind": "end", "run": None, "state": "idle", "exit": code}
-        print(json.dumps(end | {"result": {}, "reason": str(error)}))
+        with suppress(NotPrinted):  # the first error is the one to report
+            print_json(end | {"result": {}, "reason": str(error)})
+            flush_data()
     return code

@@ -6,7 +6,7 @@ import argparse
 from difflib import get_close_matches
 
 from hilcell.alarms.catalogue import Entry, catalogue
-from hilcell.commands.output import print_json
+from hilcell.commands.output import print_data, print_json
 from hilcell.errors import HilcellError
 
 NEAREST = 3
@@ -20,7 +20,7 @@ def explain(args: argparse.Namespace) -> int:
         print_json(facts)
     else:
         steps = (f"  {number}. {step}" for number, step in enumerate(entry.do, start=1))
-        print(f"{entry.code} {entry.title}", entry.means, *steps, sep="\n")
+        print_data("\n".join([f"{entry.code} {entry.title}", entry.means, *steps]))
     return 0
 
 

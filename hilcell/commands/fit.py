@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.fit_targets import correct, job_of
-from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.output import print_data, print_json, print_message, print_table
 from hilcell.fit.fitted_arm import FittedArm
 from hilcell.fit.methods import FitResult, Fitted, fitted, methods_table
 from hilcell.fit.robot_file import Robot, read_measurements, read_robot
@@ -69,10 +69,10 @@ def _write_arm(
 
 def _print(result: FitResult) -> None:
     print_table(methods_table(result["methods"]))
-    print(
+    print_data(
         f"chosen: {result['chosen']}; {result['train']} rows learnt from, {result['test']} judged"
     )
-    print(result["reason"])
+    print_data(result["reason"])
     for reason in sorted(set(result["refused"].values())):
         print_message(f"no robot is identified: {reason}")
     for bad in result["outliers"][:NAMED]:
@@ -84,7 +84,7 @@ def _print(result: FitResult) -> None:
         print_message(f"and {len(result['outliers']) - NAMED} more")
     inside = result["coverage"].get(result["chosen"])
     if inside:
-        print(
+        print_data(
             f"{inside['share']:.1%} of them within 95 % bounds of {inside['bound_mm']:.3f} mm mean"
         )
 

@@ -52,8 +52,12 @@ def watch(args: argparse.Namespace) -> int:
     with output:
         output.take(first)
         for record in records:
+            if output.lost is not None:
+                raise output.lost
             log.take(record)
             output.take(record)
+    if output.lost is not None:
+        raise output.lost
     state = log.state
     ended = "" if log.end is not None else "; its engine is gone, `hilcell resume` continues it"
     print_message(f"{kind_of(log)} {folder.name}: {state}{ended}")

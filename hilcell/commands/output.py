@@ -7,13 +7,16 @@ would act on the terminal, so everything that is printed for people is cleaned.
 from __future__ import annotations
 
 import io
+import os
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from hilcell.clean import harmless
 from hilcell.errors import HilcellError
+from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
     from hilcell.run.procedure import Table
@@ -22,8 +25,13 @@ WIDEST = 500  # columns of a table
 
 
 def print_message(text: str) -> None:
-    """Print lines on stderr, without anything that a terminal obeys."""
-    print(harmless_lines(text), file=sys.stderr)
+    """Print lines on stderr, without anything that a terminal obeys.
+
+    A stderr that is full or closed changes nothing: the exit code still says how it ended.
+    """
+    if sys.stderr is not None:  # `print` would take stdout instead
+        with suppress(OSError, ValueError):
+            print(harmless_lines(text), file=sys.stderr)
 
 
 def print_error(error: Exception) -> None:
@@ -45,10 +53,44 @@ def print_answer(values: Mapping[str, object], words: str, *, as_json: bool) -> 
 
 
 def print_json(values: Mapping[str, object]) -> None:
-    """Print ``values`` as one JSON object on stdout."""
+    """Print ``values`` as one JSON object on stdout; raises `NotPrinted`."""
     import msgspec  # `--help` does without it
 
-    print(msgspec.json.encode(values).decode())
+    print_data(msgspec.json.encode(values).decode())
+
+
+def print_data(text: str) -> None:
+    """Print lines on stdout; raises `NotPrinted`, at the latest when they are flushed."""
+    with stdout_checked():
+        print(text)
+
+
+def flush_data() -> None:
+    """Hand on what was printed; raises `NotPrinted` where stdout does not take it."""
+    with stdout_checked():
+        sys.stdout.flush()
+
+
+@contextmanager
+def stdout_checked() -> Iterator[None]:
+    """Raise `NotPrinted` where stdout fails, and leave it so that its buffer fails no second time.
+
+    The interpreter flushes the buffer at its end, and would report that in its own words.
+    """
+    try:
+        if sys.stdout is None:
+            raise ValueError("it is closed")
+        yield
+    except (OSError, ValueError) as error:
+        with suppress(OSError, ValueError, AttributeError):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise NotPrinted(
+            f"stdout: cannot be written: {reason}; the output is not complete; make room, or give "
+            "it to a program that reads it to its end"
+        ) from error
 
 
 def harmless_lines(text: str) -> str:
@@ -57,7 +99,10 @@ def harmless_lines(text: str) -> str:
 
 
 def print_table(table: Table) -> None:
-    """Print a table on stdout, harmless, at its full width: names must stay whole to be copied."""
+    """Print a table on stdout, harmless, at its full width: names must stay whole to be copied.
+
+    Raises `NotPrinted`.
+    """
     from rich.console import Console
     from rich.measure import Measurement
     from rich.table import Table as RichTable
@@ -72,4 +117,5 @@ def print_table(table: Table) -> None:
     wide = Console(file=text, markup=False, highlight=False, width=WIDEST)
     wide.width = Measurement.get(wide, wide.options, drawn).maximum
     wide.print(drawn)
-    sys.stdout.write(text.getvalue())
+    with stdout_checked():
+        sys.stdout.write(text.getvalue())

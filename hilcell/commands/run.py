@@ -41,6 +41,7 @@ from hilcell.commands.run_output import (
     RunOutput,
     print_dry_run,
     print_end,
+    print_lost,
     print_unclosed,
 )
 from hilcell.journal.engine_file import live_engine
@@ -68,7 +69,7 @@ from hilcell.run.cell_lock import (
 )
 from hilcell.run.client import order
 from hilcell.run.control import Control
-from hilcell.run.exits import EXIT_ABORTED, EXIT_STORAGE, RESUMABLE, exit_code
+from hilcell.run.exits import DONE, EXIT_ABORTED, EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
@@ -256,10 +257,11 @@ def _perform(
         output.close(code, log, fault)
         print_end(folder, log, procedure, output, fault)
         print_unclosed(unclosed)
+        print_lost(folder, output)
     if code in RESUMABLE and not _wants_new_run(fault):
         runs = "" if folder.parent == Path("runs") else f" --runs {folder.parent}"
         print_message(f"resume with: hilcell resume {folder.name}{runs}")
-    return code
+    return EXIT_STORAGE if output.lost is not None and code in DONE else code
 
 
 def _wants_new_run(fault: Exception | None) -> bool:

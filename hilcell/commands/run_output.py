@@ -1,6 +1,7 @@
 """Prints a run as it goes: events as JSON lines, or a progress bar and a table.
 
-Output only listens: a closed pipe or a lost terminal never ends the run.
+Output only listens: a closed pipe or a lost terminal never ends the run. Data that stdout did not
+take are reported at its end.
 """
 
 from __future__ import annotations
@@ -17,12 +18,21 @@ from hilcell.alarms.catalogue import entry_of
 from hilcell.calibration.recheck import in_words
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
-from hilcell.commands.output import harmless_lines, print_error, print_message, print_table
+from hilcell.commands.output import (
+    flush_data,
+    harmless_lines,
+    print_error,
+    print_json,
+    print_message,
+    print_table,
+    stdout_checked,
+)
 from hilcell.errors import DeviceError, facts_of
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.journal.states import WAITING
 from hilcell.run.procedure import Plan, Procedure
+from hilcell.writing import NotPrinted
 
 AT_REST = {"Rail": "held", "Robot": "at rest"}  # how a run leaves what moves
 
@@ -33,6 +43,7 @@ class RunOutput:
     def __init__(self, *, as_json: bool) -> None:
         self.as_json = as_json
         self._closed = False
+        self.lost: NotPrinted | None = None  # why data are missing on stdout
 
     def __enter__(self) -> Self:
         """Start printing."""
@@ -52,7 +63,9 @@ class RunOutput:
         if not self._closed:
             try:
                 self.print_record(record)
-            except (OSError, ValueError):
+            except NotPrinted as error:
+                self.lost, self._closed = error, True
+            except (OSError, ValueError):  # of a progress bar
                 self._closed = True
 
     def print_record(self, record: Record) -> None:
@@ -81,12 +94,15 @@ class JsonOutput(RunOutput):
             }
             end |= {"result": {}, "reason": str(fault)}
             end |= {} if fault is None else {"error": facts_of(fault)}
-            with suppress(OSError, ValueError):
+            try:
                 self._write(end)
+            except NotPrinted as error:
+                self.lost = error
 
     def _write(self, event: dict[str, Any]) -> None:
-        sys.stdout.buffer.write(msgspec.json.encode(event) + b"\n")
-        sys.stdout.buffer.flush()
+        with stdout_checked():
+            sys.stdout.buffer.write(msgspec.json.encode(event) + b"\n")
+            sys.stdout.buffer.flush()
 
 
 class ProgressOutput(RunOutput):
@@ -171,7 +187,7 @@ def print_end(
             if entry_of(each.code).specific:
                 print_message(f"what to do: hilcell explain {each.code}")
     if log.end is not None and log.end["result"]:
-        _print_result(procedure, log.end["result"])
+        _print_result(procedure, output, log.end["result"])
     for key, verdict in log.verdicts.items():
         if not verdict["holds"]:
             print_message(f"out of tolerance: {key}: {_facts(verdict)}")
@@ -192,12 +208,23 @@ def print_unclosed(problems: Mapping[str, Exception]) -> None:
             )
 
 
-def _print_result(procedure: Procedure, result: dict[str, Any]) -> None:
-    with suppress(OSError):  # a closed pipe does not change the run
+def _print_result(procedure: Procedure, output: RunOutput, result: dict[str, Any]) -> None:
+    try:
         print_table(procedure.table(result))
-        sys.stdout.flush()
+        flush_data()
+    except NotPrinted as error:
+        output.lost = error
     if words := procedure.words(result):
         print_message(words)
+
+
+def print_lost(folder: Path, output: RunOutput) -> None:
+    """Print that stdout did not take the run's data, and that none of them are lost."""
+    if output.lost is not None:
+        print_error(output.lost)
+        print_message(
+            f"the journal in {folder} is whole: `hilcell watch {folder} --json` prints it"
+        )
 
 
 def kind_of(log: Log) -> str:
@@ -237,7 +264,7 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
         head = {"run": None, "seq": 1, "kind": "plan"}
         end = {"run": None, "seq": 2, "kind": "end", "state": "idle", "exit": 0, "result": body}
         for event in (head | body, end):
-            print(msgspec.json.encode(event).decode())
+            print_json(event)
         return
     rows = [[step.name, str(step.points), f"{step.duration_s / 60:.1f}"] for step in plan.steps]
     rows.append(["all", str(plan.points), f"{plan.duration_s / 60:.1f}"])
