@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,6 +115,8 @@ def _summary(
 
 def _make(folder: Path) -> None:
     """Make a folder, or take an empty one: files of another job in it would be taken for these."""
+    if os.path.lexists(folder) and not os.path.isdir(folder):  # noqa: PTH112 - as in `released`
+        raise NotWritten(f"{folder} is a file; name a folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):

@@ -43,11 +43,16 @@ class Stamp:
 
 
 def refuse_corrected(source: str, texts: Iterable[str]) -> None:
-    """Raise `CorrectedBefore` where one of the texts of a file is a stamp."""
+    """Raise `CorrectedBefore` where one of the texts of a file is a stamp, or names its column."""
+    stamp = ""
     for text in texts:
         if MARK.strip() in text:
-            found = clean(text[text.index(MARK.strip()) :])
-            raise CorrectedBefore(
-                f"{source} was corrected before ({found}); a second correction would move every "
-                "target by the error once more: give the nominal targets"
-            )
+            stamp = text[text.index(MARK.strip()) :]
+            break
+        if text.strip() == COLUMN:
+            stamp = f"it has a column {COLUMN}"
+    if stamp:
+        raise CorrectedBefore(
+            f"{source} was corrected before ({clean(stamp)}); a second correction would move "
+            "every target by the error once more: give the nominal targets"
+        )

@@ -1,6 +1,7 @@
 """From holes to files per station: a plan never contradicts `compensate`."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +131,10 @@ def test_files_of_another_job_do_not_stay_among_these(
     assert prepare(tmp_path, path) == 2
     assert "is not empty" in capsys.readouterr().err
     assert [each.name for each in (tmp_path / "out").iterdir()] == ["S300.csv"]
+    shutil.rmtree(tmp_path / "out")
+    (tmp_path / "out").write_text("a file")
+    assert prepare(tmp_path, path) == 2
+    assert "is a file; name a folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["prepare", "plan"])
