@@ -76,6 +76,7 @@ KNOWN = {
     "robot.bad_number": "a position's X or A1 is this text, e.g. NaN | a position read",
     "robot.ack_previous": "HC_ACK keeps the number of the last command | a motion",
     "robot.lost_zero": "axis 1 is off by this (deg), for good | a motion",
+    "robot.mount_slip": "the reflector slips along the flange's x (mm), for good | a motion",
     "tracker.vanish": "sockets close, nothing answers any more | a measurement",
     "tracker.wrong_identity": "GetSystemStatus reports another processor | an identity read",
     "tracker.beam_break_before": "beam breaks before the acknowledge | a measurement",

@@ -56,7 +56,7 @@ class Host:
         faults = load_faults(order.faults)
         time = PlantTime(math.inf if order.speed is None else order.speed)
         plant = _plant(cell, order, time, faults)
-        controller = KrlController(cell, plant.robot, faults, plant.lose_zero)
+        controller = KrlController(cell, plant.robot, faults, plant.lose_zero, plant.slip_mount)
         self._rail = RailServer(plant.rail, faults, cell, time, port=ports.rail)
         self._robot = C3Server(controller, faults, time.catch_up, port=ports.robot)
         streams = None if plant.streams is None else (plant.streams, time)

@@ -53,9 +53,11 @@ class KrlController:
         motion: RobotMotion,
         faults: Faults,
         lose_zero: Callable[[float], None] = lambda axis_1_rad: None,
+        slip_mount: Callable[[float], None] = lambda along_mm: None,
     ) -> None:
         self._lock = threading.RLock()
         self._motion, self._faults, self._lose_zero = motion, faults, lose_zero
+        self._slip_mount = slip_mount
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
@@ -223,6 +225,7 @@ class KrlController:
         lost_deg = self._faults.number("robot.lost_zero")
         if lost_deg is not None:
             self._lose_zero(float(np.radians(lost_deg)))
+        self._slip_mount(self._faults.number("robot.mount_slip") or 0.0)
         self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
         self._frozen = self._faults.take("robot.frozen") is not None
         target_deg = target_deg - (self._faults.number("robot.stops_short") or 0.0)

@@ -45,6 +45,7 @@ class Plant:
         rng = fixed.generator("base")
         turn = mounting.bolted_urad * 1e-6 * _limited(rng, 3)
         self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
+        self._slipped = np.eye(4)
         self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
         self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
         self._places: tuple[tuple[object, ...], dict[str, Array]] = ((), {})  # for which state
@@ -56,6 +57,10 @@ class Plant:
         """Turn the robot's axis 1 against its encoder for good, by turning its base."""
         turn = rotation(axis_1_rad * self.arm.design.axes[0])
         self._bolted = self._bolted @ rigid(turn, np.zeros(3))
+
+    def slip_mount(self, along_mm: float) -> None:
+        """Shift the reflector on the flange along its x for good."""
+        self._slipped[0, 3] += along_mm
 
     def seat(self, place: str) -> None:
         """Carry the reflector to a nest, the flange, or (empty) away; raises `ValueError`."""
@@ -84,14 +89,14 @@ class Plant:
         if name != FLANGE:
             return np.tile(self.places_in_world()[name], (len(times_s), 1))
         joints_rad, side, landing_rad = self.robot.past(times_s)
-        arm = self.arm.pose(joints_rad, side, landing_rad, self.tracker.warm_k)
+        arm = self.arm.pose(joints_rad, side, landing_rad, self.tracker.warm_k) @ self._slipped
         at_mm: Array = (self.rail.slide_pose() @ self._bolted @ arm)[:, :3, 3]
         return at_mm
 
     def places_in_world(self) -> dict[str, Array]:
         """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
         robot, warm_k = self.robot.state(), self.tracker.warm_k
-        moves = (robot.joints_rad, robot.side, robot.landing_rad, self._bolted)
+        moves = (robot.joints_rad, robot.side, robot.landing_rad, self._bolted, self._slipped)
         now = (self.rail.slide_mm(), warm_k, *(each.tobytes() for each in moves))
         known, found = self._places
         if now != known:  # at rest it is asked for several times a measurement
@@ -99,7 +104,7 @@ class Plant:
             found = dict(self._floor)
             found |= {name: carried(T_W_S, at_mm) for name, at_mm in self._slide.items()}
             arm = self.arm.pose(robot.joints_rad, robot.side, robot.landing_rad, warm_k)
-            found[FLANGE] = (T_W_S @ self._bolted @ arm)[:3, 3]
+            found[FLANGE] = (T_W_S @ self._bolted @ arm @ self._slipped)[:3, 3]
             self._places = (now, found)
         return found
 

@@ -39,6 +39,9 @@ class ReplayPlant:
         """Refuse: the recorded reflectors stay; raises `ValueError`."""
         raise ValueError("the reflectors of recorded data are where they were")
 
+    def slip_mount(self, along_mm: float) -> None:
+        """Do nothing: the recorded data have their own mount."""
+
     def lose_zero(self, axis_1_rad: float) -> None:
         """Leave the recorded data as they are."""
 

@@ -14,6 +14,7 @@ from procedures.frame_repeatability import FrameRepeatability, frame_repeatabili
 from procedures.home import Home
 from procedures.rail_survey import RailSurvey, survey_table
 from procedures.repeatability import Repeatability
+from procedures.revisits import Revisits, suspicion_words
 from procedures.robot_grid import RobotGrid
 from procedures.sign_check import SignCheck, sign_table
 from procedures.station import HoldStation, StationRepeatability, approach_table
@@ -118,10 +119,12 @@ CALIBRATE = Procedure(
         AxisSweeps(),
         ChosenPoses(),
         Repeatability(),
+        Revisits(),
         StationFrames(validated=True),
         Fit(),
         SignCheck(),
         Validate(),
     ),
     validation_table,
+    words=suspicion_words,
 )

@@ -15,12 +15,12 @@ from hilcell.calibration.errors import validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
+from hilcell.calibration.noticed import suspicions_of
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
-from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
@@ -87,6 +87,8 @@ class Validate:
                 if how in closed(session.cell):
                     session.close_step(carried=True)
         self._judge(session)
+        suspected = [msgspec.to_builtins(each) for each in suspicions_of(session.log)]
+        session.verdict("suspicions", holds=not suspected, suspected=suspected)
         session.reach("validate")
 
     def _send(
@@ -126,7 +128,7 @@ class Validate:
                 words=shown.get("text", ""),
             )
             facts = msgspec.to_builtins(found)
-            session.verdict(f"{VALIDATION}{where}", holds=facts.pop("holds"), **facts)
+            session.verdict(f"validation.{where}", holds=facts.pop("holds"), **facts)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors at the grid's station and at the others together, and their bounds."""

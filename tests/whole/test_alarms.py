@@ -196,5 +196,6 @@ def test_a_fault_that_is_survived_is_a_notice_at_most(injected: list[Alarm]) -> 
 
 def test_no_fault_is_left_out() -> None:
     streamed = {"tracker.stream_break"}  # no procedure streams; tests of the driver break one
-    assert set(ENDS) | set(SURVIVED) | streamed == set(KNOWN)
+    silent = {"robot.mount_slip"}  # no device sees it: `test_disturbances` does
+    assert set(ENDS) | set(SURVIVED) | streamed | silent == set(KNOWN)
     assert not set(ENDS) & set(SURVIVED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -35,3 +36,40 @@ def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
     for place, figures in end["result"]["validation"].items():
         wanted = whole["validation"][place]["chosen"]["mean"]
         assert figures["chosen"]["mean"] == pytest.approx(wanted, abs=0.03), place
+
+
+def disturbed(tmp_path: Path, fault: str, value: float, key: str) -> dict[str, Any]:
+    """Return the end event of an unattended run that a fault strikes when a point is durable."""
+    with simulation() as cell:
+        words = sets(SMALL | {"simulation.address": cell.control})
+        engine = Engine("run", "--unattended", "--runs", tmp_path, *words)
+        engine.until(lambda event: event["kind"] == "point" and event["key"] == key)
+        assert cell.ask(do="fault", name=fault, value=value)["ok"]
+        printed = engine.rest()
+    assert judge(printed) == []
+    end: dict[str, Any] = printed[-1]
+    assert (end["state"], end["exit"]) == ("finished", 1), end
+    return end
+
+
+def test_an_undisturbed_run_suspects_nothing(golden: GoldenRuns) -> None:
+    assert golden["small"].result["suspicions"] == []
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "key", "cause", "size"),
+    [
+        ("robot.mount_slip", 0.2, "grid/1-1-1", "mount slipped", 0.2),
+        ("robot.lost_zero", 0.1, "grid/1-1-1", "zero lost", 0.1),
+        ("robot.mount_slip", 5.0, "world/F1", "mount offset", 5.0),
+        ("robot.mount_slip", 0.2, "validate/S1100/before/003", "mount slipped", 0.2),
+    ],
+)
+def test_a_robot_that_changes_is_noticed_and_the_cause_named(
+    tmp_path: Path, fault: str, value: float, key: str, cause: str, size: float
+) -> None:
+    found = disturbed(tmp_path, fault, value, key)["result"]["suspicions"]
+    assert found
+    assert found[0]["cause"] == cause, found
+    assert found[0]["size"] == pytest.approx(size, rel=0.4)
+    assert found[0]["noticed_by"]

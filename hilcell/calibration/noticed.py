@@ -1,0 +1,153 @@
+"""Suspicions that a run's own comparisons raise: re-visits, the mount, the validation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hilcell.calibration.bounds import validated, validation_points
+from hilcell.calibration.change import Change, Differences, Suspicion, changed, likeliest
+from hilcell.calibration.errors import errors_of, visits_mm
+from hilcell.calibration.file import calibration_so_far
+from hilcell.calibration.influence import NoBound
+from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
+from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.statistics import bounds95_mm, rectangular_variance
+from hilcell.journal.log import Log, Point, commanded_rad, positions_mm
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array
+
+REVISIT, REVISITS, VALIDATION = "revisit", "re-visited vertices", "validation"
+CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
+MOST_RADIUS_MM = 1.0  # that a mount and an arm may add to the circle of axis 6
+MOST_CONSTANT_MM = 3.0  # of the uncorrected error, that links and zeros explain
+LEAST_INSIDE = 0.75  # of corrected targets, within bounds that 95 % should keep
+FEWEST = 8  # targets that say so
+UNIT_BOUND = float(bounds95_mm(np.eye(3)[None])[0])
+
+
+def suspicions_of(log: Log) -> list[Suspicion]:
+    """Return what a run's journal lets suspect; nothing where all is as predicted.
+
+    A correction that was learnt from a robot which changed names no cause of its own.
+    """
+    again = revisits(log).suspicion if revisited(log) else None
+    found = [mount_offset(log), again, *(_of_validation(log) if again is None else [])]
+    return [each for each in found if each is not None]
+
+
+def revisited(log: Log) -> list[Point]:
+    """Return the points of vertices that were visited again, in the order of the first readings.
+
+    A vertex that was re-measured as an outlier was so after all the others.
+    """
+    order = list(log.points)
+    points = sorted(log.select(REVISIT), key=lambda point: order.index(point.key))
+    return sorted(points, key=lambda point: _before(log, point).retaken)
+
+
+def _before(log: Log, point: Point) -> Point:
+    return log.point(PointId("grid", vertex=point.id.vertex))
+
+
+def revisits(log: Log) -> Change:
+    """Return whether the vertices that were visited again are where they were."""
+    return changed(_differences(log), log.cell.robot.arm(), REVISITS)
+
+
+def _differences(log: Log) -> Differences:
+    now = revisited(log)
+    before = [_before(log, point) for point in now]
+    T_B_W = inverse(log.matrix("base"))
+    T_B_L = T_B_W @ log.matrix("world")
+    at_mm = apply(T_B_L, positions_mm(now))
+    visit_mm2, freedom = _visit_mm2(log, T_B_L[:3, :3])
+    covariance = np.asarray(np.kron(np.eye(len(now)), 2.0 * visit_mm2), dtype=float)
+    drift_mm2 = rectangular_variance(log.cell.uncertainty.drift_limit_mm)
+    covariance += np.kron(np.ones((len(now), len(now))), drift_mm2 * np.eye(3))
+    growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * _warmer_k(before, now)
+    outwards = motion_levers(at_mm)[:, :, 6].reshape(-1)
+    covariance += rectangular_variance(growth) * np.outer(outwards, outwards)
+    return Differences(
+        at_mm - apply(T_B_L, positions_mm(before)),
+        covariance,
+        commanded_rad(now),
+        freedom,
+        T_B_W[:3, :3] @ np.array(log.cell.layout.rail_direction),
+        range(1, len(now) + 1),
+    )
+
+
+def _visit_mm2(log: Log, R: Array) -> tuple[Array, float]:
+    """Return the covariance (3, 3) of a single visit in {B}, pooled, and degrees of freedom."""
+    clouds_mm = visits_mm(log)
+    left_mm = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds_mm]) @ R.T
+    count = len(left_mm) - len(clouds_mm)
+    covariance_mm2: Array = left_mm.T @ left_mm / count
+    return covariance_mm2, float(3 * count)
+
+
+def _warmer_k(before: list[Point], now: list[Point]) -> float:
+    """Return by how much the room is warmer now, at the most; 0 without a weather station."""
+    return max(
+        (
+            abs(b.temperature_c - a.temperature_c)
+            for a, b in zip(before, now, strict=True)
+            if a.temperature_c is not None and b.temperature_c is not None
+        ),
+        default=0.0,
+    )
+
+
+def mount_offset(log: Log) -> Suspicion | None:
+    """Return a reflector that is not where the cell file says, if it is clearly not."""
+    frame, arm = log.frames.get("base", {}), log.cell.robot.arm()
+    if "radius_mm" in frame:
+        off_mm = abs(frame["radius_mm"][1] - axis_6_radius_mm(arm))
+        if not off_mm <= MOST_RADIUS_MM:
+            return Suspicion("mount offset", off_mm, "mm", CIRCLE)
+    points = log.select("grid")
+    if not points:
+        return None
+    R = log.matrix("base")[:3, :3] @ forward(arm, commanded_rad(points))[:, :3, :3]
+    in_tool_mm = np.einsum("nji,nj->ni", R, errors_of(log, points).error_mm)
+    off_mm = float(np.linalg.norm(in_tool_mm.mean(axis=0)))
+    if off_mm <= MOST_CONSTANT_MM:
+        return None
+    return Suspicion("mount offset", off_mm, "mm", CONSTANT)
+
+
+def axis_6_radius_mm(arm: Arm) -> float:
+    """Return the nominal distance of the tool point from axis 6."""
+    turn = from_rotvec(np.array([arm.alpha_rad[5], 0.0, 0.0]))
+    last = matrix(turn, np.array([arm.a_mm[5], 0.0, 0.0])) @ arm.tool
+    return float(np.hypot(last[0, 3], last[1, 3]))
+
+
+def _of_validation(log: Log) -> list[Suspicion]:
+    """Return the causes that fit where corrected targets are not within their bounds."""
+    calibration = calibration_so_far(log, "")
+    if calibration is None:
+        return []
+    found = []
+    for name in (station.name for station in log.cell.station):
+        try:
+            coverage = validated(calibration, log, name)
+        except NoBound:  # the report says why
+            return []
+        if coverage is None or len(coverage) < FEWEST or coverage.share >= LEAST_INSIDE:
+            continue
+        points = validation_points(log, name)
+        R = np.array(calibration.stations[name].T_W_B)[:3, :3]
+        sigmas_mm = np.repeat(coverage.bounds_mm / UNIT_BOUND, 3)
+        differences = Differences(
+            errors_of(log, points).error_mm @ R,
+            np.diag(np.square(sigmas_mm)),
+            commanded_rad(points),
+            float(len(points)),
+            R.T @ np.array(log.cell.layout.rail_direction),
+            range(len(points), len(points) + 1),
+        )
+        place = f"{VALIDATION} at {name}: {coverage.share:.0%} within their bounds"
+        found.append(likeliest(differences, log.cell.robot.arm(), place))
+    return found

@@ -1,0 +1,88 @@
+"""Poses that were measured twice: chance explains them, or the cause that was put in is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.change import Differences, changed
+from hilcell.cell.file import load_cell
+from hilcell.geometry.kinematics import Arm, forward
+from hilcell.ports import Array
+from procedures.plan import poses_at
+
+CELL = load_cell("paper")
+ARM, ROBOT = CELL.robot.arm(), CELL.robot.nominal()
+CENTRE_MM, HALF_MM = CELL.grid.centre.matrix()[:3, 3], np.array(CELL.grid.size_mm) / 2
+SIGMA_MM, COUNT, FREEDOM = 0.025, 6, 81.0
+RAIL = np.array([0.0, 1.0, 0.0])
+
+
+def joints(seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    at_mm = CENTRE_MM + HALF_MM * rng.uniform(-1.0, 1.0, (COUNT, 3))
+    return ROBOT.joints_for(poses_at(CELL, at_mm))
+
+
+def measured(seed: int, moved_mm: Array, first: int = COUNT) -> Differences:
+    """Return differences with noise, of which the first have moved."""
+    rng = np.random.default_rng([seed, 1])
+    noise_mm = SIGMA_MM * rng.standard_normal((COUNT, 3))
+    noise_mm[:first] += moved_mm[:first]
+    covariance = SIGMA_MM**2 * np.eye(3 * COUNT)
+    return Differences(noise_mm, covariance, joints(seed), FREEDOM, RAIL, range(1, COUNT + 1))
+
+
+def turned(seed: int, axis: int, deg: float) -> Array:
+    at_rad = joints(seed)
+    step = np.radians(deg) * np.eye(6)[axis - 1]
+    moved: Array = (forward(ARM, at_rad + step) - forward(ARM, at_rad))[:, :3, 3]
+    return moved
+
+
+def grown(seed: int, share: float) -> Array:
+    return share * forward(ARM, joints(seed))[:, :3, 3]
+
+
+def test_chance_is_no_change() -> None:
+    found = [changed(measured(seed, np.zeros((COUNT, 3))), ARM, "x") for seed in range(500)]
+    assert sum(not each.holds for each in found) <= 5
+    assert all((each.suspicion is None) == each.holds for each in found)
+
+
+@pytest.mark.parametrize("first", [3, COUNT])
+@pytest.mark.parametrize(
+    ("cause", "unit", "size", "moved"),
+    [
+        ("zero lost", "deg of axis 1", 0.05, lambda seed: turned(seed, 1, 0.05)),
+        ("zero lost", "deg of axis 3", 0.05, lambda seed: turned(seed, 3, 0.05)),
+        ("zero lost", "deg of axis 5", 0.3, lambda seed: turned(seed, 5, 0.3)),
+        ("mount slipped", "mm", 0.5, lambda seed: np.tile([0.3, 0.0, 0.4], (COUNT, 1))),
+        ("strip", "mm", 0.3, lambda seed: np.tile(0.3 * RAIL, (COUNT, 1))),
+        ("temperature", "µm/m", 400.0, lambda seed: grown(seed, 4e-4)),
+    ],
+)
+def test_a_cause_is_named_with_its_size(
+    cause: str, unit: str, size: float, moved: object, first: int
+) -> None:
+    named = 0
+    for seed in range(20):
+        assert callable(moved)
+        found = changed(measured(seed, moved(seed), first), ARM, "re-visits")
+        assert not found.holds
+        assert found.suspicion is not None
+        assert found.suspicion.noticed_by == "re-visits"
+        if (found.suspicion.cause, found.suspicion.unit) == (cause, unit):
+            named += 1
+            assert found.suspicion.size == pytest.approx(size, rel=0.35)
+    assert named >= 16, named
+
+
+def test_not_a_number_does_not_hold() -> None:
+    nowhere = np.full((COUNT, 3), np.nan)
+    assert not changed(measured(0, nowhere), ARM, "x").holds
+
+
+def test_an_arm_of_another_kind_has_its_own_columns() -> None:
+    other: Arm = load_cell("six-r").robot.arm()
+    assert not changed(measured(3, turned(3, 1, 0.2)), other, "x").holds
