@@ -11,6 +11,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import math
+import os
 import sqlite3
 import stat
 import threading
@@ -127,7 +128,8 @@ class Journal:
                 self._base.executemany("INSERT INTO meta VALUES (?, ?)", meta)
                 self._base.execute("COMMIT")
         except sqlite3.Error as error:
-            raise StorageError(f"journal {path}: cannot be opened: {error}") from error
+            why = _refusal(path, os.R_OK | os.W_OK) or str(error)
+            raise StorageError(f"journal {path}: cannot be opened: {why}") from error
         self._files = OpenFile(path), OpenFile(path.with_name(f"{path.name}-wal"))
         self._unsound: StorageError | None = None
         self._seq, self._hash = 0, b""
@@ -265,6 +267,15 @@ def is_there(path: Path) -> bool:
         raise
 
 
+def _refusal(path: Path, wanted: int) -> str:
+    """Return which permission is missing; SQLite only says that it cannot open the file."""
+    if not os.access(path, wanted):
+        return "no permission to read it" if wanted == os.R_OK else "no permission to write it"
+    if wanted != os.R_OK and not os.access(path.parent, wanted):
+        return "no permission to write into its folder"
+    return ""
+
+
 def read_journal(path: Path, after: int = 0) -> list[Record]:
     """Return the records after ``after``; raises `StorageError` where the file is not sound.
 
@@ -276,7 +287,8 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
         with closing(_reader(path)) as base:
             return [record for record, _ in _stored(base, path, after)]
     except sqlite3.Error as error:
-        raise StorageError(f"journal {path}: cannot be read: {error}") from error
+        why = _refusal(path, os.R_OK) or str(error)
+        raise StorageError(f"journal {path}: cannot be read: {why}") from error
     except OSError as error:
         raise StorageError(f"journal {path}: cannot be read: {error.strerror}") from error
 

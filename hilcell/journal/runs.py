@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hilcell.errors import HilcellError
-from hilcell.journal.journal import StorageError, is_there, read_journal
+from hilcell.journal.journal import Record, StorageError, is_there, read_journal
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
 
 JOURNAL = "journal.sqlite"
 CALIBRATION = "calibration.json"
+_FETCH = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
 
 
 def new_run(procedure: str) -> str:
@@ -74,11 +75,21 @@ def find_run(runs: Path, name: str) -> Path:
             f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which",
             code="HC-J09",
         )
+    _check_journal(runs / name)
     newest = ", ".join(each.name for each in reversed(newest_first(runs)[:3])) or "none"
     raise HilcellError(
         f"run {name[:80]!r} is not in {runs}; newest there: {newest}",
         code="HC-J09",
     )
+
+
+def _check_journal(folder: Path) -> None:
+    """Raise `StorageError` where a run's folder has lost its journal."""
+    journal = folder / JOURNAL
+    if journal.is_dir():
+        raise StorageError(f"journal {journal}: it is a folder, wanted a file; {_FETCH}")
+    if folder.name and folder.is_dir():
+        raise StorageError(f"journal {journal}: no such file in the folder of the run; {_FETCH}")
 
 
 def newest_first(runs: Path) -> list[Path]:
@@ -95,7 +106,19 @@ def _written_s(folder: Path) -> float:
 
 
 def read_log(folder: Path) -> Log:
-    """Return a run's log."""
+    """Return a run's log; raises `StorageError`."""
     from hilcell.journal.log import Log  # loads arrays, which a list of runs does without
 
-    return Log(read_journal(folder / JOURNAL))
+    return Log(read_records(folder))
+
+
+def read_records(folder: Path) -> list[Record]:
+    """Return the records of a run that has begun; raises `StorageError`."""
+    records = read_journal(folder / JOURNAL)
+    if not records:
+        raise StorageError(
+            f"journal {folder / JOURNAL}: it is empty: the run died before its first record; "
+            "start a new run with `hilcell run`",
+            code="HC-J06",
+        )
+    return records

@@ -15,9 +15,9 @@ from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.clean import encodable
 from hilcell.journal.calibration_facts import REVOKED
-from hilcell.journal.journal import Record, chain, read_journal
+from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, PlanRecord
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.runs import read_records
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure, Table
 
@@ -68,14 +68,9 @@ def _revokes(record: Record) -> bool:
 
 def read_facts(folder: Path) -> Facts:
     """Read a run's folder; raises `StorageError` where the journal is not sound."""
-    records = read_journal(folder / JOURNAL)
+    records = read_records(folder)
     log, run = Log(records), encodable(folder.resolve().name)
-    if log.plan is None:
-        raise HilcellError(
-            f"run {run}: its journal holds no plan yet; there is nothing to report",
-            code="HC-J06",
-        )
-    procedure: Procedure = load_entry("procedures", log.plan.procedure)
+    procedure: Procedure = load_entry("procedures", log.inputs.procedure)
     result = _result(run, procedure, log)
     return Facts(run, records, log, log.cell, procedure, result, fingerprint_of(records))
 

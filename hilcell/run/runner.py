@@ -332,6 +332,8 @@ class Runner:
         if error is None:
             try:
                 return self._finish()
+            except StorageError:  # of a run that has finished: there is no fault to enter
+                raise
             except Exception as caught:  # noqa: BLE001 - a result that cannot be computed is a fault
                 self._fault = error = caught
         self._fail(error)
