@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 
 import msgspec
 
-from hilcell.calibration.decision import Judged, Limits, limits_of
+from hilcell.calibration.decision import Limits, limits_of
 from hilcell.calibration.form import Calibration
 from hilcell.cell.file import Cell
 from hilcell.journal.standing import Standing
@@ -20,6 +20,7 @@ from hilcell.ports import HilcellError
 
 TEMPERATURE_MARGIN_K = 2.0
 MAX_AGE_DAYS = 180.0
+OLD_DEFAULT = Limits(0.2, 1.0)  # of cells that state none, when files had no verdicts
 CLOCK_ERROR = timedelta(hours=1)
 
 
@@ -128,7 +129,8 @@ def _age(calibration: Calibration, now: datetime, max_age_days: float) -> str:
 def _other_cell(calibration: Calibration, cell: Cell) -> str:
     """Say that the cell differs; in its tolerance alone is no other cell, and judged apart."""
     found, verdicts = calibration.provenance.digest, calibration.verdicts or {}
-    if found in {cell.digest, *(_judged_by(cell, each) for each in verdicts.values())}:
+    limits = {Limits(v.mean_tolerance_mm, v.max_tolerance_mm) for v in verdicts.values()}
+    if found in {cell.digest, *(_judged_by(cell, each) for each in limits or {OLD_DEFAULT})}:
         return ""
     return (
         f"it is of cell {calibration.provenance.cell} with digest {found[:12]}, the cell given has "
@@ -136,12 +138,10 @@ def _other_cell(calibration: Calibration, cell: Cell) -> str:
     )
 
 
-def _judged_by(cell: Cell, verdict: Judged) -> str:
-    """Return the digest of a cell as it would be with the tolerance of a verdict."""
+def _judged_by(cell: Cell, limits: Limits) -> str:
+    """Return the digest of a cell as it would be with other limits."""
     table = msgspec.structs.replace(
-        cell.validation,
-        mean_tolerance_mm=verdict.mean_tolerance_mm,
-        max_tolerance_mm=verdict.max_tolerance_mm,
+        cell.validation, mean_tolerance_mm=limits.mean_mm, max_tolerance_mm=limits.max_mm
     )
     return msgspec.structs.replace(cell, validation=table).digest
 

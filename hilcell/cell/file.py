@@ -284,8 +284,8 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
 
     per_cell: Count = 5
     others: Annotated[int, Meta(ge=1, le=100_000)] = 150
-    mean_tolerance_mm: Size = 0.2
-    max_tolerance_mm: Size = 1.0
+    mean_tolerance_mm: Size = 0.15
+    max_tolerance_mm: Size = 0.4
 
 
 class CampaignTable(Frozen, frozen=True, kw_only=True):

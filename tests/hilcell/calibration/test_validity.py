@@ -125,5 +125,8 @@ def test_another_verdict_that_does_not_hold() -> None:
 
 
 def test_files_of_earlier_versions_state_no_verdict() -> None:
-    old = msgspec.structs.replace(aged(1), verdicts=None, schema=2)
+    then = {"validation.mean_tolerance_mm": "0.2", "validation.max_tolerance_mm": "1.0"}
+    made = aged(1, digest=load_cell("paper", then).digest)
+    old = msgspec.structs.replace(made, verdicts=None, schema=2)
     assert check_fitness(old, NOW) == []
+    assert check_fitness(old, NOW, cell=CELL) == []  # the default of then was no part of the file
