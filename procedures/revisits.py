@@ -49,7 +49,7 @@ class Revisits:
         if "revisits" in session.log.verdicts:
             return
         found = revisits(session.log)
-        suspected = [] if found.suspicion is None else [msgspec.to_builtins(found.suspicion)]
+        suspected = [] if found.suspicion is None else [found.suspicion.text]
         session.verdict(
             "revisits", holds=found.holds, ratio=found.ratio, limit=found.limit, suspected=suspected
         )
@@ -71,4 +71,4 @@ def chosen(cell: Cell) -> list[int]:
 def suspicion_words(result: dict[str, Any]) -> str:
     """Return what is suspected, in words."""
     found = [msgspec.convert(each, Suspicion) for each in result.get("suspicions", [])]
-    return "".join(f"Suspected: {each.text}. Do not use this calibration.\n" for each in found)
+    return "\n".join(f"Suspected: {each.text}. Do not use this calibration." for each in found)

@@ -87,7 +87,7 @@ class Validate:
                 if how in closed(session.cell):
                     session.close_step(carried=True)
         self._judge(session)
-        suspected = [msgspec.to_builtins(each) for each in suspicions_of(session.log)]
+        suspected = [each.text for each in suspicions_of(session.log)]
         session.verdict("suspicions", holds=not suspected, suspected=suspected)
         session.reach("validate")
 
