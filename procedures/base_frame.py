@@ -58,6 +58,7 @@ class BaseFrame:
         session.frame(
             "base",
             T_W_B,
+            points=[*swept[0], *swept[1]],
             covariance=base_frame_covariance(axis_1, axis_6, axis_6_height_mm(session.cell)),
             circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
             radius_mm=[axis_1.radius_mm, axis_6.radius_mm],

@@ -75,10 +75,9 @@ class FrameRepeatability:
                 id = PointId("frames", station=station.name, axis=axis, number=number)
                 session.flange_point(id, station, joints)
         session.close_step()
-        circles = (session.log.select("frames", station.name, axis=axis) for axis in (1, 6))
-        session.frame(
-            f"base.{station.name}", frame_of_sweeps(session.cell, session.log, *circles)[0]
-        )
+        circles = [session.log.select("frames", station.name, axis=axis) for axis in (1, 6)]
+        T_W_B = frame_of_sweeps(session.cell, session.log, *circles)[0]
+        session.frame(f"base.{station.name}", T_W_B, points=[*circles[0], *circles[1]])
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the distances per station and point, and the ratio with its interval."""

@@ -36,7 +36,8 @@ class RailSurvey:
         seconds = points * measure_s(cell, cell.nest_samples)
         seconds += rail_move_s(cell, cell.survey.from_mm - cell.rail.travel_min_mm)
         seconds += (stops - 2) * rail_move_s(cell, cell.survey.step_mm) + rail_move_s(cell, 0.0)
-        return step(self.name, points, [Span("survey", points, seconds), *closing(cell)])
+        survey = Span("survey", points, seconds)
+        return step(self.name, points, [survey, *closing(cell, points=points)])
 
     def perform(self, session: CellSession) -> None:
         """Go forth and back."""

@@ -66,7 +66,8 @@ class StationRepeatability:
         visits = 2 * cell.survey.repeats
         plain = Span("plain approach", visits, visits * (each_s + away_s))
         by_strip = Span("strip approach", visits, visits * (each_s + by_strip_s))
-        return step(self.name, len(HOWS) * visits, [plain, by_strip, *closing(cell)])
+        points = len(HOWS) * visits
+        return step(self.name, points, [plain, by_strip, *closing(cell, points=points)])
 
     def perform(self, session: CellSession) -> None:
         """Approach, measure, go away, come back."""

@@ -115,7 +115,7 @@ def frame_station(session: CellSession, station: Station) -> None:
     session.close_step(carried=True)
     if three:
         three_mm = apply(session.log.matrix("world"), positions_mm(three))
-        session.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm))
+        session.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm), points=three)
     moved = moved_nests(session.log, station, reference)
     left_out = check_nests(cell, station, moved)
     fit = station_fit(session.log, station, reference)
@@ -123,6 +123,7 @@ def frame_station(session: CellSession, station: Station) -> None:
     session.frame(
         f"station.{station.name}",
         fit.T,
+        points=session.log.select("slide", station.name),
         covariance=fit.covariance,
         rms_mm=fit.rms_mm,
         strip_mm=session.log.select("slide", station.name)[-1].strip_mm,

@@ -72,6 +72,7 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
     session.frame(
         f"touch.{station.name}",
         found.T,
+        points=points,
         visit=visit,
         covariance=found.covariance,
         growth=found.growth,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from hilcell.journal.log import Readings
+from hilcell.journal.log import Readings, ReadingTime
 
 Three = tuple[float, float, float]
 
@@ -40,6 +40,13 @@ class Motion(msgspec.Struct, frozen=True, kw_only=True):
     action: str
     session: int | None = None
     seen: Seen | None = None
+
+
+class Begun(msgspec.Struct, frozen=True):
+    """The point or station at which a motion ended; ``began`` is the reading by which it began."""
+
+    began: ReadingTime | None = None
+    readings: Readings | None = None
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True):

@@ -6,7 +6,7 @@ import math
 
 import msgspec
 
-from hilcell.invariants.bodies import Motion, Seen
+from hilcell.invariants.bodies import Begun, Motion, Seen
 from hilcell.invariants.scene import Scene, of_rail
 from hilcell.invariants.tally import Tally
 from hilcell.journal.journal import Record
@@ -23,9 +23,13 @@ class Motions:
 
     def take(self, record: Record) -> None:
         """Judge a record."""
-        if record.kind != "intent":
-            return
-        motion, scene = msgspec.convert(record.body, Motion), self._scene
+        if record.kind == "intent":
+            self._motion(record, msgspec.convert(record.body, Motion))
+        elif record.kind in ("point", "event"):
+            self._began(record, msgspec.convert(record.body, Begun))
+
+    def _motion(self, record: Record, motion: Motion) -> None:
+        scene = self._scene
         action = motion.action
         allowed = not (scene.ended or scene.waits)
         self._check("I5", record, allowed, f"{action} begun while {scene.state}")
@@ -42,7 +46,7 @@ class Motions:
         parked = last is None or of_rail(last) or last.action == "robot.park"
         self._check("I1", record, parked, f"{motion.action}: the robot was not parked before")
         if motion.seen is not None:
-            self._young(record, motion, motion.seen)
+            self._young(record, motion.action, motion.seen.age_s)
             wrong = _not_parked(motion.seen, self._scene)
             self._check("I1", record, not wrong, f"{motion.action}: {wrong}")
 
@@ -53,16 +57,22 @@ class Motions:
             self._check("I9", record, asked, f"{key} is acknowledged, and is driven to again")
         if motion.seen is None:
             return
-        self._young(record, motion, motion.seen)
+        self._young(record, motion.action, motion.seen.age_s)
         station = scene.station(scene.held)
         wanted_mm = None if station is None else station.strip_mm
         wrong = _not_held(motion.seen, wanted_mm, 2 * scene.cell.rail.strip_tolerance_mm)
         self._check("I2", record, not wrong, f"{motion.action} {key}: {wrong}")
 
-    def _young(self, record: Record, motion: Motion, seen: Seen) -> None:
+    def _began(self, record: Record, reached: Begun) -> None:
+        """Judge the reading by which a motion began, once it was journalled."""
+        began = reached.began if reached.readings is None else reached.readings.began
+        if began is not None:
+            self._young(record, "the motion before began", began.age_s)
+
+    def _young(self, record: Record, motion: str, age_s: float) -> None:
         limit_s = self._scene.cell.settle.reading_age_s
-        young = FUTURE_S <= seen.age_s <= limit_s
-        what = f"{motion.action} by a reading {seen.age_s:.3f} s old, at most {limit_s:g} s"
+        young = FUTURE_S <= age_s <= limit_s
+        what = f"{motion} by a reading {age_s:.3f} s old, at most {limit_s:g} s"
         self._check("I14", record, young, what)
 
 

@@ -41,11 +41,15 @@ class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Readings(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The times of the readings that make a point."""
+    """The times of the readings that make a point.
+
+    ``began`` is the rail's by which the robot's motion to it began, aged as it was at the command.
+    """
 
     tracker: ReadingTime
     rail: ReadingTime
     robot: ReadingTime | None = None
+    began: ReadingTime | None = None
 
     @property
     def settled_s(self) -> float | None:

@@ -229,6 +229,7 @@ class CellSession(RunContext):
         if known := self.log.find(id):
             return known
         self.checkpoint()
+        self._guard.prove_where_doubtful()
         rail = self.devices.rail.read()
         T_W_B = self.cell.layout.nominal_base(rail.strip_mm)
         if name == FLANGE:

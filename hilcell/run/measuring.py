@@ -23,6 +23,7 @@ from hilcell.run.motion import Motion
 from hilcell.run.prompts import Look, Prompt
 from hilcell.run.reflector_prompts import beam_prompt
 from hilcell.run.run_context import RunContext
+from hilcell.run.seen import time_of
 
 MEASURE_TRIES = 3
 
@@ -130,21 +131,23 @@ class Measuring:
             "humidity_percent": reading.air and reading.air.humidity_percent,
             "rail_mm": rail.position_mm,
             "strip_mm": rail.strip_mm,
-            "readings": _times(reading, rail, robot),
+            "readings": _times(reading, rail, robot, self._motion.began),
         }
         if robot is not None:
             body |= {"joints_deg": np.degrees(robot.joints_rad), "pose": robot.pose}
         return self._run.point(id, **body | facts)
 
 
-def _times(tracker: TrackerReading, rail: RailReading, robot: RobotReading | None) -> Readings:
-    now_s = time.monotonic()
-
-    def of(reading: RailReading | RobotReading) -> ReadingTime:
-        return ReadingTime(reading.taken_s, now_s - reading.taken_s, reading.ended_s)
-
-    seen = ReadingTime(tracker.taken_s, now_s - tracker.taken_s)
-    return Readings(seen, of(rail), None if robot is None else of(robot))
+def _times(
+    tracker: TrackerReading,
+    rail: RailReading,
+    robot: RobotReading | None,
+    began: ReadingTime | None,
+) -> Readings:
+    measured = ReadingTime(tracker.taken_s, time.monotonic() - tracker.taken_s)
+    if robot is None:
+        return Readings(measured, time_of(rail))
+    return Readings(measured, time_of(rail), time_of(robot), began)
 
 
 def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:

@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from hilcell.cell.file import Station
+from hilcell.journal.log import ReadingTime
 from hilcell.ports import Array, RailReading, RobotReading
 from hilcell.run.clear_ways import check_way, stops_on_way
 from hilcell.run.first_pass import FirstPass
@@ -19,6 +20,7 @@ from hilcell.run.interlocks import (
     robot_may_move,
 )
 from hilcell.run.run_context import RunContext
+from hilcell.run.seen import seen, time_of
 from hilcell.run.strip_loop import approach_station
 
 
@@ -29,6 +31,7 @@ class Motion:
         self._run = run
         self.held: Station | None = None
         self._last: RobotReading | None = None  # since which the robot has not moved
+        self.began: ReadingTime | None = None  # the rail's, by which the robot's last motion began
         self._first_pass = FirstPass(run)
 
     # -- the rail -----------------------------------------------------------------------------
@@ -57,7 +60,7 @@ class Motion:
             self.held = station
             self._run.event("station found held", station=station.name)
             return
-        self._prepare_rail("rail.approach", {"station": station.name})
+        began = self._prepare_rail("rail.approach", {"station": station.name})
         approach = approach_station(self._run.devices.rail, self._run.cell.rail, station)
         self._hold_rail()
         reading = self._run.devices.rail.read()
@@ -69,6 +72,7 @@ class Motion:
             tries=approach.tries,
             strip_mm=reading.strip_mm,
             rail_mm=reading.position_mm,
+            began=began,
         )
 
     def _stands_at(self, station: Station) -> bool:
@@ -85,12 +89,13 @@ class Motion:
         reading = self._run.devices.rail.read()
         return abs(reading.position_mm - reading.strip_mm) <= self._run.cell.rail.slip_limit_mm
 
-    def _prepare_rail(self, action: str, facts: dict[str, object]) -> None:
+    def _prepare_rail(self, action: str, facts: dict[str, object]) -> ReadingTime:
+        """Park the robot and journal the intent; return the reading by which the slide moves."""
         self._run.checkpoint()
         self.held = None
         robot = self._check_parked(self.park_robot())  # read at rest, after its motion ended
-        self._run.intend("", action, **facts)
-        self._check_parked(robot)  # the commit may have taken long
+        self._run.intend("", action, **facts, seen=seen(robot))
+        return time_of(self._check_parked(robot))  # the commit may have taken long
 
     def _check_parked(self, taken: RobotReading) -> RobotReading:
         """Return a young reading of a robot that lets the slide move."""
@@ -113,7 +118,8 @@ class Motion:
         rail = self.check_held(None)
         self._last = now
         self.check_way(rail, safe_rad, "park")
-        self._run.intend("", "robot.park")
+        rail = self.check_held(None, rail)
+        self._run.intend("", "robot.park", seen=seen(rail))
         return self._drive([safe_rad], self._run.cell.robot.speed_percent, rail, None, "park")
 
     def robot_to(self, joints_rad: Array, what: str) -> RobotReading:
@@ -126,8 +132,9 @@ class Motion:
         speed_percent = self._first_pass.speed_percent(rail.strip_mm, joints_rad, what)
         rail = self.check_held(self.held, rail)  # the run may have paused
         stops = self._stops(rail, joints_rad, what)
+        rail = self.check_held(self.held, rail)
         place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
-        self._run.intend(what, "robot.move", **place)
+        self._run.intend(what, "robot.move", **place, seen=seen(rail))
         reading = self._drive(stops, speed_percent, rail, self.held, what)
         self._run.clock.wait(self._run.cell.settle.robot_s)
         return reading
@@ -172,6 +179,7 @@ class Motion:
             if self._last is not proven:
                 self.check_way(rail, joints_rad, what)
         self._last = None  # nobody knows where a motion that fails has ended
+        self.began = time_of(rail)
         return rail
 
     def _drive(

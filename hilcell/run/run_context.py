@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import msgspec
@@ -60,11 +60,14 @@ class RunContext:
 
     def intend(self, key: str, action: str, **facts: object) -> None:
         """Journal what is about to be done."""
-        self._journal.append("intent", key, {"action": action} | facts)
+        self._journal.append("intent", key, {"action": action, "session": self.log.session} | facts)
 
-    def frame(self, key: str, matrix: Array, **facts: object) -> None:
-        """Journal a frame as a homogeneous matrix (4, 4)."""
-        self._journal.append("frame", key, {"matrix": matrix} | facts)
+    def frame(
+        self, key: str, matrix: Array, *, points: Iterable[Point] = (), **facts: object
+    ) -> None:
+        """Journal a frame as a homogeneous matrix (4, 4), and the points that it rests on."""
+        built = {"points": keys} if (keys := [point.key for point in points]) else {}
+        self._journal.append("frame", key, {"matrix": matrix} | built | facts)
 
     def verdict(self, key: str, *, holds: bool, **facts: object) -> None:
         """Journal a judgement; a verdict that does not hold makes the run's exit code 1."""

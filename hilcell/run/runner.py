@@ -241,12 +241,12 @@ class Runner:
                 error = {} if cause is None else {"error": cause.facts()}
                 self._life.fire("suspend", reason=prompt.reason, prompt=prompt, **error)
             case Proven():
-                self._go_on("proceed")
+                self._go_on("proceed", by="answer")
                 self._worker.leave.set()
 
-    def _go_on(self, trigger: str) -> None:
+    def _go_on(self, trigger: str, **facts: object) -> None:
         """Run; a pause that was asked for before still holds."""
-        self._life.fire(trigger)
+        self._life.fire(trigger, **facts)
         if self._gate.closed:
             self._life.fire("pause")
 
@@ -262,7 +262,7 @@ class Runner:
                 self._asking.answer()  # proven by a look as every answer
             case "proceed" if self._gate.closed and self.log.state != "aborting":
                 if self._life.allows("proceed"):  # not yet where the worker still connects
-                    self._life.fire("proceed")
+                    self._life.fire("proceed", by="command")
                 self._gate.open()
             case "abort":
                 if self._life.allows("abort"):  # else it was asked for before
@@ -324,9 +324,11 @@ class Runner:
             self._life.fire("stop", reason=str(error))  # aborted at a checkpoint: all is at rest
         elif error is not None and not self._stop.is_set():
             self._stop.set()
-            self._note("safe stop", self._safe_stop.wait())
+            self._note("safe stop", self._safe_stop.wait(), cause=str(error))
             self._worker.ended_within(WORKER_S)
-        self._note("closed", self._close_devices())
+        began_s = time.monotonic()
+        problems = self._close_devices()
+        self._note("closed", problems, took_s=time.monotonic() - began_s)
         self._journal.append("event", "", {"what": "link"} | self._link())
         self._journal.read_back()  # a result is computed only from what is kept
         if error is None:
@@ -366,9 +368,10 @@ class Runner:
             trace = "".join(traceback.format_exception(error))
             self._journal.append("event", "", {"what": "internal error", "trace": trace})
 
-    def _note(self, what: str, problems: dict[str, Exception]) -> None:
+    def _note(self, what: str, problems: dict[str, Exception], **facts: object) -> None:
+        body = {"what": what} | facts | facts_of_problems(problems)
         try:
-            self._journal.append("event", "", {"what": what} | facts_of_problems(problems))
+            self._journal.append("event", "", body)
         except StorageError as error:
             self._fault = self._fault or error
 

@@ -18,6 +18,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_stated
 from hilcell.run.interlocks import check_joint_limits
+from hilcell.run.seen import seen
 
 PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 
@@ -52,11 +53,12 @@ def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
     check_joint_limits(session.cell, order.target_rad, order.key)
     check_stated(session.cell, order.key)
     session.robot_to(order.start_rad, order.key)
-    rail = session.check_held()
-    session.check_way(rail, order.target_rad, order.key)
+    session.check_way(session.check_held(), order.target_rad, order.key)
     reflector = session.cell.tracker.reflector
     joints_deg = np.degrees(order.target_rad)
-    session.intend(order.key, "robot.sweep", axis=order.axis + 1, joints_deg=joints_deg)
+    rail = session.check_held()
+    target = {"axis": order.axis + 1, "joints_deg": joints_deg}
+    session.intend(order.key, "robot.sweep", **target, seen=seen(rail))
     with (
         StreamFile(session.folder, order.key) as file,
         tracker.stream(order.near_mm, reflector, order.rate_hz) as stream,

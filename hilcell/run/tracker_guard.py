@@ -47,13 +47,14 @@ class TrackerGuard:
         if world_key(number) in log.frames:
             self.prove()
             return
-        measured_mm = positions_mm(self._measured(_nest_ids(cell, number)))
+        nests = self._measured(_nest_ids(cell, number))
+        measured_mm = positions_mm(nests)
         if number:
             self._check_nests(measured_mm)
         else:
             check_places(cell, measured_mm)
             check_distances(cell, measured_mm)
-        self._run.frame(world_key(number), world_from_tracker(cell, measured_mm))
+        self._run.frame(world_key(number), world_from_tracker(cell, measured_mm), points=nests)
 
     def prove(self) -> None:
         """Prove that the tracker stands where {W} was framed.
@@ -86,12 +87,15 @@ class TrackerGuard:
     def prove_where_doubtful(self) -> None:
         """Prove it after a pause, and after as many points as the plan allows between proofs.
 
-        A reflector that is carried by hand stays where it is; every seat of it is a pause.
+        After a pause also where nothing waits for a proof: the next point would be the first of a
+        block to be lost. A reflector that is carried by hand stays where it is; every seat of it
+        is a pause.
         """
-        cell, done = self._run.cell, self._run.log.set_ups
+        cell, log = self._run.cell, self._run.log
+        done = log.set_ups
         doubtful = done.interrupted or len(done.unproven) >= cell.plan.prove_every
-        if doubtful and not cell.layout.by_hand:
-            self.prove_new()
+        if doubtful and not cell.layout.by_hand and world_key(done.number) in log.frames:
+            self.prove()
 
     def _measured(self, ids: list[PointId]) -> list[Point]:
         nests = self._run.cell.layout.floor

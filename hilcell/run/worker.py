@@ -10,6 +10,7 @@ from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass
 
+from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all
 from hilcell.cell.file import Cell
 from hilcell.journal.run_journal import RunJournal
@@ -126,7 +127,7 @@ class Worker:
     def _perform(self) -> None:
         identities = connect_all(self.devices, self._claim)
         changes = [*self._changes.inputs, *changed_assets(self._journal.log.assets, identities)]
-        connected = {"what": "connected", "devices": identities}
+        connected = {"what": "connected", "devices": identities, "hilcell": __version__}
         if changes and self._unattended and not self._changes.accepted:
             raise not_as_before(changes)
         if not changes:

@@ -77,6 +77,7 @@ def flange(name: str, key: str, session: int, set_up: int = 0) -> Row:
         "tracker": {"taken_s": 20.0, "age_s": 0.02},
         "rail": {"taken_s": 20.01, "age_s": 0.01, "ended_s": 8.0},
         "robot": {"taken_s": 18.0, "age_s": 2.0, "ended_s": 18.0},
+        "began": {"taken_s": 9.0, "age_s": 0.3, "ended_s": 8.0},
     }
     facts = {"station": "S1", "commanded_deg": SAFE_DEG, "smr_mm": [98.0, 0.0, 127.0]}
     return point(name, key, session, set_up, readings=readings, **facts)
@@ -107,7 +108,7 @@ def rows() -> list[Row]:
         world("frame world", "world", "world"),
         event("step grid", "step", name="grid"),
         rail("approach", 1),
-        event("held", "station held", station="S1"),
+        event("held", "station held", station="S1", began={"taken_s": 5.0, "age_s": 0.02}),
         robot("move 1", "grid/1", 1),
         flange("point 1", "grid/1", 1),
         *nests("control", "control/1-1", 1),
