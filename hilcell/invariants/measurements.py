@@ -40,9 +40,8 @@ class Measurements:
         if point.readings is not None:
             self._times(record, point, point.readings)
         if scene.session > 1 and scene.framed and not is_proof(key):
-            self._check(
-                "I9", record, scene.verified, f"{key} added before the tracker was verified"
-            )
+            what = f"{key} added before the tracker was verified"
+            self._check("I9", record, scene.verified, what)
 
     def _carries(self, record: Record, point: Measured) -> None:
         missing = [name for name in CARRIES if name not in record.body]

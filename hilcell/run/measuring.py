@@ -144,10 +144,11 @@ def _times(
     robot: RobotReading | None,
     began: ReadingTime | None,
 ) -> Readings:
-    measured = ReadingTime(tracker.taken_s, time.monotonic() - tracker.taken_s)
+    now_s = time.monotonic()
+    measured = ReadingTime(tracker.taken_s, now_s - tracker.taken_s)
     if robot is None:
-        return Readings(measured, time_of(rail))
-    return Readings(measured, time_of(rail), time_of(robot), began)
+        return Readings(measured, time_of(rail, now_s))
+    return Readings(measured, time_of(rail, now_s), time_of(robot, now_s), began)
 
 
 def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:

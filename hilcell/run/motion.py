@@ -95,7 +95,8 @@ class Motion:
         self.held = None
         robot = self._check_parked(self.park_robot())  # read at rest, after its motion ended
         self._run.intend("", action, **facts, seen=seen(robot))
-        return time_of(self._check_parked(robot))  # the commit may have taken long
+        robot = self._check_parked(robot)  # the commit may have taken long
+        return time_of(robot, time.monotonic())
 
     def _check_parked(self, taken: RobotReading) -> RobotReading:
         """Return a young reading of a robot that lets the slide move."""
@@ -179,7 +180,7 @@ class Motion:
             if self._last is not proven:
                 self.check_way(rail, joints_rad, what)
         self._last = None  # nobody knows where a motion that fails has ended
-        self.began = time_of(rail)
+        self.began = time_of(rail, time.monotonic())
         return rail
 
     def _drive(

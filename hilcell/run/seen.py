@@ -10,15 +10,14 @@ from hilcell.journal.log import ReadingTime
 from hilcell.ports import RailReading, RobotReading
 
 
-def time_of(reading: RailReading | RobotReading) -> ReadingTime:
-    """Return when a reading was taken, and how old it is now."""
-    age_s = time.monotonic() - reading.taken_s
-    return ReadingTime(reading.taken_s, age_s, reading.ended_s)
+def time_of(reading: RailReading | RobotReading, now_s: float) -> ReadingTime:
+    """Return when a reading was taken, and how old it is."""
+    return ReadingTime(reading.taken_s, now_s - reading.taken_s, reading.ended_s)
 
 
 def seen(reading: RailReading | RobotReading) -> dict[str, object]:
     """Return a reading of the other device: it rests, and is held or where it may be."""
-    when = time_of(reading)
+    when = time_of(reading, time.monotonic())
     facts = {"taken_s": when.taken_s, "age_s": when.age_s, "ended_s": when.ended_s}
     if isinstance(reading, RobotReading):
         state: dict[str, object] = {"joints_deg": np.degrees(reading.joints_rad)}

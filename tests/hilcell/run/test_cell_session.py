@@ -85,6 +85,7 @@ def test_a_point_keeps_when_its_readings_were_taken(bed: Bed) -> None:
         times = bed.log().points[key].readings
         assert times is not None
         assert (times.robot is not None) == at_rest
+        assert (times.began is not None) == at_rest
         known = [each for each in (times.tracker, times.rail, times.robot) if each is not None]
         assert all(0.0 <= each.age_s < 10.0 for each in known)
         assert len({round(each.taken_s + each.age_s, 6) for each in known}) == 1  # used at once
