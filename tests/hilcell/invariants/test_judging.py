@@ -31,6 +31,14 @@ def readings(**facts: object) -> dict[str, object]:
     return {f"readings__{name}": value for name, value in facts.items()}
 
 
+def slid(by_mm: float) -> Doctored:
+    """F2 has moved against the others in the bump, and is where it was ever since."""
+    journal = Doctored()
+    for name in ("world.1 F2", "control 1 F2", "resumed F2", "control 2 F2"):
+        journal.change(name, xyz_mm=[1505.0 + by_mm, 0.0, 0.0])
+    return journal
+
+
 CASES: list[tuple[str, Doctored]] = [
     ("I1", Doctored().after("point 1", rail("not parked", 1))),
     ("I1", Doctored().change("approach", seen__still=False)),
@@ -91,7 +99,9 @@ CASES: list[tuple[str, Doctored]] = [
     ("I14", Doctored().change("point 1", readings__tracker__age_s=-1.0)),
     ("I15", Doctored().change("world.1 F1", set_up=0)),
     ("I15", Doctored().change("world.1 F1", xyz_mm=[5.0, 0.0, 4.0])),
-    ("I15", Doctored().change("world.1 F2", xyz_mm=[1505.2, 0.0, 0.0])),
+    ("I15", slid(0.2)),
+    ("I15", slid(NAN)),
+    ("I15", Doctored().change("point 2 again", set_up=0)),
     ("I15", Doctored().change("control F3", xyz_mm=[0.0, 1500.0, 0.2])),
     ("I15", Doctored().change("control F3", xyz_mm=[0.0, 1500.0, NAN])),
     ("I15", Doctored().without("control F3")),
