@@ -86,10 +86,16 @@ def find_run(runs: Path, name: str) -> Path:
 def _check_journal(folder: Path) -> None:
     """Raise `StorageError` where a run's folder has lost its journal."""
     journal = folder / JOURNAL
-    if journal.is_dir():
+    if _is_folder(journal):
         raise StorageError(f"journal {journal}: it is a folder, wanted a file; {_FETCH}")
-    if folder.name and folder.is_dir():
+    if folder.name and _is_folder(folder):
         raise StorageError(f"journal {journal}: no such file in the folder of the run; {_FETCH}")
+
+
+def _is_folder(path: Path) -> bool:
+    with suppress(OSError):  # a name that no file can have
+        return path.is_dir()
+    return False
 
 
 def newest_first(runs: Path) -> list[Path]:
