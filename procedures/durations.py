@@ -123,6 +123,7 @@ def step(name: str, points: int, spans: Sequence[Span]) -> Step:
 
 
 def homing_s(cell: Cell) -> float:
-    """Return how long the drive takes to its reference switch from the middle of the travel."""
+    """Return how long the drive takes to its reference from the middle of the travel, and rests."""
     half_mm = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 2
-    return half_mm / min(cell.rail.homing_mm_s, cell.rail.speed_mm_s) + SEEN_S
+    way_s = half_mm / min(cell.rail.homing_mm_s, cell.rail.speed_mm_s)
+    return way_s + SEEN_S + cell.settle.rail_s

@@ -40,7 +40,7 @@ class Motion:
         """Find the drive's reference; the robot goes to its safe pose first."""
         self._prepare_rail("rail.home", {})
         self._run.devices.rail.home()
-        self._run.devices.rail.hold()
+        self._hold_rail()
 
     def rail_to(self, position_mm: float) -> None:
         """Move by the drive alone, without the strip, and hold."""

@@ -141,3 +141,18 @@ def test_after_a_commit_that_took_long_no_slide_moves_by_old_ones(tmp_path: Path
     did = stalled(tmp_path, CellSession.home_rail, robot=9.0)
     assert "rail home" not in did
     assert did[-1] == "3"
+
+
+def test_the_slide_rests_after_homing_before_anything_is_measured(tmp_path: Path) -> None:
+    bed = Bed(tmp_path)
+    rested_s: list[float] = []
+
+    def wait(duration_s: float) -> None:
+        rested_s.append(duration_s)
+
+    def act(session: CellSession, number: int) -> None:
+        session.clock.wait = wait  # type: ignore[method-assign]  # no time passes
+        session.home_rail()
+
+    assert bed.run(procedure(Points(1, act))) == 0
+    assert bed.cell.settle.rail_s in rested_s
