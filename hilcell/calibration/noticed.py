@@ -21,11 +21,9 @@ REVISIT, REVISITS, VALIDATION = "revisit", "re-visited vertices", "validation"
 CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
 MOST_RADIUS_MM = 1.0  # that a mount and an arm may add to the circle of axis 6
 MOST_CONSTANT_MM = 3.0  # of the uncorrected error, that links and zeros explain
-LEAST_INSIDE = (
-    0.6  # of corrected targets, within bounds that 95 % should keep; without sweeps 0.73 is seen
-)
+LEAST_INSIDE = 0.82  # of corrected targets, within bounds that 95 % should keep
+LEAST_WITHOUT_CURVES = 0.6  # where the gears' ripple is not known: 0.73 was seen
 FEWEST = 8  # targets that say so
-UNIT_BOUND = float(bounds95_mm(np.eye(3)[None])[0])
 
 
 def suspicions_of(log: Log) -> list[Suspicion]:
@@ -131,17 +129,19 @@ def _of_validation(log: Log) -> list[Suspicion]:
     calibration = calibration_so_far(log, "")
     if calibration is None:
         return []
+    curves = log.verdicts["fit"].get("curves", {}).get("used", False)
+    least = LEAST_INSIDE if curves else LEAST_WITHOUT_CURVES
     found = []
     for name in (station.name for station in log.cell.station):
         try:
             coverage = validated(calibration, log, name)
         except NoBound:  # the report says why
             return []
-        if coverage is None or len(coverage) < FEWEST or coverage.share >= LEAST_INSIDE:
+        if coverage is None or len(coverage) < FEWEST or coverage.share >= least:
             continue
         points = validation_points(log, name)
         R = np.array(calibration.stations[name].T_W_B)[:3, :3]
-        sigmas_mm = np.repeat(coverage.bounds_mm / UNIT_BOUND, 3)
+        sigmas_mm = np.repeat(coverage.bounds_mm / bounds95_mm(np.eye(3)[None])[0], 3)
         differences = Differences(
             errors_of(log, points).error_mm @ R,
             np.diag(np.square(sigmas_mm)),

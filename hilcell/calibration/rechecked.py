@@ -124,9 +124,11 @@ def _words(result: dict[str, Any], worst: int, causes: list[Suspicion]) -> str:
             begin = (
                 f"Update: the robot's base has moved by {result['shift_mm']:.3f} mm ± "
                 f"{spread:.3f} mm (k = 2) at the volume's middle and turned by "
-                f"{result['turn_urad']:.0f} µrad; this run's calibration has the base where it "
-                "stands now: take its base frames over on the controller and compensate the "
-                "programs again."
+                f"{result['turn_urad']:.0f} µrad, or the reflector or an axis's zero has: poses of "
+                "one orientation do not tell them apart. See first that the reflector sits on its "
+                "mount and that the mastering is right. This run's calibration has the base where "
+                "it seems to stand now: take its base frames over on the controller and "
+                "compensate the programs again."
             )
         case _:
             begin = _redo(result, worst, causes)
