@@ -140,7 +140,7 @@ def test_a_late_reply_never_answers_the_next_read(peer: CanPeer) -> None:
         if line.startswith(b"t58584381600") and not late:
             late.append(line)
             peer.objects[DRIVE][PROFILE_VELOCITY] = u32(211)
-            threading.Timer(0.6, answer, [line]).start()
+            threading.Timer(0.15, answer, [line]).start()
             return []
         return [line]
 
