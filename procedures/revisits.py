@@ -6,9 +6,9 @@ from typing import Any
 
 import msgspec
 
-from hilcell.calibration.change import Suspicion
 from hilcell.calibration.frames import grid_of, vertex_ids
 from hilcell.calibration.noticed import REVISIT, revisits, suspicions_of
+from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from hilcell.calibration.bounds import validated, validation_points
-from hilcell.calibration.change import Change, Differences, Suspicion, changed, likeliest
+from hilcell.calibration.change import Change, Differences, changed, likeliest
 from hilcell.calibration.errors import errors_of, visits_mm
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.influence import NoBound
+from hilcell.calibration.suspicions import Suspicion
 from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rotations import from_rotvec

@@ -18,7 +18,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from hilcell.calibration.suspicions import Suspicion, left_by, patterns
 from hilcell.geometry.frames import cross_matrix, matrix, motion_levers
+from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import Array, HilcellError
 
@@ -26,6 +28,7 @@ RISK = 0.01  # that a calibration which holds is not found to
 TESTS = 2  # the motion and the rest share it
 MOTION = 6  # degrees of freedom
 BUMPED_MM, BUMPED_RAD = 1.0, 1e-3  # 1 sigma of a base that was moved, before any pose says so
+NOTICED_BY = "re-check"
 FEWEST = 4  # poses: three leave the rest too few degrees of freedom to say anything
 
 Verdict = Literal["valid", "update", "redo"]
@@ -166,6 +169,26 @@ def judged(found: Rechecked) -> Judgement:
     )
 
 
+def suspicions(
+    found: Rechecked, judgement: Judgement, arm: Arm, joints_rad: Array
+) -> list[Suspicion]:
+    """Return the causes that explain the errors at joints (N, 6), the likeliest first.
+
+    Each is taken off together with a motion of the base. None where the errors need no cause
+    besides such a motion.
+    """
+    if judgement.rest.holds:
+        return []
+    likely: list[tuple[float, Suspicion]] = []
+    moved = motion_columns(found.targets_mm)
+    for cause, columns, factor, unit in patterns(arm, joints_rad):
+        chi2, size = left_by(found.errors_mm, found.covariance_mm2, columns, besides=moved)
+        freedom = judgement.rest.freedom - columns.shape[1]
+        if _test(chi2, freedom).holds:
+            likely.append((chi2 / freedom, Suspicion(cause, factor * size, unit, NOTICED_BY)))
+    return [each for _, each in sorted(likely, key=lambda pair: pair[0])]
+
+
 def _check(found: Rechecked) -> None:
     count = len(found.errors_mm)
     if not count >= FEWEST:
@@ -185,15 +208,11 @@ def motion_columns(targets_mm: Array) -> Array:
     return columns
 
 
-def limit_of(freedom: int) -> float:
-    """Return the limit of a chi^2 at one test's share of the risk."""
+def _test(chi2: float, freedom: int) -> ChiSquare:
+    """Return the test of a chi^2 at its share of the risk."""
     from scipy.special import chdtri
 
-    return float(chdtri(freedom, RISK / TESTS))
-
-
-def _test(chi2: float, freedom: int) -> ChiSquare:
-    return ChiSquare(chi2, freedom, limit_of(freedom))
+    return ChiSquare(chi2, freedom, float(chdtri(freedom, RISK / TESTS)))
 
 
 def _drift(found: Rechecked) -> tuple[float, float]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from hilcell.calibration.decision import judged_errors
@@ -15,8 +15,9 @@ from hilcell.calibration.recheck import (
     Rechecked,
     Verdict,
     judged,
+    suspicions,
 )
-from hilcell.calibration.suspicions import Suspicion, suspicions
+from hilcell.calibration.suspicions import Suspicion
 from hilcell.calibration.visit import used, visited
 from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.statistics import bounds95_mm
@@ -82,7 +83,7 @@ def recheck_result(log: Log) -> dict[str, Any]:
         "poses": _poses(log, found, judgement),
     }
     causes = _suspicions(log, found, judgement)
-    result["suspicions"] = [asdict(cause) for cause in causes]
+    result["suspicions"] = [msgspec.to_builtins(cause) for cause in causes]
     return {"recheck": result | {"text": _words(result, judgement.worst, causes)}}
 
 
@@ -157,4 +158,4 @@ def _redo(result: dict[str, Any], worst: int, causes: list[Suspicion]) -> str:
 def _hint(causes: list[Suspicion]) -> str:
     if not causes:
         return "Look for a lost zero of an axis, a loose tool or reflector, another temperature."
-    return f"It would be explained by: {'; or '.join(cause.text for cause in causes[:3])}."
+    return f"It would be explained by: {'; or '.join(cause.words for cause in causes[:3])}."

@@ -1,78 +1,98 @@
-"""Changes of the robot that a re-check suspects, where no motion of the base explains its errors.
+"""Causes of errors that nothing else explains: how each moves the poses, and how much it leaves.
 
-Each cause moves the poses in a way of its own: an axis that lost its zero by its column of the
-Jacobian, a reflector that moved on the flange by its orientation, an arm that grew by its length.
-A cause is suspected where errors are as predicted once it is taken off together with a motion of
-the base. It is a hint where to look, no proof: seven poses cannot tell every cause from another,
-and an axis 2 that lost its zero turns the arm in its plane as a tilted base does.
+An axis that lost its zero moves them by its column of the Jacobian, a reflector that slipped by its
+orientation, an arm that grew by its reach. A suspicion is a hint where to look, no proof: a
+few poses cannot tell every cause from another.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
-from hilcell.calibration.recheck import MOTION, Judgement, Rechecked, limit_of, motion_columns
-from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.frames import motion_levers
+from hilcell.geometry.jacobian import parameter_jacobian
+from hilcell.geometry.kinematics import Arm, forward
+from hilcell.ports import Array
 
-STEP_RAD = 1e-6
-AXES = (2, 3, 4, 5)  # axis 1 turns the base; axis 6 hardly moves the reflector
+LARGE_AXES = 5  # axis 6 hardly moves the reflector
+ZEROS = slice(18, 24)  # of the links' parameters: the joints' offsets
+
+Cause = Literal[
+    "tracker moved", "mount slipped", "zero lost", "mount offset", "scale", "reversal",
+    "temperature", "strip",
+]  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Suspicion:
-    """A cause in words, and its size: deg of an axis, mm of the reflector, um/m of the arm."""
+class Suspicion(msgspec.Struct, frozen=True):
+    """A cause that fits, its size, and the comparison by which it was noticed."""
 
-    cause: str
+    cause: Cause
     size: float
     unit: str
+    noticed_by: str
+
+    @property
+    def words(self) -> str:
+        """Return cause and size."""
+        return f"{self.cause} ({self.size:.4g} {self.unit})"
 
     @property
     def text(self) -> str:
-        """Return it in words."""
-        return f"{self.cause} ({self.size:.4g} {self.unit})"
+        """Return it in words, with the comparison."""
+        return f"{self.words}, noticed by {self.noticed_by}"
 
 
-def suspicions(found: Rechecked, judged: Judgement, arm: Arm, joints_rad: Array) -> list[Suspicion]:
-    """Return the causes that explain the errors at joints (N, 6), the likeliest first.
+class Pattern(NamedTuple):
+    """How a cause moves N poses: columns (3N, K) of mm per unit, the factor to ``unit``."""
 
-    None where the errors need no cause besides a motion of the base.
-    """
-    if judged.rest.holds:
-        return []
-    likely: list[tuple[float, Suspicion]] = []
-    for cause, columns, factor, unit in _causes(found, arm, joints_rad):
-        chi2, size = _explained(found, columns)
-        freedom = judged.rest.freedom - columns.shape[1]
-        if chi2 <= limit_of(freedom):
-            likely.append((chi2 / freedom, Suspicion(cause, factor * size, unit)))
-    return [each for _, each in sorted(likely, key=lambda pair: pair[0])]
+    cause: Cause
+    columns: Array
+    factor: float
+    unit: str
 
 
-def _causes(found: Rechecked, arm: Arm, joints_rad: Array) -> list[tuple[str, Array, float, str]]:
-    """Return causes: words, columns (3N, K) of errors per unit, factor and name of the unit."""
+def patterns(arm: Arm, joints_rad: Array) -> list[Pattern]:
+    """Return the patterns at joints (N, 6) of the robot's causes, in {B}."""
     poses = forward(arm, joints_rad)
-    causes: list[tuple[str, Array, float, str]] = []
-    for axis in AXES:
-        step = STEP_RAD * np.eye(6)[axis - 1]
-        ends = [forward(arm, joints_rad + sign * step)[:, :3, 3] for sign in (1.0, -1.0)]
-        column = ((ends[0] - ends[1]) / (2 * STEP_RAD)).reshape(-1, 1)
-        causes.append((f"axis {axis} lost its zero", column, np.degrees(1.0), "deg"))
-    causes.append(("the reflector moved on the flange", poses[:, :3, :3].reshape(-1, 3), 1.0, "mm"))
-    causes.append(("the arm grew", found.targets_mm.reshape(-1, 1), 1e6, "µm/m"))
-    return causes
+    J = parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign
+    found = [
+        Pattern("mount slipped", poses[:, :3, :3].reshape(-1, 3), 1.0, "mm"),
+        Pattern("temperature", motion_levers(poses[:, :3, 3])[:, :, 6].reshape(-1, 1), 1e6, "µm/m"),
+    ]
+    found += [
+        Pattern(
+            "zero lost", J[:, :, n].reshape(-1, 1), float(np.degrees(1.0)), f"deg of axis {n + 1}"
+        )
+        for n in range(LARGE_AXES)
+    ]
+    return found
 
 
-def _explained(found: Rechecked, columns: Array) -> tuple[float, float]:
-    """Return the chi^2 that the columns and a motion of the base leave, and the columns' size."""
-    J = np.hstack([motion_columns(found.targets_mm), columns])
-    C, e = found.covariance_mm2, found.errors_mm.reshape(-1)
-    weighted = np.linalg.solve(C, np.column_stack([J, e]))
-    scale = 1.0 / np.sqrt(np.einsum("nj,nj->j", J, weighted[:, :-1]))
-    information = scale[:, None] * (J.T @ weighted[:, :-1]) * scale
-    pull = scale * (J.T @ weighted[:, -1])
-    x = scale * (np.linalg.pinv(information, hermitian=True) @ pull)
-    chi2 = float(e @ weighted[:, -1]) - float(x @ (J.T @ weighted[:, -1]))
-    own = x[MOTION:]
-    return chi2, float(own[0]) if len(own) == 1 else float(np.linalg.norm(own))
+def strip_pattern(rail: Sequence[float] | Array, count: int) -> Pattern:
+    """Return the pattern of a slide that stands elsewhere along ``rail`` (3,) in {B}."""
+    return Pattern("strip", np.tile(np.asarray(rail), count)[:, None], 1.0, "mm")
+
+
+def left_by(
+    errors_mm: Array, covariance_mm2: Array, columns: Array, besides: Array | None = None
+) -> tuple[float, float]:
+    """Return the chi^2 of errors (N, 3) that columns (3N, K) leave, and the columns' size.
+
+    ``besides`` (3N, M) may explain errors as well, and counts for no size. The size of a single
+    column has its sign, that of three is their length.
+    """
+    own = columns.shape[1]
+    J = columns if besides is None else np.hstack([columns, besides])
+    e = errors_mm.reshape(-1)
+    weighted = np.linalg.solve(covariance_mm2, np.column_stack([J, e]))
+    chi2, pull = float(e @ weighted[:, -1]), J.T @ weighted[:, -1]
+    information = J.T @ weighted[:, :-1]
+    scale = 1.0 / np.sqrt(np.diag(information))  # columns differ in units
+    scaled = np.linalg.pinv(scale[:, None] * information * scale, hermitian=True)
+    x = scale * (scaled @ (scale * pull))
+    size = float(x[0]) if own == 1 else float(np.linalg.norm(x[:own]))
+    return chi2 - float(x @ pull), size
