@@ -179,9 +179,6 @@ def _verdicts(calibration: Calibration) -> Iterator[str]:
             yield f"{at}: a tolerance that is not above 0"
         elif each.holds and not judged_again(each).holds:
             yield f"{at}: is said to hold, but its figures do not: {each.figures}"
-    for doubt in calibration.suspicions:
-        if not math.isfinite(doubt.size):
-            yield f"suspicions: {doubt.cause[:40]}: size {doubt.size:g}, wanted a finite number"
 
 
 def _is_covariance(found: Array) -> bool:

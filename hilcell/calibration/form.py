@@ -156,28 +156,13 @@ class Targets(msgspec.Struct, frozen=True):
         return Remainder([each.measured() for each in self.passes], self.variance_mm2)
 
 
-class Doubt(msgspec.Struct, frozen=True):
-    """A suspicion of the run that made the file which nobody has cleared."""
-
-    cause: str
-    size: float
-    unit: str
-    noticed_by: str = ""
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        by = f", noticed by {self.noticed_by}" if self.noticed_by else ""
-        return f"{self.cause} ({self.size:.4g} {self.unit}{by})"
-
-
 class Calibration(msgspec.Struct, frozen=True):
     """The file. ``method`` is the model's name, for readers that know no ``model``.
 
     Files of old state no ``uncertainty``. ``targets`` are those that later runs have measured.
     ``verdicts`` are the validation's by place, none where it was not made; files of schema 1 and 2
-    state None. ``failed`` are other verdicts of the same run that do not hold, each in words;
-    ``suspicions`` are its as well.
+    state None. ``failed`` are other verdicts of the same run that do not hold, each in words,
+    suspicions among them.
     """
 
     schema: int
@@ -192,7 +177,6 @@ class Calibration(msgspec.Struct, frozen=True):
     targets: Targets | None = None
     verdicts: dict[str, Judged] | None = None
     failed: dict[str, str] = {}
-    suspicions: list[Doubt] = []
 
     def grid(self) -> Grid:
         """Return the grid in {B}."""

@@ -84,8 +84,7 @@ def out_of_tolerance(calibration: Calibration, limits: Limits | None = None) -> 
             for place, each in calibration.verdicts.items()
             if limits != (each.mean_tolerance_mm, each.max_tolerance_mm)
         ]
-    reasons += [f"{key} did not hold: {words}" for key, words in calibration.failed.items()]
-    return reasons + [f"suspected in its run: {doubt.text}" for doubt in calibration.suspicions]
+    return reasons + [f"{key} did not hold: {words}" for key, words in calibration.failed.items()]
 
 
 def _not_current(standing: Standing) -> Iterator[str]:
