@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from hilcell.calibration.errors import visits_mm
+from hilcell.calibration.errors import visit_scatter, visits_mm
 from hilcell.calibration.frame_covariance import (
     FLOOR_NESTS,
     base_covariance,
@@ -88,17 +88,14 @@ def _model_samples(log: Log) -> int | None:
 
 
 def _repeatability(log: Log) -> Influence:
-    """Return the scatter of visits in {B}, pooled over places (GUM H.3.6), less the readings'."""
-    clouds_mm = visits_mm(log)
+    """Return the scatter of visits in {B}, less the readings'."""
     R = (inverse(log.matrix("base")) @ log.matrix("world"))[:3, :3]
-    left_mm = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds_mm]) @ R.T
-    count = len(left_mm) - len(clouds_mm)
-    scatter_mm2 = left_mm.T @ left_mm / count
+    scatter_mm2, visits, places = visit_scatter(log, R)
     robot_mm2 = no_less_than_nought(scatter_mm2 - _mean_reading_mm2(log.select("repeatability"), R))
     return Influence(
         "Robot repeatability", MEASURED,
-        f"{len(left_mm)} visits of {len(clouds_mm)} places, less the readings' noise", "4.2.4",
-        "base", motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, count)),
+        f"{visits} visits of {places} places, less the readings' noise", "4.2.4", "base",
+        motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, visits - places)),
         within_model=True, alone=True,
     )  # fmt: skip
 

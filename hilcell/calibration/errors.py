@@ -83,6 +83,17 @@ def visits_mm(log: Log) -> list[Array]:
     return [positions_mm(points) for points in places.values() if len(points) > 1]
 
 
+def visit_scatter(log: Log, R: Array) -> tuple[Array, int, int]:
+    """Return the covariance (3, 3) of one visit, turned by ``R`` (3, 3) from the tracker's frame.
+
+    Pooled over the places (GUM H.3.6); with it the numbers of visits and of places.
+    """
+    clouds_mm = visits_mm(log)
+    left_mm = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds_mm]) @ R.T
+    covariance_mm2: Array = left_mm.T @ left_mm / (len(left_mm) - len(clouds_mm))
+    return covariance_mm2, len(left_mm), len(clouds_mm)
+
+
 def reduction(before_mm: float, after_mm: float) -> float:
     """Return which share of an error was removed, 1 - after / before (row 16 of the paper)."""
     return 1.0 - after_mm / before_mm

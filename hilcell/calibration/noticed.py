@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from hilcell.calibration.bounds import validated, validation_points
+from hilcell.calibration.budget import growth_since
 from hilcell.calibration.change import Change, Differences, changed, likeliest
-from hilcell.calibration.errors import errors_of, visits_mm
+from hilcell.calibration.errors import errors_of, visit_scatter
 from hilcell.calibration.file import calibration_so_far
-from hilcell.calibration.influence import NoBound
+from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
@@ -16,7 +17,6 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm, rectangular_variance
 from hilcell.journal.log import Log, Point, commanded_rad, positions_mm
 from hilcell.journal.point_id import PointId
-from hilcell.ports import Array
 
 REVISIT, REVISITS, VALIDATION = "revisit", "re-visited vertices", "validation"
 CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
@@ -62,41 +62,19 @@ def _differences(log: Log) -> Differences:
     T_B_W = inverse(log.matrix("base"))
     T_B_L = T_B_W @ log.matrix("world")
     at_mm = apply(T_B_L, positions_mm(now))
-    visit_mm2, freedom = _visit_mm2(log, T_B_L[:3, :3])
-    covariance = np.asarray(np.kron(np.eye(len(now)), 2.0 * visit_mm2), dtype=float)
-    drift_mm2 = rectangular_variance(log.cell.uncertainty.drift_limit_mm)
-    covariance += np.kron(np.ones((len(now), len(now))), drift_mm2 * np.eye(3))
-    growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * _warmer_k(before, now)
-    outwards = motion_levers(at_mm)[:, :, 6].reshape(-1)
-    covariance += rectangular_variance(growth) * np.outer(outwards, outwards)
+    visit_mm2, visits, places = visit_scatter(log, T_B_L[:3, :3])
+    common = np.array(motion(rectangular_variance(log.cell.uncertainty.drift_limit_mm)))
+    grown = growth_since(log, before, now, "the first visits")
+    if grown is not None:
+        common += grown.covariance
+    J = motion_levers(at_mm).reshape(-1, SIZE)
     return Differences(
         at_mm - apply(T_B_L, positions_mm(before)),
-        covariance,
+        np.kron(np.eye(len(now)), 2.0 * visit_mm2) + J @ common @ J.T,
         commanded_rad(now),
-        freedom,
+        3.0 * (visits - places),
         T_B_W[:3, :3] @ np.array(log.cell.layout.rail_direction),
         range(1, len(now) + 1),
-    )
-
-
-def _visit_mm2(log: Log, R: Array) -> tuple[Array, float]:
-    """Return the covariance (3, 3) of a single visit in {B}, pooled, and degrees of freedom."""
-    clouds_mm = visits_mm(log)
-    left_mm = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds_mm]) @ R.T
-    count = len(left_mm) - len(clouds_mm)
-    covariance_mm2: Array = left_mm.T @ left_mm / count
-    return covariance_mm2, float(3 * count)
-
-
-def _warmer_k(before: list[Point], now: list[Point]) -> float:
-    """Return by how much the room is warmer now, at the most; 0 without a weather station."""
-    return max(
-        (
-            abs(b.temperature_c - a.temperature_c)
-            for a, b in zip(before, now, strict=True)
-            if a.temperature_c is not None and b.temperature_c is not None
-        ),
-        default=0.0,
     )
 
 
