@@ -9,7 +9,7 @@ have moved against each other, a nest has, and nothing can be trusted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -105,20 +105,15 @@ class TrackerGuard:
         """Refuse nests whose distances have changed: one of them has moved, not the tracker."""
         cell = self._run.cell
         before = [self._run.log.point(id) for id in _nest_ids(cell, 0)]
-        limit = float(limits_of(cell, before, before).max())
-        for i, j in combinations(range(len(before)), 2):
-            then, now = (
-                float(np.linalg.norm(at_mm[i] - at_mm[j]))
-                for at_mm in (positions_mm(before), now_mm)
+        limit_mm = float(limits_of(cell, before, before).max())
+        for fields in wrong_distances(cell, positions_mm(before), now_mm, limit_mm):
+            then_mm, at_mm = fields["wanted_mm"], fields["distance_mm"]
+            raise _moved(
+                f"{' to '.join(fields['nests'])} was {then_mm:.3f} mm, is {at_mm:.3f} mm",
+                f"{then_mm:.3f} +-{limit_mm:.3f} mm",
+                "a floor nest or its reflector has moved; fix it, then start a new run",
+                fields,
             )
-            if not abs(now - then) <= limit:
-                names = [cell.layout.floor[n].name for n in (i, j)]
-                raise _moved(
-                    f"{' to '.join(names)} was {then:.3f} mm, is {now:.3f} mm",
-                    f"{then:.3f} +-{limit:.3f} mm",
-                    "a floor nest or its reflector has moved; fix it, then start a new run",
-                    {"nests": names, "distance_mm": now, "wanted_mm": then, "limit_mm": limit},
-                )
 
     def _check_renewable(self, facts: dict[str, Any]) -> None:
         """Refuse to go on where frames rest on invalid points, or after too many set-ups."""
@@ -179,26 +174,37 @@ def check_places(cell: Cell, measured_mm: Array) -> None:
 
 def check_distances(cell: Cell, measured_mm: Array) -> None:
     """Refuse nests whose distances are not those of the cell file: swapped, lifted, wrong unit."""
-    nests = cell.layout.floor
+    nominal_mm = np.array([nest.xyz_mm for nest in cell.layout.floor])
     limit_mm = 2 * cell.layout.nest_tolerance_mm
-    for i, j in combinations(range(len(nests)), 2):
-        wanted_mm = float(np.linalg.norm(nests[i].xyz_mm - nests[j].xyz_mm))
-        found_mm = float(np.linalg.norm(measured_mm[i] - measured_mm[j]))
-        if not abs(found_mm - wanted_mm) <= limit_mm:
-            raise DeviceError(
-                "HC-T32",
-                "Tracker",
-                "world frame",
-                f"{nests[i].name} to {nests[j].name} is {found_mm:.2f} mm",
-                wanted=f"{wanted_mm:.2f} +-{limit_mm:.1f} mm",
-                act="nests swapped, a reflector not seated, or wrong units; check, then resume",
-                fields={
-                    "nests": [nests[i].name, nests[j].name],
-                    "distance_mm": found_mm,
-                    "wanted_mm": wanted_mm,
-                    "limit_mm": limit_mm,
-                },
-            )
+    for fields in wrong_distances(cell, nominal_mm, measured_mm, limit_mm):
+        raise DeviceError(
+            "HC-T32",
+            "Tracker",
+            "world frame",
+            f"{' to '.join(fields['nests'])} is {fields['distance_mm']:.2f} mm",
+            wanted=f"{fields['wanted_mm']:.2f} +-{limit_mm:.1f} mm",
+            act="nests swapped, a reflector not seated, or wrong units; check, then resume",
+            fields=fields,
+        )
+
+
+def wrong_distances(
+    cell: Cell, wanted_mm: Array, found_mm: Array, limit_mm: float
+) -> Iterator[dict[str, Any]]:
+    """Yield the pairs of floor nests whose distance is not that of ``wanted_mm`` (N, 3)."""
+    names = [nest.name for nest in cell.layout.floor]
+    for pair in combinations(range(len(names)), 2):
+        then, now = (
+            float(np.linalg.norm(at_mm[pair[0]] - at_mm[pair[1]]))
+            for at_mm in (wanted_mm, found_mm)
+        )
+        if not abs(now - then) <= limit_mm:
+            yield {
+                "nests": [names[n] for n in pair],
+                "distance_mm": now,
+                "wanted_mm": then,
+                "limit_mm": limit_mm,
+            }
 
 
 def _nest_ids(cell: Cell, set_up: int) -> list[PointId]:
