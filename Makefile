@@ -3,12 +3,15 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test nightly mutants lint bench lock clean
+.PHONY: run test suite nightly mutants lint bench lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
-test: lint  ## lint, then every test, in random order on all cores
+test: $(VENV)/ready  ## lint beside the tests
+	$(MAKE) --no-print-directory --jobs 2 lint suite
+
+suite: $(VENV)/ready  ## every test but the long sweeps, in random order on all cores
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 nightly: lint  ## every test and every long sweep, property tests with fresh seeds
