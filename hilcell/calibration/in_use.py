@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
-from hilcell.calibration.decision import Judged
+from hilcell.calibration.decision import Judged, limits_of
 from hilcell.calibration.file import read_calibration, verdicts_of
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
@@ -27,8 +27,6 @@ from hilcell.journal.runs import CALIBRATION, find_run, is_run, newest_first, re
 from hilcell.journal.standing import Standing, standings
 from hilcell.ports import HilcellError
 
-USABLE = ("current", "not validated")  # the second is judged by its verdicts
-
 
 class NoCalibration(HilcellError):
     """No calibration was found, or the one named is none."""
@@ -36,7 +34,26 @@ class NoCalibration(HilcellError):
     code = "HC-C25"
 
 
-def with_calibration(cell: Cell, table: str, runs: Path) -> Cell:
+class Accepts(NamedTuple):
+    """Whether a calibration is used although it is not in tolerance, or not the current one."""
+
+    out_of_tolerance: bool = False
+    not_current: bool = False
+
+
+NOTHING = Accepts()
+
+
+class Chosen(NamedTuple):
+    """A cell whose table names a usable calibration file, and why that one should not be used,
+    where it was accepted.
+    """
+
+    cell: Cell
+    accepted: list[str]
+
+
+def with_calibration(cell: Cell, table: str, runs: Path, accepts: Accepts = NOTHING) -> Chosen:
     """Return the cell with the path of a usable calibration file in ``table``.
 
     The table names a run or a file; "" is the newest calibration of this cell in ``runs``. A cell
@@ -45,12 +62,12 @@ def with_calibration(cell: Cell, table: str, runs: Path) -> Cell:
     """
     chosen = getattr(cell, table)
     if chosen is None:
-        return cell  # the plan says which keys it lacks
+        return Chosen(cell, [])  # the plan says which keys it lacks
     named = chosen.calibration
     path = _named(runs, named) if named else _newest(runs, cell, table)
-    check_usable(path, cell)
+    accepted = _accepted(path, cell, runs, accepts)
     changed = msgspec.structs.replace(chosen, calibration=str(path.resolve()))
-    return msgspec.structs.replace(cell, **{table: changed})
+    return Chosen(msgspec.structs.replace(cell, **{table: changed}), accepted)
 
 
 def calibration_named(cell: Cell, table: str) -> Calibration:
@@ -130,7 +147,7 @@ def _newest(runs: Path, cell: Cell, table: str) -> Path:
         path = folder / CALIBRATION
         if path.is_file() and read_calibration(path).provenance.cell == cell.name:
             standing = known.get(folder.name)
-            if standing is None or standing.state in USABLE:
+            if standing is None or standing.usable:
                 return path
             gone = gone or f" (that of run {folder.name} is {standing.text})"
     raise NoCalibration(
@@ -170,19 +187,29 @@ def standing_by_name(calibration: Calibration, path: Path, runs: Path) -> Standi
     return standing_of(folder.resolve()) if is_run(folder) else None
 
 
-def check_usable(path: Path, cell: Cell) -> None:
-    """Refuse a calibration of another cell, or one whose sign was not proven.
+def _accepted(path: Path, cell: Cell, runs: Path, accepts: Accepts) -> list[str]:
+    """Return why a calibration should not be used, where that is accepted; else refuse it.
 
-    Its age, the temperature and its validation are no reasons: they are why it is checked.
+    It must be of this cell. Its age and the temperature are no reasons: they are why it is checked.
     """
-    calibration = read_calibration(path)
-    check_fitness(
-        calibration, datetime.now(UTC), max_age_days=math.inf, accept_out_of_tolerance=True
+    calibration = with_verdicts(read_calibration(path), path)
+    standing = standing_by_name(calibration, path, runs)
+    accepted = check_fitness(
+        calibration,
+        datetime.now(UTC),
+        max_age_days=math.inf,
+        limits=limits_of(cell),
+        accept_out_of_tolerance=accepts.out_of_tolerance,
+        standing=standing,
+        accept_not_current=accepts.not_current,
     )
     reasons = list(_foreign(calibration, path, cell))
     if reasons:
         lines = "\n".join(f"  {reason}" for reason in reasons)
         raise Unfit(f"calibration of run {calibration.provenance.latest} refused\n{lines}")
+    if standing is None or standing.usable:
+        return accepted
+    return [*accepted, f"it is {standing.text}"]
 
 
 def _foreign(calibration: Calibration, path: Path, cell: Cell) -> Iterator[str]:

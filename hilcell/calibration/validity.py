@@ -34,6 +34,7 @@ def check_fitness(
     *,
     max_age_days: float = MAX_AGE_DAYS,
     cell: Cell | None = None,
+    limits: Limits | None = None,
     temperature_c: float | None = None,
     accept_out_of_tolerance: bool = False,
     standing: Standing | None = None,
@@ -41,16 +42,16 @@ def check_fitness(
 ) -> list[str]:
     """Raise `Unfit` with every reason why the calibration must not be used.
 
-    ``cell`` is that of today, ``temperature_c`` the room's, ``standing`` that among the cell's
-    calibrations; None leaves each unchecked. Returns
-    why it is out of tolerance, where that was accepted.
+    ``cell`` is that of today, ``limits`` are the cell's where it is not given itself,
+    ``temperature_c`` is the room's, ``standing`` that among the cell's calibrations; None leaves
+    each unchecked. Returns why it is out of tolerance, where that was accepted.
     """
     reasons = [_unproven(calibration), _age(calibration, now, max_age_days)]
     if cell is not None:
         reasons.append(_other_cell(calibration, cell))
     if temperature_c is not None:
         reasons.append(_temperature(calibration, temperature_c))
-    intolerant = out_of_tolerance(calibration, limits_of(cell) if cell is not None else None)
+    intolerant = out_of_tolerance(calibration, limits_of(cell) if cell is not None else limits)
     if standing is not None and not accept_not_current:
         reasons += _not_current(standing)
     if intolerant and not accept_out_of_tolerance:
@@ -88,7 +89,7 @@ def out_of_tolerance(calibration: Calibration, limits: Limits | None = None) -> 
 
 
 def _not_current(standing: Standing) -> Iterator[str]:
-    if standing.state in ("current", "not validated"):
+    if standing.usable:
         return
     yield f"it is {standing.text}"
     yield (

@@ -96,6 +96,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         help="the run's name and folder (default: made of time and procedure)",
     )
     run.add_argument("--job", type=clean, default="", metavar="ID", help="kept in the journal")
+    _accept_options(run)
     run.add_argument("--dry-run", action="store_true", help="check and show the plan; open nothing")
     _json_option(run, "one event a line, as journalled")
     resume = _command(commands, "resume", "commands.run:resume", "continue a run, or a paused one")
@@ -351,6 +352,12 @@ def _release_options(parser: argparse.ArgumentParser) -> None:
         metavar="DAYS",
         help="refuse an older calibration (default: 180)",
     )
+    _accept_options(parser)
+    _runs_option(parser)
+
+
+def _accept_options(parser: argparse.ArgumentParser) -> None:
+    """Add what a calibration is used in spite of; the output, or the journal, says so."""
     parser.add_argument(
         "--accept-out-of-tolerance",
         action="store_true",
@@ -361,7 +368,6 @@ def _release_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="use a calibration that is revoked, superseded or out of date",
     )
-    _runs_option(parser)
 
 
 def _command(

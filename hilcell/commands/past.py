@@ -95,6 +95,7 @@ def show(args: argparse.Namespace) -> int:
         "seed": inputs.seed,
         "machine_seed": inputs.truth_seed,
         "calibration": log.calibration,
+        "accepted": inputs.accepted or None,
         "fault": log.fault,
         "sessions": log.session,
         "link": log.link.text if log.link is not None else None,
@@ -119,5 +120,5 @@ def show(args: argparse.Namespace) -> int:
 
 _SHOWN = (
     "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
-    "calibration", "sessions", "link", "link_warning", "fault", "exit",
+    "calibration", "accepted", "sessions", "link", "link_warning", "fault", "exit",
 )  # fmt: skip

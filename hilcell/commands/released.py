@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.form import Calibration, written_now
-from hilcell.calibration.in_use import USABLE, standing_by_name, with_verdicts, written_by
+from hilcell.calibration.in_use import standing_by_name, with_verdicts, written_by
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell
 from hilcell.compensation.stamp import Stamp
@@ -36,7 +36,7 @@ class Released:
         made = self.calibration.provenance
         remarks = ["OUT OF TOLERANCE (accepted)"] if self.accepted else []
         remarks += ["no verdict stated"] if self.calibration.verdicts is None else []
-        if self.standing is not None and self.standing.state not in USABLE:
+        if self.standing is not None and not self.standing.usable:
             by = f" by {self.standing.by}" if self.standing.by else ""
             remarks.append(f"{self.standing.state.upper()}{by} (accepted)")
         return Stamp(made.latest, written_now(), station, made.simulated, tuple(remarks))
@@ -50,7 +50,7 @@ class Released:
                 f"warning: run {made.latest} is not in {self.runs}, or not finished: whether its "
                 "calibration is current is not known"
             )
-        elif self.standing.state not in USABLE:
+        elif not self.standing.usable:
             yield f"accepted although it is {self.standing.text}"
         if self.calibration.verdicts is None:
             yield (

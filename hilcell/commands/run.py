@@ -20,7 +20,7 @@ import msgspec
 from hilcell import __version__
 from hilcell.alarms.catalogue import catalogue
 from hilcell.calibration.file import write_calibration
-from hilcell.calibration.in_use import calibrated_machine, with_calibration
+from hilcell.calibration.in_use import Accepts, calibrated_machine, with_calibration
 from hilcell.calibration.updated import calibration_after
 from hilcell.cell.copied import check_copied
 from hilcell.cell.devices import (
@@ -98,8 +98,12 @@ def run(args: argparse.Namespace) -> int:
     if warning := check_copied(args.cell, cell):
         print_message(warning)
     procedure: Procedure = load_entry("procedures", args.procedure)
+    accepted: list[str] = []
     if procedure.uses:
-        cell = with_calibration(cell, procedure.uses, args.runs)
+        accepts = Accepts(args.accept_out_of_tolerance, args.accept_not_current)
+        cell, accepted = with_calibration(cell, procedure.uses, args.runs, accepts)
+        for reason in accepted:
+            print_message(f"calibration accepted although {reason}")
         if args.machine_seed is None:  # the machine that was calibrated, not the seed's
             args.machine_seed = calibrated_machine(cell, procedure.uses)
     plan = procedure.plan(cell, args.seed)
@@ -107,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_dry_run(cell, procedure, plan, as_json=args.json)
         return 0
-    earlier = {"driven_by": _finished_runs(args.runs, cell)}
+    earlier = {"driven_by": _finished_runs(args.runs, cell), "accepted": accepted}
     name = args.name or new_run(procedure.name)
     folder: Path = args.runs / name
     with locked(lock_of_name(args.runs, cell.name), f"cell {cell.name}", name):

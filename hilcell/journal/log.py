@@ -132,6 +132,7 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     driven_by: list[
         str
     ] = []  # runs finished before, newest first: the poses that they drove are known
+    accepted: list[str] = []  # why the calibration that it uses should not be used
 
     @property
     def truth_seed(self) -> int | None:

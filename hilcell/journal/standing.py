@@ -31,6 +31,11 @@ class Standing:
     current: str = ""
 
     @property
+    def usable(self) -> bool:
+        """Whether it may be used; one that was not validated is judged by its verdicts."""
+        return self.state in ("current", "not validated")
+
+    @property
     def text(self) -> str:
         """Return it in words."""
         by = f" by {self.by}" if self.by else ""

@@ -47,7 +47,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.2.1 o", "Authorised by (name, signature)"),
         Item("7.8.2.1 m", "Results and units", "the tables of this report; lengths mm, angles °"
              + (", temperatures °C" if measured_air else "")),
-        Item("7.8.2.1 n", "Deviations from the method"),
+        Item("7.8.2.1 n", "Deviations from the method", _deviations(facts)),
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets)),
         Item("7.8.4.1 b", "Conditions", _conditions(facts)),
         Item("7.8.4.1 c", "Measured with", _measured_with(facts)),
@@ -114,6 +114,10 @@ def _conditions(facts: Facts) -> str:
     if not celsius:
         return "air not measured: the tracker has no weather station"
     return f"air {min(celsius):.2f} to {max(celsius):.2f} °C at the tracker; see the table of air"
+
+
+def _deviations(facts: Facts) -> str:
+    return "; ".join(f"a calibration was used although {why}" for why in facts.inputs.accepted)
 
 
 def _revoked(facts: Facts) -> str:

@@ -54,7 +54,7 @@ def test_the_newest_calibration_of_this_cell_is_taken(tmp_path: Path) -> None:
     (later / JOURNAL).touch()
     for seconds, folder in enumerate(sorted(tmp_path.iterdir())):
         _written(folder / JOURNAL, seconds)
-    cell = with_calibration(using(), "recheck", tmp_path)
+    cell = with_calibration(using(), "recheck", tmp_path).cell
     assert Path(cell.recheck.calibration) == tmp_path / "2-new" / CALIBRATION
     assert calibration_named(cell, "recheck").provenance.run == "2-new"
     assert cell.digest == CELL.digest
@@ -69,7 +69,7 @@ def test_a_run_or_its_file_may_be_named(tmp_path: Path, how: str) -> None:
     made(tmp_path, "1-old")
     made(tmp_path, "2-new")
     named = str(tmp_path / "1-old" / CALIBRATION) if how == "file" else how
-    cell = with_calibration(using(named), "recheck", tmp_path)
+    cell = with_calibration(using(named), "recheck", tmp_path).cell
     assert calibration_named(cell, "recheck").provenance.run == "1-old"
 
 

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -11,32 +10,12 @@ import pytest
 from hilcell.calibration.file import write_calibration
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import write_targets
-from hilcell.journal.calibration_facts import USED
 from hilcell.journal.index import read_index
 from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log
 from hilcell.run.cell_lock import lock_of_name, locked
 from tests.hilcell.calibration.calibrations import calibration
+from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.commands.workplace import read_corrected
-from tests.hilcell.report.journals import Writer
-
-
-def finished(
-    runs: Path, name: str, verdicts: dict[str, Any], used: str = "", code: int = 0
-) -> None:
-    """Write a run that finished, with a calibration of its own."""
-    writer = Writer(runs / name).began()
-    if used:
-        writer.journal.append("event", "", {"what": USED, "run": used})
-    for key, more in verdicts.items():
-        writer.journal.append("verdict", key, {"holds": True} | more)
-    writer.state("run", "finished")
-    writer.journal.append("end", "", {"state": "finished", "exit": code, "result": {}})
-    writer.journal.close()
-    write_calibration(calibration(run=name), runs / name / CALIBRATION)
-
-
-MADE: dict[str, Any] = {"fit": {}, "validation.S1100": {}}
-REDO: dict[str, Any] = {"recheck": {"holds": False, "verdict": "redo"}}
 
 
 @pytest.fixture

@@ -1,0 +1,40 @@
+"""Folders of runs that finished with calibrations, written without a cell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from hilcell.calibration.file import write_calibration
+from hilcell.journal.calibration_facts import USED
+from hilcell.journal.runs import CALIBRATION
+from tests.hilcell.calibration.calibrations import calibration
+from tests.hilcell.report.journals import Writer
+
+
+def finished(
+    runs: Path,
+    name: str,
+    verdicts: dict[str, Any],
+    /,
+    used: str = "",
+    code: int = 0,
+    **changes: Any,
+) -> None:
+    """Write a run that finished, with a calibration of its own; ``changes`` are to that."""
+    writer = Writer(runs / name).began()
+    if used:
+        writer.journal.append("event", "", {"what": USED, "run": used})
+    for key, more in verdicts.items():
+        writer.journal.append("verdict", key, {"holds": True} | more)
+    writer.state("run", "finished")
+    writer.journal.append("end", "", {"state": "finished", "exit": code, "result": {}})
+    writer.journal.close()
+    made = msgspec.structs.replace(calibration(run=name, simulated=True), **changes)
+    write_calibration(made, runs / name / CALIBRATION)
+
+
+MADE: dict[str, Any] = {"fit": {}, "validation.S1100": {}}
+REDO: dict[str, Any] = {"recheck": {"holds": False, "verdict": "redo"}}
