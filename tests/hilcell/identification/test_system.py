@@ -5,7 +5,7 @@ import pytest
 
 from hilcell.identification.kinematics import Kinematics, Placed
 from hilcell.identification.noise import Noise
-from hilcell.identification.system import System
+from hilcell.identification.system import System, triangle
 from tests.hilcell.identification.robots import ARM, Robot, curve
 
 CLOSE = Placed(2.0, 2e-3, 2.0)  # so that the dense matrices are well conditioned
@@ -91,3 +91,15 @@ def test_distances_are_of_what_the_others_predict(system: System) -> None:
     wanted = missed @ np.linalg.solve(covariance, missed)
     assert system.distances()[0][1, 0] == pytest.approx(wanted, rel=1e-5)
     assert system.distances()[0][3, 1] == 0.0
+
+
+@pytest.mark.parametrize("alike", [1e-1, 1e-3, 1e-5, 1e-7, 1e-10, 0.0])
+def test_columns_that_are_nearly_alike_keep_their_digits(alike: float) -> None:
+    """Of squares alone, columns that differ by less than 1e-8 would have no difference left."""
+    rng = np.random.default_rng(4)
+    rows = rng.standard_normal((200, 4)) * [1e6, 1.0, 1e-6, 1.0]
+    rows[:, 3] = rows[:, 1] + alike * rng.standard_normal(200)
+    R, peer = triangle(rows), np.linalg.qr(rows, mode="r")
+    assert np.array_equal(R, np.triu(R))
+    found, wanted = np.abs(np.diag(R)), np.abs(np.diag(peer))
+    np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-13)
