@@ -88,8 +88,7 @@ class System:
         both = np.concatenate([rows, self.prior_root])
         R = triangle(both)
         pull = both.T @ np.concatenate([missed, self.pull])
-        step: Array = np.linalg.solve(R, np.linalg.solve(R.T, pull))
-        return R, step
+        return R, np.asarray(np.linalg.solve(R, np.linalg.solve(R.T, pull)))
 
     @property
     def step(self) -> Array:
