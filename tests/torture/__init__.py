@@ -1,0 +1,1 @@
+"""Long campaigns that ``make test`` has no time for: ``python -m tests.torture NAME...``."""

@@ -1,0 +1,240 @@
+"""Random disturbances of a run: does a wrong number ever pass for a right one?
+
+A case is a calibration of the small cell, and the same with one disturbance of a random kind, size
+and moment. The disturbance matters where it moves the mean error of the corrected targets by more
+than `MATTERS_MM`: the mean that the run reports, or the true one. It is noticed where the run ends
+with another exit code than 0, or with a suspicion. The undisturbed run must do neither.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fakes.plant import Plant
+from fakes.simulator import PaperCell
+from hilcell.cell.file import Cell, load_cell
+from hilcell.ports import HilcellError
+from tests.torture.spread import print_table, progress, spread
+from tests.torture.truth import machine, true_errors_mm
+from tests.whole.bench import SMALL, Simulation, command, events, sets
+from tests.whole.trace import judge
+
+COUNT = 300
+MATTERS_MM = 0.03
+LEAST_NOTICED = 0.95
+MOST_FALSE = 0.01
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A fault, its smallest and largest size, and how the machine is after it for good.
+
+    Without ``machine`` only measurements are disturbed: the tool is where it was.
+    """
+
+    name: str
+    fault: str
+    least: float
+    most: float
+    unit: str
+    machine: Callable[[Plant, float], None] | None = None
+
+
+def _lose_zero(plant: Plant, lost_deg: float) -> None:
+    plant.lose_zero(math.radians(lost_deg))
+
+
+KINDS = (
+    Kind("tracker moved", "tracker.drift_step", 0.03, 5.0, "mm"),
+    Kind("mount slipped", "robot.mount_slip", 0.03, 5.0, "mm"),
+    Kind("zero of axis 1", "robot.lost_zero", 0.002, 0.2, "deg", _lose_zero),
+    Kind("slide slipped", "rail.slip", 0.05, 5.0, "mm"),
+    Kind("backlash grown", "rail.backlash", 0.05, 0.5, "mm"),
+)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """``moment`` is the share of the run's points that are measured before it."""
+
+    kind: Kind
+    size: float
+    moment: float
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """One run: its end event, the keys of its points, and its true mean errors by station."""
+
+    end: dict[str, Any]
+    keys: list[str]
+    broken: list[str]  # invariants
+    true_mm: dict[str, float]
+
+    @property
+    def suspicions(self) -> list[str]:
+        found = self.end.get("result", {}).get("suspicions", [])
+        return [f"{each['cause']} {each['size']:.3g} {each['unit']}" for each in found]
+
+    @property
+    def alarmed(self) -> bool:
+        return bool(self.end["exit"] != 0 or self.suspicions)
+
+    @property
+    def moved(self) -> int:
+        """How often the tracker was found to have moved."""
+        return int(self.end.get("result", {}).get("tracker", {}).get("moved", 0))
+
+    @property
+    def means_mm(self) -> dict[str, float]:
+        """The reported mean errors of corrected targets by place, and the true ones."""
+        validation = self.end.get("result", {}).get("validation", {})
+        reported = {place: each["chosen"]["mean"] for place, each in validation.items()}
+        return reported | {f"true {station}": mean for station, mean in self.true_mm.items()}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A disturbed run and its undisturbed twin."""
+
+    seed: int
+    disturbance: Disturbance
+    undisturbed: Calibrated
+    disturbed: Calibrated
+    at: str  # the last point before
+
+    @property
+    def shift_mm(self) -> float:
+        """By how much the disturbance moved a mean; infinite where one is missing or no number."""
+        wanted, found = self.undisturbed.means_mm, self.disturbed.means_mm
+        shifts = [abs(found.get(key, math.nan) - mean) for key, mean in wanted.items()]
+        return max(shifts) if shifts and np.isfinite(shifts).all() else math.inf
+
+    @property
+    def matters(self) -> bool:
+        return not self.shift_mm <= MATTERS_MM
+
+    @property
+    def words(self) -> str:
+        what, end = self.disturbance, self.disturbed.end
+        wanted, found = self.undisturbed.means_mm, self.disturbed.means_mm
+        shifts = [
+            f"{key} {wanted[key]:.3f} -> {found[key]:.3f}"
+            for key in wanted
+            if key in found and abs(found[key] - wanted[key]) > MATTERS_MM
+        ]
+        struck = f"{what.kind.name} {what.size:+.4g} {what.kind.unit} after {self.at}"
+        return (
+            f"seed {self.seed}: {struck}: "
+            f"exit {end['exit']} {self.disturbed.suspicions}, {'; '.join(shifts) or 'no shift'}"
+        )
+
+
+def drawn(seed: int, kinds: Sequence[Kind] = KINDS) -> Disturbance:
+    """Return the disturbance of a case: kinds in turn, sizes log-uniform, any moment."""
+    rng = np.random.default_rng([seed, 2024])
+    kind = kinds[seed % len(kinds)]
+    size = math.exp(rng.uniform(math.log(kind.least), math.log(kind.most)))
+    return Disturbance(kind, size * rng.choice([-1.0, 1.0]), rng.uniform())
+
+
+def calibrated(seed: int, disturbance: Disturbance | None = None, after: str = "") -> Calibrated:
+    """Calibrate the small cell on the machine of a seed; ``after`` a point it is disturbed."""
+    cell = load_cell("paper", SMALL)
+    simulated = PaperCell(cell, seed=seed)
+    control = Simulation(simulated.options, simulated.address)
+
+    def hear(event: dict[str, Any]) -> None:
+        if disturbance is not None and event["kind"] == "point" and event["key"] == after:
+            fault = disturbance.kind.fault
+            assert control.ask(do="fault", name=fault, value=disturbance.size)["ok"]
+
+    with tempfile.TemporaryDirectory(prefix="disturbances-") as runs:
+        words = ("--unattended", "--name", "run", "--seed", str(seed), "--runs", runs, "--json")
+        try:
+            settings = sets(SMALL | {"simulation.address": simulated.address})
+            done = command("run", *words, *settings, hear=hear)
+        finally:
+            simulated.close()
+        printed = events(done.stdout)
+        keys = [event["key"] for event in printed if event["kind"] == "point"]
+        file = Path(runs, "run", "calibration.json")
+        true_mm = _true_means_mm(file, cell, seed, disturbance) if file.is_file() else {}
+    return Calibrated(printed[-1], keys, [str(each) for each in judge(printed)], true_mm)
+
+
+def _true_means_mm(
+    file: Path, cell: Cell, seed: int, disturbance: Disturbance | None
+) -> dict[str, float]:
+    plant = machine(cell, seed)
+    if disturbance is not None and disturbance.kind.machine is not None:
+        disturbance.kind.machine(plant, disturbance.size)
+    try:
+        return {
+            station: float(errors_mm.mean())
+            for station, errors_mm in true_errors_mm(file, cell, plant).items()
+        }
+    except HilcellError:  # targets out of the disturbed cube
+        return {}
+
+
+def case(seed: int) -> Case:
+    """Run one case."""
+    disturbance, undisturbed = drawn(seed), calibrated(seed)
+    at = undisturbed.keys[int(disturbance.moment * len(undisturbed.keys))]
+    return Case(seed, disturbance, undisturbed, calibrated(seed, disturbance, at), at)
+
+
+def campaign(seeds: range) -> int:
+    """Run the cases and print how many of the disturbances that matter were noticed."""
+    cases = []
+    for found in spread(case, seeds):
+        progress(f"{found.shift_mm:7.3f} mm  {found.words}")
+        cases.append(found)
+    return 0 if report(cases) else 1
+
+
+def report(cases: Sequence[Case]) -> bool:
+    """Print the figures; return whether they hold."""
+    rows = [_row(name, [c for c in cases if c.disturbance.kind.name == name]) for name in _names()]
+    head = ("kind", "cases", "matter", "noticed", "silent", "re-measured", "alarm, no matter")
+    print_table(head, [*rows, _row("all", cases)])
+    silent = [each for each in cases if each.matters and not each.disturbed.alarmed]
+    for each in silent:
+        print(f"SILENT {each.words}")
+    false = [each for each in cases if each.undisturbed.alarmed or each.undisturbed.moved]
+    for each in false:
+        end = each.undisturbed.end
+        print(f"FALSE  seed {each.seed}: exit {end['exit']} {each.undisturbed.suspicions}")
+    broken = Counter(text for c in cases for text in c.undisturbed.broken + c.disturbed.broken)
+    for text, count in broken.items():
+        print(f"BROKEN {count} times: {text}")
+    matter = sum(each.matters for each in cases)
+    print(
+        f"noticed {matter - len(silent)} of {matter} that move a mean by > {MATTERS_MM} mm "
+        f"(wanted >= {LEAST_NOTICED:.0%}); false alarms {len(false)} of {len(cases)} "
+        f"(wanted <= {MOST_FALSE:.0%})"
+    )
+    noticed = len(silent) <= (1.0 - LEAST_NOTICED) * matter
+    return noticed and len(false) <= MOST_FALSE * len(cases) and not broken
+
+
+def _names() -> list[str]:
+    return [kind.name for kind in KINDS]
+
+
+def _row(name: str, cases: Sequence[Case]) -> tuple[object, ...]:
+    matter = [each for each in cases if each.matters]
+    silent = sum(not each.disturbed.alarmed for each in matter)
+    right = [each for each in cases if not each.matters]
+    mended = sum(bool(each.disturbed.moved) for each in right)
+    needless = sum(each.disturbed.alarmed for each in right)
+    return name, len(cases), len(matter), len(matter) - silent, silent, mended, needless
