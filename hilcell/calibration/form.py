@@ -101,6 +101,11 @@ class Provenance(msgspec.Struct, frozen=True):
         """Return the run that wrote the file."""
         return self.updates[-1].run if self.updates else self.run
 
+    @property
+    def is_of_visit(self) -> bool:
+        """Whether its last change is a base that was touched on one visit of a station."""
+        return bool(self.updates) and self.updates[-1].what == "touch"
+
 
 class ModelEntry(msgspec.Struct, frozen=True):
     """The model by its name, with its own parameters: typed by `LearntModel.restore`."""

@@ -45,18 +45,19 @@ NOTHING = Accepts()
 
 
 class Chosen(NamedTuple):
-    """A cell whose table names a usable calibration file, and why that one should not be used,
-    where it was accepted.
+    """A cell whose table names a usable calibration file, why that one should not be used, where
+    it was accepted, and which one it is.
     """
 
     cell: Cell
     accepted: list[str]
+    words: str = ""
 
 
 def with_calibration(cell: Cell, table: str, runs: Path, accepts: Accepts = NOTHING) -> Chosen:
     """Return the cell with the path of a usable calibration file in ``table``.
 
-    The table names a run or a file; "" is the newest calibration of this cell in ``runs``. A cell
+    The table names a run or a file; "" is the current calibration of this cell in ``runs``. A cell
     without the table is returned as it is. Raises `NoCalibration`, `Unfit`, and `SettingsError`
     for a file that is not sound.
     """
@@ -64,10 +65,15 @@ def with_calibration(cell: Cell, table: str, runs: Path, accepts: Accepts = NOTH
     if chosen is None:
         return Chosen(cell, [])  # the plan says which keys it lacks
     named = chosen.calibration
-    path = _named(runs, named) if named else _newest(runs, cell, table)
-    accepted = _accepted(path, cell, runs, accepts)
+    path = _named(runs, named) if named else _current(runs, cell, table)
+    calibration = with_verdicts(read_calibration(path), path)
+    standing = standing_by_name(calibration, path, runs)
+    accepted = _accepted(calibration, path, cell, standing, accepts)
     changed = msgspec.structs.replace(chosen, calibration=str(path.resolve()))
-    return Chosen(msgspec.structs.replace(cell, **{table: changed}), accepted)
+    words = f"the calibration of run {calibration.provenance.latest} is used"
+    if standing is not None:
+        words += f": {standing.text}"
+    return Chosen(msgspec.structs.replace(cell, **{table: changed}), accepted, words)
 
 
 def calibration_named(cell: Cell, table: str) -> Calibration:
@@ -140,16 +146,28 @@ def _instead(folder: Path) -> str:
     return f"it used that of {latest}"
 
 
-def _newest(runs: Path, cell: Cell, table: str) -> Path:
-    gone = ""
+def _current(runs: Path, cell: Cell, table: str) -> Path:
+    """Return the current calibration; where there is none, the newest that is not known to be bad.
+
+    A touched base is of a visit that ends when the run that looks for one homes the slide.
+    """
+    gone, unproven = "", None
     known = standings(read_index(runs))
     for folder in newest_first(runs):
         path = folder / CALIBRATION
-        if path.is_file() and read_calibration(path).provenance.cell == cell.name:
-            standing = known.get(folder.name)
-            if standing is None or standing.usable:
-                return path
+        if not path.is_file() or (made := read_calibration(path).provenance).cell != cell.name:
+            continue
+        standing = known.get(folder.name)
+        if made.is_of_visit:
+            gone = gone or f" (that of run {folder.name} has a base that was touched on a visit)"
+        elif standing is not None and standing.state == "current":
+            return path
+        elif standing is None or standing.usable:
+            unproven = unproven or path
+        else:
             gone = gone or f" (that of run {folder.name} is {standing.text})"
+    if unproven is not None:
+        return unproven
     raise NoCalibration(
         f"no finished run in {runs} has calibrated cell {cell.name}{gone}; `hilcell run calibrate` "
         f"first, or name a run or its calibration.json with --set {table}.calibration=RUN"
@@ -187,13 +205,13 @@ def standing_by_name(calibration: Calibration, path: Path, runs: Path) -> Standi
     return standing_of(folder.resolve()) if is_run(folder) else None
 
 
-def _accepted(path: Path, cell: Cell, runs: Path, accepts: Accepts) -> list[str]:
+def _accepted(
+    calibration: Calibration, path: Path, cell: Cell, standing: Standing | None, accepts: Accepts
+) -> list[str]:
     """Return why a calibration should not be used, where that is accepted; else refuse it.
 
     It must be of this cell. Its age and the temperature are no reasons: they are why it is checked.
     """
-    calibration = with_verdicts(read_calibration(path), path)
-    standing = standing_by_name(calibration, path, runs)
     accepted = check_fitness(
         calibration,
         datetime.now(UTC),

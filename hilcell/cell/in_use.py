@@ -10,7 +10,7 @@ from hilcell.cell.tables import Frozen
 
 
 class RecheckTable(Frozen, frozen=True, kw_only=True):
-    """Which calibration is re-checked, "" for the cell's newest, and by how many poses."""
+    """Which calibration is re-checked, "" for the cell's current one, and by how many poses."""
 
     calibration: str = ""
     poses: Annotated[int, Meta(ge=4, le=10)] = 7

@@ -101,9 +101,9 @@ def run(args: argparse.Namespace) -> int:
     accepted: list[str] = []
     if procedure.uses:
         accepts = Accepts(args.accept_out_of_tolerance, args.accept_not_current)
-        cell, accepted = with_calibration(cell, procedure.uses, args.runs, accepts)
-        for reason in accepted:
-            print_message(f"calibration accepted although {reason}")
+        cell, accepted, used = with_calibration(cell, procedure.uses, args.runs, accepts)
+        for words in (used, *(f"accepted although {reason}" for reason in accepted)):
+            print_message(words)
         if args.machine_seed is None:  # the machine that was calibrated, not the seed's
             args.machine_seed = calibrated_machine(cell, procedure.uses)
     plan = procedure.plan(cell, args.seed)

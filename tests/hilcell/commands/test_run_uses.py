@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 
 from hilcell.calibration.decision import Guard, judged
+from hilcell.calibration.form import Update
 from hilcell.commands import run as command
 from hilcell.commands.cli import main
-from hilcell.journal.runs import read_log
-from tests.hilcell.calibration.calibrations import LIMITS
+from hilcell.journal.runs import CALIBRATION, read_log
+from tests.hilcell.calibration.calibrations import LIMITS, calibration
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.report.journals import Writer
 
@@ -41,7 +42,7 @@ def test_one_that_is_not_current_is_refused(
     assert not (runs / "r").exists()
     assert recheck(runs, "1-made", "--accept-not-current", procedure=procedure) == 0
     said = "it is superseded by 2-made"
-    assert f"calibration accepted although {said}" in capsys.readouterr().err
+    assert f"accepted although {said}" in capsys.readouterr().err
     assert read_log(runs / "r").inputs.accepted == [said]
 
 
@@ -75,6 +76,27 @@ def test_one_out_of_tolerance_is_refused(
 def test_another_tolerance_is_refused(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert recheck(runs, "1-made", "--set", "validation.mean_tolerance_mm=0.1") == 2
     assert "another tolerance than the cell given" in capsys.readouterr().err
+
+
+def test_the_current_one_is_taken_and_named(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A later one that failed is not it, nor is a base that was touched on a visit."""
+    finished(runs, "2-made", {"fit": {}, "validation.S1100": {"holds": False}}, code=1)
+    touch = Update("3-touch", "touch", "2026-11-22T10:00:00Z", 8)
+    made = calibration(run="1-made", simulated=True, updates=[touch]).provenance
+    finished(runs, "3-touch", {"touch": {"station": "S300"}}, used="1-made", provenance=made)
+    assert recheck(runs, "") == 0
+    assert "the calibration of run 1-made is used: current" in capsys.readouterr().err
+    used = read_log(runs / "r").cell.recheck.calibration
+    assert used == str(runs / "1-made" / CALIBRATION)
+
+
+def test_a_touched_base_alone_is_not_taken(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    touch = Update("3-touch", "touch", "2026-11-22T10:00:00Z", 8)
+    made = calibration(run="1-made", simulated=True, updates=[touch]).provenance
+    finished(runs, "3-touch", {"touch": {"station": "S300"}}, used="1-made", provenance=made)
+    (runs / "1-made" / CALIBRATION).unlink()
+    assert recheck(runs, "") == 2
+    assert "run 3-touch has a base that was touched on a visit" in capsys.readouterr().err
 
 
 def test_what_was_accepted_is_shown(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
