@@ -73,7 +73,7 @@ from hilcell.run.exits import DONE, EXIT_ABORTED, EXIT_STORAGE, RESUMABLE, exit_
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
-from hilcell.run.same_cell import NONE, Changes, accepted, cell_file, changed_inputs, not_as_before
+from hilcell.run.same_cell import NONE, Changes, accepted, cell_file, changed_inputs
 from hilcell.run.signals import signals_noted, stopped_by_signals
 from hilcell.writing import NotWritten
 
@@ -149,13 +149,14 @@ def resume(args: argparse.Namespace) -> int:
         asked = _open_retakes(log, folder, args.retake)
         changes = NONE
         if asked or log.retakes or log.state != "finished":  # else all is measured
-            changes = Changes(changed_inputs(log, procedure.uses), accepted=args.accept_changes)
-            if changes.inputs and args.unattended and not changes.accepted:
-                raise not_as_before(changes.inputs)
-            if asks(args):
-                if not agrees(folder.name, log, procedure, changes.inputs):
+            found, somebody = changed_inputs(log, procedure.uses), asks(args)
+            askable = somebody or (args.screen and not args.unattended)
+            changes = Changes(found, args.accept_changes, askable)
+            changes.check(found)
+            if somebody:
+                if not agrees(folder.name, log, procedure, found):
                     return EXIT_ABORTED
-                accepted(journal, changes.inputs, "the operator")
+                accepted(journal, found, "the operator")
                 changes = Changes(accepted=args.accept_changes)
         output = _output(args.json, journal.run, inputs.points, journal)
         for key in asked:

@@ -25,10 +25,18 @@ NAMED = 3  # changed keys of a cell file; the others are counted
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """Changes that were found before the devices were opened, and whether all are accepted."""
+    """Changes that were found before the devices were opened, whether all are accepted, and
+    whether somebody can be asked.
+    """
 
     inputs: Sequence[str] = ()
     accepted: bool = False
+    askable: bool = True
+
+    def check(self, found: Sequence[str]) -> None:
+        """Refuse changes that are not accepted and that nobody can agree to."""
+        if found and not (self.accepted or self.askable):
+            raise not_as_before(found)
 
 
 NONE = Changes()
@@ -114,13 +122,13 @@ def accepted(journal: RunJournal, changes: Sequence[str], by: str) -> None:
 
 
 def not_as_before(changes: Sequence[str]) -> DeviceRefused:
-    """Return the error for a run that nobody attends."""
+    """Return the error for a run with nobody to be asked."""
     return DeviceRefused(
         "HC-C30",
         "Cell",
         "resume",
         "; ".join(changes),
         wanted="as when the run began",
-        act="put back what was there; or resume attended and agree, or with --accept-changes",
+        act="put back what was there; or resume at a terminal and agree, or say --accept-changes",
         fields={"changes": list(changes)},
     )

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all
@@ -21,7 +21,7 @@ from hilcell.run.device_status import CellMonitor
 from hilcell.run.pause_gate import REST_S, PauseGate
 from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
-from hilcell.run.same_cell import NONE, Changes, accepted, changed_assets, not_as_before
+from hilcell.run.same_cell import NONE, Changes, accepted, changed_assets
 
 ENDED = "the run has ended"
 SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
@@ -96,7 +96,8 @@ class Worker:
         self.session: CellSession | None = None
         self._cell, self._procedure = cell, procedure
         self._journal, self._clock = journal, clock
-        self._send, self._unattended, self._changes = send, unattended, changes
+        self._send, self._unattended = send, unattended
+        self._changes = replace(changes, askable=changes.askable and not unattended)
         self._locks = ExitStack()
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
@@ -128,8 +129,7 @@ class Worker:
         identities = connect_all(self.devices, self._claim)
         changes = [*self._changes.inputs, *changed_assets(self._journal.log.assets, identities)]
         connected = {"what": "connected", "devices": identities, "hilcell": __version__}
-        if changes and self._unattended and not self._changes.accepted:
-            raise not_as_before(changes)
+        self._changes.check(changes)
         if not changes:
             self._journal.append("event", "", connected)
         self._await_screen()

@@ -109,20 +109,28 @@ def test_scripts_and_screens_are_not_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
     folder = left(tmp_path / "r")
-    assert resumed(folder, monkeypatch, "" if words else None, *words) == (0, [Changes([])])
+    gone_on = [Changes([], askable="--screen" in words)]
+    assert resumed(folder, monkeypatch, "" if words else None, *words) == (0, gone_on)
 
 
 CHANGE = f"hilcell 0.0.1 began this run, this is {__version__}"
 
 
-def test_another_version_is_refused_where_nobody_is_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("words", [("--unattended",), ()])
+def test_another_version_is_refused_where_nobody_can_be_asked(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
 ) -> None:
+    """A pipe is nobody: a script that waits for an answer waits for ever."""
     folder = left(tmp_path / "r", versions={"hilcell": "0.0.1"})
-    assert resumed(folder, monkeypatch, None, "--unattended") == (2, [])
-    assert CHANGE in capsys.readouterr().err
-    accepted = ("--unattended", "--accept-changes")
-    assert resumed(folder, monkeypatch, None, *accepted) == (0, [Changes([CHANGE], accepted=True)])
+    assert resumed(folder, monkeypatch, None, *words) == (2, [])
+    refusal = capsys.readouterr().err
+    assert CHANGE in refusal
+    assert "--accept-changes" in refusal
+    gone_on = [Changes([CHANGE], accepted=True, askable=False)]
+    assert resumed(folder, monkeypatch, None, *words, "--accept-changes") == (0, gone_on)
 
 
 def test_at_a_terminal_another_version_is_agreed_to_and_journalled(

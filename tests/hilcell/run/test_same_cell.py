@@ -118,6 +118,13 @@ def test_nobody_there_another_rail_is_refused_again_and_again(tmp_path: Path) ->
     assert bed.events("changes accepted") == []
 
 
+def test_a_script_that_resumes_an_attended_run_does_not_wait(tmp_path: Path) -> None:
+    bed = Bed(tmp_path, unattended=False)
+    change = other_rail(bed)
+    assert bed.run(procedure(Points(2)), Changes(askable=False)) == 2
+    assert bed.log().fault.startswith(f"Cell: resume: {change}")
+
+
 def test_an_option_accepts_another_rail_and_the_journal_says_so(tmp_path: Path) -> None:
     bed = Bed(tmp_path)
     change = other_rail(bed)
