@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
-import numpy as np
 from msgspec import Meta, field
 
 from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
 from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.plan import QUICK_NEST_SAMPLES, PlanTable
+from hilcell.cell.robot import Joint, RobotTable, arm_from_joints
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
 from hilcell.cell.surroundings import (
     CapsuleTable,
@@ -33,13 +33,11 @@ from hilcell.cell.surroundings import (
 from hilcell.cell.sweeps import SweepsTable
 from hilcell.cell.tables import (
     Acceleration,
-    Angle,
     Count,
     Dwell,
     Frozen,
     Length,
     Name,
-    Percent,
     Point,
     Pose,
     Six,
@@ -51,8 +49,6 @@ from hilcell.cell.tables import (
     refuse_descending,
 )
 from hilcell.cell.uncertainty import UncertaintyTable
-from hilcell.geometry.kinematics import Arm, Array
-from hilcell.geometry.robot import NominalRobot
 
 __all__ = [
     "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "EnvelopeTable", "Frozen",
@@ -112,89 +108,6 @@ class RailTable(Frozen, frozen=True, kw_only=True):
         The approach is held to the tolerance; readings at rest may still turn over by one count.
         """
         return 2.0 * self.strip_tolerance_mm
-
-
-class Joint(Frozen, frozen=True, kw_only=True):
-    """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits."""
-
-    a_mm: Length
-    alpha_deg: Angle
-    d_mm: Length
-    offset_deg: Angle
-    sign: Annotated[int, Meta(ge=-1, le=1)] = 1
-    min_deg: Angle = -180.0
-    max_deg: Angle = 180.0
-    speed_deg_s: Speed = 100.0
-
-    def __post_init__(self) -> None:
-        if not self.sign:
-            raise ValueError("sign must be 1 or -1")
-        refuse_descending(self, "min_deg", "max_deg")
-
-
-class RobotTable(Frozen, frozen=True, kw_only=True):
-    """The robot: nominal kinematics, where the reflector sits, how it moves."""
-
-    driver: Name
-    name: str
-    joint: list[Joint]
-    smr_mm: Point
-    home_deg: Six
-    safe_deg: Six
-    status: Annotated[int, Meta(ge=0, le=7)]
-    speed_percent: Percent = 30.0
-    approach_deg: Annotated[float, Meta(gt=0, le=90)] = 0.5
-    joint_margin_deg: Annotated[float, Meta(ge=0, le=90)] = 2.0
-    ramp_s: Annotated[float, Meta(ge=0, le=10)] = 0.5
-    first_pass_percent: Percent = 10.0
-    first_pass_pause: bool = True
-    envelope: EnvelopeTable | None = None
-    options: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if len(self.joint) != 6:
-            raise ValueError(f"six joints are wanted, found {len(self.joint)}")
-        refuse(
-            [
-                f"{key}: A{n} at {deg} deg is outside its limits "
-                f"{joint.min_deg} .. {joint.max_deg} deg"
-                for key in ("home_deg", "safe_deg")
-                for n, (joint, deg) in enumerate(
-                    zip(self.joint, getattr(self, key), strict=True), 1
-                )
-                if not joint.min_deg <= deg <= joint.max_deg
-            ]
-        )
-
-    def arm(self) -> Arm:
-        """Return the nominal arm; its tool point is the reflector's centre."""
-        tool = np.eye(4)
-        tool[:3, 3] = self.smr_mm
-        return arm_from_joints(self.joint, tool)
-
-    def nominal(self) -> NominalRobot:
-        """Return the robot as its controller takes it to be."""
-        home_rad = np.radians(self.home_deg)
-        return NominalRobot(self.arm(), self.status, self.margin_limits_rad, home_rad)
-
-    @property
-    def margin_limits_rad(self) -> Array:
-        """Return the limits (2, 6), lower and upper, less the margin; poses come from below."""
-        margin_deg = self.joint_margin_deg
-        low_deg = [joint.min_deg + max(margin_deg, self.approach_deg) for joint in self.joint]
-        return np.radians([low_deg, [joint.max_deg - margin_deg for joint in self.joint]])
-
-
-def arm_from_joints(joints: list[Joint], tool: Array) -> Arm:
-    """Return the arm of six DH rows with the tool frame (4, 4) on the flange."""
-    return Arm(
-        a_mm=np.array([j.a_mm for j in joints]),
-        alpha_rad=np.radians([j.alpha_deg for j in joints]),
-        d_mm=np.array([j.d_mm for j in joints]),
-        offset_rad=np.radians([j.offset_deg for j in joints]),
-        sign=np.array([float(j.sign) for j in joints]),
-        tool=tool,
-    )
 
 
 class TrackerTable(Frozen, frozen=True, kw_only=True):
@@ -349,7 +262,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
                 *self._bad_stations(),
                 *self._bad_counts(),
                 *self._bad_survey(),
-                *keep_out_problems(self),
+                *keep_out_problems(self.keep_out, self.robot.envelope),
             ]
         )
 
@@ -398,7 +311,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
     def surroundings(self) -> Surroundings | None:
         """Return what the arm keeps clear of; None where the file states nothing of it."""
         envelope = self.robot.envelope
-        return None if envelope is None else Surroundings(self, envelope)
+        if envelope is None:
+            return None
+        return Surroundings(self.robot.arm(), envelope, self.layout, self.keep_out)
 
     @property
     def nest_samples(self) -> int:

@@ -9,18 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, field
 
+from hilcell.cell.layout import Layout
 from hilcell.cell.tables import Frozen, Name, Point, Pose, Size
 from hilcell.geometry.clear_motion import Body, Proof
 from hilcell.geometry.clearance import Boxes, Capsules, joint_lines
 from hilcell.geometry.kinematics import Arm, Array
-
-if TYPE_CHECKING:
-    from hilcell.cell.file import Cell
 
 LINKS = 6
 MOST_VOLUMES = 100
@@ -75,10 +73,11 @@ class Nearest:
 class Surroundings:
     """The volumes of a cell, and whether its arm keeps clear of them."""
 
-    def __init__(self, cell: Cell, envelope: EnvelopeTable) -> None:
-        arm, layout = cell.robot.arm(), cell.layout
-        standing = [volume for volume in cell.keep_out if volume.frame == "world"]
-        riding = [volume for volume in cell.keep_out if volume.frame == "slide"]
+    def __init__(
+        self, arm: Arm, envelope: EnvelopeTable, layout: Layout, keep_out: Sequence[KeepOut]
+    ) -> None:
+        standing = [volume for volume in keep_out if volume.frame == "world"]
+        riding = [volume for volume in keep_out if volume.frame == "slide"]
         self.wanted_mm = envelope.clearance_mm
         self._names = [volume.name for volume in (*standing, *riding)]
         self._body = Body(
@@ -101,16 +100,16 @@ class Surroundings:
         return Nearest(found.clearance_mm, link, self._names[found.box], found.share)
 
 
-def keep_out_problems(cell: Cell) -> Iterator[str]:
+def keep_out_problems(keep_out: Sequence[KeepOut], envelope: EnvelopeTable | None) -> Iterator[str]:
     """Yield what is wrong with a cell's volumes: both they and the arm's shape are needed."""
-    names = [volume.name for volume in cell.keep_out]
+    names = [volume.name for volume in keep_out]
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield f"keep_out: names must differ, found {name} twice"
     if not len(names) <= MOST_VOLUMES:
         yield f"keep_out: {len(names)} volumes, at most {MOST_VOLUMES} are checked"
-    if names and cell.robot.envelope is None:
+    if names and envelope is None:
         yield "keep_out: the arm's shape is unknown; state robot.envelope.radius_mm"
-    if cell.robot.envelope is not None and not names:
+    if envelope is not None and not names:
         yield "robot: envelope: there is no keep_out; state at least the floor"
 
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hilcell.errors import HilcellError
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.geometry.statistics import lengths_mm, rms
-from hilcell.ports import HilcellError
 
 LEAST_SPREAD = 0.02  # across over along: below this the points count as one line
 LEAST_DEPTH = 1e-3  # out of plane over along: below this handedness is undefined

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hilcell.errors import HilcellError
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
 from hilcell.geometry.rotations import to_rotvec
-from hilcell.ports import HilcellError
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int_]

@@ -109,8 +109,6 @@ class HistoryPage(FilterScreen, Page):
                 f"mark two runs with {shown(self.application.keymap['mark'][0])} first"
             )
             return
-        from hilcell.tui.screens.history import ComparePage
-
         first, second = sorted(self._marked)
         self.app.push_screen(ComparePage(first, second))
 

@@ -1,0 +1,107 @@
+"""The robot of the cell file: nominal kinematics, where its reflector sits, how it moves."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta, field
+
+from hilcell.cell.settings import refuse
+from hilcell.cell.surroundings import EnvelopeTable
+from hilcell.cell.tables import (
+    Angle,
+    Frozen,
+    Length,
+    Name,
+    Percent,
+    Point,
+    Six,
+    Speed,
+    refuse_descending,
+)
+from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.robot import NominalRobot
+
+
+class Joint(Frozen, frozen=True, kw_only=True):
+    """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits."""
+
+    a_mm: Length
+    alpha_deg: Angle
+    d_mm: Length
+    offset_deg: Angle
+    sign: Annotated[int, Meta(ge=-1, le=1)] = 1
+    min_deg: Angle = -180.0
+    max_deg: Angle = 180.0
+    speed_deg_s: Speed = 100.0
+
+    def __post_init__(self) -> None:
+        if not self.sign:
+            raise ValueError("sign must be 1 or -1")
+        refuse_descending(self, "min_deg", "max_deg")
+
+
+class RobotTable(Frozen, frozen=True, kw_only=True):
+    """The robot: nominal kinematics, where the reflector sits, how it moves."""
+
+    driver: Name
+    name: str
+    joint: list[Joint]
+    smr_mm: Point
+    home_deg: Six
+    safe_deg: Six
+    status: Annotated[int, Meta(ge=0, le=7)]
+    speed_percent: Percent = 30.0
+    approach_deg: Annotated[float, Meta(gt=0, le=90)] = 0.5
+    joint_margin_deg: Annotated[float, Meta(ge=0, le=90)] = 2.0
+    ramp_s: Annotated[float, Meta(ge=0, le=10)] = 0.5
+    first_pass_percent: Percent = 10.0
+    first_pass_pause: bool = True
+    envelope: EnvelopeTable | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(self.joint) != 6:
+            raise ValueError(f"six joints are wanted, found {len(self.joint)}")
+        refuse(
+            [
+                f"{key}: A{n} at {deg} deg is outside its limits "
+                f"{joint.min_deg} .. {joint.max_deg} deg"
+                for key in ("home_deg", "safe_deg")
+                for n, (joint, deg) in enumerate(
+                    zip(self.joint, getattr(self, key), strict=True), 1
+                )
+                if not joint.min_deg <= deg <= joint.max_deg
+            ]
+        )
+
+    def arm(self) -> Arm:
+        """Return the nominal arm; its tool point is the reflector's centre."""
+        tool = np.eye(4)
+        tool[:3, 3] = self.smr_mm
+        return arm_from_joints(self.joint, tool)
+
+    def nominal(self) -> NominalRobot:
+        """Return the robot as its controller takes it to be."""
+        home_rad = np.radians(self.home_deg)
+        return NominalRobot(self.arm(), self.status, self.margin_limits_rad, home_rad)
+
+    @property
+    def margin_limits_rad(self) -> Array:
+        """Return the limits (2, 6), lower and upper, less the margin; poses come from below."""
+        margin_deg = self.joint_margin_deg
+        low_deg = [joint.min_deg + max(margin_deg, self.approach_deg) for joint in self.joint]
+        return np.radians([low_deg, [joint.max_deg - margin_deg for joint in self.joint]])
+
+
+def arm_from_joints(joints: list[Joint], tool: Array) -> Arm:
+    """Return the arm of six DH rows with the tool frame (4, 4) on the flange."""
+    return Arm(
+        a_mm=np.array([j.a_mm for j in joints]),
+        alpha_rad=np.radians([j.alpha_deg for j in joints]),
+        d_mm=np.array([j.d_mm for j in joints]),
+        offset_rad=np.radians([j.offset_deg for j in joints]),
+        sign=np.array([float(j.sign) for j in joints]),
+        tool=tool,
+    )
