@@ -58,6 +58,7 @@ class ArmTruth:
         self._slopes = slopes(self.design)
         sizes = machine.transmission
         self.ripple = Ripple(sizes, rng)
+        self._lost_rad = np.zeros(6)
         self._half_gap_rad = (
             sizes.half_gap_urad * URAD * rng.uniform(1.0 - GAP_SPREAD, 1.0 + GAP_SPREAD, 6)
         )
@@ -79,6 +80,10 @@ class ArmTruth:
         chain = self._chain.grown(strain) if strain else self._chain
         lost = side * self._half_gap_rad + landing_rad
         return chain.pose(self._true_joints(joints_rad) + lost)
+
+    def lose_zero(self, axis: int, lost_rad: float) -> None:
+        """Turn an axis, 1 to 6, against its encoder for good."""
+        self._lost_rad[axis - 1] += lost_rad
 
     def errors_mm(self, commands_rad: Array, targets_mm: Array) -> Array:
         """Return e = actual - nominal (N, 3) in the ideal {B}, without noise, from below."""
@@ -138,7 +143,7 @@ class ArmTruth:
         if share:
             ripple *= 1.0 + share * self._loads(joints_rad)
         bent = self._errors.deflection(joints_rad, self._slopes)
-        true: Array = joints_rad + self._errors.zero_rad + bent + ripple
+        true: Array = joints_rad + self._errors.zero_rad + self._lost_rad + bent + ripple
         return true
 
     def _base_from_axes(self, axis_6_rad: Array) -> Array:

@@ -41,6 +41,14 @@ FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOOL, BASE = 1, 0
 CYCLE_S = 0.012  # of the interpolation: measured axes are as old as its last tick
 FLICKER_DEG = 1e-4  # of each axis at rest
+LOST_ZEROS = {
+    1: "robot.lost_zero",
+    2: "robot.lost_zero_2",
+    3: "robot.lost_zero_3",
+    4: "robot.lost_zero_4",
+    5: "robot.lost_zero_5",
+    6: "robot.lost_zero_6",
+}
 FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
 
 
@@ -52,7 +60,7 @@ class KrlController:
         cell: Cell,
         motion: RobotMotion,
         faults: Faults,
-        lose_zero: Callable[[float], None] = lambda axis_1_rad: None,
+        lose_zero: Callable[[float, int], None] = lambda lost_rad, axis: None,
         slip_mount: Callable[[float], None] = lambda along_mm: None,
     ) -> None:
         self._lock = threading.RLock()
@@ -222,9 +230,10 @@ class KrlController:
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return OUT_OF_LIMITS
-        lost_deg = self._faults.number("robot.lost_zero")
-        if lost_deg is not None:
-            self._lose_zero(float(np.radians(lost_deg)))
+        for axis, fault in LOST_ZEROS.items():
+            lost_deg = self._faults.number(fault)
+            if lost_deg is not None:
+                self._lose_zero(float(np.radians(lost_deg)), axis)
         self._slip_mount(self._faults.number("robot.mount_slip") or 0.0)
         self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
         self._frozen = self._faults.take("robot.frozen") is not None

@@ -53,10 +53,10 @@ class Plant:
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
         self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world)
 
-    def lose_zero(self, axis_1_rad: float) -> None:
-        """Turn the robot's axis 1 against its encoder for good, by turning its base."""
-        turn = rotation(axis_1_rad * self.arm.design.axes[0])
-        self._bolted = self._bolted @ rigid(turn, np.zeros(3))
+    def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
+        """Turn an axis of the robot, 1 to 6, against its encoder for good."""
+        self.arm.lose_zero(axis, lost_rad)
+        self._places = ((), {})
 
     def slip_mount(self, along_mm: float) -> None:
         """Shift the reflector on the flange along its x for good."""

@@ -42,7 +42,7 @@ class ReplayPlant:
     def slip_mount(self, along_mm: float) -> None:
         """Do nothing: the recorded data have their own mount."""
 
-    def lose_zero(self, axis_1_rad: float) -> None:
+    def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
         """Leave the recorded data as they are."""
 
 

@@ -146,6 +146,17 @@ def test_lost_zero_turns_the_tool(cell: Cell) -> None:
     assert moved_mm == pytest.approx(1e-3 * reach_mm, rel=0.01)
 
 
+@pytest.mark.parametrize("axis", [1, 2, 3, 4, 5, 6])
+def test_a_lost_zero_is_that_axis_further_on(cell: Cell, axis: int) -> None:
+    plant, turn_rad = plant_of(cell), np.zeros(6)
+    turn_rad[axis - 1] = 1e-3
+    at = plant.robot.state().joints_rad
+    further = plant.arm.pose(at + turn_rad, np.ones(6), np.zeros(6))
+    plant.lose_zero(1e-3, axis)
+    lost = plant.arm.pose(at, np.ones(6), np.zeros(6))
+    np.testing.assert_allclose(lost, further, atol=0.1)  # but for the ripple of another angle
+
+
 def test_the_machine_is_the_same_under_another_plan(cell: Cell) -> None:
     """The plan of measurements changes nothing of the plant, to the last digit."""
     replace = msgspec.structs.replace

@@ -48,14 +48,19 @@ class Kind:
     machine: Callable[[Plant, float], None] | None = None
 
 
-def _lose_zero(plant: Plant, lost_deg: float) -> None:
-    plant.lose_zero(math.radians(lost_deg))
+def _zero(axis: int) -> Kind:
+    fault = f"robot.lost_zero_{axis}" if axis > 1 else "robot.lost_zero"
+
+    def lose(plant: Plant, lost_deg: float) -> None:
+        plant.lose_zero(math.radians(lost_deg), axis)
+
+    return Kind(f"zero of axis {axis}", fault, 0.002, 0.2, "deg", lose)
 
 
 KINDS = (
     Kind("tracker moved", "tracker.drift_step", 0.03, 5.0, "mm"),
     Kind("mount slipped", "robot.mount_slip", 0.03, 5.0, "mm"),
-    Kind("zero of axis 1", "robot.lost_zero", 0.002, 0.2, "deg", _lose_zero),
+    *(_zero(axis) for axis in range(1, 6)),
     Kind("slide slipped", "rail.slip", 0.05, 5.0, "mm"),
     Kind("backlash grown", "rail.backlash", 0.05, 0.5, "mm"),
 )

@@ -65,6 +65,8 @@ ENDS: dict[str, tuple[str, object]] = {
     "robot.bad_number": ("HC-B26", "NaN"),
     "robot.ack_previous": ("HC-B23", True),
     "robot.lost_zero": ("HC-T11", 5.0),
+    "robot.lost_zero_2": ("HC-T11", 5.0),
+    "robot.lost_zero_3": ("HC-T11", 5.0),
     "tracker.vanish": ("HC-T02", True),
     "tracker.wrong_identity": ("HC-T03", True),
     "tracker.beam_break_before": ("HC-T11", True),
@@ -105,6 +107,8 @@ LASTING = (
     ".backlash",
     ".slip",
     ".lost_zero",
+    ".lost_zero_2",
+    ".lost_zero_3",
     ".drift_step",
     ".limit_switch",
     ".late_tpdo",
@@ -196,6 +200,7 @@ def test_a_fault_that_is_survived_is_a_notice_at_most(injected: list[Alarm]) -> 
 
 def test_no_fault_is_left_out() -> None:
     streamed = {"tracker.stream_break"}  # no procedure streams; tests of the driver break one
-    silent = {"robot.mount_slip"}  # no device sees it: `test_disturbances` does
+    wrists = {f"robot.lost_zero_{axis}" for axis in (4, 5, 6)}
+    silent = {"robot.mount_slip", *wrists}  # no device sees them: `test_disturbances` does
     assert set(ENDS) | set(SURVIVED) | streamed | silent == set(KNOWN)
     assert not set(ENDS) & set(SURVIVED)
