@@ -15,9 +15,9 @@ SUSPECTED = [{"cause": "strip", "size": 1.0, "unit": "mm", "noticed_by": "re-vis
 def run(
     mean_mm: float, *, true_mm: float = 0.1, code: int = 0, suspicions: list[Any] | None = None
 ) -> Calibrated:
-    validation = {"S1": {"chosen": {"mean": mean_mm}}}
+    validation = {"S1100": {"chosen": {"mean": mean_mm}}}
     result = {"validation": validation, "suspicions": suspicions or []}
-    return Calibrated({"exit": code, "result": result}, ["world/F1"], [], {"S1": true_mm})
+    return Calibrated({"exit": code, "result": result}, ["world/F1"], [], {"S1100": true_mm})
 
 
 def case(disturbed: Calibrated, undisturbed: Calibrated | None = None) -> Case:

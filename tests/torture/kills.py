@@ -1,0 +1,221 @@
+"""kill -9 of the engine at any moment, then resume: no point lost, none measured twice.
+
+A case is a calibration of the small cell that is killed `KILLS` times at random and resumed, held
+against the same run uninterrupted. Beside them a short run is killed once at each of its records.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from fakes.simulator import PaperCell
+from hilcell.cell.file import load_cell
+from tests.torture.spread import print_table, progress, spread
+from tests.whole.bench import SMALL, Engine, command, events, sets
+from tests.whole.trace import judge
+
+COUNT = 50
+KILLS = 10
+SHORT = ("base-frame", SMALL | {"base_frame.points": "4"})  # connect, home, {W}, station, {B}
+LATER_S = 0.01  # a kill comes up to so much after its record: records are 2 to 20 ms apart
+
+SAME_MM = 0.005  # one reading made at another time: the air drifts
+NOISE_MM = 0.2  # two samples, drawn twice
+OF_ONE_STOP = ("control", "touch")  # after a kill there are others
+
+Event = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Killed:
+    """A run that was killed and resumed until it ended."""
+
+    kills: int
+    acknowledged: list[str]  # keys of points, as the engines printed them
+    journal: list[Event]
+
+
+def points_of(printed: Sequence[Event]) -> list[str]:
+    return [event["key"] for event in printed if event["kind"] == "point"]
+
+
+def without_stops(printed: Sequence[Event]) -> set[str]:
+    points = (event for event in printed if event["kind"] == "point")
+    return {event["key"] for event in points if event["id"]["kind"] not in OF_ONE_STOP}
+
+
+def killed(
+    runs: Path, words: Sequence[str], moments: Sequence[int], *, later_s: Iterator[float]
+) -> Killed:
+    """Run, kill once each record of ``moments`` is printed and a while later, resume to the end."""
+    acknowledged: list[str] = []
+    name, kills = "", 0
+    for moment in moments:
+        again = ("resume", name) if name else ("run", *words)
+        engine = Engine(*again, "--runs", runs)
+        engine.until(partial(_reached, moment))
+        time.sleep(next(later_s))
+        acknowledged += points_of(engine.kill())
+        name, kills = engine.run, kills + 1
+    last = command("resume", name, "--runs", runs, "--json")
+    acknowledged += points_of(events(last.stdout))
+    journal = events(command("watch", name, "--runs", runs, "--json").stdout)
+    return Killed(kills, acknowledged, journal)
+
+
+def _reached(seq: int, event: Event) -> bool:
+    return bool(event["seq"] >= seq)
+
+
+def problems(found: Killed, whole: Sequence[Event]) -> list[str]:
+    """Return what is not as in the uninterrupted run, in words."""
+    end, kept = found.journal[-1], points_of(found.journal)
+    if end["kind"] != "end" or end["state"] != "finished":
+        return [f"the run did not finish: {end.get('state')} {end.get('reason')}"]
+    said = [str(each) for each in judge(found.journal)]
+    said += [f"{key} stands {n} times" for key, n in Counter(kept).items() if n > 1]
+    said += [f"{key} was acknowledged, and is lost" for key in set(found.acknowledged) - set(kept)]
+    differ = without_stops(found.journal) ^ without_stops(whole)
+    said += [f"{key} is in one of both runs" for key in sorted(differ)]
+    again = again_mm(found.journal, whole)
+    if len(again) > found.kills:  # at most the point in flight at each kill
+        said.append(f"{len(again)} points were measured again by {found.kills} kills")
+    said += [f"a point lies {each:.3f} mm off" for each in again if not each <= NOISE_MM]
+    return said + list(_figures_off(end["result"], whole[-1]["result"]))
+
+
+def again_mm(found: Sequence[Event], whole: Sequence[Event]) -> list[float]:
+    """How far each point that both runs measured in one place lies from itself, where it moved."""
+    before = {event["key"]: event["xyz_mm"] for event in whole if event["kind"] == "point"}
+    moved_mm = [
+        math.dist(event["xyz_mm"], before[event["key"]])
+        for event in found
+        if event["kind"] == "point"
+        and event["key"] in before
+        # Targets of the validation follow from the frames, and move with them.
+        and not event["key"].startswith(("validate/", "control/", "touch/"))
+    ]
+    return [each for each in moved_mm if not each <= SAME_MM]
+
+
+def figures(result: dict[str, Any]) -> dict[str, float]:
+    return {
+        f"{where}.{label}": each[label]["mean"]
+        for where, each in result.get("validation", {}).items()
+        for label in ("before", "idw", "chosen")
+    }
+
+
+def _figures_off(result: dict[str, Any], whole: dict[str, Any]) -> Iterator[str]:
+    found = figures(result)
+    for key, value in figures(whole).items():
+        # A point in flight at a kill is measured again, with new noise. Over 4 targets a station
+        # the paper's method scatters by that; at the others one nest turns the station frame.
+        far = key.endswith(".idw") or not key.startswith("S1100")
+        if not abs(found.get(key, math.nan) - value) <= (0.06 if far else 0.02):
+            yield f"{key} is {found.get(key)}, uninterrupted {value}"
+
+
+# -- the campaign ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Case:
+    """A killed run: what was wrong, and how it is repeated."""
+
+    name: str
+    kills: int
+    points: int
+    wrong: list[str]
+
+
+def at_random(seed: int) -> Case:
+    """Kill a calibration again and again, at random moments."""
+    rng = random.Random(seed)
+    later_s = iter(lambda: rng.uniform(0.0, LATER_S), None)
+    procedure = ("calibrate", SMALL)
+    whole = uninterrupted(*procedure, seed)
+    moments = sorted(rng.sample(range(5, len(whole) - 5), KILLS))
+    return judged(f"seed {seed}", *procedure, seed, whole, moments, later_s)
+
+
+def at_record(record: int, whole: Sequence[Event]) -> Case:
+    """Kill the short run once, as soon as a record is printed."""
+    return judged(f"record {record}", *SHORT, 1, whole, [record], iter([0.0]))
+
+
+def uninterrupted(procedure: str, settings: dict[str, str], seed: int) -> list[Event]:
+    """Return the events of a run that nobody kills."""
+    simulated = PaperCell(load_cell("paper", settings), seed=seed)
+    try:
+        with tempfile.TemporaryDirectory(prefix="kills-") as runs:
+            words = sets(settings | {"simulation.address": simulated.address})
+            seeded = ("--seed", str(seed), "--runs", runs, "--json")
+            return events(command("run", procedure, *seeded, *words).stdout)
+    finally:
+        simulated.close()
+
+
+def judged(
+    name: str,
+    procedure: str,
+    settings: dict[str, str],
+    seed: int,
+    whole: Sequence[Event],
+    moments: Sequence[int],
+    later_s: Iterator[float],
+) -> Case:
+    """Kill a run at moments and compare it with the whole one."""
+    simulated = PaperCell(load_cell("paper", settings), seed=seed)
+    try:
+        with tempfile.TemporaryDirectory(prefix="kills-") as runs:
+            words = sets(settings | {"simulation.address": simulated.address})
+            start = (procedure, "--seed", str(seed), *words)
+            found = killed(Path(runs), start, moments, later_s=later_s)
+            return Case(name, found.kills, len(points_of(found.journal)), problems(found, whole))
+    except AssertionError as error:
+        return Case(name, 0, 0, [f"a resumed engine ended: {error}"])
+    finally:
+        simulated.close()
+
+
+def campaign(seeds: range) -> int:
+    """Kill calibrations at random, and the short run at each of its records."""
+    whole = uninterrupted(*SHORT, 1)
+    records = [event["seq"] for event in whole[:-1]]
+    each = list(_told(spread(partial(at_record, whole=whole), records)))
+    random_ones = list(_told(spread(at_random, seeds)))
+    return 0 if report({"at each record": each, "at random": random_ones}) else 1
+
+
+def _told(cases: Iterator[Case]) -> Iterator[Case]:
+    for case in cases:
+        progress(f"{case.name}: {case.kills} kills {'; '.join(case.wrong) or 'as uninterrupted'}")
+        yield case
+
+
+def report(kinds: dict[str, list[Case]]) -> bool:
+    """Print the figures; return whether nothing was wrong."""
+    head = ("kills", "runs", "kills", "points", "runs with something wrong")
+    rows = [
+        (name, len(cases), sum(c.kills for c in cases), sum(c.points for c in cases), _bad(cases))
+        for name, cases in kinds.items()
+    ]
+    print_table(head, rows)
+    for case in (case for cases in kinds.values() for case in cases):
+        for text in case.wrong:
+            print(f"WRONG {case.name}: {text}")
+    return not any(_bad(cases) for cases in kinds.values())
+
+
+def _bad(cases: list[Case]) -> int:
+    return sum(bool(case.wrong) for case in cases)
