@@ -13,6 +13,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,11 +52,11 @@ class Kind:
 
 def _zero(axis: int) -> Kind:
     fault = f"robot.lost_zero_{axis}" if axis > 1 else "robot.lost_zero"
+    return Kind(f"zero of axis {axis}", fault, 0.002, 0.2, "deg", partial(_lose_zero, axis))
 
-    def lose(plant: Plant, lost_deg: float) -> None:
-        plant.lose_zero(math.radians(lost_deg), axis)
 
-    return Kind(f"zero of axis {axis}", fault, 0.002, 0.2, "deg", lose)
+def _lose_zero(axis: int, plant: Plant, lost_deg: float) -> None:
+    plant.lose_zero(math.radians(lost_deg), axis)
 
 
 KINDS = (
