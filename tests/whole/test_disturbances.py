@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hilcell.journal.set_ups import TRACKER_MOVED
-from tests.whole.bench import SMALL, Engine, sets, simulation
+from tests.whole.bench import SMALL, Engine, command, end_of, events, sets, simulation
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
@@ -36,6 +36,27 @@ def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
     for place, figures in end["result"]["validation"].items():
         wanted = whole["validation"][place]["chosen"]["mean"]
         assert figures["chosen"]["mean"] == pytest.approx(wanted, abs=0.03), place
+
+
+@pytest.mark.nightly
+def test_a_bump_while_the_nests_are_measured_is_no_moved_nest(tmp_path: Path) -> None:
+    seen: list[str] = []
+
+    def hear(event: dict[str, Any]) -> None:
+        if event["kind"] == "point" and "bumped" not in seen:
+            seen.append(event["key"])
+            if event["group"] == "control" and seen[-2].startswith("grid/"):  # the first nest
+                assert cell.ask(do="fault", name="tracker.drift_step", value=BUMP_MM)["ok"]
+                seen.append("bumped")
+
+    with simulation() as cell:
+        words = sets(SMALL | {"simulation.address": cell.control})
+        done = command("run", "--json", "--runs", tmp_path, *words, hear=hear)
+    assert end_of(done)["result"]["suspicions"] == []
+    printed = events(done.stdout)
+    (moved,) = [e for e in printed if e["kind"] == "event" and e["what"] == TRACKER_MOVED]
+    assert len(moved["invalid"]) == 27
+    assert judge(printed) == []
 
 
 def disturbed(tmp_path: Path, fault: str, value: float, key: str) -> dict[str, Any]:

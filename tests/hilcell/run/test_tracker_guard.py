@@ -55,17 +55,21 @@ def test_nests_that_changed_places_are_seen_by_their_places() -> None:
 
 class Floor:
     """A tracker that sees the floor nests from where it stands now, ``T`` (4, 4) in its first
-    frame; a nest may be lifted by ``lifted_mm`` (3, 3).
+    frame; a nest may be lifted by ``lifted_mm`` (3, 3). ``bumps`` move the tracker after so many
+    readings more.
     """
 
     def __init__(self, bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
         self.T, self.lifted_mm = np.eye(4), np.zeros((3, 3))
+        self.bumps: list[tuple[int, Array]] = []
         monkeypatch.setattr(bed.tracker, "measure", self.measure)
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         seen_mm = apply(inverse(self.T), SEEN_MM + self.lifted_mm)
         nearest = seen_mm[np.argmin(np.linalg.norm(seen_mm - near_mm, axis=1))]
         std_mm = np.full(3, 0.005)
+        self.bumps = [(left - 1, T) for left, T in self.bumps]
+        self.T = next((T for left, T in self.bumps if left == 0), self.T)
         return TrackerReading(nearest, std_mm, samples, reflector, None, time.monotonic())
 
 
@@ -114,6 +118,37 @@ def test_a_step_of_a_tracker_that_was_bumped_is_measured_again(
         taken = [r.body["xyz_mm"] for r in bed.records("point") if r.key == id.key]
         assert len(taken) == 2  # the journal keeps both, raw
         np.testing.assert_allclose(apply(T, taken[1:]), [seen_mm], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("bumps", "set_ups"),
+    [
+        ([(1, moved(0.5))], 1),
+        ([(2, moved(0.0, 1e-3))], 1),
+        ([(1, moved(0.5)), (7, moved(1.5))], 2),  # and while {W} is framed again
+    ],
+)
+def test_a_bump_between_two_nests_is_not_blamed_on_a_nest(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    bumps: list[tuple[int, Array]],
+    set_ups: int,
+) -> None:
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+
+    def act(session: CellSession, number: int) -> None:
+        measured_step(session)
+        if not bed.events(TRACKER_MOVED):
+            floor.bumps = bumps
+        session.close_step()
+
+    assert performed(bed, act)["exit"] == 0, bed.log().fault
+    assert len(bed.events(TRACKER_MOVED)) == bed.log().set_ups.number == set_ups
+    for id, seen_mm in zip(STEP, SEEN_MM, strict=True):
+        point = bed.log().point(id)
+        assert point.set_up == set_ups
+        np.testing.assert_allclose(point.xyz_mm, seen_mm, atol=1e-6)
 
 
 def test_a_small_drift_is_no_bump(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
