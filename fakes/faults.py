@@ -43,6 +43,7 @@ KNOWN = {
     "rail.late_reply": "SDO reply late by this (s) | an SDO request",
     "rail.late_tpdo": "TPDOs late by this (s) | a SYNC",
     "rail.strip_frozen": "6004h keeps its value | a SYNC",
+    "rail.strip_jump": "the strip reads this much more (mm), for good | a SYNC",
     "rail.missing_magnet": "6503h bit 0 is set | a SYNC",
     "rail.strip_jitter": "the strip reads +-1 count | a SYNC",
     "rail.backlash": "the backlash grows by this (mm), for good | a motion",

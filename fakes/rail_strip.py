@@ -36,6 +36,7 @@ class RailStrip(CanopenSlave):
         self._position = round(slide.strip_mm * COUNTS_PER_MM)
         self._velocity_mm_s = 0.0
         self._frozen = False
+        self._jump_mm = 0.0
         self._flicker = Dither(1, NODE)
         self._jitter = 0
         self._alarms = 0
@@ -46,10 +47,12 @@ class RailStrip(CanopenSlave):
         """Take the slide's state of now."""
         self._velocity_mm_s = slide.velocity_mm_s
         if not self._frozen and not self._alarms:
-            self._position = round(slide.strip_mm * COUNTS_PER_MM) + self._jitter
+            at_mm = slide.strip_mm + self._jump_mm
+            self._position = round(at_mm * COUNTS_PER_MM) + self._jitter
 
     def strike(self) -> None:
         """Let the faults of a SYNC come and go."""
+        self._jump_mm += self._faults.number("rail.strip_jump") or 0.0
         self._frozen = self._faults.take("rail.strip_frozen") is not None
         jitter = self._faults.take("rail.strip_jitter") is not None
         self._flicker.step()

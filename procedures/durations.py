@@ -34,15 +34,20 @@ def readings(cell: Cell, count: int, samples: int) -> Span:
 
 
 def floor_points(cell: Cell) -> Span:
-    """Return the span of the floor nests, also where they prove that the tracker has not moved."""
+    """Return the span of the floor nests, of which {W} is framed."""
     return readings(cell, len(cell.layout.floor), cell.nest_samples)
+
+
+def _proof(cell: Cell) -> Span:
+    """Return the span of the floor nests, which prove that the tracker has not moved."""
+    return readings(cell, len(cell.layout.floor), cell.proof_samples)
 
 
 def closing(cell: Cell, *, carried: bool = False, points: int = 1) -> list[Span]:
     """Return the spans of `CellSession.close_step`, and of proofs before it within many points."""
     if cell.layout.by_hand:
-        return [floor_points(cell)] if carried else []
-    return [floor_points(cell)] * math.ceil(points / cell.plan.prove_every)
+        return [_proof(cell)] if carried else []
+    return [_proof(cell)] * math.ceil(points / cell.plan.prove_every)
 
 
 def robot_moves_s(
@@ -110,11 +115,23 @@ def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
     return there_s + again_s + cell.settle.rail_s
 
 
-def leg(cell: Cell, here: Station, there: Station) -> Span:
-    """Return the way from a held station to the next, the robot parked first; none to itself."""
-    away = here != there
-    seconds = park_s(cell) + approach_s(cell, here.rail_mm, there) if away else 0.0
-    return Span("leg", 0, seconds)
+def first_hold(cell: Cell, station: Station) -> list[Span]:
+    """Return the spans of a run's first way to a station, from the reference on."""
+    way_s = approach_s(cell, cell.rail.travel_min_mm, station)
+    return [Span("leg", 0, way_s), *hold_proof(cell)]
+
+
+def hold_proof(cell: Cell) -> list[Span]:
+    """Return the span of the slide nest that proves a hold; none where one reflector is carried."""
+    return [] if cell.layout.by_hand else [readings(cell, 1, cell.tracker.samples)]
+
+
+def leg(cell: Cell, here: Station, there: Station) -> list[Span]:
+    """Return the spans from a held station to the next, the robot parked first; none to itself."""
+    if here == there:
+        return []
+    seconds = park_s(cell) + approach_s(cell, here.rail_mm, there)
+    return [Span("leg", 0, seconds), *hold_proof(cell)]
 
 
 def step(name: str, points: int, spans: Sequence[Span]) -> Step:

@@ -55,7 +55,7 @@ class FrameRepeatability:
         six = readings(cell, SIX, MORE_READINGS * cell.nest_samples)
         for station in cell.station:
             check_circles(cell, station)
-            spans += [leg(cell, here, station), six, sweeps(cell), *closing(cell)]
+            spans += [*leg(cell, here, station), six, sweeps(cell), *closing(cell)]
             here = station
         return step(self.name, len(cell.station) * (2 * points_on_arc(cell) + SIX), spans)
 

@@ -50,7 +50,7 @@ class SignCheck:
         last = there if cell.plan.quick else [there, *other_stations(cell)][-1]
         back = leg(cell, last, there)
         both = flange_points(cell, joints_rad[[0] * len(IDS)])
-        return step(self.name, len(IDS), [back, both, *closing(cell)])
+        return step(self.name, len(IDS), [*back, both, *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Send both, measure, and journal the verdict."""

@@ -13,7 +13,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step, Table
-from procedures.durations import approach_s, closing, measure_s, rail_move_s, step
+from procedures.durations import approach_s, closing, first_hold, measure_s, rail_move_s, step
 
 APPROACH_MM = 150.0
 STRIP_LIMIT_MM = 0.035
@@ -26,13 +26,13 @@ class HoldStation:
     name = "hold-station"
     needs = "a referenced drive"
     moves = "the slide, with the robot at its safe pose"
-    measures = "the strip"
+    measures = "the strip, one slide nest"
     yields = "a held station"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step."""
         station = cell.station_named(cell.grid.station)
-        return Step(self.name, 0, approach_s(cell, cell.rail.travel_min_mm, station))
+        return step(self.name, 0, first_hold(cell, station))
 
     def perform(self, session: CellSession) -> None:
         """Hold the station once; a later act that needs it holds it itself."""

@@ -95,7 +95,7 @@ def frame_spans(cell: Cell, here: Station, there: Station) -> list[Span]:
     """Return the spans of going to a station and framing it."""
     nests = readings(cell, len(cell.layout.slide), cell.nest_samples)
     few = [] if cell.plan.quick else [readings(cell, FEW, THREE_SAMPLES)]
-    return [leg(cell, here, there), nests, *few, *closing(cell, carried=True)]
+    return [*leg(cell, here, there), nests, *few, *closing(cell, carried=True)]
 
 
 def frame_station(session: CellSession, station: Station) -> None:

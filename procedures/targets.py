@@ -29,7 +29,7 @@ from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_poses
 from hilcell.run.procedure import Procedure, Step, Table
-from procedures.durations import approach_s, closing, flange_points, step
+from procedures.durations import closing, first_hold, flange_points, step
 from procedures.home import Home
 from procedures.recheck import use
 from procedures.world_frame import WorldFrame
@@ -54,13 +54,9 @@ class TargetPass:
         station = station_of(cell)
         joints_rad = commands_rad(cell, calibration_named(cell, TABLE), names, values)
         check_poses(cell, station, joints_rad, "target")
-        there_s = approach_s(cell, cell.rail.travel_min_mm, station)
-        whole = step(
-            self.name,
-            len(names),
-            [flange_points(cell, joints_rad), *closing(cell, carried=True, points=len(names))],
-        )
-        return Step(self.name, whole.points, whole.duration_s + there_s, whole.spans)
+        measured = flange_points(cell, joints_rad)
+        proofs = closing(cell, carried=True, points=len(names))
+        return step(self.name, len(names), [*first_hold(cell, station), measured, *proofs])
 
     def perform(self, session: CellSession) -> None:
         """Keep calibration and targets, measure, judge."""

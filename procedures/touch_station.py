@@ -19,7 +19,7 @@ from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step, Table
-from procedures.durations import approach_s, closing, step
+from procedures.durations import closing, first_hold, step
 from procedures.home import Home
 from procedures.recheck import use
 from procedures.touch import touch_once, touch_result, touch_spans
@@ -47,9 +47,8 @@ class TouchStation:
                 "touch.poses is 0: nothing would be touched; give --set touch.poses=8",
                 code="HC-C10",
             )
-        way_s = approach_s(cell, cell.rail.travel_min_mm, station)
-        planned = step(self.name, touches[0].measured, [*touches, *closing(cell, carried=True)])
-        return Step(planned.name, planned.points, planned.duration_s + way_s)
+        spans = [*first_hold(cell, station), *touches, *closing(cell, carried=True)]
+        return step(self.name, touches[0].measured, spans)
 
     def perform(self, session: CellSession) -> None:
         """Adopt the calibration's frames, touch, and journal that it is done."""

@@ -59,7 +59,7 @@ class Validate:
                 spans += frame_spans(cell, here, station)
                 points += nest_points(cell)
             else:
-                spans.append(leg(cell, here, station))
+                spans += leg(cell, here, station)
             for how in ways(cell):
                 measured = touch_spans(cell, station) if how == "chosen" else []
                 measured.append(flange_points(cell, joints_rad[: planned(cell, how)]))

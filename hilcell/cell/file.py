@@ -20,9 +20,9 @@ from msgspec import Meta, field
 
 from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
 from hilcell.cell.layout import Layout, Nest
-from hilcell.cell.plan import QUICK_NEST_SAMPLES, PlanTable
+from hilcell.cell.plan import QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES, PlanTable
 from hilcell.cell.robot import Joint, RobotTable, arm_from_joints
-from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
+from hilcell.cell.settings import SettingsError, convert, override, read_text, refuse, unreadable
 from hilcell.cell.surroundings import (
     CapsuleTable,
     EnvelopeTable,
@@ -316,10 +316,14 @@ class Cell(Frozen, frozen=True, kw_only=True):
         return Surroundings(self.robot.arm(), envelope, self.layout, self.keep_out)
 
     @property
+    def proof_samples(self) -> int:
+        """Return how many readings of a floor nest prove the tracker."""
+        return self.plan.samples(self.layout.nest_samples, QUICK_PROOF_SAMPLES)
+
+    @property
     def nest_samples(self) -> int:
         """Return how many readings of a nest are averaged."""
-        samples = self.layout.nest_samples
-        return min(samples, QUICK_NEST_SAMPLES) if self.plan.quick else samples
+        return self.plan.samples(self.layout.nest_samples, QUICK_NEST_SAMPLES)
 
     @cached_property
     def digest(self) -> str:
@@ -352,7 +356,7 @@ def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
     """Read a built-in cell by name or a TOML file, with ``key.path = value`` overrides."""
     values = _read(where)
     for key, text in (overrides or {}).items():
-        _override(values, key, text)
+        override(values, key, text)
     return convert(values, Cell, where)
 
 
@@ -393,22 +397,3 @@ def built_in_cells() -> list[str]:
     return sorted(
         p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")
     )
-
-
-def _override(values: dict[str, Any], key: str, text: str) -> None:
-    """Set ``a.b.c`` to a TOML value, or to the bare text where it is not one."""
-    if "\n" in text:  # it could set other keys
-        raise SettingsError("--set", [f"{key}: a value on one line is wanted, found {text!r}"])
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except RecursionError:
-        raise SettingsError("--set", [f"{key}: nested too deeply"]) from None
-    except ValueError:
-        value = text
-    *path, last = key.split(".")
-    table: Any = values
-    for part in path:
-        table = table.setdefault(part, {})
-        if not isinstance(table, dict):
-            raise SettingsError("--set", [f"{key}: {part} is not a table"])
-    table[last] = value

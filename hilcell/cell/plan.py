@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from hilcell.cell.tables import Frozen, Size
 
-QUICK_NEST_SAMPLES = 5
+QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES = 5, 3
 Share = Annotated[float, Meta(ge=0.001, le=0.5)]
 
 
@@ -28,6 +28,10 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     tilt_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
     prove_every: Annotated[int, Meta(ge=10, le=1000)] = 100
     tilt_poses: Annotated[int, Meta(ge=4, le=100)] = 24
+
+    def samples(self, full: int, quick: int) -> int:
+        """Return how many readings are averaged: as many as in full, in a quick plan fewer."""
+        return min(full, quick) if self.quick else full
 
     @property
     def pose_counts(self) -> tuple[int, int]:

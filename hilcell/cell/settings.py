@@ -10,6 +10,7 @@ import difflib
 import errno
 import math
 import stat
+import tomllib
 import types
 import typing
 from collections.abc import Mapping
@@ -184,3 +185,22 @@ def _finite(value: object) -> bool:
     if isinstance(value, list):
         return all(_finite(each) for each in value)
     return True
+
+
+def override(values: dict[str, Any], key: str, text: str) -> None:
+    """Set ``a.b.c`` to a TOML value, or to the bare text where it is not one."""
+    if "\n" in text:  # it could set other keys
+        raise SettingsError("--set", [f"{key}: a value on one line is wanted, found {text!r}"])
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except RecursionError:
+        raise SettingsError("--set", [f"{key}: nested too deeply"]) from None
+    except ValueError:
+        value = text
+    *path, last = key.split(".")
+    table: Any = values
+    for part in path:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise SettingsError("--set", [f"{key}: {part} is not a table"])
+    table[last] = value

@@ -48,6 +48,7 @@ from hilcell.journal.engine_file import live_engine
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Log
+from hilcell.journal.point_id import CONTROL
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import (
     CALIBRATION,
@@ -162,7 +163,7 @@ def resume(args: argparse.Namespace) -> int:
         for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
         points = log.points.items()
-        output.skip_measured(key for key, at in points if at.id.kind != "control")
+        output.skip_measured(key for key, at in points if at.id.group != CONTROL)
         return _perform(cell, procedure, journal, output, folder, args, changes)
 
 

@@ -30,6 +30,7 @@ from hilcell.commands.output import (
 from hilcell.errors import DeviceError, facts_of
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
+from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WAITING
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.writing import NotPrinted
@@ -154,7 +155,7 @@ class ProgressOutput(RunOutput):
     def print_record(self, record: Record) -> None:
         """Advance the bar, or print what the operator must know."""
         body = record.body
-        if record.kind == "point" and body["group"] != "control":
+        if record.kind == "point" and body["group"] != CONTROL:
             place = f" at {body['station']}" if body["station"] else ""
             text = harmless(f"{body['group']}{place}")
             self._measured.add(record.key)

@@ -9,10 +9,11 @@ import msgspec
 
 from hilcell.invariants.bodies import CellFacts, Inputs, Life, Measured, Motion, Station
 from hilcell.journal.journal import Record
+from hilcell.journal.point_id import HELD
 from hilcell.journal.set_ups import INTERRUPTED, PROOFS, PROVEN, TRACKER_MOVED
 from hilcell.journal.states import OVER, WAITING
 
-HELD = ("station held", "station found held")
+STANDS = ("station held", "station found held")
 AGAIN = ("retake asked", "outlier measured again")  # events that allow a point a second time
 
 
@@ -100,7 +101,7 @@ class Scene:
 
     def _take_event(self, body: dict[str, Any]) -> None:
         what = body.get("what")
-        if what in HELD:
+        if what in STANDS:
             self.held = body["station"]
         elif what in AGAIN:
             self.again.add(body["key"])
@@ -143,8 +144,8 @@ def is_control(key: str) -> bool:
 
 
 def is_proof(key: str) -> bool:
-    """Whether a point frames {W} or proves the tracker."""
-    return key.startswith(tuple(f"{kind}/" for kind in PROOFS))
+    """Whether a point frames {W}, or proves the tracker or a hold."""
+    return key.startswith(tuple(f"{kind}/" for kind in (*PROOFS, HELD)))
 
 
 def nest_of(key: str) -> str:

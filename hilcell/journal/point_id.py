@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import msgspec
 
-_GROUPS = {"slide": "frames", "three": "three_points", "base": "base"}  # not named by their fields
+HELD = "held"  # kind of the points that prove a held slide
+CONTROL = "control"  # group of points that no plan counts
+_GROUPS = {  # not named by their fields
+    "slide": "frames", "three": "three_points", "base": "base", HELD: CONTROL,
+}  # fmt: skip
 
 
 class PointId(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -10,6 +10,7 @@ import numpy as np
 
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.journal import Record
+from hilcell.journal.point_id import HELD
 from hilcell.ports import Array
 
 Three = tuple[float, float, float]
@@ -43,6 +44,11 @@ class SetUps:
         self.number = 0
         self.unproven: dict[str, None] = {}
         self.interrupted = False
+
+    @property
+    def open(self) -> bool:
+        """Whether points wait for a proof; the nest that proves a hold alone does not."""
+        return any(not key.startswith(f"{HELD}/") for key in self.unproven)
 
     def take(self, record: Record) -> list[str]:
         """Add one record; return the keys of what has become invalid by it."""

@@ -23,6 +23,7 @@ from hilcell.run.operator import Operator
 from hilcell.run.reflector_prompts import FLANGE
 from hilcell.run.retake import still_refused
 from hilcell.run.run_context import RunContext
+from hilcell.run.station_guard import StationGuard
 from hilcell.run.tracker_guard import TrackerGuard
 
 __all__ = ["FLANGE", "CellSession"]
@@ -49,6 +50,7 @@ class CellSession(RunContext):
         self._measuring = Measuring(self, self._motion, ask)
         self._operator = Operator(self, self._motion, self._measuring, ask)
         self._guard = TrackerGuard(self, self.floor_point)
+        self._stations = StationGuard(self, self._motion, self._guard, self._held_point)
         self._arm = cell.robot.arm()
 
     # -- motions ------------------------------------------------------------------------------
@@ -67,8 +69,14 @@ class CellSession(RunContext):
         self._motion.rail_to(position_mm)
 
     def hold_station(self, station: Station, *, again: bool = False) -> None:
-        """Bring the slide to ``station`` by the strip and hold it there."""
-        self._motion.hold_station(station, again=again)
+        """Bring the slide to ``station`` by the strip, hold it there, and prove that it is there.
+
+        ``again`` approaches it where it is held, and leaves the proof to the caller.
+        """
+        if again:
+            self._motion.hold_station(station, again=True)
+        else:
+            self._stations.hold(station)
 
     def rail_referenced(self) -> bool:
         """Whether drive and absolute strip agree, which proves the drive's reference."""
@@ -207,7 +215,8 @@ class CellSession(RunContext):
             return known
         self.checkpoint()
         self._operator.seat(nest.name, nest.xyz_mm)
-        samples = self.cell.nest_samples
+        proves = id.kind == "control"
+        samples = self.cell.proof_samples if proves else self.cell.nest_samples
         reading = self._measuring.measure_in_world(id.key, nest.name, nest.xyz_mm, samples)
         return self._measuring.keep(id, "", reading)
 
@@ -222,6 +231,13 @@ class CellSession(RunContext):
         self._operator.seat(nest.name, expected)
         limit_mm = 2 * self.cell.layout.nest_tolerance_mm
         reading = self._measuring.measure_in_world(id.key, nest.name, expected, samples, limit_mm)
+        return self._measuring.keep(id, station.name, reading)
+
+    def _held_point(self, id: PointId, station: Station, nest: Nest) -> Point:
+        """Measure a nest on a slide that is held, as quickly as a target."""
+        expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
+        samples = self.cell.tracker.samples
+        reading = self._measuring.measure_in_world(id.key, nest.name, expected, samples)
         return self._measuring.keep(id, station.name, reading)
 
     def slide_now(self, id: PointId, name: str) -> Point:

@@ -14,6 +14,7 @@ from datetime import datetime
 from typing import Any
 
 from hilcell.journal.journal import Record
+from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WORKING, RunState
 
 CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
@@ -187,7 +188,7 @@ class Forecast:
 
     def _measure(self, group: str, *, again: bool) -> None:
         step = self._step
-        if step is None or step.done or (group == "control" and not step.counts_control):
+        if step is None or step.done or (group == CONTROL and not step.counts_control):
             return
         if (seen := step.measure(again=again)) is not None:
             self._pace.learn(*seen)

@@ -75,7 +75,7 @@ class TrackerGuard:
     def prove_new(self) -> None:
         """Prove it where something was measured in {W} since it was last proven."""
         log = self._run.log
-        if log.set_ups.unproven and world_key(log.set_ups.number) in log.frames:
+        if log.set_ups.open and world_key(log.set_ups.number) in log.frames:
             self.prove()
 
     def prove_where_doubtful(self) -> None:

@@ -58,17 +58,18 @@ def test_the_slides_travel_takes_what_its_trapezoid_takes(distance_mm: float, ba
 def test_a_slide_that_stands_there_travels_no_time() -> None:
     seen_s = durations.SEEN_S + CELL.rail.standstill_dwell_s
     assert durations.rail_travel_s(CELL, 0.0) == pytest.approx(seen_s)
-    assert durations.leg(CELL, CELL.station[0], CELL.station[0]).duration_s == 0.0
+    assert durations.leg(CELL, CELL.station[0], CELL.station[0]) == []
 
 
 def test_a_farther_station_takes_longer_and_the_robot_is_parked_first() -> None:
     near, far = (Station(name=n, rail_mm=mm, strip_mm=mm) for n, mm in (("N", 500.0), ("F", 2e3)))
     here = CELL.station[0]
-    assert durations.leg(CELL, here, near).duration_s < durations.leg(CELL, here, far).duration_s
+    (there, proof), (farther, _) = (durations.leg(CELL, here, each) for each in (near, far))
+    assert there.duration_s < farther.duration_s
     alone_s = durations.approach_s(CELL, here.rail_mm, far)
-    assert durations.leg(CELL, here, far).duration_s == pytest.approx(
-        alone_s + durations.park_s(CELL)
-    )
+    assert farther.duration_s == pytest.approx(alone_s + durations.park_s(CELL))
+    assert proof.measured == 1
+    assert proof.duration_s == pytest.approx(durations.measure_s(CELL, 1))
 
 
 @pytest.mark.parametrize(

@@ -94,3 +94,23 @@ def test_a_robot_that_changes_is_noticed_and_the_cause_named(
     assert found[0]["cause"] == cause, found
     assert found[0]["size"] == pytest.approx(size, rel=0.4)
     assert found[0]["noticed_by"]
+
+
+def test_a_strip_that_jumps_while_everything_is_dead_stops_the_resumed_run(tmp_path: Path) -> None:
+    """The strip reads the station's value 1 mm beside it; nothing is measured there."""
+    with simulation() as cell:
+        words = sets(SMALL | {"simulation.address": cell.control})
+        engine = Engine("run", "--unattended", "--runs", tmp_path, *words)
+        engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/1-1-1")
+        before = engine.kill()
+        assert cell.ask(do="fault", name="rail.strip_jump", value=1.0)["ok"]
+        resumed = Engine("resume", engine.run, "--unattended", "--runs", tmp_path)
+        after = resumed.rest()
+    end = after[-1]
+    assert (end["state"], end["exit"]) == ("faulted", 3), end
+    assert end["error"]["code"] == "HC-S10"
+    assert end["error"]["fields"]["cause"] == "strip"
+    assert end["error"]["fields"]["off_mm"] == pytest.approx(-1.0, abs=0.05)
+    seen = {event["seq"] for event in before}
+    points = [e for e in after if e["kind"] == "point" and e["seq"] not in seen]
+    assert {point["group"] for point in points} == {"control"}

@@ -12,6 +12,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from hilcell.journal.log import Log, Point
+from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WAITING
 from hilcell.run.protocol import PromptStatus, Status
 from hilcell.run.states import RUN
@@ -62,7 +63,7 @@ class RunView:
             del self.records[:-MOST_RECORDS]
         if record.kind == "point":
             self.last = self.log.points[record.key]
-            if self.step and self.last.id.kind != "control":
+            if self.step and self.last.id.group != CONTROL:
                 self.measured.setdefault(int(self.step["number"]), set()).add(record.key)
         elif record.kind == "event" and record.body.get("what") == "step":
             self.step = record.body
