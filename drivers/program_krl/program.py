@@ -110,9 +110,9 @@ def formatted(value: float, like: str) -> str:
 
 
 def _remark(text: str, remark: str) -> Edit:
-    """Return a comment below ``DEF`` or ``DEFDAT``, the first statement of a file."""
-    first = next(statements(text))
-    at = text.find("\n", first.tokens[0].start) + 1
+    """Return a comment below ``DEF`` or ``DEFDAT``, the first statement; on top without one."""
+    first = next(statements(text), None)
+    at = 0 if first is None else text.find("\n", first.tokens[0].start) + 1
     new_line = "\r\n" if text[:at].endswith("\r\n") else "\n"
     plain = remark.encode(ENCODING, "replace").decode(ENCODING)
     return Edit(at, at, f"; {plain}{new_line}")

@@ -159,7 +159,7 @@ def read_calibration(path: Path) -> Calibration:
         calibration = msgspec.convert(content, Calibration)
     except OSError as error:
         raise unreadable(str(path), error) from error
-    except (msgspec.DecodeError, RecursionError, OverflowError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError) as error:
         raise SettingsError(str(path), [f"not a calibration file: {error}"]) from error
     problems += problems_of(calibration)
     if problems:

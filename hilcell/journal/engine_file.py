@@ -22,7 +22,7 @@ def read_engine_file(folder: Path) -> EngineFile | None:
     """Return where an engine of a run has listened last; None where the file says nothing."""
     try:
         return msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
-    except (OSError, msgspec.DecodeError):
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
         return None
 
 

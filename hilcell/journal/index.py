@@ -439,7 +439,7 @@ def _spared(index: Path) -> Iterator[None]:
     """Do without an index that is locked or cannot be written; throw away a damaged one."""
     try:
         yield
-    except (sqlite3.Error, msgspec.DecodeError) as error:
+    except (sqlite3.Error, msgspec.DecodeError, UnicodeDecodeError) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
         if code & 0xFF not in _PASSING:
             for file in (index, index.with_name(f"{NAME}-journal")):

@@ -108,7 +108,7 @@ class EngineClient:
                 answer = msgspec.json.decode(self._answer(), type=dict[str, Any])
             except TimeoutError as error:
                 raise EngineSilent(f"{command}: the engine does not answer") from error
-            except (OSError, msgspec.DecodeError) as error:
+            except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
                 self.close()
                 raise EngineLost(f"engine: {command}: no answer: {error}") from error
         try:

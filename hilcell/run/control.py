@@ -148,7 +148,7 @@ class _Handler(socketserver.StreamRequestHandler):
         engine = self.server.engine
         try:
             request = msgspec.json.decode(line, type=Request)
-        except msgspec.DecodeError:
+        except (msgspec.DecodeError, UnicodeDecodeError):
             return Refusal(error=f"commands: {', '.join(COMMANDS)}")
         if request.command == "stop":
             engine.stop()  # before anything else is done, and however late

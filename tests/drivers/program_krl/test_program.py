@@ -63,6 +63,13 @@ def test_targets_are_the_points_that_motions_use() -> None:
     )
 
 
+@pytest.mark.parametrize("dat", ["\n", "; a list without a line\n"])
+def test_a_data_list_without_a_statement_takes_the_remark_first(dat: str) -> None:
+    read = one("LIN {X 1.5,Y 2,Z 3,A 0,B 0,C 0}", dat)
+    files = read.with_positions(read.values()[:, :3], "corrected")
+    assert files["drill.dat"].decode(ENCODING) == f"; corrected\n{dat}"
+
+
 def test_remarks_name_the_lines_left_as_they_are() -> None:
     assert program().notes == [
         "home move XHOME: joint targets are left unchanged (line 20)",

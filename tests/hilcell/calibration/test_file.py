@@ -192,6 +192,12 @@ def test_what_is_no_calibration(tmp_path: Path, text: str, says: str) -> None:
     assert len(said) < 500
 
 
+def test_bytes_that_are_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    path.write_bytes(b'{"schema": 3, "method": "\xd6"}')
+    assert "not a calibration file" in refused(path)
+
+
 # -- files written before the model had a table of its own -----------------------------------------
 
 GOLDEN = Path(__file__).parent / "golden"  # written, and used, by the version before

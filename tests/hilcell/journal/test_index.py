@@ -251,6 +251,10 @@ def no_text(file: Path) -> None:
     change(file, "UPDATE run SET row = x'ff00'")
 
 
+def no_text_in_a_row(file: Path) -> None:
+    change(file, "UPDATE run SET row = x'7b226e616d65223a22d6227d'")  # {"name":"\xd6"}
+
+
 def no_table(file: Path) -> None:
     change(file, "DROP TABLE run")
 
@@ -281,6 +285,7 @@ def change(file: Path, *commands: str) -> None:
         torn,
         other_rows,
         no_text,
+        no_text_in_a_row,
         no_table,
         other_columns,
         other_version,

@@ -82,8 +82,17 @@ def test_a_refusal_without_a_reason_is_still_one(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "answer",
-    [b"garbage\n", b"\n", b"[1, 2]\n", b'"ok"\n', b"\xff\xfe\n", b"x" * 200_000 + b"\n", None],
-    ids=["garbage", "empty", "list", "text", "bytes", "endless", "closed"],
+    [
+        b"garbage\n",
+        b"\n",
+        b"[1, 2]\n",
+        b'"ok"\n',
+        b"\xff\xfe\n",
+        b'{"ok": "\xd6"}\n',
+        b"x" * 200_000 + b"\n",
+        None,
+    ],
+    ids=["garbage", "empty", "list", "text", "bytes", "no text", "endless", "closed"],
 )
 def test_what_is_no_answer_loses_the_line(tmp_path: Path, answer: bytes | None) -> None:
     with Peer(tmp_path, lambda _: answer) as peer:

@@ -163,7 +163,15 @@ def test_only_the_owner_may_connect(tmp_path: Path, control: Control) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", [b"\n", b"[]\n", b'{"command": "dance"}\n', b'{"command": 1}\n', b"\xff" * 100 + b"\n"]
+    "line",
+    [
+        b"\n",
+        b"[]\n",
+        b'{"command": "dance"}\n',
+        b'{"command": 1}\n',
+        b'{"command": "\xd6"}\n',
+        b"\xff" * 100 + b"\n",
+    ],
 )
 def test_nonsense_is_answered_and_harmless(desk: Recorder, screen: Screen, line: bytes) -> None:
     answer = screen.raw(line)
@@ -186,6 +194,8 @@ def test_a_dead_engine_is_told(tmp_path: Path, control: Control) -> None:
     control.close()
     with pytest.raises(HilcellError, match="no engine is running; `hilcell show`"):
         order(tmp_path, "pause")
+    (tmp_path / "engine.json").write_bytes(b'{"pid": 1, "socket": "\xd6"}')
+    assert live_engine(tmp_path) is None
     (tmp_path / "engine.json").write_text('{"pid": 1, "socket": "/nowhere/control"}')
     assert live_engine(tmp_path) is None
 
