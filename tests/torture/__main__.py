@@ -11,7 +11,7 @@ import argparse
 import sys
 from importlib import import_module
 
-CAMPAIGNS = ("disturbances", "kills")
+CAMPAIGNS = ("disturbances", "kills", "fuzz")
 
 
 def main(words: list[str]) -> int:
