@@ -145,7 +145,7 @@ def coverages(
 def _stated(calibration: Calibration) -> Uncertainty:
     if calibration.uncertainty is None:
         raise NoBound(
-            f"the calibration of run {calibration.provenance.run} states no uncertainty, as those "
+            f"the calibration of {calibration.provenance.named} states no uncertainty, as those "
             "of earlier versions; calibrate again"
         )
     if calibration.uncertainty.missing:

@@ -102,6 +102,12 @@ class Provenance(msgspec.Struct, frozen=True):
         return self.updates[-1].run if self.updates else self.run
 
     @property
+    def named(self) -> str:
+        """Return the run that wrote the file, and the one that measured the model."""
+        based = f" (based on run {self.run})" if self.updates else ""
+        return f"run {self.latest}{based}"
+
+    @property
     def is_of_visit(self) -> bool:
         """Whether its last change is a base that was touched on one visit of a station."""
         return bool(self.updates) and self.updates[-1].what == "touch"

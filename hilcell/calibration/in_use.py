@@ -70,7 +70,7 @@ def with_calibration(cell: Cell, table: str, runs: Path, accepts: Accepts = NOTH
     standing = standing_by_name(calibration, path, runs)
     accepted = _accepted(calibration, path, cell, standing, accepts)
     changed = msgspec.structs.replace(chosen, calibration=str(path.resolve()))
-    words = f"the calibration of run {calibration.provenance.latest} is used"
+    words = f"the calibration of {calibration.provenance.named} is used"
     if standing is not None:
         words += f": {standing.text}"
     return Chosen(msgspec.structs.replace(cell, **{table: changed}), accepted, words)
@@ -223,8 +223,7 @@ def _accepted(
     )
     reasons = list(_foreign(calibration, path, cell))
     if reasons:
-        lines = "\n".join(f"  {reason}" for reason in reasons)
-        raise Unfit(f"calibration of run {calibration.provenance.latest} refused\n{lines}")
+        raise Unfit(calibration, reasons)
     if standing is None or standing.usable:
         return accepted
     return [*accepted, f"it is {standing.text}"]

@@ -7,7 +7,7 @@ refused; so is one whose validation failed or was not made, unless somebody acce
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 
 import msgspec
@@ -25,7 +25,11 @@ CLOCK_ERROR = timedelta(hours=1)
 
 
 class Unfit(HilcellError):
-    """A calibration that must not be used for this."""
+    """A calibration that must not be used for this, with every reason."""
+
+    def __init__(self, calibration: Calibration, reasons: Sequence[str]) -> None:
+        lines = "\n".join(f"  {reason}" for reason in reasons)
+        super().__init__(f"calibration of {calibration.provenance.named} refused\n{lines}")
 
 
 def check_fitness(
@@ -58,8 +62,7 @@ def check_fitness(
         reasons += [*intolerant, "--accept-out-of-tolerance uses it all the same, and says so"]
     found = [reason for reason in reasons if reason]
     if found:
-        run = calibration.provenance.run
-        raise Unfit(f"calibration of run {run} refused\n" + "\n".join(f"  {r}" for r in found))
+        raise Unfit(calibration, found)
     return intolerant
 
 

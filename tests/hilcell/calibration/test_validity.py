@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from hilcell.calibration.decision import Guard, Limits, judged
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.form import Calibration, Update
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import load_cell
 from tests.hilcell.calibration.calibrations import LIMITS, STAMP, calibration
@@ -124,3 +124,12 @@ def test_files_of_earlier_versions_state_no_verdict() -> None:
     old = msgspec.structs.replace(made, verdicts=None, schema=2)
     assert check_fitness(old, NOW) == []
     assert check_fitness(old, NOW, cell=CELL) == []  # the default of then was no part of the file
+
+
+def test_the_run_that_wrote_it_is_named_and_the_one_that_it_is_based_on() -> None:
+    update = Update("2-recheck", "base", "2026-11-22T10:00:00Z", 7)
+    bad = aged(400, run="1-made", updates=[update])
+    with pytest.raises(Unfit, match=r"^calibration of run 2-recheck \(based on run 1-made\) refu"):
+        check_fitness(bad, NOW)
+    with pytest.raises(Unfit, match="^calibration of run 1-made refused"):
+        check_fitness(aged(400, run="1-made"), NOW)
