@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import calibration_in, calibration_named, record_of
 from hilcell.calibration.rechecked import recheck_result, rechecked_run
@@ -27,11 +28,14 @@ from hilcell.run.clear_ways import check_poses
 from hilcell.run.procedure import Procedure, Step, Table
 from procedures.durations import closing, flange_points, step
 from procedures.home import Home
+from procedures.plan import drivable, turned
 from procedures.station import HoldStation
 from procedures.world_frame import WorldFrame
 
 TABLE = "recheck"
 MARGIN = 0.05  # of the volume's sides: poses keep off its faces
+TILT_SHARE = 0.9  # of the angle by which targets may turn
+AXES = np.vstack([np.eye(3), -np.eye(3)])
 GOLDEN = 1.2207440846057596  # root of x^4 = x + 1: its powers spread points evenly in space
 
 
@@ -111,9 +115,29 @@ def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
     return places
 
 
+def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
+    """Return poses (N, 4, 4), every other one turned where other orientations are calibrated.
+
+    Turned poses tell a reflector that slipped on its mount from a base that moved. A pose that
+    cannot be driven to so keeps its orientation.
+    """
+    tilt_deg = calibration.validity.orientation_tolerance_deg
+    if not tilt_deg > ORIENTATION_TOLERANCE_DEG:
+        return poses
+    station = cell.station_named(cell.grid.station)
+    for n in range(1, len(poses), 2):
+        turns = np.radians(TILT_SHARE * tilt_deg) * np.roll(AXES, -n, axis=0)
+        tried = turned(np.tile(poses[n], (len(turns), 1, 1)), turns)
+        driven = np.flatnonzero(drivable(cell, station, tried))
+        if len(driven):
+            poses[n] = tried[driven[0]]
+    return poses
+
+
 def commands_rad(cell: Cell, calibration: Calibration, seed: int) -> Array:
     """Return the joints (N, 6) of the corrected poses; raises `HilcellError` out of reach."""
     poses = calibration.poses_at(places_mm(calibration, cell.recheck.poses, seed))
+    poses = _turned(cell, calibration, poses)
     poses[:, :3, 3] = corrected(calibration.grid(), poses, calibration.error_model())
     try:
         return cell.robot.nominal().joints_for(poses)

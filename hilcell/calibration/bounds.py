@@ -104,12 +104,14 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
     placed = stated.stations[station] if on_visit is None else [on_visit]
     lines = [each for each in (*stated.lines, *placed) if each.counts != "in use"]
     lines += in_validation(log, stop, points)
-    poses = _poses(calibration, log, points, in_base_mm)
+    poses = driven_poses(calibration, log, points, in_base_mm)
     bounds = _bounds(calibration, station, T_W_B @ poses, lines)
     return Coverage(found.norms_mm, bounds.radii_mm)
 
 
-def _poses(calibration: Calibration, log: Log, points: list[Point], places_mm: Array) -> Array:
+def driven_poses(
+    calibration: Calibration, log: Log, points: list[Point], places_mm: Array
+) -> Array:
     """Return the targets' poses (N, 4, 4) in {B} at places (N, 3), turned as commanded."""
     if any(point.commanded_deg is None for point in points):
         return calibration.poses_at(places_mm)

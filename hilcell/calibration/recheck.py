@@ -5,6 +5,8 @@ Of N errors e (3N values) the calibration predicts the covariance C: that of eac
 least squares splits ``e' C^-1 e`` into a part of 6 degrees of freedom, explained by a small motion
 of the robot's base, and the rest, of 3N - 6; both are chi^2 where nothing has changed. A rest that
 is too large asks for a new calibration, a motion that is too large for an update of the base frame.
+A reflector that slipped on its mount is a shift in {T}: poses of one orientation do not tell it
+from one of the base, turned poses do.
 The motion is the mean of its posterior: C has the uncertainty of the frames, so that noise of {W}
 alone moves no base.
 """
@@ -26,7 +28,7 @@ from hilcell.ports import Array, HilcellError
 
 RISK = 0.01  # that a calibration which holds is not found to
 TESTS = 2  # the motion and the rest share it
-MOTION = 6  # degrees of freedom
+MOTION, SLIP = 6, 3  # degrees of freedom
 BUMPED_MM, BUMPED_RAD = 1.0, 1e-3  # 1 sigma of a base that was moved, before any pose says so
 NOTICED_BY = "re-check"
 FEWEST = 4  # poses: three leave the rest too few degrees of freedom to say anything
@@ -52,13 +54,14 @@ class Rechecked:
     """Errors e = actual - target (N, 3) at targets (N, 3), both in {B}, with their covariance.
 
     ``own_mm2`` (N, 3, 3) is that of each error by itself, ``common_mm2`` (3N, 3N) that of frames,
-    which move all poses together.
+    which move all poses together. ``orientations`` (N, 3, 3) are those of {T} in {B}.
     """
 
     targets_mm: Array
     errors_mm: Array
     own_mm2: Array
     common_mm2: Array
+    orientations: Array
 
     @property
     def covariance_mm2(self) -> Array:
@@ -99,10 +102,13 @@ class Judgement:
     of the poses, ``drift_mm`` by how much the root mean square of the errors exceeds what was
     predicted; u are standard uncertainties of these 3D lengths. ``left_mm`` (N, 3) are the errors
     less the motion, ``sigmas`` (N,) the same in the standard deviations of a coordinate.
+    ``slipped`` tests what a mount that slipped by ``slip_mm`` would leave, without a motion.
     """
 
     moved: ChiSquare
     rest: ChiSquare
+    slipped: ChiSquare
+    slip_mm: float
     motion: Array
     covariance: Array
     shift_mm: float
@@ -120,6 +126,11 @@ class Judgement:
         if not self.rest.holds:
             return "redo"
         return "valid" if self.moved.holds else "update"
+
+    @property
+    def may_be_slip(self) -> bool:
+        """Whether the poses do not tell the base's motion from a mount that slipped."""
+        return self.verdict == "update" and self.slipped.holds
 
     @property
     def chi2(self) -> float:
@@ -153,9 +164,12 @@ def judged(found: Rechecked) -> Judgement:
     left_mm = found.errors_mm - (J @ motion).reshape(-1, 3)
     at_middle = np.hstack([np.eye(3), -cross_matrix(found.targets_mm.mean(axis=0))])
     drift_mm, drift_u_mm = _drift(found)
+    slipped, slip_mm = left_by(found.errors_mm, C, found.orientations.reshape(-1, SLIP))
     return Judgement(
         _test(explained, MOTION),
         _test(rest, 3 * count - MOTION),
+        _test(slipped, 3 * count - SLIP),
+        slip_mm,
         motion,
         covariance,
         float(np.linalg.norm(at_middle @ motion)),
@@ -174,9 +188,11 @@ def suspicions(
 ) -> list[Suspicion]:
     """Return the causes that explain the errors at joints (N, 6), the likeliest first.
 
-    Each is taken off together with a motion of the base. None where the errors need no cause
-    besides such a motion.
+    Each is taken off together with a motion of the base. Where the errors need no cause besides
+    such a motion, only a mount is suspected whose slip explains them as well.
     """
+    if judgement.may_be_slip:
+        return [Suspicion("mount slipped", judgement.slip_mm, "mm", NOTICED_BY)]
     if judgement.rest.holds:
         return []
     likely: list[tuple[float, Suspicion]] = []

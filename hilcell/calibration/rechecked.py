@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hilcell.calibration.bounds import driven_poses
 from hilcell.calibration.decision import judged_errors
 from hilcell.calibration.influence import no_less_than_nought
 from hilcell.calibration.recheck import (
@@ -35,13 +36,15 @@ def rechecked(log: Log) -> Rechecked:
     """Return errors and covariance of the measured poses, in the calibration's {B}."""
     calibration, points = used(log), log.select(KIND)
     found = visited(log, points, log.cell.grid.station)
-    model = calibration.error_model().predict(calibration.poses_at(found.nominal_mm))
+    poses = driven_poses(calibration, log, points, found.nominal_mm)
+    model = calibration.error_model().predict(poses)
     J = motion_levers(found.nominal_mm).reshape(-1, 7)
     return Rechecked(
         found.nominal_mm,
         found.actual_mm - found.nominal_mm,
         no_less_than_nought(model.covariance_mm2 - found.within_mm2) + found.own_mm2,
         J @ found.common @ J.T,
+        poses[:, :3, :3],
     )
 
 
@@ -69,7 +72,11 @@ def recheck_result(log: Log) -> dict[str, Any]:
         "turn_urad": judgement.turn_urad,
         "turn_u_urad": judgement.turn_u_urad,
         "chi2": judgement.chi2,
-        "tests": {"motion": judgement.moved._asdict(), "rest": judgement.rest._asdict()},
+        "tests": {
+            "motion": judgement.moved._asdict(),
+            "rest": judgement.rest._asdict(),
+            "slip": judgement.slipped._asdict(),
+        },
         "risk": RISK,
         "mean_mm": as_found.mean_mm,
         "max_mm": as_found.max_mm,
@@ -125,11 +132,9 @@ def _words(result: dict[str, Any], worst: int, causes: list[Suspicion]) -> str:
             begin = (
                 f"Update: the robot's base has moved by {result['shift_mm']:.3f} mm ± "
                 f"{spread:.3f} mm (k = 2) at the volume's middle and turned by "
-                f"{result['turn_urad']:.0f} µrad, or the reflector or an axis's zero has: poses of "
-                "one orientation do not tell them apart. See first that the reflector sits on its "
-                "mount and that the mastering is right. This run's calibration has the base where "
-                "it seems to stand now: take its base frames over on the controller and "
-                "compensate the programs again."
+                f"{result['turn_urad']:.0f} µrad, {_instead(causes)} This run's calibration has "
+                "the base where it seems to stand now: take its base frames over on the controller "
+                "and compensate the programs again."
             )
         case _:
             begin = _redo(result, worst, causes)
@@ -139,6 +144,20 @@ def _words(result: dict[str, Any], worst: int, causes: list[Suspicion]) -> str:
         f"in the mean and {result['max_mm']:.3f} mm at most, {kept} tolerance "
         f"({result['mean_tolerance_mm']:g} and {result['max_tolerance_mm']:g} mm; U "
         f"{result['mean_U_mm']:.3f} and {result['max_U_mm']:.3f} mm added)."
+    )
+
+
+def _instead(causes: list[Suspicion]) -> str:
+    """Say what may have happened where the base seems to have moved."""
+    if causes:
+        return (
+            f"or the reflector has slipped on its mount by {causes[0].size:.3f} mm, or an axis's "
+            "zero is lost: the poses do not tell them apart. See first that the reflector sits on "
+            "its mount and that the mastering is right."
+        )
+    return (
+        "or an axis's zero is lost; a reflector that slipped on its mount does not explain it. See "
+        "first that the mastering is right."
     )
 
 
@@ -158,4 +177,10 @@ def _redo(result: dict[str, Any], worst: int, causes: list[Suspicion]) -> str:
 def _hint(causes: list[Suspicion]) -> str:
     if not causes:
         return "Look for a lost zero of an axis, a loose tool or reflector, another temperature."
-    return f"It would be explained by: {'; or '.join(cause.words for cause in causes[:3])}."
+    explained = f"It would be explained by: {'; or '.join(cause.words for cause in causes[:3])}."
+    if causes[0].cause != "mount slipped":
+        return explained
+    return (
+        f"{explained} Seat the reflector again, take this re-check back with `hilcell revoke`, and "
+        "re-check."
+    )

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from hilcell.calibration.file import read_calibration
 from hilcell.journal.runs import CALIBRATION
 from tests.whole.bench import SMALL, command, end_of, events, sets, sim_command
@@ -46,6 +48,32 @@ def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_pat
     done = command("compensate", "V", targets, "--station", "S1100", "-o", out, "--runs", runs)
     assert done.returncode == 2
     assert "run V wrote no calibration; it used that of R" in done.stderr
+
+
+@pytest.mark.nightly
+def test_turned_poses_tell_a_slipped_mount_from_a_moved_base(tmp_path: Path) -> None:
+    """The calibration that was made for turned targets predicts turned poses, too."""
+    words = SMALL | {"plan.tilt_deg": "30.0"}
+    done = command("run", "--json", "--name", "C", "--runs", tmp_path, *sets(words))
+    assert done.returncode == 0, done.stderr
+    found = {}
+    for name, value in (("", 0.0), ("robot.mount_slip", 0.5), ("robot.lost_zero", 0.02)):
+        faults = tmp_path / "faults.toml"
+        faults.write_text(f'[[fault]]\nname = "{name}"\nvalue = {value}\n' if name else "")
+        with sim_command("--seed", "1", "--speed", "max", "--faults", str(faults)) as cell:
+            there = words | {"simulation.address": cell.control, "recheck.calibration": "C"}
+            named = ("--name", name or "none", "--accept-not-current", "--runs", tmp_path)
+            done = command("run", "recheck", "--json", *named, *sets(there))
+        result = end_of(done)["result"]["recheck"]
+        causes = [each["cause"] for each in result["suspicions"]]
+        found[name] = (result["verdict"], "mount slipped" in causes)
+        said = result["text"]
+        assert ("take this re-check back" in said) == (name == "robot.mount_slip")
+    assert found == {
+        "": ("valid", False),
+        "robot.mount_slip": ("redo", True),
+        "robot.lost_zero": ("update", False),
+    }
 
 
 def test_without_a_calibration_or_targets_nothing_begins(tmp_path: Path) -> None:

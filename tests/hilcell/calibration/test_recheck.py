@@ -1,17 +1,21 @@
 """A calibration that holds is found to, one that drifted is not; errors of known covariance."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from hilcell.calibration import rechecked as module
 from hilcell.calibration.recheck import (
     NotJudged,
     Rechecked,
     judged,
     suspicions,
 )
+from hilcell.calibration.visit import Visited
 from hilcell.cell.file import load_cell
+from hilcell.compensation.model import Prediction
 from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_rotvec
@@ -22,12 +26,13 @@ RNG = np.random.default_rng(230)
 TARGETS_MM = np.array([1850.0, 0.0, 950.0]) + RNG.uniform(-400.0, 400.0, (7, 3))
 OWN_MM = 0.02
 FRAME_MM = 0.03  # of the shift that moves all poses together
+LEVEL = np.tile(np.eye(3), (7, 1, 1))  # {T} in {B}
 OWN_MM2 = np.tile(np.diag([1.0, 1.0, 1.5]) * OWN_MM**2, (7, 1, 1))
 COMMON_MM2 = np.array(np.kron(np.ones((7, 7)), FRAME_MM**2 * np.eye(3)), dtype=np.float64)
 
 
 def found(errors_mm: Array) -> Rechecked:
-    return Rechecked(TARGETS_MM, errors_mm, OWN_MM2, COMMON_MM2)
+    return Rechecked(TARGETS_MM, errors_mm, OWN_MM2, COMMON_MM2, LEVEL)
 
 
 def noise_mm(rng: np.random.Generator) -> Array:
@@ -93,8 +98,8 @@ def test_one_pose_that_no_motion_explains_is_a_redo_and_named() -> None:
 def test_a_frame_that_is_known_badly_moves_no_base() -> None:
     """The same shift of all poses: frames explain it where they are uncertain by as much."""
     shifted_mm = np.tile([0.08, 0.0, 0.0], (7, 1))
-    exact = Rechecked(TARGETS_MM, shifted_mm, OWN_MM2, np.zeros((21, 21)))
-    vague = Rechecked(TARGETS_MM, shifted_mm, OWN_MM2, 9 * COMMON_MM2)
+    exact = Rechecked(TARGETS_MM, shifted_mm, OWN_MM2, np.zeros((21, 21)), LEVEL)
+    vague = Rechecked(TARGETS_MM, shifted_mm, OWN_MM2, 9 * COMMON_MM2, LEVEL)
     assert judged(exact).verdict == "update"
     assert judged(vague).verdict == "valid"
     assert judged(vague).u_mm > judged(exact).u_mm
@@ -118,7 +123,7 @@ def test_no_drift_is_nought_with_a_finite_uncertainty() -> None:
 def test_what_cannot_be_judged_is_refused(change: dict[str, Any], said: str) -> None:
     values = {
         "targets_mm": TARGETS_MM, "errors_mm": np.zeros((7, 3)), "own_mm2": OWN_MM2,
-        "common_mm2": COMMON_MM2,
+        "common_mm2": COMMON_MM2, "orientations": LEVEL,
     }  # fmt: skip
     with pytest.raises(NotJudged, match=said):
         judged(Rechecked(**(values | change)))
@@ -139,6 +144,36 @@ def test_an_axis_that_lost_its_zero_is_suspected(axis: int, lost_deg: float) -> 
     assert likeliest.size == pytest.approx(lost_deg, rel=0.25)
 
 
+TURNS_RAD = np.radians(27.0) * np.array(
+    [[0, 0, 0], [1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 1], [0, 0, 0]]
+)
+TURNED = from_rotvec(TURNS_RAD)
+SLIP_MM = np.array([0.5, 0.0, 0.0])
+
+
+def seen(errors_mm: Array, orientations: Array) -> tuple[str, list[str]]:
+    """Return the verdict, and what is suspected."""
+    this = Rechecked(TARGETS_MM, errors_mm, OWN_MM2, COMMON_MM2, orientations)
+    judgement = judged(this)
+    causes = suspicions(this, judgement, CELL.robot.arm(), JOINTS_RAD)
+    return judgement.verdict, [each.cause for each in causes if each.cause == "mount slipped"]
+
+
+def test_one_orientation_does_not_tell_a_slipped_mount_from_a_moved_base() -> None:
+    noise = noise_mm(np.random.default_rng(6))
+    assert seen(LEVEL @ SLIP_MM + noise, LEVEL) == ("update", ["mount slipped"])
+    assert seen(moved_mm([0.0, 0.0, 0.0], [0.0, 0.0, 4e-4]) + noise, LEVEL) == ("update", [])
+
+
+def test_turned_poses_do() -> None:
+    noise = noise_mm(np.random.default_rng(6))
+    assert seen(moved_mm([0.5, 0.0, 0.0], [0.0, 0.0, 0.0]) + noise, TURNED) == ("update", [])
+    this = Rechecked(TARGETS_MM, TURNED @ SLIP_MM + noise, OWN_MM2, COMMON_MM2, TURNED)
+    assert judged(this).verdict == "redo"
+    assert judged(this).slipped.holds
+    assert judged(this).slip_mm == pytest.approx(0.5, abs=0.05)
+
+
 def test_what_needs_no_cause_has_none() -> None:
     this = found(noise_mm(np.random.default_rng(9)))
     assert suspicions(this, judged(this), CELL.robot.arm(), JOINTS_RAD) == []
@@ -146,3 +181,27 @@ def test_what_needs_no_cause_has_none() -> None:
     errors_mm[4] += [0.0, 0.25, 0.0]  # one reading, which nothing of the robot explains
     this = found(errors_mm)
     assert suspicions(this, judged(this), CELL.robot.arm(), JOINTS_RAD) == []
+
+
+def test_turned_poses_are_judged_by_what_the_model_states_of_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    poses = forward(CELL.robot.arm(), JOINTS_RAD)
+    poses[:, :3, :3] = TURNED @ poses[:, :3, :3]
+    joints_deg = np.degrees(CELL.robot.nominal().joints_for(poses))
+    points = [SimpleNamespace(commanded_deg=tuple(each)) for each in joints_deg]
+    zeros = np.zeros((7, 3, 3))
+    visit = Visited(TARGETS_MM, TARGETS_MM, zeros, np.zeros((7, 7)), zeros[0])
+    asked: list[Array] = []
+
+    def predict(poses: Array) -> Prediction:
+        asked.append(poses)
+        return Prediction(np.zeros((7, 3)), OWN_MM2)
+
+    made = SimpleNamespace(error_model=lambda: SimpleNamespace(predict=predict))
+    monkeypatch.setattr(module, "used", lambda log: made)
+    monkeypatch.setattr(module, "visited", lambda *given: visit)
+    log: Any = SimpleNamespace(select=lambda kind: points, cell=CELL)
+    found = module.rechecked(log)
+    np.testing.assert_allclose(asked[0], poses, atol=1e-6)
+    np.testing.assert_allclose(found.orientations, poses[:, :3, :3], atol=1e-9)

@@ -131,5 +131,5 @@ def test_the_run_that_wrote_it_is_named_and_the_one_that_it_is_based_on() -> Non
     bad = aged(400, run="1-made", updates=[update])
     with pytest.raises(Unfit, match=r"^calibration of run 2-recheck \(based on run 1-made\) refu"):
         check_fitness(bad, NOW)
-    with pytest.raises(Unfit, match="^calibration of run 1-made refused"):
+    with pytest.raises(Unfit, match=r"^calibration of run 1-made refused"):
         check_fitness(aged(400, run="1-made"), NOW)
