@@ -22,6 +22,7 @@ from fakes.time import PlantTime
 from fakes.tracker_truth import TrackerTruth
 from fakes.transforms import Array, carried, rigid, rotation
 from hilcell.cell.file import Cell, Nest
+from hilcell.cell.layout import Layout
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import HilcellError
 
@@ -47,6 +48,7 @@ class Plant:
         self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
         self._slipped = np.eye(4)
         self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
+        self._floor |= _bars(cell.layout, mounting.floor_nest_mm, fixed.generator("bars"))
         self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
         self._places: tuple[tuple[object, ...], dict[str, Array]] = ((), {})  # for which state
         self.seated = ""  # where the one reflector is that is carried by hand; "": out of sight
@@ -116,6 +118,17 @@ class Plant:
 
 def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
     return {nest.name: nest.xyz_mm + sigma_mm * _limited(rng, 3) for nest in nests}
+
+
+def _bars(layout: Layout, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
+    """Return the nests of bars: each certified length is true between them."""
+    found = _placed(layout.bar, sigma_mm, rng)
+    for each in layout.length:
+        one, other = each.nests
+        if one in found and other in found:
+            way_mm = found[other] - found[one]
+            found[other] = found[one] + each.length_mm * way_mm / np.linalg.norm(way_mm)
+    return found
 
 
 def _limited(rng: np.random.Generator, size: int) -> Array:

@@ -46,8 +46,8 @@ class Measurement:
 class TrackerTruth:
     """A tracker that sees reflectors given in {W}.
 
-    It takes the faults ``tracker.drift_step``, ``tracker.noisy``, ``tracker.spike`` and
-    ``tracker.wrong_target`` itself; all others are the server's.
+    It takes the faults ``tracker.drift_step``, ``tracker.scale_ppm``, ``tracker.noisy``,
+    ``tracker.spike`` and ``tracker.wrong_target`` itself; all others are the server's.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class TrackerTruth:
         self._from_world = inverse(self.pose_in_world)
         self._drift = rng.standard_normal((2, 3)) * self._sizes.drift_mm
         self._air_phases = rng.uniform(0.0, 2 * math.pi, 3)
-        self._bump_mm = np.zeros(3)
+        self._bump_mm, self._scale = np.zeros(3), 1.0
 
     def reflectors(self) -> dict[str, Array]:
         """Return where every reflector is."""
@@ -105,7 +105,8 @@ class TrackerTruth:
         self._measured += 1
         std_mm = self._faults.number("tracker.noisy")
         self._bump_mm[0] += self._faults.number("tracker.drift_step") or 0.0
-        xyz_mm = at_mm + self._bump_mm + self._slow_drift_mm()
+        self._scale += 1e-6 * (self._faults.number("tracker.scale_ppm") or 0.0)
+        xyz_mm = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
         range_mm = float(np.linalg.norm(xyz_mm))
         along = xyz_mm / range_mm
         # Coarse: a slide that lands a few micrometres off meets the same noise.
@@ -128,7 +129,7 @@ class TrackerTruth:
         M < N where one is out of range: the beam is lost there. Drift and air stand still.
         """
         at_mm = at_world_mm @ self._from_world[:3, :3].T + self._from_world[:3, 3]
-        xyz_mm = at_mm + self._bump_mm + self._slow_drift_mm()
+        xyz_mm = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
         range_mm = np.linalg.norm(xyz_mm, axis=1)
         low_mm, high_mm = self._range_mm
         lost = np.flatnonzero(~((low_mm <= range_mm) & (range_mm <= high_mm)))

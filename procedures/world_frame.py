@@ -11,6 +11,7 @@ from hilcell.journal.log import Log
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import floor_points, step
+from procedures.known_length import check_lengths, length_result, length_spans
 from procedures.plan import check_range
 
 
@@ -18,22 +19,25 @@ class WorldFrame:
     """Measures the floor nests; on resume it proves first that the tracker has not moved."""
 
     name = "world-frame"
-    needs = "reflectors in the floor nests"
+    needs = "reflectors in the floor nests, and on bars of known length"
     moves = "nothing"
-    measures = "three floor nests, averaged"
+    measures = "three floor nests, averaged, and the nests of certified lengths"
     yields = "the tracker in {W}"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse nests out of the tracker's range."""
         check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
-        return step(self.name, len(cell.layout.floor), [floor_points(cell)])
+        nests_mm = np.array([nest.xyz_mm for nest in cell.layout.bar]).reshape(-1, 3)
+        check_range(cell, nests_mm, "bar's nests")
+        return step(self.name, len(cell.layout.floor), [floor_points(cell), *length_spans(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""
         session.frame_world()
+        check_lengths(session)
         session.reach("frame_world")
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the tracker in {W}, and how often it has moved."""
         tracker = {"T_W_L": log.matrix("world").tolist(), "moved": log.set_ups.number}
-        return {"tracker": tracker}
+        return {"tracker": tracker} | length_result(log)

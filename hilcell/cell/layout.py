@@ -10,11 +10,13 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
+from msgspec import field
 
-from hilcell.cell.tables import Count, Frozen, Length, Name, Point, Pose, Size
+from hilcell.cell.tables import Count, Frozen, Length, Name, Point, Pose, Rate, Size
 from hilcell.geometry.kinematics import Array
 
 MOST_NESTS = 100
+CERTIFIED_C = 20.0  # of lengths: ISO 1
 APART_MM = 20.0  # nests closer than this are one nest, or their reflectors touch
 
 
@@ -32,6 +34,16 @@ class Nest(Frozen, frozen=True, kw_only=True):
         return np.array([self.x_mm, self.y_mm, self.z_mm])
 
 
+class KnownLength(Frozen, frozen=True, kw_only=True):
+    """A certified distance of two nests at 20 C; ``u_mm`` is 1 sigma, half the certificate's U."""
+
+    nests: tuple[Name, Name]
+    length_mm: Size
+    u_mm: Size
+    certificate: str = ""
+    expansion_um_m_k: Rate = 0.0
+
+
 class Layout(Frozen, frozen=True, kw_only=True):
     """Where the rail stands: nominal {B} in {W} at rail 0, the rail's direction in {W}."""
 
@@ -39,6 +51,8 @@ class Layout(Frozen, frozen=True, kw_only=True):
     rail_direction: Point
     floor: list[Nest]
     slide: list[Nest]
+    bar: list[Nest] = field(default_factory=list)
+    length: list[KnownLength] = field(default_factory=list)
     nest_tolerance_mm: Size = 5.0
     nest_samples: Count = 10
     max_tool_std_mm: Size = 0.1
@@ -50,7 +64,7 @@ class Layout(Frozen, frozen=True, kw_only=True):
         for nests in (self.floor, self.slide):
             if not 3 <= len(nests) <= MOST_NESTS:
                 raise ValueError(f"3 .. {MOST_NESTS} nests are needed, found {len(nests)}")
-        names = [nest.name for nest in (*self.floor, *self.slide)]
+        names = [nest.name for nest in (*self.standing, *self.slide)]
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"nest names must differ, found {name} twice")
@@ -58,6 +72,30 @@ class Layout(Frozen, frozen=True, kw_only=True):
             _refuse_collinear(nests[:3])  # they make the frame's axes
             _refuse_collinear(nests)
             _refuse_close(nests)
+        _refuse_close(self.bar)
+        self._refuse_lengths()
+
+    def _refuse_lengths(self) -> None:
+        """Refuse lengths that are not those of nests on floor and bars, and bars without one."""
+        at_mm = {nest.name: nest.xyz_mm for nest in self.standing}
+        for each in self.length:
+            for name in each.nests:
+                if name not in at_mm:
+                    raise ValueError(f"length: nest {name} is unknown; known: {', '.join(at_mm)}")
+            nominal_mm = float(np.linalg.norm(at_mm[each.nests[0]] - at_mm[each.nests[1]]))
+            if not abs(nominal_mm - each.length_mm) <= 2 * self.nest_tolerance_mm:
+                raise ValueError(
+                    f"length of {' to '.join(each.nests)}: {each.length_mm} mm, by their places "
+                    f"{nominal_mm:.3f} mm"
+                )
+        ends = {name for each in self.length for name in each.nests}
+        if unused := [nest.name for nest in self.bar if nest.name not in ends]:
+            raise ValueError(f"bar: no length has nest {', '.join(unused)}")
+
+    @property
+    def standing(self) -> list[Nest]:
+        """Return the nests in {W}, which do not ride on the slide."""
+        return [*self.floor, *self.bar]
 
     @property
     def by_hand(self) -> bool:

@@ -9,10 +9,9 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from hilcell.cell.tables import Frozen, Point
+from hilcell.cell.tables import Frozen, Point, Rate
 
 Limit = Annotated[float, Meta(ge=0, le=10)]
-Rate = Annotated[float, Meta(ge=0, le=1000)]  # um/m, um/(m K)
 Urad = Annotated[float, Meta(ge=0, le=100_000)]
 
 

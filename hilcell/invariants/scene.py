@@ -9,7 +9,7 @@ import msgspec
 
 from hilcell.invariants.bodies import CellFacts, Inputs, Life, Measured, Motion, Station
 from hilcell.journal.journal import Record
-from hilcell.journal.point_id import HELD
+from hilcell.journal.point_id import CHECKS
 from hilcell.journal.set_ups import INTERRUPTED, PROOFS, PROVEN, TRACKER_MOVED
 from hilcell.journal.states import OVER, WAITING
 
@@ -144,8 +144,8 @@ def is_control(key: str) -> bool:
 
 
 def is_proof(key: str) -> bool:
-    """Whether a point frames {W}, or proves the tracker or a hold."""
-    return key.startswith(tuple(f"{kind}/" for kind in (*PROOFS, HELD)))
+    """Whether a point frames {W}, proves the tracker, or is one of which nothing is built."""
+    return key.partition("/")[0] in (*PROOFS, *CHECKS)
 
 
 def nest_of(key: str) -> str:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import msgspec
 
-HELD = "held"  # kind of the points that prove a held slide
+HELD, LENGTH = "held", "length"  # kinds of points that prove a hold, and the tracker's scale
+CHECKS = (HELD, LENGTH)  # of which nothing is built
 CONTROL = "control"  # group of points that no plan counts
 _GROUPS = {  # not named by their fields
-    "slide": "frames", "three": "three_points", "base": "base", HELD: CONTROL,
+    "slide": "frames", "three": "three_points", "base": "base", HELD: CONTROL, LENGTH: CONTROL,
 }  # fmt: skip
 
 

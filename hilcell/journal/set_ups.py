@@ -10,7 +10,7 @@ import numpy as np
 
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.journal import Record
-from hilcell.journal.point_id import HELD
+from hilcell.journal.point_id import CHECKS
 from hilcell.ports import Array
 
 Three = tuple[float, float, float]
@@ -47,8 +47,8 @@ class SetUps:
 
     @property
     def open(self) -> bool:
-        """Whether points wait for a proof; the nest that proves a hold alone does not."""
-        return any(not key.startswith(f"{HELD}/") for key in self.unproven)
+        """Whether points wait for a proof; those of which nothing is built do not."""
+        return any(key.partition("/")[0] not in CHECKS for key in self.unproven)
 
     def take(self, record: Record) -> list[str]:
         """Add one record; return the keys of what has become invalid by it."""

@@ -44,7 +44,7 @@ class Operator:
         layout = self._run.cell.layout
         if place in self._run.log.sights:
             sight = self._run.log.sights[place]
-            rides = place not in {nest.name for nest in layout.floor}
+            rides = place not in {nest.name for nest in layout.standing}
             T_L_W = inverse(self._run.frames.tracker_in_world())
             along = T_L_W[:3, :3] @ np.array(layout.rail_direction)
             moved_mm = (strip_mm - sight.strip_mm) * rides * along

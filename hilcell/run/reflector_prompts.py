@@ -11,10 +11,11 @@ FLANGE = "flange"
 
 def where(cell: Cell, place: str) -> str:
     """Return where a nest is, for a person who looks for it."""
-    for nests, on in ((cell.layout.floor, "floor"), (cell.layout.slide, "slide")):
+    layout = cell.layout
+    for nests, on in ((layout.floor, "floor"), (layout.bar, "bar"), (layout.slide, "slide")):
         for nest in nests:
             if nest.name == place:
-                frame = "{W}" if on == "floor" else "nominal {B}"
+                frame = "nominal {B}" if on == "slide" else "{W}"
                 at = f"x {nest.x_mm:.0f}, y {nest.y_mm:.0f}, z {nest.z_mm:.0f} mm in {frame}"
                 return f"nest {place} on the {on}, {at}"
     return "the nest on the robot's flange" if place == FLANGE else f"reflector {place}"

@@ -128,9 +128,9 @@ def test_a_whole_calibration_with_one_reflector(tmp_path: Path, cell: Simulation
     assert judge(printed) == []
     seated = [e["place"] for e in printed if e.get("what") == "seated"]
     assert seated == operator.seats
-    assert seated[:4] == ["F1", "F2", "F3", "flange"]
+    assert seated[:6] == ["F1", "F2", "F3", "B1", "B2", "flange"]
     assert not [one for one, other in pairwise(seated) if one == other]
-    assert len(seated) <= 55
+    assert len(seated) <= 57
     refused = [e for e in printed if e.get("what") == "answer refused"]
     assert len(refused) == 2
     suspended = [e for e in printed if e["kind"] == "state" and e["to"] == "suspended"]
@@ -161,14 +161,15 @@ def test_kill_9_during_a_prompt_asks_again_only_for_what_is_missing(
     last = Engine("resume", "hand", "--runs", tmp_path)
     last.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
     assert operator.prompt().place == "F3"
-    operator.obey("F3")
+    for place in ("F3", "B1", "B2"):
+        operator.obey(place)
     operator.prompt("flange")
     order(tmp_path / "hand", "abort")
     assert last.rest()[-1]["exit"] == 4
     journal = events(command("watch", "hand", "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []
     points = [e["key"] for e in journal if e["kind"] == "point"]
-    assert points == ["world/F1", "world/F2", "world/F3"]
+    assert points == ["world/F1", "world/F2", "world/F3", "length/B1", "length/B2"]
 
 
 def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
@@ -177,7 +178,7 @@ def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
     engine = Engine("run", "base-frame", *words(cell, tmp_path))
     engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
     operator = Operator(tmp_path / "hand", cell)
-    for place in ("F1", "F2", "F3", "flange"):
+    for place in ("F1", "F2", "F3", "B1", "B2", "flange"):
         operator.obey(place)
     engine.until(lambda event: event["kind"] == "point" and event["group"] == "base")
     operator.seat("")

@@ -47,7 +47,7 @@ def tracker_text(prompt: PromptStatus, view: RunView) -> Content:
 
 def nest_map(layout: Layout, place: str, glyphs: Glyphs) -> list[Content]:
     """Return the floor or the slide from above, the wanted nest marked; x right, y up."""
-    floor = {nest.name: nest.xyz_mm for nest in layout.floor}
+    floor = {nest.name: nest.xyz_mm for nest in layout.standing}
     slide = {nest.name: nest.xyz_mm for nest in layout.slide}
     where = floor if place in floor else slide
     if place not in where:

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from hilcell.cell import file as cell
-from hilcell.cell import in_use
+from hilcell.cell import in_use, layout
 from hilcell.cell.settings import range_text
 
 PAGE = (Path(__file__).parents[3] / "docs" / "cell-file.md").read_text("utf-8")
@@ -25,6 +25,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "A pose": cell.Pose,
     "[layout]": cell.Layout,
     "A nest": cell.Nest,
+    "A length": layout.KnownLength,
     "[[station]]": cell.Station,
     "[grid]": cell.GridTable,
     "[base_frame]": cell.BaseFrameTable,
@@ -73,7 +74,7 @@ def test_every_key_stands_there_with_its_default_and_range(section: str) -> None
 def test_no_table_is_left_out() -> None:
     tables = {
         kind
-        for kind in vars(cell).values()
+        for kind in (vars(cell) | vars(layout)).values()
         if isinstance(kind, type) and issubclass(kind, cell.Frozen) and kind is not cell.Frozen
     }
     assert tables == set(SECTIONS.values())
