@@ -201,6 +201,7 @@ def test_a_fault_that_is_survived_is_a_notice_at_most(injected: list[Alarm]) -> 
 def test_no_fault_is_left_out() -> None:
     streamed = {"tracker.stream_break"}  # no procedure streams; tests of the driver break one
     wrists = {f"robot.lost_zero_{axis}" for axis in (4, 5, 6)}
-    silent = {"robot.mount_slip", *wrists}  # no device sees them: `test_disturbances` does
+    # No device sees these: `test_disturbances` does, and `test_known_length`.
+    silent = {"robot.mount_slip", "rail.strip_jump", "tracker.scale_ppm", *wrists}
     assert set(ENDS) | set(SURVIVED) | streamed | silent == set(KNOWN)
     assert not set(ENDS) & set(SURVIVED)
