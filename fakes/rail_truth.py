@@ -29,6 +29,7 @@ SWITCH_MM = 1.0  # limit switches lie this far outside the travel
 STOP_MM = 0.5  # and the slide stops this far behind them
 POWER_ON_MM = 640.0
 HOMING_MM_S2, BACK_OFF_MM_S = 200.0, 10.0
+MOST_SHARE = 1.5  # of the stated curve
 BRAKE_MM_S2 = 5000.0  # the closing brake
 
 
@@ -214,7 +215,8 @@ class _Shape:
         """Return the factor that brings the survey of Fig 1 to its largest error.
 
         It was made at the flange of a parked robot, so it shows the slide's leaning times the
-        lever arm (3,) as well as the rail's own error.
+        lever arm (3,) as well as the rail's own error. Where these cancel there, the rail's own
+        stays that of a rail.
         """
         largest_mm = self._sizes.curve_mm
         positions_mm = [float(s) for s in np.linspace(0.0, self._sizes.curve_span_mm, 201)]
@@ -222,7 +224,7 @@ class _Shape:
             self._curve(s) * largest_mm + float(np.cross(self._lean_rad(s), lever_mm) @ self._along)
             for s in positions_mm
         ]
-        return largest_mm / float(np.abs(seen_mm).max())
+        return min(MOST_SHARE, largest_mm / float(np.abs(seen_mm).max()))
 
     def _lean_rad(self, slide_mm: float) -> Array:
         return self._share * np.array([curve(slide_mm) for curve in self._lean])

@@ -124,6 +124,7 @@ CALIBRATE = Procedure(
         Fit(),
         SignCheck(),
         Validate(),
+        Revisits(at_end=True),
     ),
     validation_table,
     words=suspicion_words,

@@ -1,4 +1,8 @@
-"""Vertices are visited again: a robot, a mount or a slide that has changed shows there."""
+"""Vertices are visited again: a robot, a mount or a slide that has changed shows there.
+
+After the grid, so that nothing rests on a robot that changed meanwhile, and at the end of the run,
+so that the robot is still the one that was calibrated.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from typing import Any
 import msgspec
 
 from hilcell.calibration.frames import grid_of, vertex_ids
-from hilcell.calibration.noticed import REVISIT, revisits, suspicions_of
+from hilcell.calibration.noticed import CLOSING, REVISIT, revisits, suspicions_of
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
@@ -15,8 +19,8 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
-from procedures.durations import closing, flange_points, step
-from procedures.plan import joints_for
+from procedures.durations import closing, flange_points, leg, step
+from procedures.plan import joints_for, other_stations
 
 COUNT, QUICK_COUNT = 6, 2
 
@@ -24,16 +28,23 @@ COUNT, QUICK_COUNT = 6, 2
 class Revisits:
     """Takes vertices that are spread over the time in which the grid was measured."""
 
-    name = "revisits"
     needs = "the grid, the robot's repeatability"
     moves = "the robot to a few vertices of the grid"
-    measures = "the flange reflector there, a second time"
+    measures = "the flange reflector there, once more"
     yields = "whether zero, mount and slide are as they were, and which cause fits if not"
+
+    def __init__(self, *, at_end: bool = False) -> None:
+        """``at_end``: the slide comes from the last station, back to the grid's."""
+        self._kind, self.name = (CLOSING, "closing") if at_end else (REVISIT, "revisits")
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step: the grid's own has refused vertices out of reach."""
         joints_rad = joints_for(cell, grid_of(cell).serpentine_mm()[chosen(cell)])
-        return step(self.name, len(joints_rad), [flange_points(cell, joints_rad), *closing(cell)])
+        spans = [flange_points(cell, joints_rad), *closing(cell)]
+        if self._kind == CLOSING:
+            station = cell.station_named(cell.grid.station)
+            spans = [*leg(cell, [station, *other_stations(cell)][-1], station), *spans]
+        return step(self.name, len(joints_rad), spans)
 
     def perform(self, session: CellSession) -> None:
         """Visit, judge, and pause an attended run where something has changed."""
@@ -43,17 +54,24 @@ class Revisits:
         world_mm = apply(session.frames.base_in_world(station), vertices_mm)
         joints_rad, ids = joints_for(cell, vertices_mm), vertex_ids(grid)
         for n, joints, nominal_mm in zip(numbers, joints_rad, world_mm, strict=True):
-            again = PointId(REVISIT, vertex=ids[n].vertex)
+            again = PointId(self._kind, vertex=ids[n].vertex)
+            if not session.log.find(again):
+                session.hold_station(station)
             session.flange_point(again, station, joints, nominal_mm=nominal_mm)
         session.close_step()
-        if "revisits" in session.log.verdicts:
-            return
-        found = revisits(session.log)
+        if self.name not in session.log.verdicts:
+            self._judge(session)
+
+    def _judge(self, session: CellSession) -> None:
+        found = revisits(session.log, self._kind)
         suspected = [] if found.suspicion is None else [found.suspicion.text]
         session.verdict(
-            "revisits", holds=found.holds, ratio=found.ratio, limit=found.limit, suspected=suspected
+            self.name, holds=found.holds, ratio=found.ratio, limit=found.limit, suspected=suspected
         )
-        if found.suspicion is not None:
+        if self._kind == CLOSING:
+            suspected = [each.text for each in suspicions_of(session.log)]
+            session.verdict("suspicions", holds=not suspected, suspected=suspected)
+        elif found.suspicion is not None:
             session.pause(f"re-visited vertices have moved: {found.suspicion.text}")
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -98,6 +98,13 @@ def f_quantile(share: float, above: float, below: float) -> float:
     return float(fdtri(above, below, share))
 
 
+def chance_of_at_most(count: int, of: int, share: float) -> float:
+    """Return the probability of ``count`` or fewer of so many, each with probability ``share``."""
+    from scipy.special import bdtr
+
+    return float(bdtr(count, of, share))
+
+
 def rectangular_variance(half_width: float) -> float:
     """Return the variance of a value known to lie within +- its half-width (GUM 4.3.7, eq 7)."""
     return half_width**2 / 3.0

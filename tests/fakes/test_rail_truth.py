@@ -169,3 +169,10 @@ def test_same_seed_same_rail(cell: Cell) -> None:
     figures = [go(homed(cell, 7), 1234.5).strip_mm for _ in range(2)]
     assert figures[0] == figures[1]
     assert go(homed(cell, 8), 1234.5).strip_mm != figures[0]
+
+
+def test_where_lean_and_error_cancel_in_the_survey_the_rail_stays_one(cell: Cell) -> None:
+    """Of seed 1065 they do: the rail's own error was 4.6 mm."""
+    rail = RailTruth(cell, 1065, PlantTime(), Faults())
+    errors_mm = [rail._shape.error_mm(float(at_mm), 0.0) for at_mm in range(0, 3001, 100)]
+    assert max(map(abs, errors_mm)) < 2.0

@@ -30,7 +30,7 @@ LATER_S = 0.01  # a kill comes up to so much after its record: records are 2 to 
 
 SAME_MM = 0.005  # one reading made at another time: the air drifts
 NOISE_MM = 0.2  # two samples, drawn twice
-OF_ONE_STOP = ("control", "touch")  # after a kill there are others
+OF_ONE_STOP = ("control", "held", "touch")  # after a kill there are others
 
 Event = dict[str, Any]
 

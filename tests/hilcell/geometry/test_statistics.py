@@ -7,6 +7,7 @@ import pytest
 
 from hilcell.geometry.statistics import (
     bounds95_mm,
+    chance_of_at_most,
     chi2_quantile,
     effective_freedom,
     f_quantile,
@@ -140,3 +141,9 @@ def test_the_slope_of_a_line_and_its_uncertainty() -> None:
 def test_quantiles_are_those_of_the_tables() -> None:
     assert chi2_quantile(0.95, 3) == pytest.approx(7.8147, abs=1e-4)
     assert f_quantile(0.95, 3, 10) == pytest.approx(3.7083, abs=1e-4)
+
+
+def test_the_chance_of_few_is_the_binomial_s() -> None:
+    assert chance_of_at_most(0, 8, 0.6) == pytest.approx(0.4**8)
+    assert chance_of_at_most(1, 2, 0.5) == pytest.approx(0.75)
+    assert chance_of_at_most(8, 8, 0.6) == pytest.approx(1.0)
