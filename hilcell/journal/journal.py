@@ -25,6 +25,7 @@ import msgspec
 
 from hilcell.errors import HilcellError
 from hilcell.journal.open_file import OpenFile
+from hilcell.journal.wal import damage_of
 
 SCHEMA = 1
 READ_BACK = 500  # records between two checks that the file holds what was acknowledged
@@ -118,6 +119,7 @@ class Journal:
         self._listeners: list[Callable[[Record], None]] = []
         if not create and not path.is_file():
             raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
+        _check_wal(path)
         try:
             self._base = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             self._base.execute("PRAGMA journal_mode=WAL")
@@ -130,7 +132,7 @@ class Journal:
         except sqlite3.Error as error:
             why = _refusal(path, os.R_OK | os.W_OK) or str(error)
             raise StorageError(f"journal {path}: cannot be opened: {why}") from error
-        self._files = OpenFile(path), OpenFile(path.with_name(f"{path.name}-wal"))
+        self._files = OpenFile(path), OpenFile(_wal(path))
         self._unsound: StorageError | None = None
         self._seq, self._hash = 0, b""
         try:
@@ -284,6 +286,8 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
     try:
         if not is_there(path):
             raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
+        if not after:
+            _check_wal(path)
         with closing(_reader(path)) as base:
             return [record for record, _ in _stored(base, path, after)]
     except sqlite3.Error as error:
@@ -293,6 +297,29 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
         raise StorageError(f"journal {path}: cannot be read: {error.strerror}") from error
 
 
+def _wal(path: Path) -> Path:
+    """Return where the records are that are not in the journal's own file yet."""
+    return path.with_name(f"{path.name}-wal")
+
+
+def _check_wal(path: Path) -> None:
+    """Refuse damage that SQLite takes for the journal's end: it would then delete what follows."""
+    damage = damage_of(_wal(path))
+    if damage is None:
+        return
+    with closing(_reader(path)) as base:
+        made = base.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        query = "SELECT coalesce(max(seq), 0) FROM record" if made else "SELECT 0"
+        (kept,) = base.execute(query).fetchone()
+    raise StorageError(
+        f"journal {path}: damaged at record {kept + 1}: {damage.lost} records after it are lost; "
+        f"{_wal(path).name} was changed or damaged after the run was killed; fetch the run's "
+        "folder from the backup, or start a new run",
+        code="HC-J02",
+        record=kept + 1,
+    )
+
+
 def _reader(path: Path) -> sqlite3.Connection:
     """Open a journal to read it, also one whose folder may not be written."""
     where = f"{path.resolve().as_uri()}?mode=ro"
@@ -300,7 +327,7 @@ def _reader(path: Path) -> sqlite3.Connection:
     try:
         base.execute("PRAGMA schema_version")
     except sqlite3.DatabaseError as error:
-        rest = path.with_name(f"{path.name}-wal")  # records that are not in the file yet
+        rest = _wal(path)
         unwritable = error.sqlite_errorcode & 0xFF in (
             sqlite3.SQLITE_READONLY,
             sqlite3.SQLITE_CANTOPEN,
