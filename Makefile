@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test suite nightly mutants lint bench lock clean
+.PHONY: run test suite nightly mutants torture lint bench lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
@@ -19,6 +19,9 @@ nightly: lint  ## every test and every long sweep, property tests with fresh see
 
 mutants: $(VENV)/ready  ## deliberate breaks, each of which a test must notice; ONLY=name for one
 	$(BIN)/python -m tests.mutants $(ONLY)
+
+torture: $(VENV)/ready  ## the long sweeps: every fault in every phase; ONLY=name for one
+	$(BIN)/python -m tests.torture $(ONLY)
 
 lint: $(VENV)/ready  ## style, types and the import contract
 	$(BIN)/ruff check .

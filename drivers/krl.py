@@ -26,6 +26,9 @@ _ANY = rf"{_NAME}\s+(?:{_NUMBER}|{_TEXT}|{_NAME})"
 _STRUCTURE = re.compile(rf"\{{\s*(?:{_NAME}\s*:)?\s*({_ANY}(?:\s*,\s*{_ANY})*)\s*\}}", re.ASCII)
 
 
+LARGEST = 1e6  # mm or deg: beyond any rail, and any turn that an axis counts
+
+
 class KrlError(ValueError):
     """Text that is no KRL value."""
 
@@ -53,7 +56,7 @@ def numbers(text: str, names: tuple[str, ...]) -> list[float]:
     found = {name.upper(): number for name, number in components}
     if len(found) != len(components):
         raise KrlError(f"a component occurs twice in {text[:80]!r}")
-    values = {name: _finite(number) for name, number in found.items() if number}
+    values = {name: _component(name, number) for name, number in found.items() if number}
     for name in names:
         if name not in values:
             raise KrlError(f"{name} is missing or no number in {text[:80]!r}")
@@ -67,6 +70,13 @@ def structure(kind: str, components: Mapping[str, float], decimals: int = 6) -> 
             raise KrlError(f"{name} {number} is not finite")
     body = ", ".join(f"{name} {number:.{decimals}f}" for name, number in components.items())
     return f"{{{kind}: {body}}}"
+
+
+def _component(name: str, number: str) -> float:
+    value = _finite(number)
+    if not abs(value) <= LARGEST:
+        raise KrlError(f"{name} is {value:g}, no position of a robot")
+    return value
 
 
 def _finite(number: str) -> float:

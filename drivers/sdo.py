@@ -2,7 +2,8 @@
 
 After a timeout canopen hands the late reply to the next request of the same object. So a channel
 that missed a reply is tainted: it waits, drops late replies, asks something else, and believes a
-value only when it reads twice the same.
+value only when it reads twice the same. A node that answers each of several questions twice is two
+nodes with one number.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ POLL_S = 0.02
 REPLY_S = 0.3
 LATE_S = 0.5  # a late reply has come by then
 TRIES = 3
+DOUBLES = 3  # questions in a row that were answered twice; a frame may be doubled on the way
 
 ABSENT = frozenset({0x06020000, 0x06090011})  # no such object, no such sub-index
 
@@ -97,6 +99,7 @@ class SdoChannel:
         self._objects = node.object_dictionary
         self._lock = threading.Lock()
         self._tainted = False
+        self._doubles = 0
         node.sdo_channels.clear()
         self._client = _Client(0x600 + number, 0x580 + number, self._objects, link, check)
         node.sdo_channels.append(self._client)
@@ -164,6 +167,7 @@ class SdoChannel:
 
     def _once(self, transfer: Callable[[], bytes]) -> bytes:
         if not self._tainted:
+            self._check_alone()
             self._tainted = True
             data = transfer()
         else:
@@ -173,6 +177,20 @@ class SdoChannel:
                 raise SdoCommunicationError("two reads in a row differ")
         self._tainted = False
         return data
+
+    def _check_alone(self) -> None:
+        """Raise `DeviceError` where more answers have come than questions were asked."""
+        self._doubles = 0 if self._client.responses.empty() else self._doubles + 1
+        if self._doubles >= DOUBLES:
+            raise DeviceError(
+                "HC-R45",
+                self._device,
+                "ask",
+                f"node {self._number} has answered {self._doubles} questions in a row twice",
+                wanted="one answer",
+                act="two devices have this node number; give one of them another",
+                fields={"node": self._number, "doubles": self._doubles},
+            )
 
     def _clear(self) -> None:
         """Let a late reply come and pass, then ask something that it cannot answer."""

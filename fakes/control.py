@@ -99,6 +99,7 @@ class ControlServer:
             order.get("value", True),
             after=int(order.get("after", 0)),
             count=int(order.get("count", 1)),
+            at_rest=bool(order.get("at_rest", False)),
         )
         return {}
 

@@ -384,6 +384,7 @@ class EmsconDevice:
             ("tracker.busy", Status.BUSY),
             ("tracker.wrong_reflector", Status.WRONG_REFLECTOR),
             ("tracker.not_warmed_up", Status.NOT_WARMED_UP),
+            ("tracker.no_distance", Status.NO_DISTANCE),
         ):
             if take(fault) is not None:
                 return status

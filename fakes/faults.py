@@ -2,7 +2,8 @@
 
 A fake asks `Faults.take` at every occasion (a reply, a motion, a measurement); the answer is the
 fault's value when it strikes now, else None. ``after`` occasions pass untouched first, then it
-strikes ``count`` times. Occasions count from when the fault is set, not from power-on.
+strikes ``count`` times. Occasions count from when the fault is set, not from power-on. A fault that
+waits for something that moves strikes at rest, too, where it is set so.
 """
 
 from __future__ import annotations
@@ -45,11 +46,18 @@ KNOWN = {
     "rail.strip_frozen": "6004h keeps its value | a SYNC",
     "rail.strip_jump": "the strip reads this much more (mm), for good | a SYNC",
     "rail.missing_magnet": "6503h bit 0 is set | a SYNC",
-    "rail.strip_jitter": "the strip reads +-1 count | a SYNC",
+    "rail.strip_jitter": "the strip reads this much to either side (counts) | a SYNC",
     "rail.backlash": "the backlash grows by this (mm), for good | a motion",
+    "rail.overspeed": "the drive runs faster than it is set, by this factor | a new set-point",
+    "rail.pushed": "the held slide is pushed, motor and all (mm), for good | a poll of it at rest",
+    "rail.reference_lost": "the encoder reads this much more (mm), until homed | a poll",
     "rail.slip": "the slide slips by this against the drive (mm), for good | a motion",
     "rail.wrong_mode": "6061h shows this mode (mode) | a mode read",
     "rail.eof": "the gateway closes the connection | a frame from the client",
+    "rail.bus_off": "the gateway is off the bus until it is opened again | a frame from the client",
+    "rail.second_node": "another node has this number and answers, too (node) | a node's frame",
+    "rail.double_frame": "a frame comes twice | a frame to the client",
+    "rail.swapped_frames": "a frame comes after the next one | a frame to the client",
     "rail.garbage": "a byte >= 0x80 on the line | a frame to the client",
     "rail.nack": "BELL in place of an acknowledge | a frame from the client",
     "rail.stalled": "the gateway takes frames, sends none | a frame from the client",
@@ -64,6 +72,7 @@ KNOWN = {
     "robot.wrong_base": "$ACT_BASE is this (number) | a request",
     "robot.softlimit": "HC_ERR 2, no motion | a motion",
     "robot.stops_short": "motion ends this much early, acknowledged (deg) | a motion",
+    "robot.wrong_turn": "motion ends with axis 6 a whole turn off, acknowledged | a motion",
     "robot.frozen": "motion never gets further | a motion",
     "robot.idle_close": "the server closes the connection | a request",
     "robot.split_reply": "the reply comes in two halves | a request",
@@ -92,6 +101,8 @@ KNOWN = {
     "tracker.late_result": "result comes with the next measurement's | a measurement",
     "tracker.wrong_reflector": "status 23 in place of the acknowledge | a measurement",
     "tracker.not_warmed_up": "status 10012 in place of the acknowledge | a measurement",
+    "tracker.no_distance": "status 37 in place of the acknowledge | a measurement",
+    "tracker.nest_lifted": "the reflector sits this far off (mm), for good | a measurement",
     "tracker.init_lost": "status 39 until initialised again | a measurement",
     "tracker.drift_step": "the tracker shifts by this along x (mm), for good | a measurement",
     "tracker.scale_ppm": "all that it measures is larger by this (ppm), for good | a measurement",
@@ -123,6 +134,7 @@ class FaultLine(Struct, frozen=True, kw_only=True):
     value: Value = True
     after: Annotated[int, Meta(ge=0)] = 0
     count: Annotated[int, Meta(ge=0)] = 1
+    at_rest: bool = False
 
 
 class FaultFile(Struct, frozen=True, kw_only=True):
@@ -136,6 +148,7 @@ class _Armed:
     value: Value
     after: int
     left: int  # strikes left; below 0 without end
+    at_rest: bool
 
 
 class Faults:
@@ -145,16 +158,25 @@ class Faults:
         self._lock = threading.Lock()
         self._armed: dict[str, _Armed] = {}
 
-    def set(self, name: str, value: Value = True, *, after: int = 0, count: int = 1) -> None:
+    def set(
+        self,
+        name: str,
+        value: Value = True,
+        *,
+        after: int = 0,
+        count: int = 1,
+        at_rest: bool = False,
+    ) -> None:
         """Arm a fault: let ``after`` occasions pass, then strike ``count`` times (0: for ever).
 
+        ``at_rest``: a poll of what stands is an occasion, too, where that of what moves is one.
         Raises `SettingsError` for an unknown name, and for text where a number belongs.
         """
         if problem := _problem(name, value):
             raise SettingsError("fault", [problem])
         left = count if count != UNTIL_CLEARED else -1
         with self._lock:
-            self._armed[name] = _Armed(value, after, left)
+            self._armed[name] = _Armed(value, after, left, at_rest)
 
     def clear(self, name: str = "") -> None:
         """Disarm one fault, or all."""
@@ -164,13 +186,13 @@ class Faults:
             else:
                 self._armed.clear()
 
-    def take(self, name: str) -> Value | None:
-        """Return the fault's value if it strikes on this occasion."""
+    def take(self, name: str, *, moving: bool = True) -> Value | None:
+        """Return the fault's value if it strikes on this occasion, ``moving`` or at rest."""
         if not self._armed:  # read without the lock: the usual case must cost nothing
             return None
         with self._lock:
             armed = self._armed.get(name)
-            if armed is None:
+            if armed is None or not (moving or armed.at_rest):
                 return None
             if armed.after > 0:
                 armed.after -= 1
@@ -200,7 +222,7 @@ def load_faults(path: str) -> Faults:
     if problems:
         raise SettingsError(path, problems)
     for line in lines:
-        faults.set(line.name, line.value, after=line.after, count=line.count)
+        faults.set(line.name, line.value, after=line.after, count=line.count, at_rest=line.at_rest)
     return faults
 
 

@@ -49,6 +49,7 @@ LOST_ZEROS = {
     5: "robot.lost_zero_5",
     6: "robot.lost_zero_6",
 }
+WHOLE_TURN_DEG = np.array([0.0] * 5 + [360.0])
 FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
 
 
@@ -238,6 +239,8 @@ class KrlController:
         self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
         self._frozen = self._faults.take("robot.frozen") is not None
         target_deg = target_deg - (self._faults.number("robot.stops_short") or 0.0)
+        if self._faults.take("robot.wrong_turn") is not None:
+            target_deg = target_deg + WHOLE_TURN_DEG
         if not self._frozen:
             speed = min(max(self._integers["HC_VEL"], 1), 100) / 100.0
             self._motion.move(np.radians(target_deg), speed)
@@ -288,14 +291,14 @@ class KrlController:
 
     def _poll(self) -> RobotState:
         """Let a moving robot get further, strike it if so wanted, and return its state."""
-        if self._motion.seen_moving:
-            self._strike_in_motion()
+        self._strike_by_motion()
         state = self._motion.poll()
         self._run_program()
         return state
 
-    def _strike_in_motion(self) -> None:
-        take = self._faults.take
+    def _strike_by_motion(self) -> None:
+        """Let the faults of a moving robot happen, or those that are set to strike at rest."""
+        take = partial(self._faults.take, moving=self._motion.seen_moving)
         if take("robot.vanish") is not None:
             raise Vanished
         if take("robot.e_stop") is not None:

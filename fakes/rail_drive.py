@@ -130,6 +130,7 @@ class RailDrive(CanopenSlave):
         self._direction = 0
         self._pending: int | None = None
         self._reached = self._early = self._acknowledged = self._halted = False
+        self._hurry = 1.0
         self._limited = self._following_error = False
         self._open_switch = 0
         self._homing = self._homed = self._homing_error = False
@@ -341,6 +342,7 @@ class RailDrive(CanopenSlave):
         self._limited = target != wanted
         self._acknowledged = True
         self._early = self._faults.take("rail.early_target_reached") is not None
+        self._hurry = self._faults.number("rail.overspeed") or 1.0
         if self._busy and not self._word & AT_ONCE:
             self._pending = target
         else:
@@ -355,7 +357,7 @@ class RailDrive(CanopenSlave):
         self._target, self._reached, self._busy = target, False, True
         gap = target - self._position()
         self._direction = (gap > 0) - (gap < 0)
-        speed = min(number(0x6081), number(0x607F))
+        speed = self._hurry * min(number(0x6081), number(0x607F))
         # The plant's trapezoid is symmetric; the gentler ramp holds for both ends.
         acceleration = min(number(0x6083), number(0x6084))
         self._rail.move(target / COUNTS_PER_MM, speed / COUNTS_PER_MM, acceleration / COUNTS_PER_MM)
@@ -372,7 +374,9 @@ class RailDrive(CanopenSlave):
     # -- objects ------------------------------------------------------------------------------
 
     def _position(self) -> int:
-        return round(self._slide.encoder_mm * COUNTS_PER_MM)
+        """Return the encoder's count, which wraps at 32 bits."""
+        count = round(self._slide.encoder_mm * COUNTS_PER_MM)
+        return (count - INT32[0]) % len(INT32) + INT32[0]
 
     def _dithers(self) -> bool:
         return self._busy or self.state is State.OPERATION_ENABLED

@@ -13,6 +13,7 @@ import socket
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 
 from fakes import rail_drive, rail_strip
 from fakes.canopen_sdo import HEADER, abort_reply
@@ -112,8 +113,7 @@ class RailServer:
     def _look(self, now_s: float) -> None:
         slide = self._rail.poll()
         self._slide_moves = slide.moving
-        if slide.moving:
-            self._strike(now_s)
+        self._strike(now_s, slide.moving)
         self._drive.observe(slide)
         self._strip.observe(slide)
 
@@ -146,6 +146,9 @@ class RailServer:
     def _transmit(self, cob_id: int, data: bytes) -> None:
         if cob_id in HEARTBEATS and not self._beats(cob_id & 0x7F, boot_up=data == b"\0"):
             return
+        twin = self._faults.number("rail.second_node")
+        if twin is not None and cob_id in (0x580 + twin, 0x700 + twin):
+            self._gateway.send(cob_id, data)
         if self._delay_s:
             self._late.append((time.monotonic() + self._delay_s, cob_id, data))
         else:
@@ -166,21 +169,22 @@ class RailServer:
         self._delay_s = self._faults.number("rail.late_reply") or 0.0
         return False
 
-    def _strike(self, now_s: float) -> None:
-        """Let the faults of a moving slide happen."""
-        code = self._faults.take("rail.emcy")
+    def _strike(self, now_s: float, moving: bool) -> None:
+        """Let the faults of a moving slide happen, or those that are set to strike at rest."""
+        take = partial(self._faults.take, moving=moving)
+        code = take("rail.emcy")
         if code is not None:
             self._drive.emergency(_number(code, DEFAULT_EMERGENCY), 0)
-        code = self._faults.take("rail.fault")
+        code = take("rail.fault")
         if code is not None:
             self._drive.fail(_number(code, DEFAULT_FAULT))
-        switch = self._faults.take("rail.limit_switch")
+        switch = take("rail.limit_switch")
         if switch is not None:
             self._drive.trip_limit(int(switch))
-        node = self._faults.take("rail.node_reset")
+        node = take("rail.node_reset")
         if node is not None:
             self._reset(_number(node, rail_drive.NODE), now_s)
-        if self._faults.take("rail.vanish") is not None:
+        if take("rail.vanish") is not None:
             self._gateway.close()
 
     def _reset(self, node: int, now_s: float) -> None:

@@ -54,10 +54,10 @@ class RailStrip(CanopenSlave):
         """Let the faults of a SYNC come and go."""
         self._jump_mm += self._faults.number("rail.strip_jump") or 0.0
         self._frozen = self._faults.take("rail.strip_frozen") is not None
-        jitter = self._faults.take("rail.strip_jitter") is not None
+        jitter = int(self._faults.number("rail.strip_jitter") or 0)
         self._flicker.step()
         # Under the fault it alternates, so that any two looks show both sides.
-        alternate = -1 if self._jitter > 0 else 1
+        alternate = -jitter if self._jitter > 0 else jitter
         self._jitter = alternate if jitter else self._flicker.counts
         alarms = POSITION_ERROR if self._faults.take("rail.missing_magnet") is not None else 0
         if alarms != self._alarms:

@@ -48,7 +48,8 @@ class RailState:
 class RailTruth:
     """The rail of one simulated cell; safe to use from several threads.
 
-    It takes the faults ``rail.backlash`` and ``rail.slip`` itself; all others are the servers'.
+    It takes the faults ``rail.backlash``, ``rail.slip``, ``rail.pushed`` and
+    ``rail.reference_lost`` itself; all others are the servers'.
     """
 
     def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
@@ -120,6 +121,7 @@ class RailTruth:
         with self._lock:
             now_s = self._time.poll(self._path.start_s, self._path.end_s)
             self._follow(now_s)
+            self._strike(now_s)
             motor_mm, velocity_mm_s = self._path.at(now_s)
             slide_mm = self._slide_mm(now_s)
             return RailState(
@@ -150,6 +152,15 @@ class RailTruth:
         return self._shape.pose(self.slide_mm())
 
     # -- inside ---------------------------------------------------------------------------------
+
+    def _strike(self, now_s: float) -> None:
+        """Let the faults of a poll happen."""
+        self._zero_mm -= self._faults.number("rail.reference_lost") or 0.0
+        if self._braked and now_s >= self._path.end_s:
+            pushed_mm = self._faults.number("rail.pushed") or 0.0
+            if pushed_mm:
+                self._path = Path(now_s, self._path.at(now_s)[0] + pushed_mm)
+                self._play_mm += pushed_mm
 
     def _fresh_path(self) -> Path:
         now_s = self._time.now_s()

@@ -55,7 +55,8 @@ class SlcanGateway:
         self._client: socket.socket | None = None
         self._received = b""
         self._sending = b""
-        self._opened = self._stalled = False
+        self._opened = self._stalled = self._off = False
+        self._held = b""  # a frame that changes places with the next one
         self._habits = np.random.default_rng(0)
 
     def serve(self, timeout_s: float, wake: socket.socket) -> None:
@@ -69,12 +70,17 @@ class SlcanGateway:
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Queue a frame for the client; without an open channel it is lost, as on a real bus."""
-        if not self._opened:
+        if not self._opened or self._off:
             return
         garbage = self._faults.take("rail.garbage")
         if garbage is not None:
             self._put(bytes([0x80 | int(garbage) & 0x7F]))
-        self._put(encode(cob_id, data))
+        line, before = encode(cob_id, data), self._held
+        self._held = b"" if before or not self._faults.take("rail.swapped_frames") else line
+        if not self._held:
+            self._put(line + before)
+        if self._faults.take("rail.double_frame") is not None:
+            self._put(line)
 
     def flush(self) -> None:
         """Send the queue; a client that does not take it in time is dropped."""
@@ -94,7 +100,8 @@ class SlcanGateway:
         """Close the client's connection; the next client may come."""
         if self._client is not None:
             self._client.close()
-        self._client, self._opened, self._stalled = None, False, False
+        self._client, self._opened, self._stalled, self._off = None, False, False, False
+        self._held = b""
         self._received = self._sending = b""
 
     def close(self) -> None:
@@ -179,7 +186,8 @@ class SlcanGateway:
             self.drop()
             return
         self._stalled = self._faults.take("rail.stalled") is not None
-        if not self._opened or self._faults.take("rail.nack") is not None:
+        self._off = self._off or self._faults.take("rail.bus_off") is not None
+        if not self._opened or self._off or self._faults.take("rail.nack") is not None:
             self._put(REFUSED)
             return
         self._put(b"z\r")

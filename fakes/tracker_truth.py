@@ -46,8 +46,9 @@ class Measurement:
 class TrackerTruth:
     """A tracker that sees reflectors given in {W}.
 
-    It takes the faults ``tracker.drift_step``, ``tracker.scale_ppm``, ``tracker.noisy``,
-    ``tracker.spike`` and ``tracker.wrong_target`` itself; all others are the server's.
+    It takes the faults ``tracker.drift_step``, ``tracker.scale_ppm``, ``tracker.nest_lifted``,
+    ``tracker.noisy``, ``tracker.spike`` and ``tracker.wrong_target`` itself; all others are the
+    server's.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class TrackerTruth:
         self._drift = rng.standard_normal((2, 3)) * self._sizes.drift_mm
         self._air_phases = rng.uniform(0.0, 2 * math.pi, 3)
         self._bump_mm, self._scale = np.zeros(3), 1.0
+        self._lifted_mm: dict[str, float] = {}
 
     def reflectors(self) -> dict[str, Array]:
         """Return where every reflector is."""
@@ -106,6 +108,9 @@ class TrackerTruth:
         std_mm = self._faults.number("tracker.noisy")
         self._bump_mm[0] += self._faults.number("tracker.drift_step") or 0.0
         self._scale += 1e-6 * (self._faults.number("tracker.scale_ppm") or 0.0)
+        lifted_mm = self._faults.number("tracker.nest_lifted") or 0.0
+        self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
+        at_mm = at_mm + self._lifted_mm[name] / math.sqrt(3.0)
         xyz_mm = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
         range_mm = float(np.linalg.norm(xyz_mm))
         along = xyz_mm / range_mm

@@ -27,8 +27,9 @@ catalogues of hilcell, its drivers and its procedures by `python -m hilcell.alar
 
 A **fault** has stopped the run; devices are stopped, measured points are kept. A **warning** asks
 for somebody: the run waits, or its result is in doubt. A **notice** is worth knowing. A warning
-that nobody can answer, because the run is unattended, ends it as a fault; a warning that a
-repetition has healed is shown as a notice. `hilcell explain CODE` prints one entry.
+that nobody can answer, because the run is unattended, suspends it until a look finds that the cause
+has gone, at most `plan.unattended_wait_s`; then it ends as a fault. A warning that a repetition has
+healed is shown as a notice. `hilcell explain CODE` prints one entry.
 
 On the screen an alarm also states its place, the found and the wanted value. Where this list does
 not know a fault (codes that end in 99), the first step there is the failing operation's own advice.

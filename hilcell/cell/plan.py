@@ -27,6 +27,7 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     turn_deg: Annotated[float, Meta(ge=0, le=45)] = 15.0
     tilt_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
     prove_every: Annotated[int, Meta(ge=10, le=1000)] = 100
+    unattended_wait_s: Annotated[float, Meta(ge=0, le=86_400)] = 900.0
     tilt_poses: Annotated[int, Meta(ge=4, le=100)] = 24
 
     def samples(self, full: int, quick: int) -> int:

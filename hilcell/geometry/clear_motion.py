@@ -27,6 +27,7 @@ from hilcell.geometry.clearance import (
 from hilcell.geometry.kinematics import Arm, Array
 
 RESOLUTION_MM = 1.0  # a motion that is nearer than this to the wanted clearance is not proven
+FARTHEST_MM = 1e6  # no arm's motion is longer: halving one of 1e300 mm would never end
 AT_ONCE = 2048  # postures: bounds the memory
 LOOKS = 257  # along a motion that is not clear, for the message
 
@@ -71,8 +72,10 @@ class Body:
         """Judge motions between postures (N, 7)."""
         travel = self._travel_mm(start, end)
         count = len(travel)
-        proven, share, refused = np.zeros(count), np.full(count, 0.5), np.zeros(count, dtype=bool)
-        motion, middle, half = np.arange(count), np.full(count, 0.5), 0.5
+        proven, share = np.zeros(count), np.full(count, 0.5)
+        refused: Bools = ~np.all(travel <= FARTHEST_MM, axis=1)
+        motion, half = np.flatnonzero(~refused), 0.5
+        middle = np.full(len(motion), half)
         while len(motion):
             postures = start[motion] + middle[:, None] * (end - start)[motion]
             needed = half * travel[motion]

@@ -15,6 +15,10 @@ from hilcell.journal.states import OVER, WAITING
 
 TEARDOWN_S = 15.0
 HELD_DEVICES = ("Rail", "Robot")
+GOES_ON = {  # by what a waiting run may: a good look is an unattended one's, after a failed reading
+    "paused": ("command",),
+    "suspended": ("command", "answer", "look"),
+}
 
 
 class LifeRules:
@@ -59,8 +63,8 @@ class LifeRules:
         what = f"state was {self._state}, not {life.before}"
         self._check("I9", record, life.before == self._state, what)
         if life.to == "running" and self._state in WAITING and life.by is not None:
-            found = f"went on by {life.by or 'nobody'}"
-            self._check("I13", record, life.by in ("command", "answer"), found)
+            found = f"{self._state} went on by {life.by or 'nobody'}"
+            self._check("I13", record, life.by in GOES_ON[self._state], found)
         if life.to == "checking":
             self._closings, self._reason = [], ""
         self._state = life.to

@@ -240,8 +240,8 @@ class Runner:
             case Asked(prompt, cause):
                 error = {} if cause is None else {"error": cause.facts()}
                 self._life.fire("suspend", reason=prompt.reason, prompt=prompt, **error)
-            case Proven():
-                self._go_on("proceed", by="answer")
+            case Proven(by):
+                self._go_on("proceed", by=by)
                 self._worker.leave.set()
 
     def _go_on(self, trigger: str, **facts: object) -> None:

@@ -22,6 +22,7 @@ from hilcell.run.pause_gate import REST_S, PauseGate
 from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
 from hilcell.run.same_cell import NONE, Changes, accepted, changed_assets
+from hilcell.run.unattended_wait import UnattendedWait
 
 ENDED = "the run has ended"
 SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
@@ -56,7 +57,12 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Proven:
-    """The operator's answer is proven; the worker waits for leave to go on."""
+    """A look has proven the operator's answer, or that an unattended run may go on.
+
+    The worker waits for leave to go on.
+    """
+
+    by: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +103,7 @@ class Worker:
         self._cell, self._procedure = cell, procedure
         self._journal, self._clock = journal, clock
         self._send, self._unattended = send, unattended
+        self._wait = UnattendedWait(clock, cell.plan.unattended_wait_s)
         self._changes = replace(changes, askable=changes.askable and not unattended)
         self._locks = ExitStack()
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
@@ -207,36 +214,49 @@ class Worker:
     def _ask(self, prompt: Prompt, look: Callable[[], Look], cause: NoReading | None) -> Look:
         """Wait for the operator's answer until it is proven; return the look that proves it.
 
-        Unattended it is a fault.
+        Unattended, a failed reading waits for a good look; that none comes is a fault.
         """
-        if self._unattended:
+        if self._unattended and (cause is None or self._wait.over):
             raise unanswered(prompt, cause) from cause
         self.leave.clear()
         self.asking.open(prompt)
         self._send(Asked(prompt, cause))
+        self._wait.begin()
         looked_s = -LOOK_S
         while True:
             self._at_rest()
-            answers = self.asking.waited(REST_S)
-            if not answers and time.monotonic() - looked_s < LOOK_S:
+            answers, due = self._waited(looked_s)
+            if not (answers or due):
                 continue
             seen, proven = self._look(prompt, look, answers)
             looked_s = time.monotonic()
             if proven:
                 self.asking.close("another answer came first")
                 return seen
+            if self._unattended and self._wait.over:
+                raise unanswered(prompt, cause) from cause
+
+    def _waited(self, looked_s: float) -> tuple[Answers, bool]:
+        """Wait a moment; return the answers that came, and whether it is time for a look."""
+        if self._unattended:
+            return self.asking.waited(0.0), self._wait.look_due()
+        answers = self.asking.waited(REST_S)
+        return answers, time.monotonic() - looked_s >= LOOK_S
 
     def _look(
         self, prompt: Prompt, look: Callable[[], Look], answers: Answers
     ) -> tuple[Look, bool]:
-        """Look, and judge by it the answers that came before; return whether to go on."""
+        """Look, and judge by it the answers that came before; return whether to go on.
+
+        An unattended run needs none.
+        """
         why = ENDED
         try:
             seen = look()
             self.asking.saw(seen)
-            proven = bool(answers) and passes(prompt, seen)
+            proven = bool(answers or self._unattended) and passes(prompt, seen)
             if proven:
-                self._send(Proven())
+                self._send(Proven("answer" if answers else "look"))
                 while not self.leave.wait(REST_S):
                     self._check_end()
                 why = ""

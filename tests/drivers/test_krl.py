@@ -66,6 +66,7 @@ def test_anything_else_is_refused(text: str) -> None:
         ("{X 1.0}, {X 2.0}", "single values"),
         ("{X 1.0, x 2.0}", "twice"),
         ("{X 1.0, Y 1e999}", "not finite"),
+        ("{X 1.0, Y 1e308}", "no position of a robot"),
         ("{X 1.2.3}", "single values"),
         ("1.0", "single values"),
     ],

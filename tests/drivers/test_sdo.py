@@ -212,3 +212,21 @@ def test_two_threads_never_mix_their_answers(peer: CanPeer) -> None:
         for worker in workers:
             worker.join(WAIT_S)
     assert wrong == []
+
+
+def test_a_node_that_answers_each_question_twice_is_two_nodes(peer: CanPeer) -> None:
+    with channel_to(peer) as channel:
+        for _ in range(sdo.DOUBLES):
+            assert channel.read(*PROFILE_VELOCITY) == 111
+            channel._client.responses.put(bytes(8))
+        with pytest.raises(DeviceError, match=f"node {DRIVE} has answered 3 questions") as error:
+            channel.read(*PROFILE_VELOCITY)
+    assert error.value.code == "HC-R45"
+
+
+def test_a_frame_that_is_doubled_now_and_then_is_no_second_node(peer: CanPeer) -> None:
+    with channel_to(peer) as channel:
+        for number in range(4 * sdo.DOUBLES):
+            assert channel.read(*PROFILE_VELOCITY) == 111
+            if number % sdo.DOUBLES:
+                channel._client.responses.put(bytes(8))

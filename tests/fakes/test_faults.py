@@ -89,3 +89,12 @@ def test_every_known_fault_is_asked_for_and_no_other() -> None:
     text = "".join(file.read_text("utf-8") for file in sources)
     asked = set(re.findall(r'"((?:rail|robot|tracker)\.[a-z_0-9]+)"', text))
     assert asked == set(KNOWN)
+
+
+def test_what_waits_for_a_motion_strikes_at_rest_only_where_it_is_set_so() -> None:
+    faults = Faults()
+    faults.set("rail.emcy")
+    assert faults.take("rail.emcy", moving=False) is None
+    assert faults.take("rail.emcy") is True
+    faults.set("rail.emcy", at_rest=True)
+    assert faults.take("rail.emcy", moving=False) is True

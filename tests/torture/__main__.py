@@ -2,7 +2,8 @@
 
 A campaign is a module here with ``COUNT`` cases by default and ``campaign(seeds)``, which returns
 its exit code: 0 where everything holds. A case is its seed, so one that failed is repeated by
-``NAME --seed SEED --count 1``, and a campaign goes on where it stood by ``--seed``.
+``NAME --seed SEED --count 1``, and a campaign goes on where it stood by ``--seed``. Faults are
+chosen by their own numbers, too: ``faults NUMBER... [--phase PHASE]``.
 """
 
 from __future__ import annotations
@@ -11,10 +12,14 @@ import argparse
 import sys
 from importlib import import_module
 
-CAMPAIGNS = ("disturbances", "kills", "fuzz")
+from tests.torture import faults
+
+CAMPAIGNS = ("faults", "disturbances", "kills", "fuzz")
 
 
 def main(words: list[str]) -> int:
+    if words[:1] == ["faults"] and "--count" not in words:
+        return faults.main(words[1:])
     parser = argparse.ArgumentParser("python -m tests.torture")
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(CAMPAIGNS))
     parser.add_argument("--count", type=int, help="cases; the campaign's own number by default")

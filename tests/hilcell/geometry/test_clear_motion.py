@@ -78,6 +78,14 @@ def test_a_posture_that_is_no_number_proves_nothing(axis: int, value: float, whi
         assert around.prove(start[None], end[None], WANTED_MM).clear.tolist() == [False]
 
 
+@pytest.mark.parametrize("value", [1e12, 1e307, 1e308])
+def test_a_motion_from_beyond_all_reach_is_refused_at_once(value: float) -> None:
+    start, end = posture(1100.0, HOME), posture(1100.0, HOME)
+    start[0] = value
+    with np.errstate(over="ignore"):
+        assert not body(box(0, 0, 5000)).prove(start[None], end[None], WANTED_MM).clear.any()
+
+
 def test_a_motion_is_clear_as_a_whole_or_not_at_all() -> None:
     """A post 20 mm thick in the middle of a turn of axis 1: both ends are far from it."""
     start, end = np.tile(posture(0.0, HOME), (2, 1))

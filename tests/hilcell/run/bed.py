@@ -24,7 +24,8 @@ from hilcell.run.runner import Runner
 from hilcell.run.same_cell import NONE, Changes
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk
 
-CELL = load_cell("paper", {"settle.robot_s": "0.0", "settle.rail_s": "0.0"})
+QUICK = {"settle.robot_s": "0.0", "settle.rail_s": "0.0", "plan.unattended_wait_s": "0"}
+CELL = load_cell("paper", QUICK)
 PLAN = {
     "procedure": "desk", "cell": {}, "digest": "", "seed": 1, "speed": None, "unattended": True,
     "operator": "", "job": "", "simulated": True, "versions": {}, "settings": {}, "steps": [],

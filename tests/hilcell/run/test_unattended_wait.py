@@ -1,0 +1,116 @@
+"""An unattended run whose readings fail waits for the cause to go, and not for ever."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from hilcell.cell.file import Cell
+from hilcell.invariants.judging import judge
+from hilcell.journal.journal import read_journal
+from hilcell.run import unattended_wait
+from hilcell.run.measuring import MEASURE_TRIES
+from hilcell.run.unattended_wait import UnattendedWait
+from tests.hilcell.run.bed import CELL, Bed, Live, broken_beam
+from tests.hilcell.run.rig import Points, procedure
+
+
+class StepClock:
+    """Time that passes only when it is waited for."""
+
+    def __init__(self) -> None:
+        self.at_s = 0.0
+
+    def now_s(self) -> float:
+        return self.at_s
+
+    def wait(self, duration_s: float) -> None:
+        self.at_s += duration_s
+
+    def check(self) -> None: ...
+
+
+def looks(wait: UnattendedWait, clock: StepClock) -> list[float]:
+    """Return when looks are due until the time is over."""
+    found = []
+    while not wait.over:
+        if wait.look_due():
+            found.append(clock.at_s)
+    return found
+
+
+def test_looks_come_less_and_less_often_and_once_more_at_the_end() -> None:
+    clock = StepClock()
+    assert looks(UnattendedWait(clock, 900.0), clock) == [10, 30, 70, 150, 310, 610, 900]
+
+
+def test_all_waits_of_a_session_share_the_time() -> None:
+    clock = StepClock()
+    wait = UnattendedWait(clock, 100.0)
+    while not wait.look_due():
+        pass
+    wait.begin()
+    assert looks(wait, clock) == [20, 40, 80, 100]
+    assert wait.over
+
+
+def test_without_time_there_is_no_wait() -> None:
+    assert UnattendedWait(StepClock(), 0.0).over
+
+
+def waiting(limit_s: float) -> Cell:
+    plan = msgspec.structs.replace(CELL.plan, unattended_wait_s=limit_s)
+    return msgspec.structs.replace(CELL, plan=plan)
+
+
+@pytest.fixture
+def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unattended_wait, "FIRST_LOOK_S", 0.02)
+    monkeypatch.setattr(unattended_wait, "SLICE_S", 0.01)
+
+
+@pytest.mark.usefixtures("_soon")
+def test_it_suspends_and_goes_on_when_the_reading_is_good_again(tmp_path: Path) -> None:
+    bed = Bed(tmp_path, cell=waiting(60.0))
+    bed.tracker.answer = broken_beam(MEASURE_TRIES + 2)
+    assert bed.run(procedure(Points(2))) == 0
+    assert bed.states() == ["checking", "running", "suspended", "running", "finished"]
+    went_on = [r.body for r in bed.records("state") if r.body.get("by")]
+    assert [body["by"] for body in went_on] == ["look"]
+    assert judge(read_journal(bed.path))["I13"].holds
+
+
+@pytest.mark.usefixtures("_soon")
+def test_a_cause_that_stays_is_a_fault_with_its_own_code(tmp_path: Path) -> None:
+    bed = Bed(tmp_path, cell=waiting(0.1))
+    bed.tracker.answer = broken_beam(1000)
+    assert bed.run(procedure(Points(1))) == 3
+    assert bed.states() == ["checking", "running", "suspended", "faulted"]
+    assert bed.log().life[-1].body["error"]["code"] == "HC-T10"
+    assert bed.rail.closed == 1
+
+
+@pytest.mark.usefixtures("_soon")
+def test_somebody_who_attends_after_all_may_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unattended_wait, "FIRST_LOOK_S", 60.0)
+    bed = Bed(tmp_path, cell=waiting(600.0))
+    bed.tracker.answer = broken_beam(MEASURE_TRIES)
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        assert live.runner.answer() == ""
+    assert live.code == 0
+    assert [r.body["by"] for r in bed.records("state") if r.body.get("by")] == ["answer"]
+
+
+@pytest.mark.usefixtures("_soon")
+def test_a_stop_ends_the_wait(tmp_path: Path) -> None:
+    bed = Bed(tmp_path, cell=waiting(600.0))
+    bed.tracker.answer = broken_beam(1000)
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        live.runner.stop()
+    assert live.code == 4

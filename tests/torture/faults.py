@@ -1,0 +1,102 @@
+"""``python -m tests.torture faults``: every fault in every phase, and the table of reactions."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from functools import cache
+from types import FrameType
+
+from tests.torture.bed import hasten
+from tests.torture.injections import Injection
+from tests.torture.judging import Judged, judged
+from tests.torture.page import PAGE, page
+from tests.torture.phases import Phase
+from tests.torture.script import Case, Ran, play
+from tests.torture.spread import spread
+from tests.torture.table import FAULTS, Fault
+
+LIMIT_S = 90
+
+
+def cases(numbers: Sequence[int] = (), phases: Sequence[Phase] = tuple(Phase)) -> Iterator[Case]:
+    """Yield each case that applies."""
+    for fault in FAULTS:
+        if numbers and fault.number not in numbers:
+            continue
+        for phase in phases:
+            if phase not in fault.skipped:
+                for injection in fault.injections:
+                    yield Case(fault.number, injection, phase, fault.procedure)
+
+
+def fault_of(number: int) -> Fault:
+    """Return a row of the table."""
+    return next(fault for fault in FAULTS if fault.number == number)
+
+
+def judge_case(case: Case) -> Judged:
+    """Play and judge one case; one that hangs is judged so."""
+
+    def give_up(number: int, frame: FrameType | None) -> None:
+        raise TimeoutError(f"hangs for {LIMIT_S} s")
+
+    hasten()
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(LIMIT_S)
+    try:
+        return judged(fault_of(case.number), case, play(case), _undisturbed(case.procedure))
+    except TimeoutError as error:
+        return Judged("hangs", (str(error),))
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@cache
+def _undisturbed(procedure: str) -> Ran:
+    """Return a run that nothing strikes."""
+    return play(Case(0, Injection(), Phase.MEASURING, procedure))
+
+
+COUNT = sum(1 for _ in cases())
+
+
+def campaign(seeds: Sequence[int]) -> int:
+    """Run the cases of these numbers, 1 the first; all of them write the page."""
+    everything = list(cases())
+    chosen = [everything[seed - 1] for seed in seeds if seed <= len(everything)]
+    return report(chosen, whole=len(chosen) == len(everything))
+
+
+def main(words: Sequence[str]) -> int:
+    """Run the faults of some numbers, or of one phase; return 0 where every case holds."""
+    parser = argparse.ArgumentParser(prog="python -m tests.torture faults")
+    parser.add_argument("number", nargs="*", type=int)
+    parser.add_argument("--phase", choices=[phase.value for phase in Phase])
+    args = parser.parse_args(words)
+    phases = [Phase(args.phase)] if args.phase else list(Phase)
+    return report(list(cases(args.number, phases)), whole=not (args.number or args.phase))
+
+
+def report(chosen: Sequence[Case], *, whole: bool) -> int:
+    """Play cases and print what they show; the ``whole`` table becomes the page."""
+    began_s, found = time.monotonic(), dict[Case, Judged]()
+    for case, verdict in zip(chosen, spread(judge_case, chosen), strict=True):
+        found[case] = verdict
+        where = f"{case.number:2}  {case.phase.value:12}  {case.injection.text}"
+        print(f"{where:70} {verdict.reaction}", flush=True)
+        for problem in verdict.problems:
+            print(f"      BROKEN: {problem}", flush=True)
+    if whole:
+        PAGE.write_text(page(found), "utf-8")
+    places = {(case.number, case.phase) for case in chosen}
+    bad = {(case.number, case.phase) for case, verdict in found.items() if verdict.problems}
+    print(
+        f"faults: {len(places) - len(bad)} of {len(places)} pairs of fault and phase that apply "
+        f"hold ({len(chosen)} injections; {len(FAULTS) * len(Phase)} pairs in all), "
+        f"{time.monotonic() - began_s:.0f} s"
+    )
+    return 1 if bad else 0

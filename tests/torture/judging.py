@@ -1,0 +1,122 @@
+"""Whether a run took a fault as the catalogue wants: its end, its alarm, its journal, its result.
+
+The letters of an end: "-" it went on, R it measured again, I it dropped a block, P it suspended, N
+it finished and said that the result is not good, S safe stop, X refused, A aborted, J storage
+fault, K killed, "!" anything else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilcell.ports import Array
+from tests.torture.phases import Phase
+from tests.torture.script import Case, Ran
+from tests.torture.table import Fault
+from tests.whole.trace import judge as broken_invariants
+
+LETTERS = {0: "-", 1: "N", 2: "X", 3: "S", 4: "A", 7: "J", -9: "K"}
+WORDS = {
+    "-": "went on",
+    "R": "tried again, went on",
+    "I": "measured a block again",
+    "P": "suspended, went on",
+    "N": "finished, exit 1",
+    "S": "safe stop",
+    "X": "refused",
+    "A": "stopped",
+    "J": "storage fault",
+    "K": "killed",
+    "!": "exit",
+}
+# A phase in which a device is not asked, or in which nothing works yet, allows other ends, too.
+ALSO = {Phase.PAUSED: "-", Phase.RESUMING: "-XS", Phase.TEARDOWN: "A"}
+SAME_MM = 0.15  # by how much the error of a base frame may differ from that of a calm run
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The reaction in words, and all that is wrong with it."""
+
+    reaction: str
+    problems: tuple[str, ...]
+
+
+def judged(fault: Fault, case: Case, ran: Ran, undisturbed: Ran) -> Judged:
+    """Judge one case."""
+    struck = ran.exits[ran.session - 1]
+    letter, code = _letter(ran, struck), _code(ran)
+    problems = [*ran.notes]
+    if not ran.struck:
+        problems.append("the phase was not reached")
+    if "Traceback" in ran.errors or 5 in ran.exits:
+        problems.append(f"internal error: {ran.errors[-400:]}")
+    if letter not in fault.ends + ALSO.get(case.phase, ""):
+        problems.append(f"{WORDS[letter]}, wanted one of {fault.ends}")
+    if letter in "SXJ" and not code.startswith(fault.codes or ("HC-",)):
+        problems.append(f"alarm {code}")
+    journalled = [event for event in ran.events if "seq" in event]
+    problems += broken_invariants(journalled)
+    problems += _unlike(ran, undisturbed)
+    if not case.injection.lasts and ran.exits[-1] not in (0, 1):
+        problems.append(f"not resumed: exits {ran.exits}: {ran.errors[-300:]}")
+    words = WORDS[letter] + (f" {code}" if letter in "SXJ" else "")
+    return Judged(words, tuple(problems))
+
+
+def _letter(ran: Ran, code: int) -> str:
+    letter = LETTERS.get(code, "!")
+    if letter not in "-N":
+        return letter
+    whats = {event.get("what") for event in ran.events if event["kind"] == "event"}
+    if any(event.get("to") == "suspended" for event in ran.events):
+        return "P"
+    if "tracker moved" in whats:
+        return "I"
+    return "R" if whats & {"no reading"} else letter
+
+
+def _code(ran: Ran) -> str:
+    """Return the alarm's code at the end of the session that was struck."""
+    ends = [event for event in ran.events if event["kind"] == "end"]
+    for end in ends[: ran.session][::-1]:
+        error = end.get("error") or {}
+        for each in (*error.get("causes", ()), error):
+            if each.get("code"):
+                return str(each["code"])
+    for code in ("HC-J", "HC-C"):
+        if code in ran.errors:
+            return ran.errors[ran.errors.index(code) :][:6]
+    return ""
+
+
+def _unlike(ran: Ran, undisturbed: Ran) -> list[str]:
+    """Return where a run that ended with 0 has an error that one without a fault has not.
+
+    The slide stands elsewhere at the end of a calibration: there frames are compared.
+    """
+    if ran.exits[-1] != 0:
+        return []
+    wanted, found = _base(undisturbed), _base(ran)
+    if wanted is None or found is None:
+        return ["no base frame"]
+    if len(_stations(ran)) == 1:
+        wanted, found = wanted - _origin(undisturbed.T_W_B), found - _origin(ran.T_W_B)
+    off_mm = float(np.linalg.norm(found - wanted))
+    return [] if off_mm <= SAME_MM else [f"exit 0, and the base frame is {off_mm:.3f} mm off"]
+
+
+def _base(ran: Ran) -> Array | None:
+    """Return the origin (3,) of the base frame that a run has found."""
+    found = [event["matrix"] for event in ran.events if event.get("key") == "base"]
+    return _origin(found[-1]) if found else None
+
+
+def _stations(ran: Ran) -> set[str]:
+    return {event["station"] for event in ran.events if event.get("what") == "station held"}
+
+
+def _origin(matrix: list[list[float]]) -> Array:
+    return np.array(matrix, dtype=float)[:3, 3]

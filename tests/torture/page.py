@@ -1,0 +1,56 @@
+"""``docs/faults.md``: fault by phase, and the reaction that was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from tests.torture.judging import Judged
+from tests.torture.phases import Phase
+from tests.torture.script import Case
+from tests.torture.table import FAULTS, Fault
+
+PAGE = Path(__file__).parents[2] / "docs/faults.md"
+HEAD = """# Faults
+
+Each fault of the catalogue, really brought about on the simulated cell in each phase of a run, and
+the reaction that was seen. `make torture` (`python -m tests.torture faults`) runs all cases and
+writes this page. Of each run the alarm, the exit code, the trace checker
+(`hilcell show RUN --check`), the result, and the resume after the cause was put right are judged.
+
+"went on" means that the result was as without the fault. A code names the alarm: see
+[alarms.md](alarms.md). "n/a" says in two words why a fault has no such phase.
+"""
+
+
+def page(found: Mapping[Case, Judged]) -> str:
+    """Return the page."""
+    head = ["#", "fault", "reaction wanted", *(phase.value for phase in Phase)]
+    rows = [head, ["---"] * len(head), *(_row(fault, found) for fault in FAULTS)]
+    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    return f"{HEAD}\n{table}\n\n## How each is brought about\n\n{_ways()}\n"
+
+
+def _row(fault: Fault, found: Mapping[Case, Judged]) -> list[str]:
+    return [str(fault.number), fault.name, fault.reaction, *_cells(fault, found)]
+
+
+def _cells(fault: Fault, found: Mapping[Case, Judged]) -> Iterator[str]:
+    for phase in Phase:
+        if why := fault.skipped.get(phase):
+            yield f"n/a: {why}"
+            continue
+        seen = [
+            verdict.reaction + (" **BROKEN**" if verdict.problems else "")
+            for case, verdict in found.items()
+            if (case.number, case.phase) == (fault.number, phase)
+        ]
+        yield "; ".join(sorted(set(seen))) or "-"
+
+
+def _ways() -> str:
+    return "\n".join(
+        f"- {fault.number}: {'; '.join(each.text for each in fault.injections)}"
+        for fault in FAULTS
+        if fault.injections
+    )

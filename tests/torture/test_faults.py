@@ -1,0 +1,42 @@
+"""A part of `make torture` that every `make test` runs."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.torture.bed import hasten
+from tests.torture.faults import cases, judge_case
+from tests.torture.injections import Injection, Knob
+from tests.torture.phases import Phase
+from tests.torture.script import Case
+from tests.torture.table import FAULTS
+
+SOME = [
+    (Knob("tracker.beam_break_after", count=6), 29, Phase.MEASURING, "suspended, went on"),
+    (Knob("tracker.beam_break_after"), 29, Phase.PAUSED, "safe stop HC-T10"),
+    (Knob("robot.e_stop", count=1), 46, Phase.PAUSED, "safe stop HC-B10"),
+    (Knob("rail.node_reset", 5, 1), 10, Phase.ROBOT, "safe stop HC-R03"),
+    (Knob("robot.bad_number", "1e308"), 44, Phase.RESUMING, "safe stop HC-B26"),
+    (Knob("rail.emcy", 0x4210, 1), 11, Phase.TEARDOWN, "stopped"),
+]
+
+
+@pytest.mark.parametrize(("injection", "number", "phase", "reaction"), SOME)
+def test_a_fault_in_a_phase(
+    injection: Injection,
+    number: int,
+    phase: Phase,
+    reaction: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    hasten(monkeypatch.setattr)
+    verdict = judge_case(Case(number, injection, phase))
+    assert verdict.problems == ()
+    assert verdict.reaction == reaction
+
+
+def test_the_table_is_in_order_and_its_cases_are_distinct() -> None:
+    numbers = [fault.number for fault in FAULTS]
+    assert numbers == sorted(set(numbers))
+    everything = list(cases())
+    assert len(set(everything)) == len(everything)
