@@ -56,7 +56,7 @@ def test_the_truth_tells_of_one_reflector_and_of_the_flange(plant: Plant) -> Non
 
 
 def test_places_that_are_none_are_refused(plant: Plant, cell: Cell) -> None:
-    with pytest.raises(ValueError, match="'P9' is none of F1, F2, F3, P1"):
+    with pytest.raises(ValueError, match=r"'P9' is none of F1, F2, F3, .*P1, "):
         plant.seat("P9")
     with pytest.raises(ValueError, match="are mounted"):
         Plant(cell, 1, PlantTime(), Faults()).seat("P1")
