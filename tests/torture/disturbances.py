@@ -19,12 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from fakes.plant import Plant
 from fakes.simulator import PaperCell
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import HilcellError
 from tests.torture.spread import print_table, progress, spread
-from tests.torture.truth import machine, true_errors_mm
+from tests.torture.truth import Truth, machine, true_errors_mm
 from tests.whole.bench import SMALL, Simulation, command, events, sets
 from tests.whole.trace import judge
 
@@ -47,7 +46,7 @@ class Kind:
     least: float
     most: float
     unit: str
-    machine: Callable[[Plant, float], None] | None = None
+    machine: Callable[[Truth, float], None] | None = None
 
 
 def _zero(axis: int) -> Kind:
@@ -55,15 +54,22 @@ def _zero(axis: int) -> Kind:
     return Kind(f"zero of axis {axis}", fault, 0.002, 0.2, "deg", partial(_lose_zero, axis))
 
 
-def _lose_zero(axis: int, plant: Plant, lost_deg: float) -> None:
-    plant.lose_zero(math.radians(lost_deg), axis)
+def _lose_zero(axis: int, truth: Truth, lost_deg: float) -> None:
+    truth.plant.lose_zero(math.radians(lost_deg), axis)
+
+
+def _jump(truth: Truth, jump_mm: float) -> None:
+    truth.strip_jump_mm += jump_mm
 
 
 KINDS = (
     Kind("tracker moved", "tracker.drift_step", 0.03, 5.0, "mm"),
+    Kind("tracker's scale", "tracker.scale_ppm", 10.0, 300.0, "ppm"),
+    Kind("reflector lifted", "tracker.nest_lifted", 0.03, 5.0, "mm"),
     Kind("mount slipped", "robot.mount_slip", 0.03, 5.0, "mm"),
     *(_zero(axis) for axis in range(1, 6)),
     Kind("slide slipped", "rail.slip", 0.05, 5.0, "mm"),
+    Kind("strip jumped", "rail.strip_jump", 0.03, 5.0, "mm", _jump),
     Kind("backlash grown", "rail.backlash", 0.05, 0.5, "mm"),
 )
 
@@ -187,11 +193,11 @@ def calibrated(seed: int, disturbance: Disturbance | None = None, after: str = "
 def _true_means_mm(
     file: Path, cell: Cell, seed: int, disturbance: Disturbance | None
 ) -> dict[str, float]:
-    plant = machine(cell, seed)
+    truth = machine(cell, seed)
     if disturbance is not None and disturbance.kind.machine is not None:
-        disturbance.kind.machine(plant, disturbance.size)
+        disturbance.kind.machine(truth, disturbance.size)
     try:
-        errors_mm = true_errors_mm(file, cell, plant)
+        errors_mm = true_errors_mm(file, cell, truth)
     except HilcellError:  # targets out of the disturbed cube
         return {}
     grids = errors_mm.pop(cell.grid.station)

@@ -6,6 +6,7 @@ noise, and where its tool comes to is compared with the targets, in the {W} of t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,20 +26,29 @@ MARGIN_MM = 30.0  # targets keep within the cube as a disturbed frame places it
 FROM_BELOW = np.ones(6)
 
 
-def machine(cell: Cell, seed: int) -> Plant:
-    """Return the machine of a seed, on which a test may do what the disturbance did."""
-    return Plant(cell, seed, PlantTime(), Faults())
+@dataclass
+class Truth:
+    """A machine, on which a test may do what a disturbance did for good."""
+
+    plant: Plant
+    strip_jump_mm: float = 0.0
 
 
-def true_errors_mm(calibration: Path, cell: Cell, plant: Plant) -> dict[str, Array]:
+def machine(cell: Cell, seed: int) -> Truth:
+    """Return the undisturbed machine of a seed."""
+    return Truth(Plant(cell, seed, PlantTime(), Faults()))
+
+
+def true_errors_mm(calibration: Path, cell: Cell, truth: Truth) -> dict[str, Array]:
     """Return by station how far (N,) the tool comes from targets, corrected by a calibration."""
-    found = read_calibration(calibration)
+    found, plant = read_calibration(calibration), truth.plant
     nests_mm = np.array([plant._floor[nest.name] for nest in cell.layout.floor])
     world = world_from_tracker(cell, nests_mm)
     robot, places = cell.robot.nominal(), _in_cube(cell)
     errors = {}
     for station in cell.station:
-        slide = plant.rail._shape.pose(_slide_mm(plant, station.strip_mm)) @ plant._bolted
+        slide_mm = _slide_mm(plant, station.strip_mm - truth.strip_jump_mm)
+        slide = plant.rail._shape.pose(slide_mm) @ plant._bolted
         targets = world @ slide @ plant.arm.ideal_base @ places
         names = [str(n) for n in range(len(targets))]
         sent = poses_from_zyx(
