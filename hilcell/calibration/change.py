@@ -17,7 +17,7 @@ from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import f_quantile
 from hilcell.ports import Array
 
-RISK = 0.002  # that poses which have not changed are found to
+RISK = 0.0005  # that poses which have not changed are found to
 PENALTY = 4.0  # of chi^2, that a parameter more must gain
 
 

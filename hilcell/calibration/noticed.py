@@ -9,6 +9,7 @@ from hilcell.calibration.budget import growth_since
 from hilcell.calibration.change import RISK, Change, Differences, changed, likeliest
 from hilcell.calibration.errors import errors_of, visit_scatter
 from hilcell.calibration.file import calibration_so_far
+from hilcell.calibration.frame_covariance import hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
 from hilcell.calibration.suspicions import Suspicion
@@ -18,6 +19,7 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
 from hilcell.journal.log import Log, Point, commanded_rad, positions_mm
 from hilcell.journal.point_id import PointId
+from hilcell.ports import Array
 
 REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and in the end
 REVISITS = {REVISIT: "re-visited vertices", CLOSING: "vertices re-visited at the end"}
@@ -70,17 +72,34 @@ def _differences(log: Log, kind: str) -> Differences:
     grown = growth_since(log, before, now, "the first visits")
     if grown is not None:
         common += grown.covariance
+    R = T_B_W[:3, :3]
     if kind == CLOSING:  # the slide has left the station, and come back
-        common += np.array(motion(rectangular_variance(log.cell.rail.strip_tolerance_mm)))
+        common += np.array(motion(R @ hold_covariance(log.cell) @ R.T))
     J = motion_levers(at_mm).reshape(-1, SIZE)
+    elsewhere = np.repeat([p.set_up != q.set_up for p, q in zip(before, now, strict=True)], 3)
+    framed = J * elsewhere[:, None]
     return Differences(
         at_mm - apply(T_B_L, positions_mm(before)),
-        np.kron(np.eye(len(now)), 2.0 * visit_mm2) + J @ common @ J.T,
+        np.kron(np.eye(len(now)), 2.0 * visit_mm2)
+        + J @ common @ J.T
+        + framed @ _framed_again(log, R) @ framed.T,
         commanded_rad(now),
         3.0 * (visits - places),
-        T_B_W[:3, :3] @ np.array(log.cell.layout.rail_direction),
+        R @ np.array(log.cell.layout.rail_direction),
         range(len(now) if kind == CLOSING else 1, len(now) + 1),
     )
+
+
+def _framed_again(log: Log, R: Array) -> Array:
+    """Return the covariance (7, 7) in {B} of one set-up's {W} as seen from another's, ``R`` (3, 3)
+    turning from {W}: both rest on readings of the floor nests, of a tracker that drifts.
+    """
+    drift_mm2 = rectangular_variance(log.cell.uncertainty.drift_limit_mm)
+    turn = np.kron(np.eye(2), R)
+    found = np.zeros((SIZE, SIZE))
+    at_mm = log.matrix("base")[:3, 3]
+    found[:6, :6] = 2.0 * turn @ world_covariance(log, at_mm, drift_mm2) @ turn.T
+    return found
 
 
 def mount_offset(log: Log) -> Suspicion | None:

@@ -28,6 +28,7 @@ from hilcell.ports import Array, DeviceError
 from hilcell.run.run_context import RunContext
 
 SIGMAS = 4.0  # of the readings' noise, beyond the stated drift
+ALIKE = 0.5  # of the farthest motion: less moves no nest of a tracker that was bumped
 MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
 
 
@@ -66,9 +67,11 @@ class TrackerGuard:
         cell, log = self._run.cell, self._run.log
         before = [log.point(id) for id in _nest_ids(cell, log.set_ups.number)]
         now = self._controls()
-        if not _stand(cell, before, now) and any(self._changes(now)):
+        if not _stand(cell, before, now) and (_some_stand(before, now) or any(self._changes(now))):
             now = self._controls()
         if not _stand(cell, before, now):
+            if _some_stand(before, now):
+                self._blame(_off_mm(before, now))
             self._renew(before, now)
         self._run.event(PROVEN, off_mm=_off_mm(before, now))
 
@@ -129,6 +132,22 @@ class TrackerGuard:
         limit_mm = float(limits_of(cell, first, first).max())
         return wrong_distances(cell, positions_mm(first), positions_mm(now), limit_mm)
 
+    def _blame(self, off_mm: Array) -> NoReturn:
+        """Refuse nests of which some stand: one that is lifted out of the plane of three changes
+        no distance by as much as would show.
+        """
+        stands = off_mm <= ALIKE * off_mm.max()
+        names = np.array([nest.name for nest in self._run.cell.layout.floor])
+        moving, standing = names[~stands].tolist(), names[stands].tolist()
+        raise _moved(
+            f"{', '.join(moving)} moved by {off_mm.max():.3f} mm, {', '.join(standing)} by "
+            f"{off_mm[stands].max():.3f} mm at most",
+            "all alike, as of a tracker that was moved",
+            "a floor nest or its reflector has moved, or the tracker has tilted; check them, then "
+            "start a new run",
+            {"nests": moving, "moved_mm": float(off_mm.max()), "standing": standing},
+        )
+
     def _check_renewable(self, facts: dict[str, Any]) -> None:
         """Refuse to go on where frames rest on invalid points, or after too many set-ups."""
         log = self._run.log
@@ -157,6 +176,12 @@ def limits_of(cell: Cell, before: Sequence[Point], now: Sequence[Point]) -> Arra
 def _off_mm(before: Sequence[Point], now: Sequence[Point]) -> Array:
     """Return by how much each nest (N,) seems to have moved."""
     return lengths_mm(positions_mm(now) - positions_mm(before))
+
+
+def _some_stand(before: Sequence[Point], now: Sequence[Point]) -> bool:
+    """Whether some nests are hardly moved beside the others: no motion of a tracker does that."""
+    off_mm = _off_mm(before, now)
+    return bool(np.any(off_mm <= ALIKE * off_mm.max()))
 
 
 def _stand(cell: Cell, before: Sequence[Point], now: Sequence[Point]) -> bool:

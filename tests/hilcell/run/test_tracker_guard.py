@@ -92,6 +92,24 @@ def performed(bed: Bed, act: Act) -> dict[str, Any]:
     return bed.log().end or {}
 
 
+@pytest.mark.parametrize("lifted_mm", [0.12, 0.3, 5.0])
+def test_a_nest_that_is_lifted_is_not_taken_for_a_tracker_that_was_bumped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lifted_mm: float
+) -> None:
+    """The distances of three nests do not change where one rises out of their plane."""
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+
+    def act(session: CellSession, number: int) -> None:
+        measured_step(session)
+        floor.lifted_mm[0, 2] = lifted_mm
+        session.close_step()
+
+    assert performed(bed, act)["exit"] == 3
+    assert f"F1 moved by {lifted_mm:.3f} mm, F2, F3 by 0.000 mm" in bed.log().fault
+    assert not bed.events(TRACKER_MOVED)
+
+
 @pytest.mark.parametrize("T", [moved(0.5), moved(-3.0), moved(0.0, 1e-3)], ids=str)
 def test_a_step_of_a_tracker_that_was_bumped_is_measured_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, T: Array
