@@ -85,6 +85,10 @@ class ArmTruth:
         """Turn an axis, 1 to 6, against its encoder for good."""
         self._lost_rad[axis - 1] += lost_rad
 
+    def lose_motion(self, axis: int, lost_rad: float) -> None:
+        """Widen the gap between both sides of an axis, 1 to 6, for good."""
+        self._half_gap_rad[axis - 1] += lost_rad / 2
+
     def errors_mm(self, commands_rad: Array, targets_mm: Array) -> Array:
         """Return e = actual - nominal (N, 3) in the ideal {B}, without noise, from below."""
         from_below = np.ones_like(commands_rad)

@@ -91,6 +91,7 @@ KNOWN = {
     "robot.lost_zero_4": "axis 4 is off by this (deg), for good | a motion",
     "robot.lost_zero_5": "axis 5 is off by this (deg), for good | a motion",
     "robot.lost_zero_6": "axis 6 is off by this (deg), for good | a motion",
+    "robot.lost_motion": "axis 3 loses this much more when it reverses (urad), for good | a motion",
     "robot.mount_slip": "the reflector slips along the flange's x (mm), for good | a motion",
     "tracker.vanish": "sockets close, nothing answers any more | a measurement",
     "tracker.wrong_identity": "GetSystemStatus reports another processor | an identity read",

@@ -63,10 +63,11 @@ class KrlController:
         faults: Faults,
         lose_zero: Callable[[float, int], None] = lambda lost_rad, axis: None,
         slip_mount: Callable[[float], None] = lambda along_mm: None,
+        lose_motion: Callable[[float], None] = lambda lost_rad: None,
     ) -> None:
         self._lock = threading.RLock()
         self._motion, self._faults, self._lose_zero = motion, faults, lose_zero
-        self._slip_mount = slip_mount
+        self._slip_mount, self._lose_motion = slip_mount, lose_motion
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
@@ -236,6 +237,7 @@ class KrlController:
             if lost_deg is not None:
                 self._lose_zero(float(np.radians(lost_deg)), axis)
         self._slip_mount(self._faults.number("robot.mount_slip") or 0.0)
+        self._lose_motion(1e-6 * (self._faults.number("robot.lost_motion") or 0.0))
         self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
         self._frozen = self._faults.take("robot.frozen") is not None
         target_deg = target_deg - (self._faults.number("robot.stops_short") or 0.0)

@@ -60,6 +60,12 @@ class Plant:
         self.arm.lose_zero(axis, lost_rad)
         self._places = ((), {})
 
+    def lose_motion(self, lost_rad: float, axis: int = 3) -> None:
+        """Widen the gap of an axis of the robot, 1 to 6, for good."""
+        if lost_rad:
+            self.arm.lose_motion(axis, lost_rad)
+            self._places = ((), {})
+
     def slip_mount(self, along_mm: float) -> None:
         """Shift the reflector on the flange along its x for good."""
         self._slipped[0, 3] += along_mm

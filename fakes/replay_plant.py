@@ -42,6 +42,9 @@ class ReplayPlant:
     def slip_mount(self, along_mm: float) -> None:
         """Do nothing: the recorded data have their own mount."""
 
+    def lose_motion(self, lost_rad: float, axis: int = 3) -> None:
+        """Leave the recorded data as they are."""
+
     def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
         """Leave the recorded data as they are."""
 

@@ -1,7 +1,8 @@
 """Vertices are visited again: a robot, a mount or a slide that has changed shows there.
 
 After the grid, so that nothing rests on a robot that changed meanwhile, and at the end of the run,
-so that the robot is still the one that was calibrated.
+so that the robot is still the one that was calibrated. After the grid a few are approached from
+above as well, which shows the joints' lost motion.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from hilcell.calibration.frames import grid_of, vertex_ids
 from hilcell.calibration.noticed import CLOSING, REVISIT, revisits, suspicions_of
+from hilcell.calibration.reversal import REVERSAL, Reversal, reversal
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
@@ -22,7 +25,8 @@ from hilcell.run.procedure import Step
 from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import joints_for, other_stations
 
-COUNT, QUICK_COUNT = 6, 2
+COUNT, QUICK_COUNT = 6, 3
+REVERSED = 4
 
 
 class Revisits:
@@ -30,8 +34,8 @@ class Revisits:
 
     needs = "the grid, the robot's repeatability"
     moves = "the robot to a few vertices of the grid"
-    measures = "the flange reflector there, once more"
-    yields = "whether zero, mount and slide are as they were, and which cause fits if not"
+    measures = "the flange reflector there, once more; at a few from above as well"
+    yields = "whether zero, mount and slide are as they were, which cause fits if not, lost motion"
 
     def __init__(self, *, at_end: bool = False) -> None:
         """``at_end``: the slide comes from the last station, back to the grid's."""
@@ -39,7 +43,8 @@ class Revisits:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step: the grid's own has refused vertices out of reach."""
-        joints_rad = joints_for(cell, grid_of(cell).serpentine_mm()[chosen(cell)])
+        numbers = [*visits(cell, self._kind).values()]
+        joints_rad = joints_for(cell, grid_of(cell).serpentine_mm()[numbers])
         spans = [flange_points(cell, joints_rad), *closing(cell)]
         if self._kind == CLOSING:
             station = cell.station_named(cell.grid.station)
@@ -48,17 +53,19 @@ class Revisits:
 
     def perform(self, session: CellSession) -> None:
         """Visit, judge, and pause an attended run where something has changed."""
-        cell, numbers = session.cell, chosen(session.cell)
+        cell, there = session.cell, visits(session.cell, self._kind)
         station, grid = cell.station_named(cell.grid.station), grid_of(cell)
-        vertices_mm = grid.serpentine_mm()[numbers]
+        vertices_mm = grid.serpentine_mm()[[*there.values()]]
         world_mm = apply(session.frames.base_in_world(station), vertices_mm)
-        joints_rad, ids = joints_for(cell, vertices_mm), vertex_ids(grid)
-        for n, joints, nominal_mm in zip(numbers, joints_rad, world_mm, strict=True):
-            again = PointId(self._kind, vertex=ids[n].vertex)
-            if not session.log.find(again):
+        joints_rad = joints_for(cell, vertices_mm)
+        for id, joints, nominal_mm in zip(there, joints_rad, world_mm, strict=True):
+            if not session.log.find(id):
                 session.hold_station(station)
-            session.flange_point(again, station, joints, nominal_mm=nominal_mm)
+            session.flange_point(id, station, joints, nominal_mm=nominal_mm)
         session.close_step()
+        turned = reversal(session.log)
+        if turned is not None and "reversal" not in session.log.verdicts:
+            session.verdict("reversal", holds=turned.holds, **_figures(turned))
         if self.name not in session.log.verdicts:
             self._judge(session)
 
@@ -76,7 +83,9 @@ class Revisits:
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return what is suspected in the whole run; nothing where all is well."""
-        return {"suspicions": [msgspec.to_builtins(each) for each in suspicions_of(log)]}
+        turned = reversal(log)
+        found = {} if turned is None else {"reversal": _figures(turned)}
+        return found | {"suspicions": [msgspec.to_builtins(each) for each in suspicions_of(log)]}
 
 
 def chosen(cell: Cell) -> list[int]:
@@ -84,6 +93,35 @@ def chosen(cell: Cell) -> list[int]:
     count = len(grid_of(cell).serpentine_mm())
     wanted = min(QUICK_COUNT if cell.plan.quick else COUNT, count)
     return [n * count // wanted for n in range(wanted)]
+
+
+def visits(cell: Cell, kind: str) -> dict[PointId, int]:
+    """Return the points in their order, each with the number of its vertex.
+
+    After the grid, the first few are approached from above next, where the joints' limits let them.
+    """
+    joints_rad = joints_for(cell, grid_of(cell).serpentine_mm())
+    beyond_rad = joints_rad + np.radians(cell.robot.approach_deg)
+    free = (beyond_rad <= cell.robot.margin_limits_rad[1]).all(axis=1)
+    numbers, ids = chosen(cell), vertex_ids(grid_of(cell))
+    sides = [n for n in numbers if free[n] and kind == REVISIT][:REVERSED]
+    found = {}
+    for n in numbers:
+        found[PointId(kind, vertex=ids[n].vertex)] = n
+        if n in sides:
+            found[PointId(REVERSAL, vertex=ids[n].vertex, side=1)] = n
+    return found
+
+
+def _figures(found: Reversal) -> dict[str, Any]:
+    return {
+        "mean_mm": float(np.mean(found.off_mm)),
+        "max_mm": max(found.off_mm),
+        "points": len(found.off_mm),
+        "lost_urad": found.lost_urad,
+        "U_urad": found.U_urad,
+        "limit_urad": found.limit_urad,
+    }
 
 
 def suspicion_words(result: dict[str, Any]) -> str:

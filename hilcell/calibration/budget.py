@@ -31,6 +31,7 @@ from hilcell.calibration.influence import (
     moved_frame,
     no_less_than_nought,
 )
+from hilcell.calibration.reversal import Reversal, reversal
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse
@@ -60,7 +61,7 @@ def uncertainty_of(log: Log) -> Uncertainty:
     return Uncertainty(
         [
             _repeatability(log),
-            _approach(stated.reversal_limit_mm),
+            _approach(stated.reversal_limit_mm, reversal(log)),
             _drift(log),
             _world(log),
             _tracker(log),
@@ -100,10 +101,17 @@ def _repeatability(log: Log) -> Influence:
     )  # fmt: skip
 
 
-def _approach(limit_mm: float) -> Influence:
-    how = "programs approach from below on every axis, as the run did"
+def _approach(limit_mm: float, found: Reversal | None) -> Influence:
+    """Return the approach from any side, by the larger of limit and measurement; 0 for from below.
+
+    What was measured from above is the whole way from side to side.
+    """
+    seen_mm = max(found.off_mm) if found is not None else 0.0
+    seen = "" if found is None else f"; {len(found.off_mm)} vertices from above: {seen_mm:.3f} mm"
+    how = f"programs approach from below on every axis, as the run did{seen}"
     if limit_mm:
-        how = f"limit ±{limit_mm:g} mm, programs approach from any side"
+        how = f"limit ±{limit_mm:g} mm, programs approach from any side{seen}"
+        limit_mm = max(limit_mm, seen_mm)
     return _limit("Approach direction", how, limit_mm)
 
 

@@ -12,6 +12,7 @@ from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.frame_covariance import hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
+from hilcell.calibration.reversal import reversal
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
@@ -38,7 +39,10 @@ def suspicions_of(log: Log) -> list[Suspicion]:
     """
     rounds = (revisits(log, kind).suspicion for kind in REVISITS if revisited(log, kind))
     again = next((each for each in rounds if each is not None), None)
-    found = [scale(log), mount_offset(log), again, *(_of_validation(log) if again is None else [])]
+    turned = reversal(log)
+    lost = turned.suspicion if turned is not None else None
+    of_validation = _of_validation(log) if again is None else []
+    found = [scale(log), mount_offset(log), lost, again, *of_validation]
     return [each for each in found if each is not None]
 
 

@@ -30,6 +30,7 @@ class UncertaintyTable(Frozen, frozen=True, kw_only=True):
     drift_limit_mm: Limit = 0.02  # where the floor nests were not measured again
     arm_growth_um_m_k: Rate = 23.0
     air_range_k: Annotated[float, Meta(ge=0, le=60)] = 4.0  # without a weather station
+    lost_motion_urad: Urad = 100.0  # of an axis that reverses, by the robot's data sheet
     reversal_limit_mm: Limit = 0.0  # programs approach from below on every axis, as the run does
     drill_offset_mm: Point = (0.0, 0.0, 0.0)
     orientation_urad: Urad = 1000.0

@@ -134,6 +134,7 @@ class CellSession(RunContext):
     ) -> Point:
         """Send the reflector on the flange to joints (6,) and measure it, once in a run's life.
 
+        Every axis comes from below, or from above where the point's ``side`` is +1.
         ``retake`` re-measures it; the later point supersedes, the earlier stays journalled.
         Points that wait to be re-measured come first.
         """
@@ -180,7 +181,7 @@ class CellSession(RunContext):
         self.checkpoint()
         self._guard.prove_where_doubtful()
         self.flange_at(station)
-        robot = self.robot_to(joints_rad, id.key)
+        robot = self._motion.robot_to(joints_rad, id.key, above=id.side > 0)
         expected = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
         samples, at_mm = self.cell.tracker.samples, expected[:3, 3]
         reading = self._measuring.measure_in_world(id.key, FLANGE, at_mm, samples, STRAY_MM)

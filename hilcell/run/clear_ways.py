@@ -135,23 +135,24 @@ def check_way(cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: 
 
 
 def stops_on_way(
-    cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str
+    cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str, *, above: bool = False
 ) -> list[Array]:
-    """Return where to go from joints (6,) to others, in turn: below them, and there.
+    """Return where to go from joints (6,) to others, in turn: below or above them, and there.
 
     First to the safe pose, where that way is clear and the direct one is not. Raises `Blocked`
     where neither is.
     """
-    below_rad = to_rad - np.radians(cell.robot.approach_deg)
+    side_rad = np.radians(cell.robot.approach_deg)
+    beside_rad = to_rad + (side_rad if above else -side_rad)
     safe_rad = np.radians(cell.robot.safe_deg)
     around = cell.surroundings
-    if around is None or bool(np.all(_proven(around, rail_mm, from_rad, below_rad, to_rad))):
-        return [below_rad, to_rad]
-    if bool(np.all(_proven(around, rail_mm, from_rad, safe_rad, below_rad, to_rad))):
-        return [safe_rad, below_rad, to_rad]
-    check_way(cell, rail_mm, below_rad, to_rad, what)
-    check_way(cell, rail_mm, from_rad, below_rad, what)
-    return [below_rad, to_rad]
+    if around is None or bool(np.all(_proven(around, rail_mm, from_rad, beside_rad, to_rad))):
+        return [beside_rad, to_rad]
+    if bool(np.all(_proven(around, rail_mm, from_rad, safe_rad, beside_rad, to_rad))):
+        return [safe_rad, beside_rad, to_rad]
+    check_way(cell, rail_mm, beside_rad, to_rad, what)
+    check_way(cell, rail_mm, from_rad, beside_rad, what)
+    return [beside_rad, to_rad]
 
 
 def _proven(around: Surroundings, rail_mm: float, *stops_rad: Array) -> Bools:

@@ -123,8 +123,8 @@ class Motion:
         self._run.intend("", "robot.park", seen=seen(rail))
         return self._drive([safe_rad], self._run.cell.robot.speed_percent, rail, None, "park")
 
-    def robot_to(self, joints_rad: Array, what: str) -> RobotReading:
-        """Go to joints (6,), every axis from below, and settle.
+    def robot_to(self, joints_rad: Array, what: str, *, above: bool = False) -> RobotReading:
+        """Go to joints (6,), every axis from below, or from ``above``, and settle.
 
         Coming from one side on every axis takes the joints' backlash out of the error.
         """
@@ -132,7 +132,7 @@ class Motion:
         rail = self.check_held(self.held)
         speed_percent = self._first_pass.speed_percent(rail.strip_mm, joints_rad, what)
         rail = self.check_held(self.held, rail)  # the run may have paused
-        stops = self._stops(rail, joints_rad, what)
+        stops = self._stops(rail, joints_rad, what, above)
         rail = self.check_held(self.held, rail)
         place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
         self._run.intend(what, "robot.move", **place, seen=seen(rail))
@@ -151,11 +151,11 @@ class Motion:
         robot_may_move(self._run.cell, rail, station, time.monotonic())
         return rail
 
-    def _stops(self, rail: RailReading, joints_rad: Array, what: str) -> list[Array]:
+    def _stops(self, rail: RailReading, joints_rad: Array, what: str, above: bool) -> list[Array]:
         """Return where to go, in turn, on the way to joints (6,)."""
         cell = self._run.cell
         now_rad = joints_rad if cell.surroundings is None else self._resting_rad()
-        return stops_on_way(cell, rail.strip_mm, now_rad, joints_rad, what)
+        return stops_on_way(cell, rail.strip_mm, now_rad, joints_rad, what, above=above)
 
     def _resting_rad(self) -> Array:
         """Return the joints (6,) where the robot rests, by a reading young enough to move by."""

@@ -157,6 +157,19 @@ def test_a_lost_zero_is_that_axis_further_on(cell: Cell, axis: int) -> None:
     np.testing.assert_allclose(lost, further, atol=0.1)  # but for the ripple of another angle
 
 
+def test_lost_motion_is_the_way_between_both_sides_of_an_axis(cell: Cell) -> None:
+    plant, turn_rad = plant_of(cell), np.zeros(6)
+    at, sides = plant.robot.state().joints_rad, np.ones(6)
+    sides[2] = -1.0
+    before = [plant.arm.pose(at, side, np.zeros(6))[:3, 3] for side in (np.ones(6), sides)]
+    plant.lose_motion(150e-6)
+    after = [plant.arm.pose(at, side, np.zeros(6))[:3, 3] for side in (np.ones(6), sides)]
+    turn_rad[2] = 150e-6
+    wanted_mm = (plant.arm.design.pose(at + turn_rad) - plant.arm.design.pose(at))[:3, 3]
+    widened_mm = (after[0] - after[1]) - (before[0] - before[1])
+    np.testing.assert_allclose(widened_mm, wanted_mm, atol=0.01)
+
+
 def test_the_machine_is_the_same_under_another_plan(cell: Cell) -> None:
     """The plan of measurements changes nothing of the plant, to the last digit."""
     replace = msgspec.structs.replace

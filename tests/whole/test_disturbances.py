@@ -36,7 +36,7 @@ def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
     whole = golden["small"].result
     for place, figures in end["result"]["validation"].items():
         wanted = whole["validation"][place]["chosen"]["mean"]
-        assert figures["chosen"]["mean"] == pytest.approx(wanted, abs=0.03), place
+        assert figures["chosen"]["mean"] == pytest.approx(wanted, abs=0.05), place  # 8 targets
 
 
 @pytest.mark.nightly
@@ -92,6 +92,7 @@ def test_chance_is_no_suspicion(seed: int) -> None:
         ("robot.mount_slip", 0.2, "grid/1-1-1", "mount slipped", 0.2),
         ("robot.lost_zero", 0.1, "grid/1-1-1", "zero lost", 0.1),
         ("robot.mount_slip", 5.0, "world/F1", "mount offset", 5.0),
+        ("robot.lost_motion", 150.0, "world/F1", "reversal", 150.0 + 36.0),
         ("robot.mount_slip", 0.2, "validate/S1100/before/003", "mount slipped", 0.2),
         ("robot.lost_zero_2", 0.008, "validate/S1900/idw/001", "zero lost", 0.008),
     ],

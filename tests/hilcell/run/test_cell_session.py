@@ -101,7 +101,10 @@ def test_a_point_may_have_no_air(bed: Bed) -> None:
     assert bed.records("point")[0].body["pressure_mbar"] is None
 
 
-def test_every_axis_comes_from_below(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("side", "sign"), [(0, 1.0), (1, -1.0)])
+def test_every_axis_comes_from_below_or_where_asked_from_above(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch, side: int, sign: float
+) -> None:
     targets: list[Array] = []
     move = bed.robot.move_to
 
@@ -110,10 +113,15 @@ def test_every_axis_comes_from_below(bed: Bed, monkeypatch: pytest.MonkeyPatch) 
         return move(joints_rad, speed_percent)
 
     monkeypatch.setattr(bed.robot, "move_to", moved)
-    assert fault_of(bed, flange) == ""
+
+    def sided(session: CellSession, number: int) -> None:
+        session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+        session.flange_point(PointId("flange", target="1", side=side), S1100, HOME_RAD)
+
+    assert fault_of(bed, sided) == ""
     before_rad, there_rad = targets
     assert np.array_equal(there_rad, HOME_RAD)
-    assert there_rad - before_rad == pytest.approx(np.radians(CELL.robot.approach_deg))
+    assert there_rad - before_rad == pytest.approx(sign * np.radians(CELL.robot.approach_deg))
 
 
 @pytest.mark.parametrize(

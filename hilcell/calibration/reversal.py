@@ -1,0 +1,78 @@
+"""Lost motion of the joints: vertices that were approached from above as well as from below.
+
+A calibration is measured with every axis coming from below, so that lost motion cancels. Of N
+vertices the differences between both sides are the Jacobian's columns times what each axis loses
+when it reverses. Axes 1 to 3, whose levers are metres, are estimated; the others are noise here.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.errors import visit_scatter
+from hilcell.calibration.suspicions import ZEROS, Suspicion
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.jacobian import parameter_jacobian
+from hilcell.geometry.statistics import lengths_mm, rectangular_variance
+from hilcell.journal.log import Log, commanded_rad, positions_mm
+from hilcell.journal.point_id import PointId
+
+REVERSAL = "reversal"  # kind of the points that were approached from above
+NOTICED_BY = "vertices approached from above"
+LARGE = 3  # axes, the first ones
+WRIST_RAD = 1e-4  # 1 sigma of what axes 4 to 6 may lose
+COVERAGE = 2.0  # k
+URAD = 1e6
+
+
+class Reversal(msgspec.Struct, frozen=True):
+    """Distances (N) between both sides, what axes 1 to 3 lose and U (k = 2) of it."""
+
+    off_mm: list[float]
+    lost_urad: list[float]
+    U_urad: list[float]
+    limit_urad: float
+
+    @property
+    def excess_urad(self) -> list[float]:
+        """Return by how much each axis loses more than the limit, for certain."""
+        both = zip(self.lost_urad, self.U_urad, strict=True)
+        return [abs(lost) - U - self.limit_urad for lost, U in both]
+
+    @property
+    def holds(self) -> bool:
+        """Whether every axis may lose no more than the limit."""
+        return max(self.excess_urad) <= 0.0
+
+    @property
+    def suspicion(self) -> Suspicion | None:
+        """Return the axis that loses too much, if one does."""
+        if self.holds:
+            return None
+        axis = int(np.argmax(self.excess_urad))
+        unit = f"urad of axis {axis + 1}"
+        return Suspicion("reversal", self.lost_urad[axis], unit, NOTICED_BY)
+
+
+def reversal(log: Log) -> Reversal | None:
+    """Return what the points from above show; nothing where there are none."""
+    above = log.select(REVERSAL)
+    if not above:
+        return None
+    T_B_L = inverse(log.matrix("base")) @ log.matrix("world")
+    below = [log.point(PointId("revisit", vertex=point.id.vertex)) for point in above]
+    off_mm = apply(T_B_L, positions_mm(above)) - apply(T_B_L, positions_mm(below))
+    arm, joints_rad = log.cell.robot.arm(), commanded_rad(above)
+    J = -(parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign).reshape(-1, 6)
+    count, drift_mm2 = len(above), rectangular_variance(log.cell.uncertainty.drift_limit_mm)
+    visit_mm2 = visit_scatter(log, T_B_L[:3, :3])[0]
+    wrist = J[:, LARGE:] * WRIST_RAD
+    shared = np.ones((count, count)) * drift_mm2
+    C = np.kron(np.eye(count), 2.0 * visit_mm2) + np.kron(shared, np.eye(3)) + wrist @ wrist.T
+    weighted = np.linalg.solve(C, J[:, :LARGE])
+    covariance = np.linalg.inv(J[:, :LARGE].T @ weighted)
+    lost = URAD * covariance @ weighted.T @ off_mm.reshape(-1)
+    U = URAD * COVERAGE * np.sqrt(np.diag(covariance))
+    limit_urad = log.cell.uncertainty.lost_motion_urad
+    return Reversal(lengths_mm(off_mm).tolist(), lost.tolist(), U.tolist(), limit_urad)

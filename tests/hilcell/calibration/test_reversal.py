@@ -1,0 +1,86 @@
+"""What the joints lose when they reverse, from vertices that were approached from both sides."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.calibration.budget import uncertainty_of
+from hilcell.calibration.noticed import suspicions_of
+from hilcell.calibration.reversal import REVERSAL, Reversal, reversal
+from hilcell.calibration.suspicions import ZEROS
+from hilcell.geometry.frames import inverse
+from hilcell.geometry.jacobian import parameter_jacobian
+from hilcell.journal.journal import read_journal
+from hilcell.journal.log import Log, commanded_rad
+from hilcell.journal.runs import JOURNAL
+from hilcell.ports import Array
+from tests.whole.golden import GoldenRuns
+
+NATURAL_URAD = 60.0  # at most, of the simulated machines' gears
+
+
+@pytest.fixture
+def log(golden: GoldenRuns) -> Log:
+    return Log(read_journal(golden["small"].folder / JOURNAL))
+
+
+def with_lost(log: Log, lost_urad: Array) -> Log:
+    """Let the axes lose more where they were approached from above."""
+    arm, points = log.cell.robot.arm(), log.select(REVERSAL)
+    R_L_B = (inverse(log.matrix("world")) @ log.matrix("base"))[:3, :3]
+    J = parameter_jacobian(arm, commanded_rad(points))[:, :3, ZEROS] * arm.sign
+    moved_mm = -(J @ (1e-6 * lost_urad)) @ R_L_B.T
+    for point, off_mm in zip(points, moved_mm, strict=True):
+        x, y, z = (np.array(point.xyz_mm) + off_mm).tolist()
+        log.points[point.key] = msgspec.structs.replace(point, xyz_mm=(x, y, z))
+    return log
+
+
+def found_in(log: Log) -> Reversal:
+    found = reversal(log)
+    assert found is not None
+    return found
+
+
+def test_a_healthy_robot_loses_little_and_is_not_suspected(log: Log) -> None:
+    found = found_in(log)
+    assert len(found.off_mm) == 4
+    assert found.holds
+    assert found.suspicion is None
+    for lost, U in zip(found.lost_urad, found.U_urad, strict=True):
+        assert abs(lost) - U < NATURAL_URAD
+        assert U < NATURAL_URAD
+
+
+@pytest.mark.parametrize("axis", [1, 2, 3])
+def test_the_axis_that_loses_too_much_is_named(log: Log, axis: int) -> None:
+    before = found_in(log).lost_urad[axis - 1]
+    found = found_in(with_lost(log, 180.0 * np.eye(6)[axis - 1]))
+    assert found.lost_urad[axis - 1] - before == pytest.approx(180.0, abs=1.0)
+    assert not found.holds
+    (suspicion,) = suspicions_of(log)
+    assert (suspicion.cause, suspicion.unit) == ("reversal", f"urad of axis {axis}")
+    assert suspicion.size == pytest.approx(before + 180.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("stated_mm", "counts"), [(0.0, False), (0.05, True), (9.0, True)])
+def test_the_budget_takes_the_larger_of_limit_and_measurement(
+    log: Log, stated_mm: float, counts: bool
+) -> None:
+    stated = msgspec.structs.replace(log.cell.uncertainty, reversal_limit_mm=stated_mm)
+    log._cell = msgspec.structs.replace(log.cell, uncertainty=stated)
+    (line,) = (each for each in uncertainty_of(log).lines if each.name == "Approach direction")
+    seen_mm = max(found_in(log).off_mm)
+    wanted_mm = max(stated_mm, seen_mm) if counts else 0.0
+    assert line.covariance[0][0] == pytest.approx(wanted_mm**2 / 3)
+    assert f"4 vertices from above: {seen_mm:.3f} mm" in line.how
+
+
+def test_without_such_points_nothing_is_said(log: Log) -> None:
+    for point in log.select(REVERSAL):
+        log._drop(point.key)
+    assert reversal(log) is None
+    (line,) = (each for each in uncertainty_of(log).lines if each.name == "Approach direction")
+    assert line.how == "programs approach from below on every axis, as the run did"
