@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from hilcell.cell.tables import Frozen, Size
 
-QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES = 5, 3
+QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES = 5, 2
 Share = Annotated[float, Meta(ge=0.001, le=0.5)]
 
 
