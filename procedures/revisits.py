@@ -40,6 +40,7 @@ class Revisits:
     def __init__(self, *, at_end: bool = False) -> None:
         """``at_end``: the slide comes from the last station, back to the grid's."""
         self._kind, self.name = (CLOSING, "closing") if at_end else (REVISIT, "revisits")
+        self._verdict = "revisits.closing" if at_end else "revisits"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step: the grid's own has refused vertices out of reach."""
@@ -66,19 +67,20 @@ class Revisits:
         turned = reversal(session.log)
         if turned is not None and "reversal" not in session.log.verdicts:
             session.verdict("reversal", holds=turned.holds, **_figures(turned))
-        if self.name not in session.log.verdicts:
+        if self._verdict not in session.log.verdicts:
             self._judge(session)
 
     def _judge(self, session: CellSession) -> None:
         found = revisits(session.log, self._kind)
         suspected = [] if found.suspicion is None else [found.suspicion.text]
-        session.verdict(
-            self.name, holds=found.holds, ratio=found.ratio, limit=found.limit, suspected=suspected
-        )
+        facts = {"ratio": found.ratio, "limit": found.limit, "suspected": suspected}
         if self._kind == CLOSING:
+            session.verdict("revisits.closing", holds=found.holds, **facts)
             suspected = [each.text for each in suspicions_of(session.log)]
             session.verdict("suspicions", holds=not suspected, suspected=suspected)
-        elif found.suspicion is not None:
+            return
+        session.verdict("revisits", holds=found.holds, **facts)
+        if found.suspicion is not None:
             session.pause(f"re-visited vertices have moved: {found.suspicion.text}")
 
     def result(self, log: Log) -> dict[str, Any]:
