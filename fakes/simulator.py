@@ -12,17 +12,18 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import IO, Any, cast
 
 import msgspec
 
+from fakes.exercises import EXERCISES, FaultExercise
 from fakes.faults import load_faults
 from fakes.machine import machine_of
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
-from hilcell.ports import DeviceError, HilcellError, Stopped
+from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped
 
 ANSWER_S = 10.0
 END_S = 5.0
@@ -34,6 +35,8 @@ NO_PORTS: Mapping[str, int] = MappingProxyType({})
 
 class PaperCell:
     """The paper's cell, or any other, on simulated hardware."""
+
+    exercises: Sequence[Exercise] = EXERCISES
 
     def __init__(
         self,
@@ -83,6 +86,22 @@ class PaperCell:
     def clock(self, stop: threading.Event) -> SimulatedClock:
         """Return the cell's clock; its waits end when ``stop`` is set."""
         return SimulatedClock(self._control, self._speed, stop)
+
+    def strike(self, exercise: Exercise) -> None:
+        """Let a fault strike at its next occasion, also at rest."""
+        if not isinstance(exercise, FaultExercise):
+            raise HilcellError(f"exercise {exercise.title!r} is none of this simulated cell")
+        self._control.ask(
+            "fault",
+            name=exercise.fault,
+            value=exercise.value,
+            count=exercise.count,
+            at_rest=True,
+        )
+
+    def heal(self) -> None:
+        """Put right what struck, as a person at the cell would."""
+        self._control.ask("clear")
 
     def close(self) -> None:
         """Let go of the cell; end its process, if it was started here."""

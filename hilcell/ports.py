@@ -13,6 +13,7 @@ carry the reading arrived; nobody may use one older than its limit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from threading import Event
@@ -33,10 +34,10 @@ if TYPE_CHECKING:
     from hilcell.cell.file import Cell
 
 __all__ = [
-    "Air", "Array", "Clock", "DeviceError", "DeviceRefused", "HilcellError", "Identity",
+    "Air", "Array", "Clock", "DeviceError", "DeviceRefused", "Exercise", "HilcellError", "Identity",
     "JointSample", "LinkStatistics", "NoReading", "Rail", "RailReading", "Robot", "RobotReading",
     "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "Sweep", "Sweeps", "Tracker",
-    "TrackerReading", "says_simulated",
+    "TrackerReading", "Training", "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -307,3 +308,26 @@ class SimulatedCell(Protocol):
 
     def close(self) -> None:
         """Let go of the cell; end its process, if it was started here."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exercise:
+    """A fault to practise on: in plain words, with the code of the alarm that a run raises."""
+
+    title: str
+    alarm: str
+
+
+@runtime_checkable
+class Training(Protocol):
+    """A simulated cell in which faults strike when they are asked for."""
+
+    @property
+    def exercises(self) -> Sequence[Exercise]:
+        """Return the faults to choose from."""
+
+    def strike(self, exercise: Exercise) -> None:
+        """Let a fault strike at its next occasion."""
+
+    def heal(self) -> None:
+        """Put right what struck, as a person at the cell would."""

@@ -18,7 +18,8 @@ from hilcell.commands.output import (
     print_message,
 )
 from hilcell.commands.run import machine_seed
-from hilcell.ports import HilcellError
+from hilcell.commands.training import train
+from hilcell.ports import HilcellError, Training
 from hilcell.run.procedure import Procedure
 from hilcell.run.states import CALIBRATION, RUN, mermaid
 
@@ -76,6 +77,10 @@ def sim(args: argparse.Namespace) -> int:
             "add --set simulation.simulator=paper",
             code="HC-C12",
         )
+    training = simulated if isinstance(simulated, Training) else None
+    if args.train and training is None:
+        simulated.close()
+        raise HilcellError(f"cell {cell.name}: its simulator offers no faults to practise on")
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
@@ -87,7 +92,10 @@ def sim(args: argparse.Namespace) -> int:
             f"  hilcell run --cell {args.cell} --set simulation.address={simulated.address}\n"
             "ctrl-C ends it"
         )
-        ended.wait()
+        if args.train and training is not None:
+            train(training, ended)
+        else:
+            ended.wait()
     finally:
         simulated.close()
     return 0

@@ -241,7 +241,15 @@ def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     sim.add_argument(
         "--speed", type=arguments.speed_of, default=1.0, metavar="X|max", help="default: 1"
     )
-    sim.add_argument("--faults", default="", metavar="FILE", help="faults to inject, TOML")
+    sim.add_argument(
+        "--faults",
+        default="",
+        metavar="FILE",
+        help="faults to inject, TOML: docs/training.md has their names and their form",
+    )
+    sim.add_argument(
+        "--train", action="store_true", help="offer faults from a menu, for technicians to practise"
+    )
     sim.add_argument(
         "--ports",
         type=arguments.ports_of,

@@ -200,7 +200,7 @@ FAULTS = (
         "SMR not seated",
         "P",
         "INS",
-        T,
+        (*R, *T),
         (Knob("tracker.nest_lifted", 3.0, 1, lasts=True),),
         procedure="calibrate",
     ),
@@ -222,7 +222,12 @@ FAULTS = (
         procedure="calibrate",
     ),
     Fault(
-        35, "tracker drifts slowly", "P at the limit", "S", T, (Knob("tracker.drift_step", 0.02),)
+        35,
+        "tracker drifts slowly",
+        "P at the limit",
+        "S",
+        T,
+        (Knob("tracker.drift_step", 0.02, lasts=True),),
     ),
     Fault(36, "warm-up missing", "X or warn", "RPS", T, (Knob("tracker.not_warmed_up"),)),
     Fault(37, "weather station lost", "P", "RPS", T, (Knob("tracker.no_weather"),)),

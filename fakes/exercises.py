@@ -1,0 +1,47 @@
+"""Faults for practice: in plain words, each with the alarm that a run raises for it.
+
+Where a fault shows depends on what the run does next; the alarm is the usual one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fakes.faults import UNTIL_CLEARED, Value
+from hilcell.ports import Exercise
+
+
+@dataclass(frozen=True, slots=True)
+class FaultExercise(Exercise):
+    """An exercise by one fault of the simulated cell, which strikes ``count`` times."""
+
+    fault: str
+    value: Value = True
+    count: int = 1
+
+
+def _lasting(title: str, alarm: str, fault: str, value: Value = True) -> FaultExercise:
+    return FaultExercise(title, alarm, fault, value, UNTIL_CLEARED)
+
+
+EXERCISES: Sequence[FaultExercise] = (
+    _lasting("somebody stands in the tracker's beam", "HC-T10", "tracker.beam_break_after"),
+    _lasting("a reflector has fallen out of its nest", "HC-T11", "tracker.no_reflector"),
+    _lasting("a reflector is dirty, or something shakes it", "HC-T15", "tracker.noisy", 1.0),
+    _lasting("the weather station is unplugged", "HC-T05", "tracker.no_weather"),
+    _lasting("the tracker has not warmed up", "HC-T19", "tracker.not_warmed_up"),
+    FaultExercise("the tracker's network cable was pulled", "HC-T02", "tracker.eof"),
+    FaultExercise("the E-stop was pressed", "HC-B10", "robot.e_stop"),
+    FaultExercise("the key switch was turned to T1", "HC-B12", "robot.mode_t1"),
+    FaultExercise("the override was turned down to 0", "HC-B16", "robot.override_zero"),
+    FaultExercise("the program was deselected at the panel", "HC-B15", "robot.deselected"),
+    FaultExercise("the robot has hit something", "HC-B14", "robot.stopmess"),
+    FaultExercise("the robot's network cable was pulled", "HC-B02", "robot.idle_close"),
+    FaultExercise("the slide has run onto its limit switch", "HC-R32", "rail.limit_switch", -1),
+    FaultExercise("the drive draws too much current", "HC-R21", "rail.fault", 0x2310),
+    FaultExercise("the drive's supply has blinked", "HC-R03", "rail.node_reset", 5),
+    FaultExercise("the CAN gateway's plug was pulled", "HC-R01", "rail.eof"),
+    FaultExercise("somebody has pushed the held slide", "HC-S05", "rail.pushed", 30.0),
+    _lasting("the strip's head has lost its strip", "HC-S01", "rail.missing_magnet"),
+)
