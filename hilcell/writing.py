@@ -6,6 +6,7 @@ and all but regular files are opened and written to.
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import stat
@@ -16,11 +17,17 @@ from pathlib import Path
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
 
+STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # the disk's, not the name's
+
 
 class NotWritten(HilcellError):
     """A file that cannot, or must not, be written."""
 
     code = "HC-J07"
+
+
+class DiskFailed(NotWritten):
+    """A file that a full or failing disk did not take."""
 
 
 class NotPrinted(HilcellError):
@@ -104,8 +111,11 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise NotWritten(f"{_name(path)}: cannot be written: {reason}") from error
+        found = f"{_name(path)}: cannot be written: {error.strerror or error}"
+        if error.errno in STORAGE:
+            act = "make room or mend the disk, then give the command again"
+            raise DiskFailed(f"{found}; {act}") from error
+        raise NotWritten(found) from error
 
 
 def _name(path: Path) -> str:

@@ -6,7 +6,7 @@ from hilcell.cell.devices import ConnectFailed
 from hilcell.journal.journal import StorageError
 from hilcell.ports import DeviceError, DeviceRefused, HilcellError, Stopped
 from hilcell.run.cell_lock import CellLocked
-from hilcell.writing import NotPrinted
+from hilcell.writing import DiskFailed, NotPrinted
 
 EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_REFUSED, EXIT_FAULT = 0, 1, 2, 3
 EXIT_ABORTED, EXIT_INTERNAL, EXIT_LOCKED, EXIT_STORAGE = 4, 5, 6, 7
@@ -17,6 +17,7 @@ _TABLE: tuple[tuple[type[Exception], int], ...] = (
     (Stopped, EXIT_ABORTED),
     (StorageError, EXIT_STORAGE),
     (NotPrinted, EXIT_STORAGE),
+    (DiskFailed, EXIT_STORAGE),
     (CellLocked, EXIT_LOCKED),
     (DeviceRefused, EXIT_REFUSED),
     (DeviceError, EXIT_FAULT),

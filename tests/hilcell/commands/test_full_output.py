@@ -70,6 +70,19 @@ def test_a_command_into_a_full_disk_is_exit_7(
     assert "Traceback" not in err
 
 
+@needs_full
+@pytest.mark.parametrize("words", [("report",), ("export", "--csv"), ("export", "--json")])
+def test_a_file_on_a_full_disk_is_exit_7(
+    run: Path, words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, *form = words
+    given = [name, run.name, "--runs", str(run.parent), *form, "-o"]
+    assert main([*given, str(FULL)]) == 7
+    err = capsys.readouterr().err
+    assert f"/dev/full: cannot be written: {os.strerror(errno.ENOSPC)}; make room" in err
+    assert main([*given, str(run.parent)]) == 2  # the name's fault
+
+
 def test_a_command_into_a_closed_pipe_is_exit_7(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
