@@ -129,13 +129,11 @@ def judged(
 
     ``also`` is the outcome of another test that must accept as well, ``words`` what it says.
     """
-    within = limits_within(limits, guard)
-    beyond = Limits(limits.mean_mm + guard.mean_mm, limits.max_mm + guard.max_mm)
     outcome = gravest(
         [
             also,
-            _outcome(mean_mm, within.mean_mm, beyond.mean_mm),
-            _outcome(max_mm, within.max_mm, beyond.max_mm),
+            outcome_of(mean_mm, limits.mean_mm, guard.mean_mm),
+            outcome_of(max_mm, limits.max_mm, guard.max_mm),
         ]
     )
     return Judged(
@@ -167,10 +165,11 @@ def judged_errors(log: Log, errors_mm: Array) -> Judged:
     return judged(found.mean, found.max, limits_of(log.cell), guard_of(log, len(errors_mm)))
 
 
-def _outcome(value_mm: float, within_mm: float, beyond_mm: float) -> Outcome:
-    if value_mm <= within_mm:
+def outcome_of(value_mm: float, limit_mm: float, U_mm: float) -> Outcome:
+    """Return the decision on one figure; NaN is rejected."""
+    if value_mm <= limit_mm - U_mm:
         return "accepted"
-    return "undecided" if value_mm <= beyond_mm else "rejected"
+    return "undecided" if value_mm <= limit_mm + U_mm else "rejected"
 
 
 def gravest(outcomes: Sequence[Outcome]) -> Outcome:

@@ -5,28 +5,42 @@ drawing in large_digits digits.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 
 from textual.content import Content
 
+from hilcell.calibration.decision import outcome_of
 from hilcell.calibration.errors import errors_of
+from hilcell.calibration.measurement_budget import budget_of
+from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
-from hilcell.ports import Array
+from hilcell.ports import Array, HilcellError
 from hilcell.tui.terminal.capabilities import Glyphs
 
 JUDGED = "chosen"  # the paper's method is measured beside it, to be compared
-BAD_STATES = ("out", "noisy")
+BAD_STATES = ("out", "unsure", "noisy")
+STATES: dict[Outcome, str] = {"rejected": "out", "undecided": "unsure"}
+SAID: dict[Outcome, tuple[str, str]] = {
+    "accepted": ("in", "$good"),
+    "undecided": ("UNSURE", "bold $warn"),
+    "rejected": ("OUT OF", "bold $bad"),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """One point's deviation; ``limit_mm`` is None where no tolerance applies."""
+    """One point's deviation; ``limit_mm`` is None where no tolerance applies.
+
+    ``U_mm`` is the expanded uncertainty of |e|.
+    """
 
     key: str
     error_mm: tuple[float, float, float]
     actual_mm: tuple[float, float, float]
     limit_mm: float | None
+    U_mm: float = 0.0
 
     @property
     def norm_mm(self) -> float:
@@ -34,20 +48,36 @@ class Deviation:
         return math.hypot(*self.error_mm)
 
     @property
-    def within(self) -> bool:
-        """Whether |e| keeps its limit; NaN does not."""
-        return self.limit_mm is None or self.norm_mm <= self.limit_mm
+    def outcome(self) -> Outcome:
+        """Return the decision on |e|, by the rule that judges all results."""
+        if self.limit_mm is None:
+            return "accepted"
+        return outcome_of(self.norm_mm, self.limit_mm, self.U_mm)
 
 
-def deviation_of(log: Log, point: Point) -> Deviation | None:
-    """Return a point's deviation, or None where it has no nominal target or {W} is not known."""
+def expanded_of(log: Log) -> float:
+    """Return U (mm) of a single error; NaN, which accepts nothing, where it cannot be stated."""
+    with suppress(HilcellError):
+        budget = budget_of(log)
+        return math.nan if budget is None else budget.U_mm
+    return math.nan
+
+
+def deviation_of(log: Log, point: Point, U_mm: float | None = None) -> Deviation | None:
+    """Return a point's deviation, or None where it has no nominal target or {W} is not known.
+
+    ``U_mm`` is that of a single error, None: as the log has it now.
+    """
     if point.nominal_mm is None or "world" not in log.frames:
         return None
     found = errors_of(log, [point])
     error, actual = found.error_mm[0], found.nominal_mm[0] + found.error_mm[0]
     judged = point.id.kind == "validate" and point.id.how == JUDGED
-    limit = log.cell.validation.max_tolerance_mm if judged else None
-    return Deviation(point.key, _xyz(error), _xyz(actual), limit)
+    if not judged:
+        return Deviation(point.key, _xyz(error), _xyz(actual), None)
+    limit_mm = log.cell.validation.max_tolerance_mm
+    by_mm = expanded_of(log) if U_mm is None else U_mm
+    return Deviation(point.key, _xyz(error), _xyz(actual), limit_mm, by_mm)
 
 
 def _xyz(vector: Array) -> tuple[float, float, float]:
@@ -56,11 +86,11 @@ def _xyz(vector: Array) -> tuple[float, float, float]:
 
 
 def state_of(log: Log, point: Point, deviation: Deviation | None) -> str:
-    """Return a point's state in one word: ok, out, noisy, again (re-measured)."""
+    """Return a point's state in one word: ok, out, unsure, noisy, again (re-measured)."""
     if not rms(point.std_mm) <= log.cell.tracker.max_std_mm:
         return "noisy"
-    if deviation is not None and not deviation.within:
-        return "out"
+    if deviation is not None and deviation.outcome in STATES:
+        return STATES[deviation.outcome]
     return "again" if point.retaken else "ok"
 
 
@@ -78,9 +108,9 @@ class PointRow:
         return -1.0 if self.deviation is None else self.deviation.norm_mm
 
 
-def row_of(log: Log, point: Point) -> PointRow:
-    """Return one point's row."""
-    deviation = deviation_of(log, point)
+def row_of(log: Log, point: Point, U_mm: float | None = None) -> PointRow:
+    """Return one point's row; ``U_mm`` as in `deviation_of`."""
+    deviation = deviation_of(log, point, U_mm)
     return PointRow(point, deviation, state_of(log, point, deviation))
 
 
@@ -138,17 +168,16 @@ def deviation_lines(found: Deviation | None, glyphs: Glyphs, width: int, none: s
 
 
 def tolerance_line(found: Deviation, glyphs: Glyphs, width: int) -> Content:
-    """Return |e| on a scale from 0 over the limit, with the point's name."""
+    """Return |e| on a scale from 0 over the limit, the decision, U, and the point's name."""
     if found.limit_mm is None:
         return Content.styled(f"{found.key}: raw, not corrected; no limit", "$dim")
-    room = 30
+    room = 24
     share = found.norm_mm / (1.5 * found.limit_mm)
     at = math.floor(room * share) if share <= 1.0 else room  # NaN is beyond everything
     edge = math.floor(room / 1.5)
     cells = ["="] * at + [glyphs.rule] * (room + 1 - at)
     cells[edge] = "|"
     cells[min(at, room)] = glyphs.over_right if at >= room else glyphs.mark
-    verdict = "in" if found.within else "OUT OF"
-    tone = "$good" if found.within else "bold $bad"
-    text = f"[{''.join(cells)}] {verdict} {found.limit_mm:.3f} mm  {found.key}"
+    verdict, tone = SAID[found.outcome]
+    text = f"[{''.join(cells)}] {verdict} {found.limit_mm:.3f} mm, U {found.U_mm:.3f}  {found.key}"
     return Content.styled(text, tone).truncate(width, ellipsis=True)

@@ -11,7 +11,7 @@ from textual.content import Content
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.text.deviation import BAD_STATES, PointRow, row_of
+from hilcell.tui.text.deviation import BAD_STATES, PointRow, expanded_of, row_of
 from hilcell.tui.widgets import Column, Row
 
 WIDE = 112
@@ -30,7 +30,7 @@ _WIDE_COLUMNS = (
     Column("measured x y z mm", 31, right=True),
     *_NARROW_COLUMNS[1:],
 )
-_TONES = {"out": "bad", "noisy": "warn", "waits": "info", "again": "info"}
+_TONES = {"out": "bad", "unsure": "warn", "noisy": "warn", "waits": "info", "again": "info"}
 
 
 def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
@@ -49,10 +49,12 @@ class PointRows:
 
     def rows(self, log: Log) -> Iterator[PointRow]:
         """Yield the rows of all points in the order in which they were first measured."""
+        U_mm: float | None = None  # computed once, and only for new rows
         for key, point in log.points.items():
             row = self._found.get(key)
             if row is None or row.point is not point or row.deviation is None:
-                row = self._found[key] = row_of(log, point)
+                U_mm = expanded_of(log) if U_mm is None else U_mm
+                row = self._found[key] = row_of(log, point, U_mm)
             yield row
 
     def drawn(self, found: PointRow, waiting: Collection[str], width: int) -> Row:
@@ -126,7 +128,7 @@ def point_page(view: RunView, key: str) -> Content:
             ("|e|, mm", f"{found.norm_mm:.4f}"),
         ]
         if found.limit_mm is not None:
-            facts.append(("limit, mm", f"{found.limit_mm:.3f}"))
+            facts.append(("limit, mm", f"{found.limit_mm:.3f}, U {found.U_mm:.3f} (k = 2)"))
     facts += _measured(point)
     return Content("\n").join(
         Content.assemble((f"{name:<28}", "$dim"), text) for name, text in facts

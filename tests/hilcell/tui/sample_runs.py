@@ -105,8 +105,8 @@ def measuring(points: int = 5) -> SampleRun:
     """Return a run on its grid."""
     story = begun().add("event", what="connected", devices=[]).state("running")
     story.step(1).step(2)
-    for name in ("F1", "F2", "F3"):
-        story.point(PointId("world", nest=name), station="", commanded_deg=None)
+    for name, apart in (("F1", (0, 0, 0)), ("F2", (900, 0, 0)), ("F3", (0, 900, 0))):
+        story.point(PointId("world", nest=name), off=apart, station="", commanded_deg=None)
     story.add("frame", "world", matrix=UNIT)
     story.step(3).add(
         "event", what="station held", station="S1100", tries=2, strip_mm=1100.0, rail_mm=1100.2

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.decision import guard_of
 from hilcell.calibration.errors import errors_of
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log, Point, positions_mm
@@ -177,8 +178,20 @@ def test_only_bad_ones() -> None:
     log = log_of(validated(worst_mm=1.2))
     assert keys_of(log, bad=True) == ["validate/S1100/chosen/001"]
     changed(log, "grid/0-0-0", retaken=True)
-    changed(log, "grid/0-0-1", std_mm=(9.0, 0.0, 0.0))
+    changed(log, "grid/0-0-1", std_mm=(0.1, 0.0, 0.0))
     assert keys_of(log, bad=True) == ["grid/0-0-0", "grid/0-0-1", "validate/S1100/chosen/001"]
+
+
+def test_a_point_within_its_uncertainty_of_the_limit_is_neither_in_nor_out() -> None:
+    """The screen said of it that it is in tolerance, the verdict that it is undecided."""
+    log = log_of(validated())
+    U_mm, limit_mm = guard_of(log, 1).max_mm, log.cell.validation.max_tolerance_mm
+    point = log.points["validate/S1100/chosen/000"]
+    places = {"ok": limit_mm - 1.1 * U_mm, "unsure": limit_mm - 0.9 * U_mm, "out": limit_mm + U_mm}
+    x, y, z = point.nominal_mm or (0.0, 0.0, 0.0)
+    for state, off_mm in places.items():
+        moved = changed(log, point.key, xyz_mm=(x + off_mm + 1e-6, y, z))
+        assert state_of(log, moved, deviation_of(log, moved)) == state
 
 
 @pytest.mark.parametrize("width", [40, 80, WIDE + 40, 300])

@@ -302,19 +302,22 @@ def test_a_tracker_without_a_weather_station_is_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("norm_mm", "limit_mm", "said"),
+    ("norm_mm", "limit_mm", "U_mm", "said"),
     [
-        (0.5, None, "no limit"),
-        (0.5, 1.0, "] in 1.000 mm"),
-        (1.5, 1.0, "] OUT OF 1.000 mm"),
-        (math.nan, 1.0, "] OUT OF 1.000 mm"),
-        (math.inf, 1.0, "] OUT OF 1.000 mm"),
-        (1e9, 1.0, "] OUT OF 1.000 mm"),
-        (0.0, 1.0, "] in 1.000 mm"),
+        (0.5, None, 0.0, "no limit"),
+        (0.5, 1.0, 0.1, "] in 1.000 mm, U 0.100  p"),
+        (1.5, 1.0, 0.1, "] OUT OF 1.000 mm, U 0.100  p"),
+        (0.95, 1.0, 0.1, "] UNSURE 1.000 mm"),
+        (1.05, 1.0, 0.1, "] UNSURE 1.000 mm"),
+        (math.nan, 1.0, 0.1, "] OUT OF 1.000 mm"),
+        (math.inf, 1.0, 0.1, "] OUT OF 1.000 mm"),
+        (1e9, 1.0, 0.0, "] OUT OF 1.000 mm"),
+        (0.0, 1.0, 0.0, "] in 1.000 mm"),
     ],
 )
-def test_the_tolerance_bar(norm_mm: float, limit_mm: float | None, said: str) -> None:
-    found = Deviation("p", (norm_mm, 0.0, 0.0), (0.0, 0.0, 0.0), limit_mm)
+def test_the_tolerance_bar(norm_mm: float, limit_mm: float | None, U_mm: float, said: str) -> None:
+    """It says what the decision rule says of mean and largest error."""
+    found = Deviation("p", (norm_mm, 0.0, 0.0), (0.0, 0.0, 0.0), limit_mm, U_mm)
     for glyphs in (UNICODE, ASCII):
         assert said in tolerance_line(found, glyphs, 80).plain
         assert len(deviation_lines(found, glyphs, 80).plain.split("\n")) == 5
@@ -413,9 +416,11 @@ def test_ascii_is_ascii_of_the_same_length(text: str) -> None:
 def test_deviations_are_values() -> None:
     found = Deviation("p", (3.0, 4.0, 0.0), (0, 0, 0), 5.0)
     assert found.norm_mm == 5.0
-    assert found.within
-    assert not replace(found, limit_mm=4.9).within
-    assert not replace(found, error_mm=(math.nan, 0.0, 0.0)).within
+    assert found.outcome == "accepted"
+    assert replace(found, limit_mm=4.9).outcome == "rejected"
+    assert replace(found, U_mm=0.1).outcome == "undecided"
+    assert replace(found, U_mm=math.nan).outcome == "rejected"
+    assert replace(found, error_mm=(math.nan, 0.0, 0.0)).outcome == "rejected"
 
 
 def test_what_stands_from_before_a_resume_is_on_the_page_of_alarms() -> None:
