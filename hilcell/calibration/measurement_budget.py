@@ -110,10 +110,18 @@ def _drift(log: Log) -> Contribution:
 
 
 def _moves_mm(log: Log) -> Array:
-    """Return how far each control point (N, 3) was from the first measurement of its nest."""
-    firsts = {point.id.nest: point for point in log.select("world")}
-    again = [point for point in log.points.values() if point.id.kind == "control"]
-    pairs = [(point, firsts[point.id.nest]) for point in again if point.id.nest in firsts]
+    """Return how far each control point (N, 3) was from the first of its nest at its set-up.
+
+    Those that found the tracker moved are no measure of its drift.
+    """
+    firsts = {(point.set_up, point.id.nest): point for point in log.select("world")}
+    again = [
+        point
+        for key, point in log.points.items()
+        if point.id.kind == "control" and key not in log.set_ups.refuted
+    ]
+    places = [(point, (point.set_up, point.id.nest)) for point in again]
+    pairs = [(point, firsts[place]) for point, place in places if place in firsts]
     return positions_mm(now for now, _ in pairs) - positions_mm(first for _, first in pairs)
 
 

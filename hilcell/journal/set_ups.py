@@ -37,13 +37,16 @@ def carried(xyz_mm: Three, std_mm: Three, T_first: Array, T_own: Array) -> tuple
 
 class SetUps:
     """``number`` is the present set-up's, ``unproven`` the keys of points and streams since the
-    tracker was last proven; ``interrupted`` whether the run has waited since then.
+    tracker was last proven; ``interrupted`` whether the run has waited since then. ``refuted`` are
+    the keys of control points that found it moved.
     """
 
     def __init__(self) -> None:
         self.number = 0
         self.unproven: dict[str, None] = {}
         self.interrupted = False
+        self.refuted: set[str] = set()
+        self._proofs: list[str] = []  # control points that have proven nothing yet
 
     @property
     def open(self) -> bool:
@@ -56,6 +59,8 @@ class SetUps:
         if record.kind == "point":
             if not record.key.startswith(tuple(f"{kind}/" for kind in PROOFS)):
                 self.unproven[record.key] = None
+            elif record.key.startswith(f"{PROOFS[1]}/"):
+                self._proofs.append(record.key)
         elif record.kind == "state":
             self.interrupted |= body["machine"] == "run" and body["to"] in INTERRUPTED
         elif record.kind == "frame" and record.key == world_key(self.number):
@@ -66,6 +71,8 @@ class SetUps:
                     self.unproven[body["key"]] = None
                 case moved if moved == TRACKER_MOVED:
                     self.number = body["set_up"]
+                    self.refuted.update(self._proofs)
+                    self._proofs.clear()
                     return list(body["invalid"])
                 case proven if proven == PROVEN:
                     self._prove()
@@ -73,4 +80,5 @@ class SetUps:
 
     def _prove(self) -> None:
         self.unproven.clear()
+        self._proofs.clear()
         self.interrupted = False
