@@ -90,7 +90,7 @@ def check_agreement(station: Station, found: FrameUpdate) -> None:
         return
     raise DeviceError(
         "HC-T63",
-        "Tracker",
+        "Cell",
         f"touch poses at {station.name}",
         f"they move the base by {found.pull:.1f} sigma of the station frame and leave "
         f"{found.misfit:.1f} sigma of their own",

@@ -9,6 +9,7 @@ from hilcell.clean import encodable
 from hilcell.commands.output import print_json, print_message
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.engine_file import live_engine
+from hilcell.journal.index import row_of
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL, find_run, read_log
 from hilcell.ports import HilcellError
@@ -22,6 +23,10 @@ def revoke(args: argparse.Namespace) -> int:
     if not log.calibrates or live_engine(folder) is not None:
         raise HilcellError(
             f"run {folder.name} has no calibration to revoke: it is {log.state}", code="HC-J09"
+        )
+    if before := row_of(folder).facts.revoked:
+        raise HilcellError(
+            f"run {folder.name} is revoked already: {before}; its reason is kept", code="HC-J09"
         )
     cell = f"cell {log.cell.name}"
     with locked(lock_of_name(folder.parent, log.cell.name), cell, folder.name):

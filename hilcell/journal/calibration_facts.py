@@ -18,13 +18,15 @@ Kind = Literal["", "made", "base", "targets", "touch"]
 class CalibrationFacts(msgspec.Struct, frozen=True):
     """``kind`` says how a run that finishes comes to a calibration: measured, or one of before with
     base, targets or a station's base changed; "" is none. ``used`` is the run whose calibration it
-    took, ``validated`` whether places were validated and all hold, ``redo`` that a re-check found
+    took, ``validated`` whether places were validated and all hold, ``undecided`` that some are
+    neither in nor out of tolerance and none is out, ``redo`` that a re-check found
     the used one to hold no more. ``revoked`` is why somebody has revoked its own.
     """
 
     kind: Kind = ""
     used: str = ""
     validated: bool = False
+    undecided: bool = False
     redo: bool = False
     revoked: str = ""
 
@@ -32,6 +34,7 @@ class CalibrationFacts(msgspec.Struct, frozen=True):
 class _Verdict(msgspec.Struct):
     holds: bool
     verdict: str = ""
+    outcome: str | None = None
 
 
 class _Event(msgspec.Struct):
@@ -64,10 +67,11 @@ class CalibrationReader:
     def facts(self) -> CalibrationFacts:
         """Return what the records have said."""
         recheck = self._verdicts.get("recheck", _Verdict(holds=True)).verdict
-        places = [v.holds for key, v in self._verdicts.items() if key.startswith(VALIDATION)]
+        places = [v for key, v in self._verdicts.items() if key.startswith(VALIDATION)]
+        failed = [each.outcome for each in places if not each.holds]
         return CalibrationFacts(
-            self._kind(recheck), self._used, bool(places) and all(places), recheck == "redo",
-            self._revoked,
+            self._kind(recheck), self._used, bool(places) and not failed,
+            bool(failed) and set(failed) == {"undecided"}, recheck == "redo", self._revoked,
         )  # fmt: skip
 
     def _kind(self, recheck: str) -> Kind:

@@ -26,7 +26,7 @@ from hilcell.journal.runs import JOURNAL
 from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
-SCHEMA = 2  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 3  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost

@@ -5,55 +5,83 @@ it, as does one that a re-check or a pass over targets has made of the current o
 verdict is redo revokes the one that it judged, `hilcell revoke` any; one that was made of a revoked
 one is revoked as well. One that somebody has revoked supersedes nothing: it is as if it had not
 been made. A touched base is out of date as soon as the cell has moved in a later run.
+
+Simulated cells of one name are as many cells as machines were started for them: each has a current
+calibration, and is named where there are several.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
 from hilcell.journal.index import RunRow
 
-State = Literal["current", "superseded", "revoked", "out of date", "not validated"]
+State = Literal[
+    "current", "superseded", "revoked", "out of date", "not validated", "undecided"
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
     """``by`` is the run that superseded or revoked it, ``current`` the cell's current one; "" where
-    there is none.
+    there is none. ``machine`` names a simulated one where runs of several are there.
     """
 
     state: State
     by: str = ""
     reason: str = ""
     current: str = ""
+    machine: str = ""
 
     @property
     def usable(self) -> bool:
-        """Whether it may be used; one that was not validated is judged by its verdicts."""
-        return self.state in ("current", "not validated")
+        """Whether it may be used; one whose validation does not hold is judged by its verdicts."""
+        return self.state in ("current", "not validated", "undecided")
 
     @property
     def text(self) -> str:
         """Return it in words."""
         by = f" by {self.by}" if self.by else ""
-        return f"{self.state}{by}" + (f": {self.reason}" if self.reason else "")
+        of = f" of {self.machine}" if self.machine and self.state == "current" else ""
+        return f"{self.state}{of}{by}" + (f": {self.reason}" if self.reason else "")
 
 
 def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     """Return the standing of each calibration of finished runs, by the run's name."""
-    ordered = sorted((row for row in rows if row.readable), key=lambda row: (_cell(row), row.order))
+    known = {row.name: row for row in rows if row.readable}
+    cells = {name: (*_cell(row), _machine(row, known)) for name, row in known.items()}
+    calibrated = {cells[name] for name, row in known.items() if row.calibrates}
+    ordered = sorted(known.values(), key=lambda row: (cells[row.name], row.order))
     found: dict[str, Standing] = {}
-    for _, of_cell in groupby(ordered, key=_cell):
-        found |= _of_cell(list(of_cell))
+    for cell, of_cell in groupby(ordered, key=lambda row: cells[row.name]):
+        several = sum(other[:-1] == cell[:-1] for other in calibrated) > 1
+        machine = cell[-1] if several else ""
+        standing = _of_cell(list(of_cell))
+        found |= {name: replace(each, machine=machine) for name, each in standing.items()}
     return found
 
 
 def _cell(row: RunRow) -> tuple[str, ...]:
-    """Return what tells cells apart: of simulated ones, the machine as well."""
-    return row.cell, row.serial, str(row.simulated), str(row.machine_seed)
+    """Return what tells cells apart."""
+    return row.cell, row.serial, str(row.simulated)
+
+
+def _machine(row: RunRow, known: Mapping[str, RunRow]) -> str:
+    """Return which simulated machine it was; "" for a real one.
+
+    A run that uses a calibration was made on the machine of that, wherever its simulator was.
+    """
+    before = set[str]()
+    while row.facts.used in known and row.name not in before:
+        before.add(row.name)
+        row = known[row.facts.used]
+    if not row.simulated:
+        return ""
+    seed = row.machine_seed
+    return "a simulator that ran before" if seed is None else f"simulated machine {seed}"
 
 
 def _of_cell(rows: list[RunRow]) -> dict[str, Standing]:
@@ -64,7 +92,8 @@ def _of_cell(rows: list[RunRow]) -> dict[str, Standing]:
     for row in (row for row in rows if row.calibrates):
         made, used = row.facts.kind == "made", touches.get(row.facts.used, row.facts.used)
         if made and not (row.facts.validated and row.exit == 0):
-            found[row.name] = Standing("not validated")
+            undecided = row.facts.undecided
+            found[row.name] = Standing("undecided" if undecided else "not validated")
         elif not made and current and used != current:
             found[row.name] = Standing("superseded", current)
         else:

@@ -248,6 +248,7 @@ def test_a_lost_zero_is_refused(turn_rad: list[float]) -> None:
     with pytest.raises(DeviceError) as raised:
         touch_base(bench, HERE, model_of(bench.log))
     assert raised.value.code == "HC-T63"
+    assert str(raised.value).startswith("Cell: ")  # nothing is wrong with the tracker
     assert "touch.S1100" not in bench.log.frames
 
 

@@ -113,6 +113,17 @@ def test_runs_and_show_say_how_it_stands(runs: Path, capsys: pytest.CaptureFixtu
     assert "superseded by 2-made" in " ".join(capsys.readouterr().out.split())
 
 
+def test_one_that_is_undecided_is_listed_so(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    undecided = {"holds": False, "outcome": "undecided"}
+    finished(runs, "2-made", {"fit": {}, "validation.S1100": undecided}, code=1)
+    rejected = {"validation.S300": {"holds": False, "outcome": "rejected"}}
+    finished(runs, "3-made", {"fit": {}, "validation.S1100": undecided} | rejected, code=1)
+    assert main(["runs", "--json", "--runs", str(runs)]) == 0
+    listed = {each["run"]: each["standing"] for each in json.loads(capsys.readouterr().out)["runs"]}
+    states = [listed[name]["state"] for name in ("1-made", "2-made", "3-made")]
+    assert states == ["current", "undecided", "not validated"]
+
+
 @pytest.mark.parametrize("words", [(), ("--reason", ""), ("--reason", " \x1b")])
 def test_a_reason_is_wanted(runs: Path, words: tuple[str, ...]) -> None:
     with pytest.raises(SystemExit, match="2"):
@@ -127,6 +138,15 @@ def test_what_has_no_calibration_is_not_revoked(
     assert "run 2-home has no calibration to revoke" in capsys.readouterr().err
     with locked(lock_of_name(runs, "paper"), "cell paper", "another"):
         assert main(["revoke", "1-made", "--runs", str(runs), "--reason", "x"]) == 6
+
+
+def test_the_first_reason_is_kept(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("revoke", "1-made", "--runs", str(runs), "--reason")
+    assert main([*words, "wrong reflector"]) == 0
+    assert main([*words, "tidying up"]) == 2
+    assert "run 1-made is revoked already: wrong reflector" in capsys.readouterr().err
+    (row,) = read_index(runs)
+    assert row.facts.revoked == "wrong reflector"
 
 
 def test_the_index_notices_a_revoked_one(runs: Path) -> None:

@@ -113,3 +113,25 @@ def test_cells_and_machines_are_apart() -> None:
     ]
     for each in other:
         assert states(made("01"), each) == {"01": "current", "02": "current"}
+
+
+def simulated(row: RunRow, seed: int | None) -> RunRow:
+    return msgspec.structs.replace(row, simulated=True, machine_seed=seed)
+
+
+def test_current_ones_of_several_machines_name_them() -> None:
+    both = [simulated(made("01"), 1), simulated(made("02"), 2)]
+    assert states(*both) == {
+        "01": "current of simulated machine 1", "02": "current of simulated machine 2",
+    }  # fmt: skip
+    assert states(both[0], simulated(made("02"), 1))["02"] == "current"
+
+
+def test_a_run_is_of_the_machine_whose_calibration_it_uses() -> None:
+    """A re-check of a cell that is simulated elsewhere does not know the machine's seed."""
+    update = simulated(row("02", kind="base", used="01", code=1), None)
+    assert states(simulated(made("01"), 1), update) == {"01": "superseded by 02", "02": "current"}
+
+
+def test_one_that_is_undecided_is_not_called_unvalidated() -> None:
+    assert states(made("01", validated=False, undecided=True, code=1)) == {"01": "undecided"}
