@@ -107,6 +107,8 @@ KNOWN = {
     "tracker.init_lost": "status 39 until initialised again | a measurement",
     "tracker.drift_step": "the tracker shifts by this along x (mm), for good | a measurement",
     "tracker.scale_ppm": "all that it measures is larger by this (ppm), for good | a measurement",
+    "tracker.wrong_offset": "the reflector has another offset (mm), for good | a measurement",
+    "tracker.warmer": "the room is warmer by this (K), for good | a measurement",
     "tracker.noisy": "stdTotal is this (mm), and the reading as noisy | a measurement",
     "tracker.metres": "values are in m, SetUnits is ignored | a measurement",
     "tracker.left_handed": "y has the wrong sign | a measurement",

@@ -47,8 +47,8 @@ class TrackerTruth:
     """A tracker that sees reflectors given in {W}.
 
     It takes the faults ``tracker.drift_step``, ``tracker.scale_ppm``, ``tracker.nest_lifted``,
-    ``tracker.noisy``, ``tracker.spike`` and ``tracker.wrong_target`` itself; all others are the
-    server's.
+    ``tracker.noisy``, ``tracker.spike``, ``tracker.warmer``, ``tracker.wrong_offset`` and
+    ``tracker.wrong_target`` itself; all others are the server's.
     """
 
     def __init__(
@@ -73,6 +73,7 @@ class TrackerTruth:
         self._air_phases = rng.uniform(0.0, 2 * math.pi, 3)
         self._bump_mm, self._scale = np.zeros(3), 1.0
         self._lifted_mm: dict[str, float] = {}
+        self._offset_mm = self._warmer_k = 0.0
 
     def reflectors(self) -> dict[str, Array]:
         """Return where every reflector is."""
@@ -114,6 +115,9 @@ class TrackerTruth:
         xyz_mm = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
         range_mm = float(np.linalg.norm(xyz_mm))
         along = xyz_mm / range_mm
+        self._warmer_k += self._faults.number("tracker.warmer") or 0.0
+        self._offset_mm += self._faults.number("tracker.wrong_offset") or 0.0
+        xyz_mm = xyz_mm + self._offset_mm * along
         # Coarse: a slide that lands a few micrometres off meets the same noise.
         key = ",".join(f"{value / 10.0:.0f}" for value in xyz_mm)
         draws = self._noise.normal(key, 6)
@@ -155,7 +159,9 @@ class TrackerTruth:
         age = self._measured * MEASUREMENT_S / AIR_PERIOD_S
         waves = np.sin(2 * math.pi * age + self._air_phases)
         return Air(
-            temperature_c=float(self._sizes.room_c + self._sizes.room_swing_k * waves[0]),
+            temperature_c=float(
+                self._sizes.room_c + self._sizes.room_swing_k * waves[0] + self._warmer_k
+            ),
             pressure_mbar=float(1009.0 + 2.0 * waves[1]),
             humidity_percent=float(45.0 + 4.0 * waves[2]),
         )

@@ -14,7 +14,7 @@ from importlib import import_module
 
 from tests.torture import faults
 
-CAMPAIGNS = ("faults", "disturbances", "kills", "fuzz", "days", "stops")
+CAMPAIGNS = ("faults", "pairs", "disturbances", "kills", "fuzz", "days", "stops")
 
 
 def main(words: list[str]) -> int:

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from drivers import drive, rail_setup, robot_kuka_c3
@@ -58,6 +58,7 @@ class Bed:
         self.folder, self.cell, self.procedure = folder, cell, procedure
         self.cell_file, self.apart = "paper", apart
         self.attended = False
+        self.values: Mapping[str, str] = {}  # of the cell, beside the usual ones
         self.events: list[Event] = []
         self.exits: list[int] = []
         self.errors = ""
@@ -77,9 +78,11 @@ class Bed:
 
     def start(self, hear: Callable[[Event], None]) -> None:
         """Run the procedure."""
-        values = (SMALL if self.procedure == "calibrate" else SMALL | QUICK) | {
-            "simulation.address": self.cell.address
-        }
+        values = (
+            (SMALL if self.procedure == "calibrate" else SMALL | QUICK)
+            | {"simulation.address": self.cell.address}
+            | dict(self.values)
+        )
         words = ["run", self.procedure, "--name", RUN, "--cell", self.cell_file, *sets(values)]
         self._perform(words, hear)
 

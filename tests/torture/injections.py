@@ -55,6 +55,7 @@ class Knob(Injection):
     value: bool | float | str = True
     count: int = PERSISTENT
     lasts: bool = False
+    after: int = 0  # so many occasions pass first
     wait_s: float = 0.0  # of real time in which the run stands still, so that the fault shows
 
     @property
@@ -63,7 +64,12 @@ class Knob(Injection):
 
     def strike(self, bed: Bed) -> None:
         answer = bed.cell.simulation.ask(
-            do="fault", name=self.name, value=self.value, count=self.count, at_rest=True
+            do="fault",
+            name=self.name,
+            value=self.value,
+            count=self.count,
+            after=self.after,
+            at_rest=True,
         )
         assert answer["ok"], answer
         time.sleep(self.wait_s)

@@ -7,6 +7,7 @@ fault, K killed, "!" anything else.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,23 +48,29 @@ class Judged:
 def judged(fault: Fault, case: Case, ran: Ran, undisturbed: Ran) -> Judged:
     """Judge one case."""
     struck = ran.exits[ran.session - 1]
-    letter, code = _letter(ran, struck), _code(ran)
+    letter = _letter(ran, struck)
+    code = _code(ran) if letter in "SXJ" else ""
     problems = [*ran.notes]
     if not ran.struck:
         problems.append("the phase was not reached")
-    if "Traceback" in ran.errors or 5 in ran.exits:
-        problems.append(f"internal error: {ran.errors[-400:]}")
     if letter not in fault.ends + ALSO.get(case.phase, ""):
         problems.append(f"{WORDS[letter]}, wanted one of {fault.ends}")
-    if letter in "SXJ" and not code.startswith(fault.codes or ("HC-",)):
+    if (letter in "SJ" or code) and not code.startswith(fault.codes or ("HC-",)):
         problems.append(f"alarm {code}")
-    journalled = [event for event in ran.events if "seq" in event]
-    problems += broken_invariants(journalled)
-    problems += _unlike(ran, undisturbed)
+    problems += broken(ran)
+    problems += unlike(ran, undisturbed)
     if not case.injection.lasts and ran.exits[-1] not in (0, 1):
         problems.append(f"not resumed: exits {ran.exits}: {ran.errors[-300:]}")
-    words = WORDS[letter] + (f" {code}" if letter in "SXJ" else "")
+    words = f"{WORDS[letter]} {code}".rstrip()
     return Judged(words, tuple(problems))
+
+
+def broken(ran: Ran) -> list[str]:
+    """Return what no run may do, whatever strikes it."""
+    found = broken_invariants(event for event in ran.events if "seq" in event)
+    if "Traceback" in ran.errors or 5 in ran.exits:
+        found.append(f"internal error: {ran.errors[-400:]}")
+    return found
 
 
 def _letter(ran: Ran, code: int) -> str:
@@ -79,20 +86,21 @@ def _letter(ran: Ran, code: int) -> str:
 
 
 def _code(ran: Ran) -> str:
-    """Return the alarm's code at the end of the session that was struck."""
+    """Return the alarm's code at the end of the session that was struck.
+
+    A session that was refused has no end in the journal: its message has the code.
+    """
     ends = [event for event in ran.events if event["kind"] == "end"]
-    for end in ends[: ran.session][::-1]:
-        error = end.get("error") or {}
-        for each in (*error.get("causes", ()), error):
-            if each.get("code"):
-                return str(each["code"])
-    for code in ("HC-J", "HC-C"):
-        if code in ran.errors:
-            return ran.errors[ran.errors.index(code) :][:6]
-    return ""
+    if len(ends) >= ran.session:
+        error = ends[ran.session - 1].get("error") or {}
+        codes = [each["code"] for each in (*error.get("causes", ()), error) if each.get("code")]
+        if codes:
+            return str(codes[0])
+    said = re.findall(r"HC-[A-Z]\d\d", ran.errors)
+    return str(said[-1]) if said else ""
 
 
-def _unlike(ran: Ran, undisturbed: Ran) -> list[str]:
+def unlike(ran: Ran, undisturbed: Ran) -> list[str]:
     """Return where a run that ended with 0 has an error that one without a fault has not.
 
     The slide stands elsewhere at the end of a calibration: there frames are compared.

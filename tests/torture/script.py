@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from hilcell.journal.journal import StorageError, read_journal
 from hilcell.run.cell_lock import OVERRIDE
-from tests.torture.bed import Bed
+from tests.torture.bed import RUN, Bed
 from tests.torture.cell import ThreadedCell
 from tests.torture.injections import Injection
 from tests.torture.phases import MOMENTS, Event, Phase, begins, is_point
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 TO_RESUME = (2, 3, 4, 7)
+PAIR = "base-frame"
 
 
 @dataclass(frozen=True)
@@ -44,24 +46,67 @@ class Ran:
 
 def play(case: Case) -> Ran:
     """Run one case."""
-    with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torture-")))
-        cell = stack.enter_context(ThreadedCell(proxied=case.injection.proxied))
-        bed = Bed(folder, cell, case.procedure, apart=case.injection.apart)
-        if case.injection.cell_file:
-            bed.cell_file = str(folder / "cell.toml")
-            Path(bed.cell_file).write_text(PAPER.read_text("utf-8"), "utf-8")
-        bed.attended = case.injection.attended
-        stack.callback(case.injection.prepare(bed))
-        stack.enter_context(_locks_in(folder / "locks"))
+    injection = case.injection
+    with _bed(case.procedure, (injection,)) as bed:
         script = _Script(bed, case)
         script.perform()
-        ended = len(bed.exits)
-        case.injection.heal(bed)
-        if bed.exits[-1] in TO_RESUME or bed.exits[-1] < 0:
-            bed.resume()
-        truth = cell.simulation.ask(do="truth")["T_W_B"]
-        return Ran(bed.events, bed.exits, bed.errors, bed.notes, script.struck, ended, truth)
+        return _resumed(bed, (injection,), struck=script.struck)
+
+
+def play_struck(
+    procedure: str,
+    injections: Sequence[Injection],
+    moments: Sequence[int],
+    values: Mapping[str, str],
+) -> Ran:
+    """Run a procedure that several injections strike, each after the record of its number."""
+    waiting = list(zip(moments, injections, strict=True))
+    with _bed(procedure, injections) as bed:
+        bed.values = values
+
+        def hear(event: Event) -> None:
+            while waiting and waiting[0][0] <= event["seq"]:
+                waiting.pop(0)[1].strike(bed)
+
+        bed.start(hear)
+        return _resumed(bed, injections, struck=not waiting)
+
+
+@contextmanager
+def _bed(procedure: str, injections: Sequence[Injection]) -> Iterator[Bed]:
+    """Prepare a run on a new cell."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torture-")))
+        proxied = any(each.proxied for each in injections)
+        cell = stack.enter_context(ThreadedCell(proxied=proxied))
+        bed = Bed(folder, cell, procedure, apart=any(each.apart for each in injections))
+        if any(each.cell_file for each in injections):
+            bed.cell_file = str(folder / "cell.toml")
+            Path(bed.cell_file).write_text(PAPER.read_text("utf-8"), "utf-8")
+        bed.attended = any(each.attended for each in injections)
+        stack.enter_context(_locks_in(folder / "locks"))
+        for each in injections:
+            stack.callback(each.prepare(bed))
+        yield bed
+
+
+def _resumed(bed: Bed, injections: Sequence[Injection], *, struck: bool) -> Ran:
+    """Put right what struck, resume where that is asked for, and return all that was seen."""
+    ended = len(bed.exits)
+    for each in injections:
+        each.heal(bed)
+    if bed.exits[-1] in TO_RESUME or bed.exits[-1] < 0:
+        bed.resume()
+    truth = bed.cell.simulation.ask(do="truth")["T_W_B"]
+    return Ran(_journalled(bed), bed.exits, bed.errors, bed.notes, struck, ended, truth)
+
+
+def _journalled(bed: Bed) -> list[Event]:
+    """Return the journal's events; where it cannot be read, those that were printed."""
+    try:
+        return [record.event(RUN) for record in read_journal(bed.journal)]
+    except StorageError:
+        return bed.events
 
 
 @contextmanager

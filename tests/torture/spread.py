@@ -12,9 +12,14 @@ Case = TypeVar("Case")
 Found = TypeVar("Found")
 
 
-def spread(work: Callable[[Case], Found], cases: Iterable[Case]) -> Iterator[Found]:
-    """Yield what ``work`` finds for each case, in the order of the cases."""
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+def spread(
+    work: Callable[[Case], Found], cases: Iterable[Case], *, at_once: int = 1
+) -> Iterator[Found]:
+    """Yield what ``work`` finds for each case, in the order of the cases.
+
+    ``at_once``: on each processor, where cases mostly wait.
+    """
+    with ProcessPoolExecutor(at_once * len(os.sched_getaffinity(0))) as pool:
         yield from pool.map(work, cases)
 
 

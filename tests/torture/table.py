@@ -181,6 +181,15 @@ FAULTS = (
         AT_START,
     ),
     Fault(
+        28,
+        "the room grows warmer",
+        "P, I",
+        "-INSP",
+        (*R, *T),
+        (Knob("tracker.warmer", 6.0, 1, lasts=True),),
+        procedure="calibrate",
+    ),
+    Fault(
         29,
         "beam break",
         "R, then P",
@@ -194,6 +203,15 @@ FAULTS = (
     ),
     Fault(
         30, "beam caught by another SMR", "P, I", "RPS", T, (Knob("tracker.wrong_target", 500.0),)
+    ),
+    Fault(
+        31,
+        "SMR of another size or offset",
+        "X",
+        "INSP",
+        (*R, *T),
+        (Knob("tracker.wrong_offset", 6.35, 1, lasts=True),),
+        procedure="calibrate",
     ),
     Fault(
         32,
@@ -340,6 +358,15 @@ FAULTS = (
     ),
     Fault(61, "endless line", "S", "S", ANY, _all_wires("flood")),
     Fault(
+        62,
+        "serial line unplugged, renumbered",
+        "R by its id, then P",
+        "S",
+        R,
+        (),
+        only([], "driver's test"),
+    ),
+    Fault(
         63,
         "slow replies",
         "R, then P",
@@ -353,7 +380,7 @@ FAULTS = (
     Fault(
         67, "power lost in mid-write", "resume, verified again", "K", (), (Kill(900), Kill(5000))
     ),
-    Fault(68, "journal corrupted", "X", "J", C, (Corrupted(),)),
+    Fault(68, "journal corrupted", "X", "-J", C, (Corrupted(),)),
     Fault(69, "two processes", "X, code 6", "-", (), (SecondEngine(),)),
     Fault(
         70,

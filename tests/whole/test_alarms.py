@@ -211,6 +211,7 @@ def test_no_fault_is_left_out() -> None:
     # No device sees these: `test_disturbances` does, and `test_known_length`.
     silent = {"robot.mount_slip", "rail.strip_jump", "tracker.scale_ppm", "robot.lost_motion"}
     # Their alarm depends on the moment: `tests.torture` strikes them in each phase.
-    timely = {"rail.pushed", "rail.reference_lost", "tracker.nest_lifted"}
+    timely = {"rail.pushed", "rail.reference_lost"}
+    timely |= {"tracker.nest_lifted", "tracker.warmer", "tracker.wrong_offset"}
     assert set(ENDS) | set(SURVIVED) | streamed | silent | wrists | timely == set(KNOWN)
     assert not set(ENDS) & set(SURVIVED)

@@ -1,0 +1,24 @@
+"""Pairs of faults that failed once, and a few others."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.torture.bed import hasten
+from tests.torture.injections import Knob
+from tests.torture.pairs import FAILED, judge_pair, pair_of
+from tests.whole.bench import sweep
+
+
+@pytest.mark.parametrize("seed", [*FAILED, 1, 2, 3, *sweep(*range(4, 60))])
+def test_a_pair_of_faults(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    hasten(monkeypatch.setattr)
+    assert judge_pair(seed).problems == ()
+
+
+def test_a_pair_is_its_seed() -> None:
+    pairs = [pair_of(seed) for seed in range(1, 200)]
+    assert pairs == [pair_of(seed) for seed in range(1, 200)]
+    assert all(pair.moments == tuple(sorted(pair.moments)) for pair in pairs)
+    drawn = {each.name for pair in pairs for each in pair.injections if isinstance(each, Knob)}
+    assert len(drawn) > 40
