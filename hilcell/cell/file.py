@@ -22,6 +22,7 @@ from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
 from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.plan import QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES, PlanTable
 from hilcell.cell.robot import Joint, RobotTable, arm_from_joints
+from hilcell.cell.room import RoomTable
 from hilcell.cell.settings import SettingsError, convert, override, read_text, refuse, unreadable
 from hilcell.cell.surroundings import (
     CapsuleTable,
@@ -240,6 +241,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     sweeps: SweepsTable = field(default_factory=SweepsTable)
     validation: ValidationTable = field(default_factory=ValidationTable)
     plan: PlanTable = field(default_factory=PlanTable)
+    room: RoomTable = field(default_factory=RoomTable)
     touch: TouchTable = field(default_factory=TouchTable)
     settle: SettleTable = field(default_factory=SettleTable)
     keep_out: list[KeepOut] = field(default_factory=list)

@@ -22,6 +22,7 @@ from hilcell.run.motion import Motion
 from hilcell.run.operator import Operator
 from hilcell.run.reflector_prompts import FLANGE
 from hilcell.run.retake import still_refused
+from hilcell.run.room_guard import RoomGuard
 from hilcell.run.run_context import RunContext
 from hilcell.run.station_guard import StationGuard
 from hilcell.run.tracker_guard import TrackerGuard
@@ -50,6 +51,7 @@ class CellSession(RunContext):
         self._measuring = Measuring(self, self._motion, ask)
         self._operator = Operator(self, self._motion, self._measuring, ask)
         self._guard = TrackerGuard(self, self.floor_point)
+        self._room = RoomGuard(self, ask)
         self._stations = StationGuard(self, self._motion, self._guard, self._held_point)
         self._arm = cell.robot.arm()
 
@@ -136,8 +138,9 @@ class CellSession(RunContext):
 
         Every axis comes from below, or from above where the point's ``side`` is +1.
         ``retake`` re-measures it; the later point supersedes, the earlier stays journalled.
-        Points that wait to be re-measured come first.
+        Points that wait to be re-measured come first, and a room that is as it was.
         """
+        self._room.check()
         self.retake_waiting()
         known = self.log.find(id)
         if known is not None and not retake:
@@ -226,6 +229,7 @@ class CellSession(RunContext):
         if known := self.log.find(id):
             return known
         self.checkpoint()
+        self._room.check()
         self._guard.prove_where_doubtful()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]

@@ -21,7 +21,10 @@ NOTHING_ASKED = "nothing is asked now"
 
 
 class Prompt(msgspec.Struct, frozen=True, kw_only=True):
-    """The question: ``expected_mm`` in the tracker's frame, seen within ``limit_mm`` of it."""
+    """The question: ``expected_mm`` in the tracker's frame, seen within ``limit_mm`` of it.
+
+    ``by_itself``: a good look alone is the answer.
+    """
 
     title: str
     text: str
@@ -29,6 +32,7 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
     expected_mm: tuple[float, float, float]
     limit_mm: float
     reason: str
+    by_itself: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +123,8 @@ def passes(prompt: Prompt, look: Look) -> bool:
 
 def refusal(prompt: Prompt, look: Look) -> str:
     """Return why an answer is refused."""
+    if prompt.by_itself:
+        return f"{prompt.place} is not as it was: {look.reason}"
     if look.seen_mm is None:
         return f"the tracker sees no reflector at {prompt.place}: {look.reason}"
     return (

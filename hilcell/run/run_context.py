@@ -21,7 +21,8 @@ from hilcell.run.states import CALIBRATION, StateMachine
 class RunContext:
     """Used by the worker thread alone.
 
-    ``checkpoint`` pauses the run where it was asked to, ``pause`` pauses an attended run.
+    ``last`` is this session's newest point. ``checkpoint`` pauses the run where it was asked to,
+    ``pause`` pauses an attended run.
     """
 
     def __init__(
@@ -37,6 +38,7 @@ class RunContext:
         self.log, self.frames = journal.log, Frames(cell, journal.log)
         self.checkpoint, self.pause = checkpoint, pause
         self._journal = journal
+        self.last: Point | None = None
         self._calibration = StateMachine(CALIBRATION, journal)
 
     def reached(self, state: str) -> bool:
@@ -89,4 +91,5 @@ class RunContext:
         if self.log.set_ups.number:
             head["set_up"] = self.log.set_ups.number
         self._journal.append("point", id.key, head | facts)
-        return self.log.point(id)
+        self.last = self.log.point(id)
+        return self.last

@@ -250,11 +250,11 @@ class Worker:
 
         An unattended run needs none.
         """
-        why = ENDED
+        why, alone = ENDED, self._unattended or prompt.by_itself
         try:
             seen = look()
             self.asking.saw(seen)
-            proven = bool(answers or self._unattended) and passes(prompt, seen)
+            proven = bool(answers or alone) and passes(prompt, seen)
             if proven:
                 self._send(Proven("answer" if answers else "look"))
                 while not self.leave.wait(REST_S):

@@ -209,7 +209,13 @@ def test_no_fault_is_left_out() -> None:
     streamed = {"tracker.stream_break"}  # no procedure streams; tests of the driver break one
     wrists = {f"robot.lost_zero_{axis}" for axis in (4, 5, 6)}
     # No device sees these: `test_disturbances` does, and `test_known_length`.
-    silent = {"robot.mount_slip", "rail.strip_jump", "tracker.scale_ppm", "robot.lost_motion"}
+    silent = {
+        "tracker.room_warmer",
+        "robot.mount_slip",
+        "rail.strip_jump",
+        "tracker.scale_ppm",
+        "robot.lost_motion",
+    }
     # Their alarm depends on the moment: `tests.torture` strikes them in each phase.
     timely = {"rail.pushed", "rail.reference_lost"}
     timely |= {"tracker.nest_lifted", "tracker.warmer", "tracker.wrong_offset"}

@@ -126,3 +126,25 @@ def test_a_strip_that_jumps_while_everything_is_dead_stops_the_resumed_run(tmp_p
     seen = {event["seq"] for event in before}
     points = [e for e in after if e["kind"] == "point" and e["seq"] not in seen]
     assert {point["group"] for point in points} == {"control"}
+
+
+def test_a_room_that_becomes_warmer_suspends_the_run_until_it_is_back(tmp_path: Path) -> None:
+    """Bounded where nobody attends; the point that was measured in the warm is measured again."""
+    with simulation() as cell:
+        short = {"plan.unattended_wait_s": "100.0", "room.steady_s": "20.0"}
+        words = sets(SMALL | short | {"simulation.address": cell.control})
+        engine = Engine("run", "--unattended", "--runs", tmp_path, *words)
+        engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/1-1-1")
+        assert cell.ask(do="fault", name="tracker.room_warmer", value=8.0, count=0)["ok"]
+        end = engine.rest()[-1]
+        assert (end["state"], end["exit"]) == ("faulted", 3), end
+        assert end["error"]["code"] == "HC-V14"
+        assert cell.ask(do="fault", name="tracker.room_warmer", value=8.0, count=4)["ok"]
+        printed = Engine("resume", engine.run, "--unattended", "--runs", tmp_path).rest()
+    end = printed[-1]
+    assert (end["state"], end["exit"]) == ("finished", 0), end
+    assert end["result"]["suspicions"] == []
+    assert judge(printed) == []
+    (again,) = [e["key"] for e in printed if e["kind"] == "point" and e.get("retaken")]
+    (asked,) = [e["key"] for e in printed if e.get("what") == "retake asked"]
+    assert asked == again

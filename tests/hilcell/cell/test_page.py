@@ -11,6 +11,7 @@ import pytest
 
 from hilcell.cell import file as cell
 from hilcell.cell import in_use, layout
+from hilcell.cell.room import RoomTable
 from hilcell.cell.settings import range_text
 
 PAGE = (Path(__file__).parents[3] / "docs" / "cell-file.md").read_text("utf-8")
@@ -33,6 +34,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[sweeps]": cell.SweepsTable,
     "[validation]": cell.ValidationTable,
     "[plan]": cell.PlanTable,
+    "[room]": RoomTable,
     "[touch]": cell.TouchTable,
     "[settle]": cell.SettleTable,
     "[[keep_out]]": cell.KeepOut,
