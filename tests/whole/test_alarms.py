@@ -210,7 +210,6 @@ def test_no_fault_is_left_out() -> None:
     wrists = {f"robot.lost_zero_{axis}" for axis in (4, 5, 6)}
     # No device sees these: `test_disturbances` does, and `test_known_length`.
     silent = {
-        "tracker.room_warmer",
         "robot.mount_slip",
         "rail.strip_jump",
         "tracker.scale_ppm",

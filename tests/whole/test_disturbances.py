@@ -135,12 +135,12 @@ def test_a_room_that_becomes_warmer_suspends_the_run_until_it_is_back(tmp_path: 
         words = sets(SMALL | short | {"simulation.address": cell.control})
         engine = Engine("run", "--unattended", "--runs", tmp_path, *words)
         engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/1-1-1")
-        assert cell.ask(do="fault", name="tracker.room_warmer", value=8.0, count=0)["ok"]
+        assert cell.ask(do="fault", name="tracker.warmer", value=8.0)["ok"]
         first = engine.rest()
         end = first[-1]
         assert (end["state"], end["exit"]) == ("faulted", 3), end
         assert end["error"]["code"] == "HC-V14"
-        assert cell.ask(do="fault", name="tracker.room_warmer", value=8.0, count=4)["ok"]
+        assert cell.ask(do="fault", name="tracker.warmer", value=-8.0, after=4)["ok"]
         printed = Engine("resume", engine.run, "--unattended", "--runs", tmp_path).rest()
     end = printed[-1]
     assert (end["state"], end["exit"]) == ("finished", 0), end
