@@ -2,12 +2,15 @@
 
 The tracker is proven by its own nests, so a pose that comes out elsewhere the second time is the
 robot's, its mount's or the slide's doing. Of N differences d with covariance C, ``d' C^-1 d`` is
-judged as 3N F(3N, nu), nu the degrees of freedom by which the repeatability is known. The cause is
+judged as 3N F(3N, nu), nu the degrees of freedom by which the repeatability is known, and what a
+cause of k parameters explains of it as k F(k, nu), the risk shared by all causes. The cause is
 named that leaves what chance explains, the one of fewest parameters first. One orientation of the
 tool cannot tell a reflector that slipped from a shift of the base.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -17,7 +20,7 @@ from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import f_quantile
 from hilcell.ports import Array
 
-RISK = 0.0005  # that poses which have not changed are found to
+RISK = 0.0005  # of each of two tests: that poses which have not changed are found to
 PENALTY = 4.0  # of chi^2, that a parameter more must gain
 
 
@@ -38,9 +41,9 @@ class Differences(msgspec.Struct, frozen=True):
 
 
 class Change(msgspec.Struct, frozen=True):
-    """The test, and the cause that explains best what it found."""
+    """The test that comes closest to its limit, and the cause that explains best what it found."""
 
-    ratio: float  # of chi^2 to its degrees of freedom
+    ratio: float  # of chi^2, or of what a cause explains of it, to its degrees of freedom
     limit: float
     suspicion: Suspicion | None
 
@@ -51,10 +54,24 @@ class Change(msgspec.Struct, frozen=True):
 
 
 def changed(found: Differences, arm: Arm, noticed_by: str) -> Change:
-    """Return what two visits of the same poses have shown."""
+    """Return what two visits of the same poses have shown.
+
+    Two tests: whether chance explains all differences together, and whether one cause explains
+    them better than chance would make it. The second finds a change that each pose hides.
+    """
     d = found.difference_mm.reshape(-1)
-    ratio = float(d @ np.linalg.solve(found.covariance_mm2, d)) / len(d)
-    limit = f_quantile(1.0 - RISK, len(d), found.freedom)
+    chi2 = float(d @ np.linalg.solve(found.covariance_mm2, d))
+    explained = _explained(found, arm, noticed_by)
+    risk = RISK / len(explained)
+    tests = [(chi2 / len(d), f_quantile(1.0 - RISK, len(d), found.freedom))]
+    tests += [
+        (
+            (chi2 - each.left) / each.parameters,
+            f_quantile(1.0 - risk, each.parameters, found.freedom),
+        )
+        for each in explained
+    ]
+    ratio, limit = max(tests, key=lambda test: test[0] / test[1])
     if ratio <= limit:
         return Change(ratio, limit, None)
     return Change(ratio, limit, likeliest(found, arm, noticed_by))
@@ -62,13 +79,27 @@ def changed(found: Differences, arm: Arm, noticed_by: str) -> Change:
 
 def likeliest(found: Differences, arm: Arm, noticed_by: str) -> Suspicion:
     """Return the cause that leaves least, each parameter having to gain its penalty."""
-    scored = []
+    explained = _explained(found, arm, noticed_by)
+    return min(explained, key=lambda each: each.left + PENALTY * each.parameters).suspicion
+
+
+class _Explained(NamedTuple):
+    """A cause, the chi^2 that it leaves, and its number of parameters."""
+
+    suspicion: Suspicion
+    left: float
+    parameters: int
+
+
+def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
+    """Return every cause at every moment at which it may have come."""
+    explained = []
     strip = strip_pattern(found.rail, len(found.joints_rad))
     for cause, all_columns, factor, unit in [*patterns(arm, found.joints_rad), strip]:
         for first in found.firsts:
             columns = all_columns.copy()
             columns[3 * first :] = 0.0
-            chi2, size = left_by(found.difference_mm, found.covariance_mm2, columns)
-            score = chi2 + PENALTY * columns.shape[1]
-            scored.append((score, Suspicion(cause, factor * size, unit, noticed_by)))
-    return min(scored, key=lambda pair: pair[0])[1]
+            left, size = left_by(found.difference_mm, found.covariance_mm2, columns)
+            suspicion = Suspicion(cause, factor * size, unit, noticed_by)
+            explained.append(_Explained(suspicion, left, columns.shape[1]))
+    return explained
