@@ -210,7 +210,10 @@ def _true_means_mm(
 def case(seed: int) -> Case:
     """Run one case."""
     disturbance, undisturbed = drawn(seed), calibrated(seed)
-    at = undisturbed.keys[int(disturbance.moment * len(undisturbed.keys))]
+    keys = undisturbed.keys
+    if not keys:  # the figures list it as a false alarm
+        return Case(seed, disturbance, undisturbed, undisturbed, "")
+    at = keys[int(disturbance.moment * len(keys))]
     return Case(seed, disturbance, undisturbed, calibrated(seed, disturbance, at), at)
 
 
@@ -234,7 +237,8 @@ def report(cases: Sequence[Case]) -> bool:
     false = [each for each in cases if each.undisturbed.alarmed or each.undisturbed.moved]
     for each in false:
         end = each.undisturbed.end
-        print(f"FALSE  seed {each.seed}: exit {end['exit']} {each.undisturbed.suspicions}")
+        said = f"{each.undisturbed.suspicions} {end.get('reason') or ''}"
+        print(f"FALSE  seed {each.seed}: exit {end['exit']} {said}".rstrip())
     broken = Counter(text for c in cases for text in c.undisturbed.broken + c.disturbed.broken)
     for text, count in broken.items():
         print(f"BROKEN {count} times: {text}")
