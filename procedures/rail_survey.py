@@ -18,6 +18,7 @@ from hilcell.run.procedure import Span, Step, Table
 from procedures.durations import closing, measure_s, rail_move_s, step
 
 FORTH, BACK = "forth", "back"
+COVERAGE = 2.0  # k
 
 
 class RailSurvey:
@@ -40,12 +41,19 @@ class RailSurvey:
         return step(self.name, points, [survey, *closing(cell, points=points)])
 
     def perform(self, session: CellSession) -> None:
-        """Go forth and back."""
+        """Go forth and back; judge the backlash."""
         steps = steps_mm(session.cell)
         for way, order in ((FORTH, steps), (BACK, steps[::-1])):
             for number, position_mm in enumerate(order):
                 self._stop(session, way, number, float(position_mm))
         session.close_step()
+        found, limit_mm = (
+            survey_figures(session.log)["backlash_mm"],
+            session.cell.rail.max_backlash_mm,
+        )
+        if "backlash" not in session.log.verdicts:
+            holds = found["value"] - COVERAGE * found["u"] <= limit_mm
+            session.verdict("backlash", holds=holds, found_mm=found["value"], limit_mm=limit_mm)
 
     def _stop(self, session: CellSession, way: str, number: int, position_mm: float) -> None:
         names = (FLANGE, *(nest.name for nest in session.cell.layout.slide))

@@ -94,6 +94,7 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     back_off_mm: Size = 1.0
     strip_tolerance_mm: Size = 0.01
     slip_limit_mm: Size = 2.0
+    max_backlash_mm: Size = 0.4
     max_approaches: Annotated[int, Meta(ge=1, le=20)] = 8
     homing_mm_s: Speed = 100.0
     standstill_dwell_s: Dwell = 0.4
