@@ -111,11 +111,9 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        found = f"{_name(path)}: cannot be written: {error.strerror or error}"
-        if error.errno in STORAGE:
-            act = "make room or mend the disk, then give the command again"
-            raise DiskFailed(f"{found}; {act}") from error
-        raise NotWritten(found) from error
+        failed = DiskFailed if error.errno in STORAGE else NotWritten
+        reason = error.strerror or str(error)
+        raise failed(f"{_name(path)}: cannot be written: {reason}") from error
 
 
 def _name(path: Path) -> str:
