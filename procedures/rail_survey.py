@@ -47,13 +47,12 @@ class RailSurvey:
             for number, position_mm in enumerate(order):
                 self._stop(session, way, number, float(position_mm))
         session.close_step()
-        found, limit_mm = (
-            survey_figures(session.log)["backlash_mm"],
-            session.cell.rail.max_backlash_mm,
-        )
-        if "backlash" not in session.log.verdicts:
-            holds = found["value"] - COVERAGE * found["u"] <= limit_mm
-            session.verdict("backlash", holds=holds, found_mm=found["value"], limit_mm=limit_mm)
+        if "backlash" in session.log.verdicts:
+            return
+        found = survey_figures(session.log)["backlash_mm"]
+        found_mm, limit_mm = abs(found["value"]), session.cell.rail.max_backlash_mm
+        holds = found_mm - COVERAGE * found["u"] <= limit_mm
+        session.verdict("backlash", holds=holds, found_mm=found_mm, limit_mm=limit_mm)
 
     def _stop(self, session: CellSession, way: str, number: int, position_mm: float) -> None:
         names = (FLANGE, *(nest.name for nest in session.cell.layout.slide))
