@@ -20,7 +20,7 @@ nightly: lint  ## every test and every long sweep, property tests with fresh see
 mutants: $(VENV)/ready  ## deliberate breaks, each of which a test must notice; ONLY=name for one
 	$(BIN)/python -m tests.mutants $(ONLY)
 
-torture: $(VENV)/ready  ## the long sweeps: every fault in every phase; ONLY=name for one
+torture: $(VENV)/ready  ## the long campaigns: faults, disturbances, kills, fuzz, days, ..; ONLY=name for one
 	$(BIN)/python -m tests.torture $(ONLY)
 
 lint: $(VENV)/ready  ## style, types and the import contract

@@ -47,6 +47,7 @@ class Kind:
     most: float
     unit: str
     machine: Callable[[Truth, float], None] | None = None
+    signed: bool = True
 
 
 def _zero(axis: int) -> Kind:
@@ -56,6 +57,10 @@ def _zero(axis: int) -> Kind:
 
 def _lose_zero(axis: int, truth: Truth, lost_deg: float) -> None:
     truth.plant.lose_zero(math.radians(lost_deg), axis)
+
+
+def _widen(truth: Truth, lost_urad: float) -> None:
+    truth.plant.lose_motion(1e-6 * lost_urad)
 
 
 def _jump(truth: Truth, jump_mm: float) -> None:
@@ -70,7 +75,9 @@ KINDS = (
     *(_zero(axis) for axis in range(1, 6)),
     Kind("slide slipped", "rail.slip", 0.05, 5.0, "mm"),
     Kind("strip jumped", "rail.strip_jump", 0.03, 5.0, "mm", _jump),
-    Kind("backlash grown", "rail.backlash", 0.05, 0.5, "mm"),
+    Kind("backlash grown", "rail.backlash", 0.05, 0.5, "mm", signed=False),
+    Kind("lost motion of axis 3", "robot.lost_motion", 15.0, 500.0, "urad", _widen, signed=False),
+    Kind("room warmer", "tracker.warmer", 1.0, 10.0, "K"),
 )
 
 
@@ -160,7 +167,8 @@ def drawn(seed: int, kinds: Sequence[Kind] = KINDS) -> Disturbance:
     rng = np.random.default_rng([seed, 2024])
     kind = kinds[seed % len(kinds)]
     size = math.exp(rng.uniform(math.log(kind.least), math.log(kind.most)))
-    return Disturbance(kind, size * rng.choice([-1.0, 1.0]), rng.uniform())
+    sign = rng.choice([-1.0, 1.0]) if kind.signed else 1.0
+    return Disturbance(kind, size * sign, rng.uniform())
 
 
 def calibrated(seed: int, disturbance: Disturbance | None = None, after: str = "") -> Calibrated:
