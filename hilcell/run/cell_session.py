@@ -48,7 +48,7 @@ class CellSession(RunContext):
     ) -> None:
         super().__init__(cell, devices, clock, journal, checkpoint, pause)
         self._motion = Motion(self)
-        self._measuring = Measuring(self, self._motion, ask)
+        self._measuring = Measuring(self, self._motion, ask, self.prove_where_doubtful)
         self._operator = Operator(self, self._motion, self._measuring, ask)
         self._guard = TrackerGuard(self, self.floor_point)
         self._room = RoomGuard(self, ask)
@@ -221,7 +221,9 @@ class CellSession(RunContext):
         self._operator.seat(nest.name, nest.xyz_mm)
         proves = id.kind == "control"
         samples = self.cell.proof_samples if proves else self.cell.nest_samples
-        reading = self._measuring.measure_in_world(id.key, nest.name, nest.xyz_mm, samples)
+        reading = self._measuring.measure_in_world(
+            id.key, nest.name, nest.xyz_mm, samples, on_floor=True
+        )
         return self._measuring.keep(id, "", reading)
 
     def slide_point(self, id: PointId, station: Station, nest: Nest, *, samples: int) -> Point:

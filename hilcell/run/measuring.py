@@ -31,10 +31,15 @@ Ask = Callable[[Prompt, Callable[[], Look], NoReading | None], Look]
 
 
 class Measuring:
-    """Measures where slide and robot stand; asks the operator where the beam finds nothing."""
+    """Measures where slide and robot stand; asks the operator where the beam finds nothing.
 
-    def __init__(self, run: RunContext, motion: Motion, ask: Ask) -> None:
-        self._run, self._motion, self._ask = run, motion, ask
+    ``prove`` proves the tracker where it is doubtful: while somebody was asked it may have moved.
+    """
+
+    def __init__(
+        self, run: RunContext, motion: Motion, ask: Ask, prove: Callable[[], None]
+    ) -> None:
+        self._run, self._motion, self._ask, self._prove = run, motion, ask, prove
 
     def measure_in_world(
         self,
@@ -43,21 +48,26 @@ class Measuring:
         expected_mm: Array,
         samples: int,
         limit_mm: float | None = None,
+        *,
+        on_floor: bool = False,
     ) -> TrackerReading:
-        """Measure the reflector at ``place``, expected at (3,) in {W}.
+        """Measure the reflector at ``place``, expected at (3,) in {W}; see `measure`.
 
         Raises `DeviceError` where it is further away than ``limit_mm``, once {B} was measured.
         """
         near_mm = self._run.frames.tracker_from_world(expected_mm)[0]
-        reading = self.measure(key, place, near_mm, samples)
+        reading = self.measure(key, place, near_mm, samples, on_floor=on_floor)
         if limit_mm is not None and self._run.frames.based():
             self._check_expected(key, reading, expected_mm, limit_mm)
         return reading
 
-    def measure(self, key: str, place: str, near_mm: Array, samples: int) -> TrackerReading:
+    def measure(
+        self, key: str, place: str, near_mm: Array, samples: int, *, on_floor: bool = False
+    ) -> TrackerReading:
         """Measure the reflector at ``place``, expected at (3,), tracker's frame.
 
-        Tries again, then asks the operator, until there is a good reading.
+        Tries again, then asks the operator, until there is a good reading. After a question the
+        tracker comes first, but for a nest ``on_floor``: those are what proves it.
         """
         while True:
             for tries in range(1, MEASURE_TRIES + 1):
@@ -70,6 +80,8 @@ class Measuring:
             limit_mm = self._run.cell.tracker.find_radius_mm
             prompt = beam_prompt(self._run.cell, key, place, near_mm, limit_mm, failed)
             self._ask(prompt, lambda: self.look(key, near_mm), cause)
+            if not on_floor:
+                self._prove()
 
     def _reading(self, key: str, near_mm: Array, samples: int) -> TrackerReading:
         """Return one measurement; raises `NoReading`."""

@@ -58,6 +58,7 @@ class Bed:
         self.folder, self.cell, self.procedure = folder, cell, procedure
         self.cell_file, self.apart = "paper", apart
         self.attended = False
+        self.T_W_B: list[list[float]] = []  # true base frame when its last point was measured
         self.values: Mapping[str, str] = {}  # of the cell, beside the usual ones
         self.events: list[Event] = []
         self.exits: list[int] = []
@@ -107,6 +108,8 @@ class Bed:
     def _perform(self, words: list[str], hear: Callable[[Event], None]) -> None:
         def take(event: Event) -> None:
             self.events.append(event)
+            if event["kind"] == "point" and event["id"]["kind"] == "base":
+                self.T_W_B = self.cell.simulation.ask(do="truth")["T_W_B"]
             hear(event)
 
         words += ["--json", "--runs", str(self.folder)]

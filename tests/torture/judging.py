@@ -101,17 +101,13 @@ def _code(ran: Ran) -> str:
 
 
 def unlike(ran: Ran, undisturbed: Ran) -> list[str]:
-    """Return where a run that ended with 0 has an error that one without a fault has not.
-
-    The slide stands elsewhere at the end of a calibration: there frames are compared.
-    """
+    """Return where a run that ended with 0 has an error that one without a fault has not."""
     if ran.exits[-1] != 0:
         return []
     wanted, found = _base(undisturbed), _base(ran)
     if wanted is None or found is None:
         return ["no base frame"]
-    if len(_stations(ran)) == 1:
-        wanted, found = wanted - _origin(undisturbed.T_W_B), found - _origin(ran.T_W_B)
+    wanted, found = wanted - _origin(undisturbed.T_W_B), found - _origin(ran.T_W_B)
     off_mm = float(np.linalg.norm(found - wanted))
     return [] if off_mm <= SAME_MM else [f"exit 0, and the base frame is {off_mm:.3f} mm off"]
 
@@ -120,10 +116,6 @@ def _base(ran: Ran) -> Array | None:
     """Return the origin (3,) of the base frame that a run has found."""
     found = [event["matrix"] for event in ran.events if event.get("key") == "base"]
     return _origin(found[-1]) if found else None
-
-
-def _stations(ran: Ran) -> set[str]:
-    return {event["station"] for event in ran.events if event.get("what") == "station held"}
 
 
 def _origin(matrix: list[list[float]]) -> Array:

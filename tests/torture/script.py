@@ -41,7 +41,7 @@ class Ran:
     notes: list[str]
     struck: bool
     session: int  # how many exits were there when the struck session had ended
-    T_W_B: list[list[float]]  # true base frame where the slide stood at the end
+    T_W_B: list[list[float]]  # true base frame when its last point was measured
 
 
 def play(case: Case) -> Ran:
@@ -97,8 +97,8 @@ def _resumed(bed: Bed, injections: Sequence[Injection], *, struck: bool) -> Ran:
         each.heal(bed)
     if bed.exits[-1] in TO_RESUME or bed.exits[-1] < 0:
         bed.resume()
-    truth = bed.cell.simulation.ask(do="truth")["T_W_B"]
-    return Ran(_journalled(bed), bed.exits, bed.errors, bed.notes, struck, ended, truth)
+    events = _journalled(bed)
+    return Ran(events, bed.exits, bed.errors, bed.notes, struck, ended, bed.T_W_B)
 
 
 def _journalled(bed: Bed) -> list[Event]:

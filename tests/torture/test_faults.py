@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from tests.torture.bed import hasten
 from tests.torture.faults import cases, judge_case
 from tests.torture.injections import Injection, Knob
+from tests.torture.page import PAGE
 from tests.torture.phases import Phase
 from tests.torture.script import Case
 from tests.torture.table import FAULTS
@@ -40,3 +43,12 @@ def test_the_table_is_in_order_and_its_cases_are_distinct() -> None:
     assert numbers == sorted(set(numbers))
     everything = list(cases())
     assert len(set(everything)) == len(everything)
+
+
+def test_the_page_is_of_this_table() -> None:
+    text = PAGE.read_text("utf-8")
+    rows = re.findall(r"^\| (\d+) \| ([^|]+) \| ([^|]+) \|", text, re.MULTILINE)
+    assert [(int(number), name, wanted) for number, name, wanted in rows] == [
+        (fault.number, fault.name, fault.reaction) for fault in FAULTS
+    ]
+    assert "BROKEN" not in text

@@ -162,7 +162,7 @@ def test_refresh_reads_what_grows_old_and_no_oftener(
 
     monkeypatch.setattr(board.rail, "read", read)
     until(refreshed)
-    assert min(np.diff(reads)) >= 0.5
+    assert min(np.diff(reads)) >= 0.49  # a read comes a little after the time that is compared
 
 
 def test_a_stop_reaches_the_device_itself(board: Board) -> None:
