@@ -20,6 +20,7 @@ from tests.whole.bench import hilcell
 
 FOR_EVER = 0
 PERSISTENT = FOR_EVER
+APART_S = 0.05  # two signals of one kind that are pending together are one
 
 
 class Injection:
@@ -207,7 +208,7 @@ class SecondEngine(Injection):
 
 @dataclass(frozen=True)
 class Signals(Injection):
-    """Signals to the engine, one immediately after the other."""
+    """Signals to the engine, one soon after the other."""
 
     numbers: tuple[signal.Signals, ...]
     apart = True
@@ -220,6 +221,7 @@ class Signals(Injection):
         assert bed.process is not None
         for number in self.numbers:
             bed.process.send_signal(number)
+            time.sleep(APART_S)
 
 
 @dataclass(frozen=True)

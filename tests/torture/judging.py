@@ -55,7 +55,7 @@ def judged(fault: Fault, case: Case, ran: Ran, undisturbed: Ran) -> Judged:
         problems.append("the phase was not reached")
     if letter not in fault.ends + ALSO.get(case.phase, ""):
         problems.append(f"{WORDS[letter]}, wanted one of {fault.ends}")
-    if (letter in "SJ" or code) and not code.startswith(fault.codes or ("HC-",)):
+    if (letter == "S" or code) and not code.startswith(fault.codes or ("HC-",)):
         problems.append(f"alarm {code}")
     problems += broken(ran)
     problems += unlike(ran, undisturbed)

@@ -93,7 +93,7 @@ FAULTS = (
         "must work",
         "-",
         R,
-        (Knob("rail.double_frame", count=3), Knob("rail.swapped_frames", count=3)),
+        (Knob("rail.double_frame", count=2), Knob("rail.swapped_frames", count=2)),
     ),
     Fault(
         9,

@@ -10,7 +10,7 @@ from tests.torture.pairs import FAILED, judge_pair, pair_of
 from tests.whole.bench import sweep
 
 
-@pytest.mark.parametrize("seed", [*FAILED, 1, 2, 3, *sweep(*range(4, 60))])
+@pytest.mark.parametrize("seed", [*FAILED[:2], 1, 2, *sweep(*FAILED[2:], *range(3, 45))])
 def test_a_pair_of_faults(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     hasten(monkeypatch.setattr)
     assert judge_pair(seed).problems == ()
