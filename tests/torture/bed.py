@@ -128,12 +128,16 @@ class Bed:
         assert out is not None
         assert err is not None
         said: list[str] = []
-        reader = threading.Thread(target=lambda: said.append(err.read()))
+        reader = threading.Thread(target=lambda: said.append(err.read()), daemon=True)
         reader.start()
-        with out:
-            for line in out:
-                if line.endswith("\n"):  # else torn by a kill
-                    take(json.loads(line))
+        try:
+            with out:
+                for line in out:
+                    if line.endswith("\n"):  # else torn by a kill
+                        take(json.loads(line))
+        except BaseException:  # of a case that hangs: nobody else ends its engine
+            self.process.kill()
+            raise
         reader.join()
         err.close()
         self.exits.append(self.process.wait())
