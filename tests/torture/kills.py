@@ -82,7 +82,8 @@ def problems(found: Killed, whole: Sequence[Event]) -> list[str]:
     if end["kind"] != "end" or end["state"] != "finished":
         return [f"the run did not finish: {end.get('state')} {end.get('reason')}"]
     said = [str(each) for each in judge(found.journal)]
-    said += [f"{key} stands {n} times" for key, n in Counter(kept).items() if n > 1]
+    counted = [e["key"] for e in found.journal if e["kind"] == "point" and not e.get("retaken")]
+    said += [f"{key} stands {n} times" for key, n in Counter(counted).items() if n > 1]
     said += [f"{key} was acknowledged, and is lost" for key in set(found.acknowledged) - set(kept)]
     differ = without_stops(found.journal) ^ without_stops(whole)
     said += [f"{key} is in one of both runs" for key in sorted(differ)]
