@@ -308,7 +308,7 @@ def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None
         words = sets(values | {"simulation.address": cell.control})
         with screen(tmp_path, *words) as terminal:
             start(terminal, "\x1b[F" + ENTER)  # the last procedure: world-frame
-            for nest in ("F1", "F2", "F3"):
+            for nest in ("F1", "F2", "F3", "B1", "B2"):
                 terminal.shows(f"Seat the reflector in {nest}", LIMIT_S)
                 terminal.shows(f">{nest}<")
                 terminal.shows("Enter waits")
