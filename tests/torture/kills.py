@@ -97,11 +97,14 @@ def problems(found: Killed, whole: Sequence[Event]) -> list[str]:
 def again_mm(found: Sequence[Event], whole: Sequence[Event]) -> list[float]:
     """How far each point that both runs measured in one place lies from itself, where it moved."""
     before = {event["key"]: event["xyz_mm"] for event in whole if event["kind"] == "point"}
+    # A resume proves the hold by this nest, so that its later readings draw other noise.
+    held = {e["id"]["nest"] for e in found if e["kind"] == "point" and e["id"]["kind"] == "held"}
     moved_mm = [
         math.dist(event["xyz_mm"], before[event["key"]])
         for event in found
         if event["kind"] == "point"
         and event["key"] in before
+        and event["id"].get("nest") not in held
         # Targets of the validation follow from the frames, and move with them.
         and not event["key"].startswith(("validate/", "control/", "touch/"))
     ]

@@ -118,7 +118,7 @@ def test_a_live_run(tmp_path: Path) -> None:
 async def a_live_run(tmp_path: Path) -> None:
     with engine(tmp_path, "--speed", "60", *WORDS):
         async with screen(tmp_path, "last", (80, 24)) as pilot:
-            await until(pilot, r"/13 robot-grid: ([5-9]|\d\d)/")
+            await until(pilot, r"/14 robot-grid: ([5-9]|\d\d)/")
             assert "■ RUNNING" in shown(app_of(pilot))
             keep(app_of(pilot), "screen-running")
 
@@ -130,7 +130,7 @@ def test_a_fault(tmp_path: Path) -> None:
 
 async def a_fault(tmp_path: Path) -> None:
     async with cell_and_screen(tmp_path, SIZE, WORDS) as (cell, pilot):
-        await until(pilot, r"/13 robot-grid: ([2-9]|\d\d)/")
+        await until(pilot, r"/14 robot-grid: ([2-9]|\d\d)/")
         assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
         await until(pilot, "space resume")
         await until(pilot, r"HC-B10(.*\n)*>")

@@ -208,7 +208,7 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
         with screen(tmp_path, *words) as second:
             with Terminal(["tui", "--runs", str(tmp_path), *sets(SMALL), *words]) as first:
                 start(first)
-                first.shows("/13 robot-grid: ", LIMIT_S)
+                first.shows("/14 robot-grid: ", LIMIT_S)
             folder = folder_of(tmp_path)
             wait_for(lambda: read_log(folder).states["run"] == "paused", "the run pauses")
             second.press("\x11")  # it looked before there was a run: leave it, look again
