@@ -75,7 +75,7 @@ TO_STATION = (Home(), WorldFrame(), HoldStation())
 TO_GRID = (*TO_STATION, BaseFrame(), RobotGrid())
 
 HOME = Procedure("home", "reference the drive", (Home(),), point_table)
-WORLD_FRAME = Procedure("world-frame", "frame {W}", (Home(), WorldFrame()), point_table)
+WORLD_FRAME = Procedure("world-frame", "frame {W}", (Home(), WorldFrame(proves=True)), point_table)
 STATION_REPEATABILITY = Procedure(
     "station-repeatability",
     "15 approaches of a station without and with the strip",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,19 @@ from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
-from procedures.durations import floor_points, step
+from procedures.durations import closing, floor_points, step
 from procedures.known_length import check_lengths, length_result, length_spans
 from procedures.plan import check_range
 
 
+@dataclass(frozen=True)
 class WorldFrame:
-    """Measures the floor nests; on resume it proves first that the tracker has not moved."""
+    """Measures the floor nests; on resume it proves first that the tracker has not moved.
 
+    ``proves``: it does so at its end as well, where no other step will.
+    """
+
+    proves: bool = False
     name = "world-frame"
     needs = "reflectors in the floor nests, and on bars of known length"
     moves = "nothing"
@@ -29,12 +35,15 @@ class WorldFrame:
         check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
         nests_mm = np.array([nest.xyz_mm for nest in cell.layout.bar]).reshape(-1, 3)
         check_range(cell, nests_mm, "bar's nests")
-        return step(self.name, len(cell.layout.floor), [floor_points(cell), *length_spans(cell)])
+        spans = [floor_points(cell), *length_spans(cell), *(closing(cell) if self.proves else [])]
+        return step(self.name, len(cell.layout.floor), spans)
 
     def perform(self, session: CellSession) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""
         session.frame_world()
         check_lengths(session)
+        if self.proves and not session.cell.layout.by_hand:
+            session.frame_world()
         session.reach("frame_world")
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import msgspec
 from hilcell.invariants.bodies import CellFacts, Inputs, Life, Measured, Motion, Station
 from hilcell.journal.journal import Record
 from hilcell.journal.point_id import CHECKS
-from hilcell.journal.set_ups import INTERRUPTED, PROOFS, PROVEN, TRACKER_MOVED
+from hilcell.journal.set_ups import FRAMED_AGAIN, INTERRUPTED, PROOFS, PROVEN, TRACKER_MOVED
 from hilcell.journal.states import OVER, WAITING
 
 STANDS = ("station held", "station found held")
@@ -111,10 +111,15 @@ class Scene:
             self._prove()
         elif what == TRACKER_MOVED:
             self.set_up = body["set_up"]
-            for key in body["invalid"]:
-                self.unproven.pop(key, None)
-                if key in self.points:
-                    self.dropped[key] = self.points.pop(key)
+            self._drop(body["invalid"])
+        elif what == FRAMED_AGAIN:
+            self._drop(body["invalid"])
+
+    def _drop(self, keys: list[str]) -> None:
+        for key in keys:
+            self.unproven.pop(key, None)
+            if key in self.points:
+                self.dropped[key] = self.points.pop(key)
 
     def _prove(self) -> None:
         self.unproven.clear()

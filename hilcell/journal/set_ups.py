@@ -6,6 +6,8 @@ A tracker that was moved is at a new set-up, with a {W} of its own: its frame is
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hilcell.geometry.frames import apply, inverse
@@ -15,6 +17,7 @@ from hilcell.ports import Array
 
 Three = tuple[float, float, float]
 PROVEN, TRACKER_MOVED = "tracker proven", "tracker moved"  # events
+FRAMED_AGAIN = "world frame begun again"  # by an engine after the one that measured some nests
 PROOFS = ("world", "control")  # kinds of points
 INTERRUPTED = ("paused", "suspended", "checking")  # states in which nobody sees a bump
 
@@ -66,16 +69,22 @@ class SetUps:
         elif record.kind == "frame" and record.key == world_key(self.number):
             self._prove()
         elif record.kind == "event":
-            match body.get("what"):
-                case "stream":
-                    self.unproven[body["key"]] = None
-                case moved if moved == TRACKER_MOVED:
-                    self.number = body["set_up"]
-                    self.refuted.update(self._proofs)
-                    self._proofs.clear()
-                    return list(body["invalid"])
-                case proven if proven == PROVEN:
-                    self._prove()
+            return self._take_event(body)
+        return []
+
+    def _take_event(self, body: dict[str, Any]) -> list[str]:
+        match body.get("what"):
+            case "stream":
+                self.unproven[body["key"]] = None
+            case moved if moved == TRACKER_MOVED:
+                self.number = body["set_up"]
+                self.refuted.update(self._proofs)
+                self._proofs.clear()
+                return list(body["invalid"])
+            case again if again == FRAMED_AGAIN:
+                return list(body["invalid"])
+            case proven if proven == PROVEN:
+                self._prove()
         return []
 
     def _prove(self) -> None:

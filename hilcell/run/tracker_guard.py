@@ -23,7 +23,7 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
 from hilcell.journal.point_id import PointId
-from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED, world_key
+from hilcell.journal.set_ups import FRAMED_AGAIN, PROVEN, TRACKER_MOVED, world_key
 from hilcell.ports import Array, DeviceError
 from hilcell.run.run_context import RunContext
 
@@ -49,6 +49,7 @@ class TrackerGuard:
         if world_key(number) in log.frames:
             self.prove()
             return
+        self._discard_begun(number)
         nests = self._measured(_nest_ids(cell, number))
         measured_mm = positions_mm(nests)
         if not number:
@@ -57,6 +58,12 @@ class TrackerGuard:
         elif any(self._changes(nests)):
             self._renew(nests, self._controls())
         self._run.frame(world_key(number), world_from_tracker(cell, measured_mm), points=nests)
+
+    def _discard_begun(self, number: int) -> None:
+        """Discard nests that an engine before this one measured: the tracker may have moved."""
+        ids = _nest_ids(self._run.cell, number)
+        if begun := [id.key for id in ids if self._run.log.find(id)]:
+            self._run.event(FRAMED_AGAIN, invalid=begun)
 
     def prove(self) -> None:
         """Prove that the tracker stands where {W} was framed.

@@ -106,7 +106,8 @@ def again_mm(found: Sequence[Event], whole: Sequence[Event]) -> list[float]:
         and event["key"] in before
         and event["id"].get("nest") not in held
         # Targets of the validation follow from the frames, and move with them.
-        and not event["key"].startswith(("validate/", "control/", "touch/"))
+        # All nests of a frame are measured by one engine.
+        and not event["key"].startswith(("validate/", "control/", "touch/", "world/"))
     ]
     return [each for each in moved_mm if not each <= SAME_MM]
 

@@ -155,3 +155,21 @@ def test_a_room_that_becomes_warmer_suspends_the_run_until_it_is_back(tmp_path: 
     (again,) = [e["key"] for e in printed if e["kind"] == "point" and e.get("retaken")]
     (asked,) = [e["key"] for e in first if e.get("what") == "retake asked"]
     assert asked == again
+
+
+@pytest.mark.parametrize("nest", ["F1", "F2", "F3"])
+def test_a_frame_is_built_of_nests_that_one_engine_has_measured(tmp_path: Path, nest: str) -> None:
+    """The tracker is moved while nobody measures: between two nests, or after the last one."""
+    with simulation() as cell:
+        words = sets(SMALL | {"simulation.address": cell.control})
+        begun = Engine("run", "world-frame", "--unattended", "--runs", tmp_path, *words)
+        begun.until(lambda event: event["kind"] == "point" and event["key"] == f"world/{nest}")
+        begun.kill()
+        assert cell.ask(do="fault", name="tracker.drift_step", value=5.0)["ok"]
+        printed = Engine("resume", begun.run, "--unattended", "--runs", tmp_path).rest()
+    assert printed[-1]["exit"] == 0, printed[-1]
+    journal = events(command("watch", begun.run, "--runs", tmp_path, "--json").stdout)
+    assert judge(journal) == []
+    first = [e["key"] for e in printed if e["kind"] == "point"][:3]
+    (kind,) = {key.partition("/")[0] for key in first}
+    assert kind == "world" or (nest == "F3" and kind == "control")
