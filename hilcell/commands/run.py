@@ -45,6 +45,7 @@ from hilcell.commands.run_output import (
     print_unclosed,
 )
 from hilcell.journal.engine_file import live_engine
+from hilcell.journal.floor_before import floor_before
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Log
@@ -112,7 +113,13 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_dry_run(cell, procedure, plan, as_json=args.json)
         return 0
-    earlier = {"driven_by": _finished_runs(args.runs, cell), "accepted": accepted}
+    earlier = {
+        "driven_by": _finished_runs(args.runs, cell),
+        "accepted": accepted,
+        "floor_before": msgspec.to_builtins(
+            floor_before(args.runs, cell, _machine_seed(cell, args))
+        ),
+    }
     name = args.name or new_run(procedure.name)
     folder: Path = args.runs / name
     with locked(lock_of_name(args.runs, cell.name), f"cell {cell.name}", name):
@@ -205,6 +212,14 @@ def _check_of_simulator(cell: Cell, option: str, value: float | None) -> None:
             f"give {option} to its `hilcell sim`",
             code="HC-C17",
         )
+
+
+def _machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
+    """Return the seed of the simulated machine that this run starts; None where it starts none."""
+    if cell.simulation is None or cell.simulation.address:
+        return None
+    seed: int = args.seed if args.machine_seed is None else args.machine_seed
+    return seed
 
 
 def _finished_runs(runs: Path, cell: Cell) -> list[str]:

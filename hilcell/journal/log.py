@@ -110,6 +110,14 @@ class Seated(msgspec.Struct, frozen=True, kw_only=True):
     strip_mm: float
 
 
+class FloorBefore(msgspec.Struct, frozen=True):
+    """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm."""
+
+    run: str
+    nests_mm: dict[str, tuple[float, float, float]]
+    temperature_c: float | None
+
+
 class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The frozen inputs of a run."""
 
@@ -133,6 +141,7 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
         str
     ] = []  # runs finished before, newest first: the poses that they drove are known
     accepted: list[str] = []  # why the calibration that it uses should not be used
+    floor_before: FloorBefore | None = None  # of the run that made the cell's current calibration
 
     @property
     def truth_seed(self) -> int | None:

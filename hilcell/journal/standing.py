@@ -64,6 +64,24 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     return found
 
 
+def current_of(
+    rows: Iterable[RunRow], cell: str, serial: str, simulated: bool, machine_seed: int | None
+) -> str:
+    """Return the run of a cell's current calibration, for a simulated one of a machine; else ""."""
+    rows = list(rows)
+    known = {row.name: row for row in rows if row.readable}
+    wanted = (cell, serial, str(simulated), _simulated(machine_seed) if simulated else "")
+    return next(
+        (
+            name
+            for name, standing in standings(rows).items()
+            if standing.current == name
+            and (*_cell(known[name]), _machine(known[name], known)) == wanted
+        ),
+        "",
+    )
+
+
 def _cell(row: RunRow) -> tuple[str, ...]:
     """Return what tells cells apart."""
     return row.cell, row.serial, str(row.simulated)
@@ -80,7 +98,10 @@ def _machine(row: RunRow, known: Mapping[str, RunRow]) -> str:
         row = known[row.facts.used]
     if not row.simulated:
         return ""
-    seed = row.machine_seed
+    return _simulated(row.machine_seed)
+
+
+def _simulated(seed: int | None) -> str:
     return "a simulator that ran before" if seed is None else f"simulated machine {seed}"
 
 

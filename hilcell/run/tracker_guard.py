@@ -29,6 +29,7 @@ from hilcell.run.run_context import RunContext
 
 SIGMAS = 4.0  # of the readings' noise, beyond the stated drift
 ALIKE = 0.5  # of the farthest motion: less moves no nest of a tracker that was bumped
+FLOOR_UM_M_K, UNKNOWN_K = 12.0, 10.0  # concrete's and steel's growth; air that nobody measured
 MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
 
 
@@ -55,6 +56,7 @@ class TrackerGuard:
         if not number:
             check_places(cell, measured_mm)
             check_distances(cell, measured_mm)
+            self._check_before(nests)
         elif any(self._changes(nests)):
             self._renew(nests, self._controls())
         self._run.frame(world_key(number), world_from_tracker(cell, measured_mm), points=nests)
@@ -139,6 +141,28 @@ class TrackerGuard:
         limit_mm = float(limits_of(cell, first, first).max())
         return wrong_distances(cell, positions_mm(first), positions_mm(now), limit_mm)
 
+    def _check_before(self, nests: list[Point]) -> None:
+        """Refuse nests that have moved since the cell's current calibration was measured.
+
+        The cell file knows their distances to millimetres, the tracker to hundredths.
+        """
+        cell, before = self._run.cell, self._run.log.inputs.floor_before
+        if before is None:
+            return
+        then_mm = np.array([before.nests_mm[nest.name] for nest in cell.layout.floor])
+        limit_mm = limit_since(cell, nests, before.temperature_c)
+        for fields in wrong_distances(cell, then_mm, positions_mm(nests), limit_mm):
+            raise DeviceError(
+                "HC-T32",
+                "Tracker",
+                "world frame",
+                f"{' to '.join(fields['nests'])} is {fields['distance_mm']:.3f} mm",
+                wanted=f"{fields['wanted_mm']:.3f} +-{limit_mm:.3f} mm, as in run {before.run}",
+                act="a floor nest has moved since that run, or a reflector is not seated; put it "
+                "right and resume, or revoke that run's calibration and start a new run",
+                fields=fields | {"run": before.run},
+            )
+
     def _blame(self, off_mm: Array) -> NoReturn:
         """Refuse nests of which some stand: one that is lifted out of the plane of three changes
         no distance by as much as would show.
@@ -178,6 +202,23 @@ def limits_of(cell: Cell, before: Sequence[Point], now: Sequence[Point]) -> Arra
     noise_mm2 = (variances_mm2(before) + variances_mm2(now)).sum(axis=1)
     limits: Array = np.sqrt(3.0) * cell.uncertainty.drift_limit_mm + SIGMAS * np.sqrt(noise_mm2)
     return limits
+
+
+def limit_since(cell: Cell, nests: Sequence[Point], then_c: float | None) -> float:
+    """Return by how much distances of the floor nests may differ from those of an earlier run.
+
+    Besides noise and stated drift both runs have the tracker's limits, and the floor has grown.
+    """
+    now_c = [point.temperature_c for point in nests if point.temperature_c is not None]
+    known = bool(now_c) and then_c is not None
+    warmer_k = abs(float(np.mean(now_c)) - (then_c or 0.0)) if known else UNKNOWN_K
+    at_mm = positions_mm(nests)
+    longest_mm = float(np.linalg.norm(at_mm[:, None] - at_mm[None], axis=-1).max())
+    far_mm = float(np.linalg.norm(at_mm, axis=1).max())
+    stated = cell.uncertainty
+    tracker_mm = 2.0 * (stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * far_mm)
+    grown_mm = 1e-6 * FLOOR_UM_M_K * warmer_k * longest_mm
+    return float(limits_of(cell, nests, nests).max()) + tracker_mm + grown_mm
 
 
 def _off_mm(before: Sequence[Point], now: Sequence[Point]) -> Array:

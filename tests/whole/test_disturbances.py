@@ -173,3 +173,19 @@ def test_a_frame_is_built_of_nests_that_one_engine_has_measured(tmp_path: Path, 
     first = [e["key"] for e in printed if e["kind"] == "point"][:3]
     (kind,) = {key.partition("/")[0] for key in first}
     assert kind == "world" or (nest == "F3" and kind == "control")
+
+
+def test_a_run_knows_the_floor_nests_of_the_current_calibration(
+    tmp_path: Path, golden: GoldenRuns
+) -> None:
+    name = golden["small"].copied_to(tmp_path).name
+    words = ("world-frame", "--unattended", *sets(SMALL), "--runs", str(tmp_path), "--json")
+    before = [
+        event["floor_before"]
+        for seed in ("1", "7")
+        for event in events(command("run", *words, "--seed", seed).stdout)
+        if event["kind"] == "plan"
+    ]
+    assert before[0]["run"] == name
+    assert list(before[0]["nests_mm"]) == ["F1", "F2", "F3"]
+    assert before[1] is None  # another machine

@@ -7,7 +7,7 @@ import pytest
 
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
-from hilcell.journal.standing import Standing, standings
+from hilcell.journal.standing import Standing, current_of, standings
 
 
 def row(name: str, *, code: int = 0, state: str = "finished", **facts: Any) -> RunRow:
@@ -135,3 +135,14 @@ def test_a_run_is_of_the_machine_whose_calibration_it_uses() -> None:
 
 def test_one_that_is_undecided_is_not_called_unvalidated() -> None:
     assert states(made("01", validated=False, undecided=True, code=1)) == {"01": "undecided"}
+
+
+def test_the_run_whose_calibration_is_current() -> None:
+    rows = [made("01"), made("02"), made("03", code=1)]
+    assert current_of(rows, "paper", "P-1", False, None) == "02"
+    assert current_of(rows, "paper", "P-2", False, None) == ""
+    revoked = [made("01"), made("02", revoked="a nest was moved")]
+    assert current_of(revoked, "paper", "P-1", False, None) == standings(revoked)["01"].current
+    machines = [simulated(made(f"0{seed}"), seed) for seed in (1, 2)]
+    assert current_of(machines, "paper", "P-1", True, 1) == "01"
+    assert current_of(machines, "paper", "P-1", True, 3) == ""

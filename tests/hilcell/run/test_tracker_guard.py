@@ -17,7 +17,7 @@ from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED
 from hilcell.ports import Array, DeviceError, TrackerReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.tracker_guard import MOST_SET_UPS, check_distances, check_places
-from tests.hilcell.run.bed import CELL, Bed
+from tests.hilcell.run.bed import CELL, PLAN, Bed
 from tests.hilcell.run.rig import Points, procedure
 
 NESTS_MM = np.array([nest.xyz_mm for nest in CELL.layout.floor])
@@ -280,3 +280,22 @@ def test_the_tracker_is_proven_after_a_pause_and_after_many_points(
         assert len(bed.events(PROVEN)) == proofs + 3
 
     assert performed(bed, act)["exit"] == 0, bed.log().fault
+
+
+@pytest.mark.parametrize(("lifted_mm", "code"), [(0.0, 0), (0.05, 0), (1.0, 3), (4.0, 3)])
+def test_a_nest_that_moved_since_the_current_calibration_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lifted_mm: float, code: int
+) -> None:
+    """The reproduction: 4 mm, within the cell file's tolerance, moved every point by 2 to 4 mm."""
+    nests = {nest.name: xyz.tolist() for nest, xyz in zip(CELL.layout.floor, SEEN_MM, strict=True)}
+    before = {"run": "c1", "nests_mm": nests, "temperature_c": 20.0}
+    monkeypatch.setitem(PLAN, "floor_before", before)
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+    floor.lifted_mm[0] = lifted_mm / np.sqrt(3.0)
+    end = performed(bed, lambda session, number: None)
+    assert end["exit"] == code, bed.log().fault
+    if code:
+        assert end["error"]["code"] == "HC-T32"
+        assert "as in run c1" in bed.log().fault
+        assert not bed.log().frames
