@@ -74,12 +74,15 @@ def changed(found: Differences, arm: Arm, noticed_by: str) -> Change:
     ratio, limit = max(tests, key=lambda test: test[0] / test[1])
     if ratio <= limit:
         return Change(ratio, limit, None)
-    return Change(ratio, limit, likeliest(found, arm, noticed_by))
+    return Change(ratio, limit, _least(explained))
 
 
 def likeliest(found: Differences, arm: Arm, noticed_by: str) -> Suspicion:
     """Return the cause that leaves least, each parameter having to gain its penalty."""
-    explained = _explained(found, arm, noticed_by)
+    return _least(_explained(found, arm, noticed_by))
+
+
+def _least(explained: list[_Explained]) -> Suspicion:
     return min(explained, key=lambda each: each.left + PENALTY * each.parameters).suspicion
 
 

@@ -43,7 +43,7 @@ class Reversal(msgspec.Struct, frozen=True):
     @property
     def holds(self) -> bool:
         """Whether every axis may lose no more than the limit."""
-        return max(self.excess_urad) <= 0.0
+        return all(excess <= 0.0 for excess in self.excess_urad)
 
     @property
     def suspicion(self) -> Suspicion | None:

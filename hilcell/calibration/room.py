@@ -28,7 +28,7 @@ def warm(log: Log) -> Suspicion | None:
         return None
     counted = (p for p in log.points.values() if p.id.group != CONTROL)
     off_k = [p.temperature_c - then_c for p in counted if p.temperature_c is not None]
-    worst_k = max(off_k, key=abs)
+    worst_k = max(off_k, key=abs, default=0.0)
     if abs(worst_k) <= log.cell.room.range_k:
         return None
     return Suspicion("temperature", worst_k, "K", NOTICED_BY)

@@ -84,3 +84,10 @@ def test_without_such_points_nothing_is_said(log: Log) -> None:
     assert reversal(log) is None
     (line,) = (each for each in uncertainty_of(log).lines if each.name == "Approach direction")
     assert line.how == "programs approach from below on every axis, as the run did"
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_figure_that_is_no_number_does_not_hold(axis: int) -> None:
+    lost_urad = [30.0, 30.0, 30.0]
+    lost_urad[axis] = float("nan")
+    assert not Reversal([0.1], lost_urad, [10.0] * 3, 100.0).holds
