@@ -15,7 +15,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 import numpy as np
 
 from hilcell.geometry.frames import cross_matrix
-from hilcell.geometry.jacobian import KINDS, parameter_jacobian
+from hilcell.geometry.jacobian import KINDS, tool_jacobian
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.identification import gravity
@@ -175,24 +175,21 @@ class Kinematics:
         arm = self.arm_of(state)
         joints, basis, axes = self._bent(state, joints_rad)
         flange = forward(arm, joints)
-        R = state.T[:3, :3]
-        levers_mm = np.einsum("mij,kj->mki", flange[:, :3, :3], state.smr_mm)
-        J = parameter_jacobian(arm, joints)[..., :LINKS]
-        links = J[:, None, :3] - cross_matrix(levers_mm) @ J[:, None, 3:]
-        links = R @ links
+        turned = state.T[:3, :3] @ flange[:, :3, :3]
+        levers = turned[:, None] @ _levers(state.smr_mm)
+        J = tool_jacobian(arm, joints)[..., :LINKS]
+        links = (levers.reshape(len(joints), -1, 6) @ J).reshape(*levers.shape[:3], LINKS)
         by_joint = arm.sign * links[..., 3 * 6 : 4 * 6]  # a joint turns as its offset does
         positions = _carried(state.T @ flange, state.smr_mm)
         count, placed = len(joints), self.placed
         derivatives = np.zeros((count, self.reflectors, 3, placed + LINKS + len(axes)))
         derivatives[..., :3] = np.eye(3)
         derivatives[..., 3:BASE] = -cross_matrix(positions - state.T[:3, 3])
-        turned = R @ flange[:, :3, :3]
         for k in range(self.reflectors):
             derivatives[:, k, :, BASE + 3 * k : BASE + 3 * k + 3] = turned
         derivatives[..., placed : placed + LINKS] = links
-        derivatives[..., placed + LINKS :] = (
-            by_joint[..., np.array(axes, dtype=int)] * basis[:, None, None, :]
-        )
+        turns = by_joint[..., np.array(axes, dtype=int)]
+        np.multiply(turns, basis[:, None, None], out=derivatives[..., placed + LINKS :])
         return Linearised(positions, derivatives, by_joint)
 
     def _bent(self, state: State, joints_rad: Array) -> tuple[Array, Array, list[int]]:
@@ -243,6 +240,13 @@ def _waves(joints: Array) -> Array:
     """Return cos q, sin q, cos 2q, sin 2q of each joint in turn (M, 24)."""
     angles = joints[..., None] * np.array(ORDERS)
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(len(joints), -1)
+
+
+def _levers(smr_mm: Array) -> Array:
+    """Return d(reflector) / d(shift, rotation vector) of the flange (K, 3, 6), in its axes."""
+    shifts = np.broadcast_to(np.eye(3), (len(smr_mm), 3, 3))
+    levers: Array = np.concatenate([shifts, -cross_matrix(smr_mm)], axis=-1)
+    return levers
 
 
 def _carried(flange: Array, smr_mm: Array) -> Array:

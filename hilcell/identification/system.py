@@ -57,9 +57,9 @@ class System:
         """Return the system of a linearisation that is known."""
         known = readings.known
         count = len(readings)
-        mask = known[..., None]
-        residual = np.where(mask, readings.xyz_mm - found.positions_mm, 0.0)
-        design = np.where(mask[..., None], found.by_parameter, 0.0)
+        residual = np.where(known[..., None], readings.xyz_mm - found.positions_mm, 0.0)
+        design = found.by_parameter.copy()
+        design[~known] = 0.0
         mean, covariance = kinematics.prior()
         root = _root(covariance)
         pull = root @ (mean - kinematics.flat(state))
@@ -85,9 +85,8 @@ class System:
         size = self.design.shape[2]
         rows = (self._whitener @ self.design).reshape(-1, size)
         missed = (self._whitener @ self.residual_mm[..., None]).ravel()
-        both = np.concatenate([rows, self.prior_root])
-        R = triangle(both)
-        pull = both.T @ np.concatenate([missed, self.pull])
+        R = triangle(rows, self.prior_root)
+        pull = rows.T @ missed + self.prior_root.T @ self.pull
         return R, np.asarray(np.linalg.solve(R, np.linalg.solve(R.T, pull)))
 
     @property
@@ -202,20 +201,20 @@ class System:
         return readings, poses
 
 
-def triangle(rows: Array) -> Array:
-    """Return R (P, P), upper triangular, with R'R = A'A of rows A (N, P).
+def triangle(*blocks: Array) -> Array:
+    """Return R (P, P), upper triangular, with R'R = A'A of rows A (N, P), given in blocks.
 
     By A'A, which has half of A's digits, where its columns differ enough to leave the others; else
     by an orthogonal factorisation, which takes three times as long.
     """
-    squares = rows.T @ rows
+    squares = np.sum([rows.T @ rows for rows in blocks], axis=0)
     scale = np.sqrt(np.diag(squares))
     try:
         R: Array = np.linalg.cholesky(squares / np.outer(scale, scale)).T
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.qr(rows, mode="r"))
+        return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
     if not np.diag(R).min() >= LEAST_PIVOT:
-        return np.asarray(np.linalg.qr(rows, mode="r"))
+        return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
     return R * scale
 
 
