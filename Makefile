@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
+# The tests start hundreds of short processes: each module is compiled once, not once for each.
+export PYTHONDONTWRITEBYTECODE =
+
 .PHONY: run test suite nightly mutants torture lint bench lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
@@ -30,7 +33,7 @@ lint: $(VENV)/ready  ## style, types and the import contract
 	$(BIN)/lint-imports
 
 bench: $(VENV)/ready  ## timings, as ratios within one run
-	$(BIN)/python -m benchmarks
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks
 
 $(VENV)/ready: requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
