@@ -1,13 +1,14 @@
-"""Vertices are visited again: a robot, a mount or a slide that has changed shows there.
+"""Poses are visited again: a robot, a mount or a slide that has changed shows there.
 
-After the grid, so that nothing rests on a robot that changed meanwhile, and at the end of the run,
-so that the robot is still the one that was calibrated. After the grid a few are approached from
-above as well, which shows the joints' lost motion.
+After the grid, so that nothing rests on a robot that changed meanwhile: vertices, and the base
+frame's first poses, since which the mount must not have slipped. At the end of the run, so that the
+robot is still the one that was calibrated. After the grid a few vertices are approached from above
+as well, which shows the joints' lost motion.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -20,20 +21,31 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
+from procedures.base_frame import sweep
 from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import joints_for, other_stations
 
 COUNT, QUICK_COUNT = 6, 3
 REVERSED = 4
+CIRCLES, QUICK_CIRCLES = (1, 6), (1,)  # axes whose sweep's first pose is visited again
+
+
+class Visit(NamedTuple):
+    """A pose that is visited again, by joints (6,) in rad: a vertex (3,) in {B}, or of a circle."""
+
+    id: PointId
+    joints_rad: Array
+    vertex_mm: Array | None = None
 
 
 class Revisits:
-    """Takes vertices that are spread over the time in which the grid was measured."""
+    """Takes poses that are spread over the time since the robot's first point."""
 
     needs = "the grid, the robot's repeatability"
-    moves = "the robot to a few vertices of the grid"
+    moves = "the robot to a few poses of base frame and grid"
     measures = "the flange reflector there, once more; at a few from above as well"
     yields = "whether zero, mount and slide are as they were, which cause fits if not, lost motion"
 
@@ -44,8 +56,7 @@ class Revisits:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step: the grid's own has refused vertices out of reach."""
-        numbers = [*visits(cell, self._kind).values()]
-        joints_rad = joints_for(cell, grid_of(cell).serpentine_mm()[numbers])
+        joints_rad = np.array([visit.joints_rad for visit in visits(cell, self._kind)])
         spans = [flange_points(cell, joints_rad), *closing(cell)]
         if self._kind == CLOSING:
             station = cell.station_named(cell.grid.station)
@@ -54,15 +65,14 @@ class Revisits:
 
     def perform(self, session: CellSession) -> None:
         """Visit, judge, and pause an attended run where something has changed."""
-        cell, there = session.cell, visits(session.cell, self._kind)
-        station, grid = cell.station_named(cell.grid.station), grid_of(cell)
-        vertices_mm = grid.serpentine_mm()[[*there.values()]]
-        world_mm = apply(session.frames.base_in_world(station), vertices_mm)
-        joints_rad = joints_for(cell, vertices_mm)
-        for id, joints, nominal_mm in zip(there, joints_rad, world_mm, strict=True):
+        cell = session.cell
+        station = cell.station_named(cell.grid.station)
+        T_W_B = session.frames.base_in_world(station)
+        for id, joints_rad, vertex_mm in visits(cell, self._kind):
             if not session.log.find(id):
                 session.hold_station(station)
-            session.flange_point(id, station, joints, nominal_mm=nominal_mm)
+            nominal_mm = None if vertex_mm is None else apply(T_W_B, vertex_mm)
+            session.flange_point(id, station, joints_rad, nominal_mm=nominal_mm)
         session.close_step()
         turned = reversal(session.log)
         if turned is not None and "reversal" not in session.log.verdicts:
@@ -81,7 +91,7 @@ class Revisits:
             return
         session.verdict("revisits", holds=found.holds, **facts)
         if found.suspicion is not None:
-            session.pause(f"re-visited vertices have moved: {found.suspicion.text}")
+            session.pause(f"re-visited poses have moved: {found.suspicion.text}")
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return what is suspected in the whole run; nothing where all is well."""
@@ -97,22 +107,30 @@ def chosen(cell: Cell) -> list[int]:
     return [n * count // wanted for n in range(wanted)]
 
 
-def visits(cell: Cell, kind: str) -> dict[PointId, int]:
-    """Return the points in their order, each with the number of its vertex.
+def visits(cell: Cell, kind: str) -> list[Visit]:
+    """Return the poses in their order.
 
-    After the grid, the first few are approached from above next, where the joints' limits let them.
+    After the grid, the base frame's come first, and the first few vertices are approached from
+    above next, where the joints' limits let them.
     """
-    joints_rad = joints_for(cell, grid_of(cell).serpentine_mm())
+    vertices_mm = grid_of(cell).serpentine_mm()
+    joints_rad = joints_for(cell, vertices_mm)
     beyond_rad = joints_rad + np.radians(cell.robot.approach_deg)
     free = (beyond_rad <= cell.robot.margin_limits_rad[1]).all(axis=1)
     numbers, ids = chosen(cell), vertex_ids(grid_of(cell))
     sides = [n for n in numbers if free[n] and kind == REVISIT][:REVERSED]
-    found = {}
+    found = _on_circles(cell) if kind == REVISIT else []
     for n in numbers:
-        found[PointId(kind, vertex=ids[n].vertex)] = n
-        if n in sides:
-            found[PointId(REVERSAL, vertex=ids[n].vertex, side=1)] = n
+        below = PointId(kind, vertex=ids[n].vertex)
+        above = PointId(REVERSAL, vertex=ids[n].vertex, side=1)
+        sent = [below, above] if n in sides else [below]
+        found += [Visit(id, joints_rad[n], vertices_mm[n]) for id in sent]
     return found
+
+
+def _on_circles(cell: Cell) -> list[Visit]:
+    axes = QUICK_CIRCLES if cell.plan.quick else CIRCLES
+    return [Visit(PointId(REVISIT, axis=n, number=0), sweep(cell, n)[0]) for n in axes]
 
 
 def _figures(found: Reversal) -> dict[str, Any]:

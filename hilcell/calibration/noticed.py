@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from msgspec.structs import replace
 
 from hilcell.calibration.bounds import validated, validation_points
 from hilcell.calibration.budget import growth_since
@@ -20,11 +21,10 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
 from hilcell.journal.log import Log, Point, commanded_rad, positions_mm
-from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 
 REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and in the end
-REVISITS = {REVISIT: "re-visited vertices", CLOSING: "vertices re-visited at the end"}
+REVISITS = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
 VALIDATION = "validation"
 CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
 MOST_RADIUS_MM = 2.0  # 3 sigma: a mount to +-1 mm as measured by hand, an arm's links to 0.4 mm
@@ -48,7 +48,7 @@ def suspicions_of(log: Log) -> list[Suspicion]:
 
 
 def revisited(log: Log, kind: str) -> list[Point]:
-    """Return the points of vertices that were visited again, in the order of the first readings.
+    """Return the points of poses that were visited again, in the order of the first readings.
 
     A vertex that was re-measured as an outlier was so after all the others.
     """
@@ -58,11 +58,11 @@ def revisited(log: Log, kind: str) -> list[Point]:
 
 
 def _before(log: Log, point: Point) -> Point:
-    return log.point(PointId("grid", vertex=point.id.vertex))
+    return log.point(replace(point.id, kind="base" if point.id.axis else "grid"))
 
 
 def revisits(log: Log, kind: str) -> Change:
-    """Return whether the vertices that were visited again are where they were."""
+    """Return whether the poses that were visited again are where they were."""
     return changed(_differences(log, kind), log.cell.robot.arm(), REVISITS[kind])
 
 

@@ -9,6 +9,7 @@ CHECKS = (HELD, LENGTH)  # of which nothing is built
 CONTROL = "control"  # group of points that no plan counts
 _GROUPS = {  # not named by their fields
     "slide": "frames", "three": "three_points", "base": "base", HELD: CONTROL, LENGTH: CONTROL,
+    "revisit": "revisit",
 }  # fmt: skip
 
 

@@ -112,7 +112,7 @@ def test_another_tolerance_than_the_cell_s() -> None:
 
 def test_another_verdict_that_does_not_hold() -> None:
     """The run ended with exit code 1, whatever its validation found."""
-    said = "suspected ['mount slipped (0.2 mm), noticed by re-visited vertices']"
+    said = "suspected ['mount slipped (0.2 mm), noticed by re-visited poses']"
     failed = msgspec.structs.replace(aged(1), failed={"suspicions": said})
     with pytest.raises(Unfit, match=r"suspicions did not hold: .*mount slipped \(0\.2 mm\)"):
         check_fitness(failed, NOW)
