@@ -92,8 +92,8 @@ class Motion:
     def _prepare_rail(self, action: str, facts: dict[str, object]) -> ReadingTime:
         """Park the robot and journal the intent; return the reading by which the slide moves."""
         self._run.checkpoint()
-        self.held = None
         robot = self._check_parked(self.park_robot())  # read at rest, after its motion ended
+        self.held = None
         self._run.intend("", action, **facts, seen=seen(robot))
         robot = self._check_parked(robot)  # the commit may have taken long
         return time_of(robot, time.monotonic())
@@ -111,17 +111,21 @@ class Motion:
     # -- the robot ----------------------------------------------------------------------------
 
     def park_robot(self) -> RobotReading:
-        """Bring the robot to its safe pose unless it is there; return its reading there."""
+        """Bring the robot to its safe pose unless it is there; return its reading there.
+
+        A slide that has left the station at which it is held stops the run: a resumed one, which
+        holds none yet, parks wherever the slide rests.
+        """
         safe_rad = np.radians(self._run.cell.robot.safe_deg)
         now = self._run.devices.robot.read()
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < 1e-4)):
             return now
-        rail = self.check_held(None)
+        rail = self.check_held(self.held)
         self._last = now
         self.check_way(rail, safe_rad, "park")
-        rail = self.check_held(None, rail)
+        rail = self.check_held(self.held, rail)
         self._run.intend("", "robot.park", seen=seen(rail))
-        return self._drive([safe_rad], self._run.cell.robot.speed_percent, rail, None, "park")
+        return self._drive([safe_rad], self._run.cell.robot.speed_percent, rail, self.held, "park")
 
     def robot_to(self, joints_rad: Array, what: str, *, above: bool = False) -> RobotReading:
         """Go to joints (6,), every axis from below, or from ``above``, and settle.

@@ -15,7 +15,7 @@ from tests.hilcell.run.bed import CELL, Bed, broken_beam
 from tests.hilcell.run.rig import Points, procedure
 
 HOME_RAD = np.radians(CELL.robot.home_deg)
-S1100 = CELL.station_named("S1100")
+S300, S1100 = CELL.station_named("S300"), CELL.station_named("S1100")
 
 
 @pytest.fixture
@@ -212,6 +212,18 @@ def test_what_has_moved_settles_before_it_is_measured(
     bed.tracker.answer = lambda: done.append("measure")
     assert fault_of(bed, act) == ""
     assert done == [1.5, "move", "move", 0.5, "measure", "measure"]
+
+
+def test_the_robot_does_not_park_from_a_station_that_the_strip_no_longer_reads(bed: Bed) -> None:
+    def act(session: CellSession, number: int) -> None:
+        session.hold_station(S1100)
+        bed.robot.joints_rad = HOME_RAD
+        bed.rail.position_mm -= 0.14  # found by disturbance seed 6058
+        session.hold_station(S300)
+
+    assert fault_of(bed, act) == "HC-S05"
+    assert bed.robot.moves == 0
+    assert bed.rail.position_mm == S1100.strip_mm - 0.14
 
 
 def test_the_robot_does_not_park_while_the_rail_has_power(bed: Bed) -> None:
