@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.frames import grid_of, vertex_ids
-from hilcell.calibration.noticed import CLOSING, REVISIT, revisits, suspicions_of
+from hilcell.calibration.noticed import CLOSING, REVISIT, overtaken, revisits, suspicions_of
 from hilcell.calibration.reversal import REVERSAL, Reversal, reversal
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Cell
@@ -64,23 +64,30 @@ class Revisits:
         return step(self.name, len(joints_rad), spans)
 
     def perform(self, session: CellSession) -> None:
-        """Visit, judge, and pause an attended run where something has changed."""
-        cell = session.cell
-        station = cell.station_named(cell.grid.station)
+        """Visit, judge, and pause an attended run where something has changed.
+
+        Once more where something was measured since that the visits are to prove.
+        """
+        cell, log = session.cell, session.log
+        station, poses = cell.station_named(cell.grid.station), visits(cell, self._kind)
         T_W_B = session.frames.base_in_world(station)
-        for id, joints_rad, vertex_mm in visits(cell, self._kind):
-            if not session.log.find(id):
+        while waiting := [visit for visit in poses if _waits(log, visit.id)]:
+            for id, joints_rad, vertex_mm in waiting:
                 session.hold_station(station)
-            nominal_mm = None if vertex_mm is None else apply(T_W_B, vertex_mm)
-            session.flange_point(id, station, joints_rad, nominal_mm=nominal_mm)
+                if again := log.find(id) is not None:
+                    session.event("visited once more", key=id.key)
+                nominal_mm = None if vertex_mm is None else apply(T_W_B, vertex_mm)
+                session.flange_point(id, station, joints_rad, nominal_mm=nominal_mm, retake=again)
         session.close_step()
-        turned = reversal(session.log)
-        if turned is not None and "reversal" not in session.log.verdicts:
-            session.verdict("reversal", holds=turned.holds, **_figures(turned))
-        if self._verdict not in session.log.verdicts:
+        newest = max(log.recorded[visit.id.key] for visit in poses)
+        judged = log.judged.get(self._verdict)
+        if judged is None or judged.seq < newest:
             self._judge(session)
 
     def _judge(self, session: CellSession) -> None:
+        turned = reversal(session.log)
+        if turned is not None and self._kind == REVISIT:
+            session.verdict("reversal", holds=turned.holds, **_figures(turned))
         found = revisits(session.log, self._kind)
         suspected = [] if found.suspicion is None else [found.suspicion.text]
         facts = {"ratio": found.ratio, "limit": found.limit, "suspected": suspected}
@@ -98,6 +105,12 @@ class Revisits:
         turned = reversal(log)
         found = {} if turned is None else {"reversal": _figures(turned)}
         return found | {"suspicions": [msgspec.to_builtins(each) for each in suspicions_of(log)]}
+
+
+def _waits(log: Log, id: PointId) -> bool:
+    """Whether a pose waits to be visited, or to be visited once more."""
+    point = log.find(id)
+    return point is None or overtaken(log, point)
 
 
 def chosen(cell: Cell) -> list[int]:

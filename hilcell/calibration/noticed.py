@@ -21,6 +21,8 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
 from hilcell.journal.log import Log, Point, commanded_rad, positions_mm
+from hilcell.journal.point_id import CHECKS
+from hilcell.journal.set_ups import PROOFS
 from hilcell.ports import Array
 
 REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and in the end
@@ -50,11 +52,27 @@ def suspicions_of(log: Log) -> list[Suspicion]:
 def revisited(log: Log, kind: str) -> list[Point]:
     """Return the points of poses that were visited again, in the order of the first readings.
 
-    A vertex that was re-measured as an outlier was so after all the others.
+    One whose first reading was replaced by a later one says nothing until it is visited once more.
     """
-    order = list(log.points)
-    points = sorted(log.select(kind), key=lambda point: order.index(point.key))
-    return sorted(points, key=lambda point: _before(log, point).retaken)
+    points = [point for point in log.select(kind) if _first(log, point) < log.recorded[point.key]]
+    return sorted(points, key=lambda point: _first(log, point))
+
+
+def overtaken(log: Log, point: Point) -> bool:
+    """Whether something was measured after a pose was visited again that the visit is to prove.
+
+    At the end that is all but proofs, after the grid the pose's first reading.
+    """
+    if point.id.kind != CLOSING:
+        return _first(log, point) > log.recorded[point.key]
+    proofs = (CLOSING, *PROOFS, *CHECKS)
+    others = (log.recorded[key] for key, each in log.points.items() if each.id.kind not in proofs)
+    return max(others) > log.recorded[point.key]
+
+
+def _first(log: Log, point: Point) -> int:
+    """Return the number of the record with the reading that a re-visit is compared with."""
+    return log.recorded[_before(log, point).key]
 
 
 def _before(log: Log, point: Point) -> Point:

@@ -14,7 +14,9 @@ from hilcell.journal.set_ups import FRAMED_AGAIN, INTERRUPTED, PROOFS, PROVEN, T
 from hilcell.journal.states import OVER, WAITING
 
 STANDS = ("station held", "station found held")
-AGAIN = ("retake asked", "outlier measured again")  # events that allow a point a second time
+AGAIN = (  # events that allow a point a second time
+    "retake asked", "outlier measured again", "visited once more",
+)  # fmt: skip
 
 
 @dataclass(slots=True)

@@ -199,6 +199,7 @@ class Log:
         self.plan: PlanRecord | None = None
         self._cell: Cell | None = None
         self.points: dict[str, Point] = {}
+        self.recorded: dict[str, int] = {}  # number of the record that holds each point
         self._keys: dict[str, list[str]] = {}  # of the points, by kind, in order
         self.frames: dict[str, dict[str, Any]] = {}
         self.verdicts: dict[str, dict[str, Any]] = {}
@@ -236,6 +237,7 @@ class Log:
                 self._take_state(record)
             case "point":
                 self._take_point(self._carried(_point(record)))
+                self.recorded[record.key] = record.seq
             case "frame":
                 self.frames[record.key] = body
                 self._carry_nests(record.key)
@@ -276,6 +278,7 @@ class Log:
         if point is None:
             return
         self._keys[point.id.kind].remove(key)
+        del self.recorded[key]
         if point.id.kind == "touch":
             self.frames.pop(f"touch.{point.station}", None)
 

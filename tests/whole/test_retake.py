@@ -5,13 +5,19 @@ from typing import Any
 
 import pytest
 
-from hilcell.ports import HilcellError
+from fakes.simulator import Control
+from hilcell.cell.devices import start_simulation
+from hilcell.cell.file import Cell
+from hilcell.commands import run
+from hilcell.ports import HilcellError, SimulatedCell
 from hilcell.run.client import order
 from tests.whole.bench import SMALL, Engine, command, end_of, events, sets
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
 KEY = "validate/S300/chosen/001"
+VERTICES = ("0-0-0", "1-1-0", "2-2-1", "1-1-1", "0-0-2", "1-1-2")
+CLOSING = [f"closing/{vertex}" for vertex in VERTICES]
 
 
 def retaken(journal: list[dict[str, Any]]) -> list[str]:
@@ -35,12 +41,13 @@ def test_a_finished_run_is_reopened_measured_and_judged_anew(
     end = end_of(done)
     assert end["state"] == "finished", done.stderr
     printed = events(done.stdout)
-    assert retaken(printed) == [KEY]
+    assert retaken(printed) == [KEY, *CLOSING]
     assert any(e["kind"] == "point" and e["group"] == "control" for e in printed)
     verdicts = [e["key"] for e in printed if e["kind"] == "verdict"]
     assert "validation.S300" in verdicts
-    points = [e for e in printed if e["kind"] == "point" and e["group"] != "control"]
-    assert len(points) == 1
+    assert verdicts[-2:] == ["revisits.closing", "suspicions"]
+    points = [e["key"] for e in printed if e["kind"] == "point" and e["group"] != "control"]
+    assert points == [KEY, *CLOSING]
     first = before["result"]["validation"]["S300"]["chosen"]["mean"]
     assert end["result"]["validation"]["S300"]["chosen"]["mean"] != first
     assert end["result"]["validation"]["S1100"] == before["result"]["validation"]["S1100"]
@@ -49,6 +56,26 @@ def test_a_finished_run_is_reopened_measured_and_judged_anew(
     again = command("resume", "mine", "--runs", runs)
     assert again.returncode == 2
     assert "is finished" in again.stderr
+
+
+def test_a_robot_that_changed_before_its_run_is_reopened_is_noticed(
+    tmp_path: Path, golden: GoldenRuns, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start(cell: Cell, **words: Any) -> SimulatedCell | None:
+        found = start_simulation(cell, **words)
+        assert found is not None
+        with Control(found.address) as control:
+            control.ask("fault", name="robot.mount_slip", value=0.2)
+        return found
+
+    monkeypatch.setattr(run, "start_simulation", start)
+    golden["small"].copied_to(tmp_path)
+    done = command("resume", "small", "--runs", tmp_path, "--retake", KEY, "--json")
+    end = end_of(done)
+    assert (end["state"], end["exit"]) == ("finished", 1), done.stderr
+    (found,) = end["result"]["suspicions"]
+    assert found["cause"] == "mount slipped"
+    assert found["noticed_by"] == "vertices re-visited at the end"
 
 
 @pytest.mark.parametrize(

@@ -115,6 +115,7 @@ ORDINARY = {
     "station found held",
     "step",
     "retake asked",
+    "visited once more",
     "seated",
     "screen back",
     "stream",
