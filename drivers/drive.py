@@ -22,9 +22,10 @@ from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.sdo import SdoChannel
 from drivers.standstill import Rest, Standstill, Windows
 from drivers.supervision import Supervision
-from hilcell.ports import Clock, DeviceError
+from hilcell.ports import Clock, DeviceError, StripLost
 
 POLL_S = 0.02
+STRIP_TRIES = 3  # dwells
 STALL_S = 3.0  # wire deadline, beside the dwell: neither the wanted state nor progress
 OVERSPEED = 1.2
 FULL_SPEED = 100.0  # percent: the drive has no override
@@ -105,16 +106,32 @@ class Drive:
                 act="put the cause right, then resume",
                 fields={"state": now.state.value, "error_code": code},
             )
-        if now.alarms:
-            raise DeviceError(
-                "HC-S01",
-                DEVICE,
-                operation,
-                f"strip sensor: {cia406.alarm_text(now.alarms)}",
-                act="check the strip and its head, then resume",
-                fields={"alarms": now.alarms},
-            )
         return now
+
+    def check_strip(self, operation: str, now: Snapshot) -> Snapshot:
+        """Return ``now``, or a later poll of a strip in alarm; raises `StripLost` if it stays so.
+
+        Nothing else asks the strip: motions are the drive's, and end by the drive's standstill.
+        """
+        for _ in range(STRIP_TRIES * self._limits.windows.polls):
+            if not self._alarms(now):
+                return now
+            self.pause()
+            now = self.poll(operation)
+        if not (alarms := self._alarms(now)):
+            return now
+        raise StripLost(
+            "HC-S01",
+            DEVICE,
+            operation,
+            f"strip sensor: {cia406.alarm_text(alarms)}",
+            act="check the strip and its head, then resume",
+            fields={"alarms": alarms},
+        )
+
+    def _alarms(self, now: Snapshot) -> int:
+        """Return the strip's alarms in the polls that a reading is made of."""
+        return now.alarms if self.rest is None else self.rest.alarms
 
     def confirm(self, operation: str) -> Snapshot:
         """Poll once, or for a dwell where older polls do not prove that the slide stands."""

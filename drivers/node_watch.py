@@ -24,11 +24,14 @@ _EMCY = struct.Struct("<HB5s")
 
 
 class NodeWatch:
-    """Listens to one node; ``check`` raises the first thing that went wrong."""
+    """Listens to one node; ``check`` raises the first thing that went wrong.
 
-    def __init__(self, device: str, link: CanLink, node: int) -> None:
+    Emergencies of the family ``in_pdo`` only repeat what a PDO says with each of its values.
+    """
+
+    def __init__(self, device: str, link: CanLink, node: int, in_pdo: int | None = None) -> None:
         self.state: int | None = None
-        self.node = node
+        self.node, self._in_pdo = node, in_pdo
         self._device, self._link = device, link
         self._heard_s = 0.0
         self._set_up = self._armed = False
@@ -78,7 +81,7 @@ class NodeWatch:
 
     def _on_emergency(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         code, register, _vendor = _EMCY.unpack(data)
-        if self._armed and emcy.is_error(code):
+        if self._armed and emcy.is_error(code) and code >> 8 != self._in_pdo:
             found = f"EMCY {emcy.text(code)}, error register 0x{register:02X}"
             pause_s = self._link.pause_s
             if code != emcy.HEARTBEAT_LOST:

@@ -140,6 +140,8 @@ class CanopenRail:
             over = patience.over()
             now = drive.poll("settle")
             if drive.rest is not None:
+                now = drive.check_strip("settle", now)
+            if drive.rest is not None:  # a strip that is back may show that the slide moves
                 return self._reading(now)
             if over:
                 raise DeviceError(
@@ -163,7 +165,8 @@ class CanopenRail:
 
     def read(self) -> RailReading:
         """Return a reading asked for after this call began."""
-        return self._reading(self._used().confirm("read"))
+        drive = self._used()
+        return self._reading(drive.check_strip("read", drive.confirm("read")))
 
     def hold(self) -> None:
         """Take the power to move away; the brake closes."""
@@ -193,8 +196,9 @@ class CanopenRail:
         options = self._options
         drive_sdo = self._channel(link, options.drive_node, "drive.eds")
         strip_sdo = self._channel(link, options.strip_node, "strip.eds")
-        self._watches = tuple(
-            NodeWatch(DEVICE, link, node) for node in (options.drive_node, options.strip_node)
+        self._watches = (
+            NodeWatch(DEVICE, link, options.drive_node),
+            NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia406.SENSOR_ERRORS),
         )
         image = ProcessImage(link, options.drive_node, options.strip_node)
         supervision = Supervision(DEVICE, "HC-R39", LATE_S)

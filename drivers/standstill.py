@@ -2,7 +2,8 @@
 
 A slide stands when every poll of a dwell shows a speed within a window, and all their positions,
 the drive's and the strip's, lie within windows. A slow creep passes any window of speed; only the
-spread of the positions shows it. Polls that agree with the newest are kept, so a slide that has
+spread of the positions shows it. A strip in alarm has no position; then the drive alone is judged,
+and `Rest.alarms` says so. Polls that agree with the newest are kept, so a slide that has
 stood since the last reading is confirmed by one poll and not by one more dwell.
 """
 
@@ -11,6 +12,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from statistics import median
 
 from drivers.process_image import Snapshot
@@ -43,10 +46,14 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """Where a slide stands, in counts: medians of the last `READINGS` polls of drive and strip."""
+    """Where a slide stands, in counts: medians of the last `READINGS` polls of drive and strip.
+
+    ``alarms`` are the strip's in any of them: then its median says nothing.
+    """
 
     position: float
     strip: float
+    alarms: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +101,11 @@ class Standstill:
         if len(polls) < READINGS or not polls[-1][0] - polls[0][0] >= self._windows.dwell_s:
             return None
         last = [poll for _, poll in polls][-READINGS:]
-        return Rest(median(poll.position for poll in last), median(poll.strip for poll in last))
+        return Rest(
+            median(poll.position for poll in last),
+            median(poll.strip for poll in last),
+            reduce(or_, (poll.alarms for poll in last)),
+        )
 
     @property
     def unrest(self) -> Unrest:
@@ -114,10 +125,11 @@ class Standstill:
         strips: list[int] = []
         for _, poll in reversed(self._polls):
             positions.append(poll.position)
-            strips.append(poll.strip)
+            if not poll.alarms:
+                strips.append(poll.strip)
             if not (
                 max(positions) - min(positions) <= windows.spread
-                and max(strips) - min(strips) <= windows.strip_spread
+                and max(strips, default=0) - min(strips, default=0) <= windows.strip_spread
             ):
                 break
             kept += 1

@@ -103,6 +103,14 @@ class NoReading(DeviceError):
         )
 
 
+class StripLost(NoReading):
+    """The strip does not say where the slide stands: dirt, a gap, a head too far from it.
+
+    The drive still brings the slide to rest and holds it. A strip is absolute: once it reads well
+    again, it is right.
+    """
+
+
 def facts_of(error: Exception) -> dict[str, Any]:
     """Return an error's facts; one that hilcell did not expect is a defect."""
     if isinstance(error, HilcellError):

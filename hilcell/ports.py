@@ -28,6 +28,7 @@ from hilcell.errors import (
     HilcellError,
     NoReading,
     Stopped,
+    StripLost,
 )
 
 if TYPE_CHECKING:
@@ -36,8 +37,8 @@ if TYPE_CHECKING:
 __all__ = [
     "Air", "Array", "Clock", "DeviceError", "DeviceRefused", "Exercise", "HilcellError", "Identity",
     "JointSample", "LinkStatistics", "NoReading", "Rail", "RailReading", "Robot", "RobotReading",
-    "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "Sweep", "Sweeps", "Tracker",
-    "TrackerReading", "Training", "says_simulated",
+    "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps",
+    "Tracker", "TrackerReading", "Training", "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -173,7 +174,10 @@ class Clock(Protocol):
 
 
 class Rail(Protocol):
-    """A slide on a rail with a drive and an absolute strip. ``stop`` may come from any thread."""
+    """A slide on a rail with a drive and an absolute strip. ``stop`` may come from any thread.
+
+    Motions and ``hold`` need the drive alone; readings raise `StripLost` without the strip.
+    """
 
     def connect(self) -> list[Identity]:
         """Open the wire, verify identities, configure the self-stop; nothing moves."""
@@ -185,7 +189,10 @@ class Rail(Protocol):
         """Move by the drive's encoder alone; return at standstill; leave the drive holding."""
 
     def settle(self) -> RailReading:
-        """Return a reading at rest; raise `DeviceError` when the slide does not come to rest."""
+        """Return a reading at rest; raise `DeviceError` when the slide does not come to rest.
+
+        Raises `StripLost` when it stands, and the strip does not say where.
+        """
 
     def read(self) -> RailReading:
         """Return a reading asked for after this call began."""

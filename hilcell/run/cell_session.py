@@ -16,7 +16,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import RunJournal
-from hilcell.ports import Array, Clock, RailReading, RobotReading
+from hilcell.ports import Array, Clock, RailReading, RobotReading, StripLost
 from hilcell.run.measuring import Ask, Measuring
 from hilcell.run.motion import Motion
 from hilcell.run.operator import Operator
@@ -25,6 +25,7 @@ from hilcell.run.retake import still_refused
 from hilcell.run.room_guard import RoomGuard
 from hilcell.run.run_context import RunContext
 from hilcell.run.station_guard import StationGuard
+from hilcell.run.strip_guard import StripGuard
 from hilcell.run.tracker_guard import TrackerGuard
 
 __all__ = ["FLANGE", "CellSession"]
@@ -52,6 +53,7 @@ class CellSession(RunContext):
         self._operator = Operator(self, self._motion, self._measuring, ask)
         self._guard = TrackerGuard(self, self.floor_point)
         self._room = RoomGuard(self, ask)
+        self._strip = StripGuard(self, self._motion, ask)
         self._stations = StationGuard(self, self._motion, self._guard, self._held_point)
         self._arm = cell.robot.arm()
 
@@ -83,6 +85,10 @@ class CellSession(RunContext):
     def rail_referenced(self) -> bool:
         """Whether drive and absolute strip agree, which proves the drive's reference."""
         return self._motion.rail_referenced()
+
+    def await_strip(self, lost: StripLost) -> None:
+        """Hold the slide and suspend the run until its strip reads well; no station is held."""
+        self._strip.wait(lost)
 
     def park_robot(self) -> None:
         """Bring the robot to its safe pose."""

@@ -24,6 +24,7 @@ from hilcell.ports import (
     Robot,
     RobotReading,
     Stream,
+    StripLost,
     Sweep,
     Tracker,
     TrackerReading,
@@ -146,7 +147,11 @@ class WatchedRail:
     @contextmanager
     def _watch(self, *, moving: bool = False) -> Iterator[None]:
         with self._monitor.rail.watch(moving=moving), self._monitor.strip.watch(moving=moving):
-            yield
+            try:
+                yield
+            except StripLost as lost:
+                self._monitor.strip.reason = str(lost)
+                raise
 
     def connect(self) -> list[Identity]:
         """Connect."""

@@ -75,6 +75,11 @@ class Motion:
             began=began,
         )
 
+    def hold_here(self) -> None:
+        """Hold the slide where it stands; no station counts as held."""
+        self.held = None
+        self._hold_rail()
+
     def _stands_at(self, station: Station) -> bool:
         held = [r.body["station"] for r in self._run.log.events if r.body["what"] == "station held"]
         if self._run.log.session < 2 or not held or held[-1] != station.name:

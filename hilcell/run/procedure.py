@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
-from hilcell.ports import HilcellError
+from hilcell.ports import HilcellError, StripLost
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_rides
 from hilcell.run.tracker_guard import BlockLost
@@ -71,11 +72,14 @@ class Part(Protocol):
         """Compute this act's share of the result from the log alone."""
 
 
-def _performed(part: Part, session: CellSession) -> bool:
-    """Perform an act; return whether what it measured counts."""
+def _performed(act: Callable[[], object], session: CellSession) -> bool:
+    """Perform an act; return whether it came to its end, and what it measured counts."""
     try:
-        part.perform(session)
+        act()
     except BlockLost:
+        return False
+    except StripLost as lost:
+        session.await_strip(lost)
         return False
     return True
 
@@ -128,15 +132,13 @@ class Procedure:
             self._acts(session)
 
     def _retaken(self, session: CellSession) -> bool:
-        try:
-            return session.retake_waiting()
-        except BlockLost:
-            return True
+        waiting = bool(session.log.retakes)
+        return not _performed(session.retake_waiting, session) or waiting
 
     def _acts(self, session: CellSession) -> None:
         for number, part in enumerate(self.parts, start=1):
             session.event("step", name=part.name, number=number, of=len(self.parts))
-            while not _performed(part, session):
+            while not _performed(partial(part.perform, session), session):
                 pass
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -23,13 +23,14 @@ NOTHING_ASKED = "nothing is asked now"
 class Prompt(msgspec.Struct, frozen=True, kw_only=True):
     """The question: ``expected_mm`` in the tracker's frame, seen within ``limit_mm`` of it.
 
-    ``by_itself``: a good look alone is the answer.
+    Where it is the strip that is looked at, ``expected_mm`` is None. ``by_itself``: a good look
+    alone is the answer.
     """
 
     title: str
     text: str
     place: str
-    expected_mm: tuple[float, float, float]
+    expected_mm: tuple[float, float, float] | None
     limit_mm: float
     reason: str
     by_itself: bool = False
@@ -37,7 +38,10 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A look of the tracker: how far from the expected place, or why it saw nothing."""
+    """A look: how far from the expected place, or why nothing was seen.
+
+    The tracker's at a reflector, or the strip's at the slide: how far beside the drive's position.
+    """
 
     seen_mm: float | None
     reason: str
@@ -123,7 +127,7 @@ def passes(prompt: Prompt, look: Look) -> bool:
 
 def refusal(prompt: Prompt, look: Look) -> str:
     """Return why an answer is refused."""
-    if prompt.by_itself:
+    if prompt.by_itself or prompt.expected_mm is None:
         return f"{prompt.place} is not as it was: {look.reason}"
     if look.seen_mm is None:
         return f"the tracker sees no reflector at {prompt.place}: {look.reason}"

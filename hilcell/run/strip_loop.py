@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hilcell.cell.file import RailTable, Station
-from hilcell.ports import DeviceError, Rail, RailReading
+from hilcell.ports import DeviceError, Rail, RailReading, StripLost
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,8 @@ class Approach:
 def approach_station(rail: Rail, table: RailTable, station: Station) -> Approach:
     """Bring the slide to ``station`` from below; raises `DeviceError` when it does not hold.
 
-    Every approach must shrink the error; the side of approach never changes.
+    Raises `StripLost` for a strip that does not follow at all. Every approach must shrink the
+    error; the side of approach never changes.
     """
     command_mm = station.rail_mm
     error_mm = float("inf")
@@ -65,6 +66,17 @@ def _back_off(rail: Rail, table: RailTable, command_mm: float) -> RailReading:
 def _check_strip_follows(
     table: RailTable, station: Station, before: RailReading, reading: RailReading
 ) -> None:
+    motor_mm = abs(reading.position_mm - before.position_mm)
+    strip_mm = abs(reading.strip_mm - before.strip_mm)
+    if motor_mm > 0.4 and not strip_mm > 0.0:
+        raise StripLost(
+            "HC-S02",
+            "Rail",
+            f"approach of {station.name}",
+            f"strip frozen at {reading.strip_mm:.2f} mm while the drive moved {motor_mm:.2f} mm",
+            act="check the strip head and its cable",
+            fields={"station": station.name, "strip_mm": reading.strip_mm, "moved_mm": motor_mm},
+        )
     slip_mm = reading.position_mm - reading.strip_mm
     if not abs(slip_mm) <= table.slip_limit_mm:
         raise DeviceError(
@@ -80,15 +92,4 @@ def _check_strip_follows(
                 "strip_mm": reading.strip_mm,
                 "limit_mm": table.slip_limit_mm,
             },
-        )
-    motor_mm = abs(reading.position_mm - before.position_mm)
-    strip_mm = abs(reading.strip_mm - before.strip_mm)
-    if motor_mm > 0.4 and not strip_mm > 0.0:
-        raise DeviceError(
-            "HC-S02",
-            "Rail",
-            f"approach of {station.name}",
-            f"strip frozen at {reading.strip_mm:.2f} mm while the drive moved {motor_mm:.2f} mm",
-            act="check the strip head and its cable",
-            fields={"station": station.name, "strip_mm": reading.strip_mm, "moved_mm": motor_mm},
         )

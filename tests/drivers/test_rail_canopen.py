@@ -12,7 +12,7 @@ import pytest
 from drivers import drive
 from drivers.rail_canopen import CanopenRail
 from hilcell.clock import WallClock
-from hilcell.ports import DeviceError, DeviceRefused, LinkStatistics, Rail, Stopped
+from hilcell.ports import DeviceError, DeviceRefused, LinkStatistics, Rail, Stopped, StripLost
 from tests.drivers import can_peer
 from tests.drivers.can_peer import (
     DRIVE,
@@ -130,7 +130,6 @@ MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], None], str]] = {
     ),
     "fault": (lambda p: fault(p.axis), "drive in fault, error 0x0000"),
     "power lost": (lambda p: setattr(p.axis, "state", 0x40), "left operation enabled: switch on"),
-    "magnet": (lambda p: setattr(p, "alarms", 1), "missing magnet"),
     "emcy": (
         lambda p: p.send(0x085, struct.pack("<HB5x", 0x7305, 1)),
         r"EMCY 0x7305 \(incremental",
@@ -146,7 +145,7 @@ MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], None], str]] = {
 MOTION_ALARMS = {
     "following error": "HC-R26", "limit": "HC-R32", "runaway": "HC-R33",
     "runaway back": "HC-R33", "outside": "HC-R34", "fault": "HC-R27", "power lost": "HC-R30",
-    "magnet": "HC-S01", "emcy": "HC-R24",
+    "emcy": "HC-R24",
     "strip emcy": "HC-R27", "reset": "HC-R03", "heartbeat": "HC-R02", "nmt stop": "HC-R03",
     "freeze": "HC-R31", "early": "HC-R31", "end of stream": "HC-R01",
 }  # fmt: skip
@@ -175,6 +174,50 @@ def test_a_fault_in_motion_stops_and_is_named(
         assert peer.quick_stopped.wait(5)
     with pytest.raises(DeviceError):
         rail.move_to(1100.0)
+
+
+def dirty(peer: CanPeer) -> None:
+    """Let the strip go into alarm, as sensors do: by an emergency and in each PDO."""
+    peer.send(0x086, struct.pack("<HB5x", 0x7305, 1))
+    peer.alarms, peer.strip_offset = 1, 7000
+
+
+def test_dirt_on_the_way_ends_no_motion(rail: CanopenRail, peer: CanPeer) -> None:
+    peer.on_sync = lambda: dirty(peer) if peer.axis.steps == 2 else clean(peer)
+    rail.move_to(1100.0)
+    assert rail.settle().strip_mm == 1100.0
+
+
+def clean(peer: CanPeer) -> None:
+    peer.alarms = peer.strip_offset = 0
+
+
+def test_without_the_strip_the_drive_moves_and_holds_and_nothing_is_read(
+    rail: CanopenRail, peer: CanPeer
+) -> None:
+    dirty(peer)
+    rail.move_to(1100.0)
+    for read in (rail.settle, rail.read):
+        with pytest.raises(StripLost, match="missing magnet") as caught:
+            read()
+        assert caught.value.code == "HC-S01"
+    rail.hold()
+    assert peer.axis.state == can_peer.READY
+    clean(peer)
+    reading = rail.read()
+    assert (reading.strip_mm, reading.powered) == (1100.0, False)
+    rail.move_to(1200.0)
+
+
+def test_a_strip_that_is_back_soon_is_read_once_its_alarm_has_left_the_reading(
+    rail: CanopenRail, peer: CanPeer
+) -> None:
+    rail.settle()
+    dirty(peer)
+    polls = len(peer.frames(0x080))
+    peer.on_sync = lambda: clean(peer) if len(peer.frames(0x080)) > polls + 2 else None
+    assert rail.read().strip_mm == 500.0
+    assert len(peer.frames(0x080)) >= polls + 7, "two in alarm, five that are not"
 
 
 def test_a_set_point_never_acknowledged_is_reported(

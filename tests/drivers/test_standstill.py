@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -48,6 +49,17 @@ def test_a_speed_beyond_the_window_is_no_rest(velocity: float) -> None:
 def test_a_creep_is_seen_by_drive_or_strip(drive_rate: int, strip_rate: int) -> None:
     polls = [poll(drive_rate * n, strip_rate * n, velocity=0) for n in range(30)]
     assert after(*polls).rest is None
+
+
+def test_a_strip_in_alarm_has_no_position_and_the_reading_says_so() -> None:
+    dirty = replace(poll(strip=99_000), alarms=1)
+    standstill = after(*DITHER, dirty)
+    assert standstill.rest is not None
+    assert standstill.rest.alarms == 1
+    for n in range(5):
+        standstill.take(poll(), 1.0 + n * 0.1)
+    assert standstill.rest == Rest(1000, 100)
+    assert after(dirty, *(replace(poll(20 * n), alarms=1) for n in range(9))).rest is None
 
 
 def test_one_poll_confirms_a_slide_that_has_stood() -> None:

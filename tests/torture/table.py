@@ -150,7 +150,13 @@ FAULTS = (
         "R, then P",
         "-RPS",
         R,
-        (Knob("rail.missing_magnet"), Knob("rail.strip_frozen")),
+        (
+            Knob("rail.missing_magnet", count=2),
+            Knob("rail.missing_magnet", count=60),
+            Knob("rail.missing_magnet"),
+            Knob("rail.strip_frozen", count=60),
+            Knob("rail.strip_frozen"),
+        ),
     ),
     Fault(
         22,

@@ -36,6 +36,8 @@ def tracker_text(prompt: PromptStatus, view: RunView) -> Content:
     if view.stale or prompt.age_s is None:
         return Content.styled("the tracker has not looked yet; Enter does not work", "$dim")
     age = short_age(prompt.age_s + view.status_age_s)
+    if prompt.expected_mm is None:
+        return _strip_text(prompt, age)
     if prompt.seen_mm is None:
         return Content.styled(f"tracker: sees nothing there ({age} ago); Enter waits", "$warn")
     limit = "" if prompt.limit_mm is None else f", limit {prompt.limit_mm:.1f}"
@@ -43,6 +45,14 @@ def tracker_text(prompt: PromptStatus, view: RunView) -> Content:
     if not prompt.ready:
         return Content.styled(f"{seen}; Enter waits", "$warn")
     return Content.styled(f"{seen}; press Enter", "bold $good")
+
+
+def _strip_text(prompt: PromptStatus, age: str) -> Content:
+    if not prompt.ready:
+        return Content.styled(
+            f"{prompt.place} does not read well ({age} ago); Enter waits", "$warn"
+        )
+    return Content.styled(f"{prompt.place} reads well ({age} ago); press Enter", "bold $good")
 
 
 def nest_map(layout: Layout, place: str, glyphs: Glyphs) -> list[Content]:
