@@ -1,10 +1,14 @@
 """How an unattended run waits until the cause of a failed reading has gone: bounded, and patient.
 
 A person who walks through the beam is gone in seconds, a lamp that dazzles the tracker in an hour.
-So looks come after 10 s, 20 s, 40 s and so on; when the time is over, the run ends as a fault.
+So looks come after 10 s, 20 s, 40 s and so on; when the time is over, the run ends as a fault. A
+cause that comes back soon after a good look is looked at ever more seldom, too: a look at a strip
+that was frozen is no proof before the slide has moved.
 """
 
 from __future__ import annotations
+
+import math
 
 from hilcell.ports import Clock
 
@@ -18,6 +22,7 @@ class UnattendedWait:
     def __init__(self, clock: Clock, limit_s: float) -> None:
         self._clock, self._left_s = clock, limit_s
         self._apart_s = self._due_s = FIRST_LOOK_S
+        self._looked_s = -math.inf
 
     @property
     def over(self) -> bool:
@@ -25,8 +30,9 @@ class UnattendedWait:
         return not self._left_s > 0.0
 
     def begin(self) -> None:
-        """Begin a wait: the first look comes soon."""
-        self._apart_s = self._due_s = FIRST_LOOK_S
+        """Begin a wait: the first look comes soon, unless the same cause may be back at once."""
+        if not self._clock.now_s() - self._looked_s <= self._apart_s:
+            self._apart_s = self._due_s = FIRST_LOOK_S
 
     def look_due(self) -> bool:
         """Let a slice of time pass; return whether to look now."""
@@ -38,4 +44,5 @@ class UnattendedWait:
             return False
         self._apart_s = min(2.0 * self._apart_s, LONGEST_APART_S)
         self._due_s = self._apart_s
+        self._looked_s = self._clock.now_s()
         return True

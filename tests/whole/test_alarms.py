@@ -167,6 +167,7 @@ def injected(
         "simulation.address": cell.control,
         "base_frame.points": "4",
         "layout.nest_samples": "2",
+        "plan.unattended_wait_s": "0",
     }
     main(
         ["run", "base-frame", "--unattended", "--runs", str(tmp_path), "--name", "x", *sets(words)]

@@ -51,9 +51,22 @@ def test_all_waits_of_a_session_share_the_time() -> None:
     wait = UnattendedWait(clock, 100.0)
     while not wait.look_due():
         pass
+    clock.at_s = 50.0  # measuring
     wait.begin()
-    assert looks(wait, clock) == [20, 40, 80, 100]
+    assert looks(wait, clock) == [60, 80, 120, 140]
     assert wait.over
+
+
+def test_a_cause_that_is_back_at_once_is_looked_at_less_and_less_often() -> None:
+    clock = StepClock()
+    wait, found = UnattendedWait(clock, 900.0), []
+    while not wait.over:
+        wait.begin()
+        while not wait.look_due():
+            pass
+        found.append(clock.at_s)
+        clock.at_s += 6.0  # another try
+    assert found == [10, 36, 82, 168, 334, 640, 936]
 
 
 def test_without_time_there_is_no_wait() -> None:
