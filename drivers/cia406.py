@@ -11,7 +11,7 @@ POSITION = 0x6004
 MEASURING_STEP = 0x6005
 POSITION_STEP = 0x6501
 ALARMS = 0x6503
-SENSOR_ERRORS = 0x73  # family of the EMCY that goes with an alarm
+SENSOR_ERRORS = 0x73  # family of the EMCY that announces an alarm
 
 _ALARMS = {0: "position error: missing magnet, or the head too far from the strip"}
 
