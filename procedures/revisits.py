@@ -1,9 +1,9 @@
 """Poses are visited again: a robot, a mount or a slide that has changed shows there.
 
 After the grid, so that nothing rests on a robot that changed meanwhile: vertices, and the base
-frame's first poses, since which the mount must not have slipped. At the end of the run, so that the
-robot is still the one that was calibrated. After the grid a few vertices are approached from above
-as well, which shows the joints' lost motion.
+frame's outermost poses, since which the mount must not have slipped. At the end of the run, so that
+the robot is still the one that was calibrated. After the grid a few vertices are approached from
+above as well, which shows the joints' lost motion.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
-from procedures.base_frame import sweep
+from procedures.base_frame import points_on_arc, sweep
 from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import joints_for, other_stations
 
-COUNT, QUICK_COUNT = 6, 3
+COUNT, QUICK_COUNT = 12, 3
 REVERSED = 4
-CIRCLES, QUICK_CIRCLES = (1, 6), (1,)  # axes whose sweep's first pose is visited again
 
 
 class Visit(NamedTuple):
@@ -142,8 +141,11 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
 
 
 def _on_circles(cell: Cell) -> list[Visit]:
-    axes = QUICK_CIRCLES if cell.plan.quick else CIRCLES
-    return [Visit(PointId(REVISIT, axis=n, number=0), sweep(cell, n)[0]) for n in axes]
+    """Return the ends of both sweeps of the base frame, in a quick plan only where it began."""
+    last = points_on_arc(cell) - 1
+    ends = [(1, 0)] if cell.plan.quick else [(1, 0), (1, last), (6, 0), (6, last)]
+    sweeps = {axis: sweep(cell, axis) for axis, _ in ends}
+    return [Visit(PointId(REVISIT, axis=axis, number=n), sweeps[axis][n]) for axis, n in ends]
 
 
 def _figures(found: Reversal) -> dict[str, Any]:

@@ -10,6 +10,7 @@ tool cannot tell a reflector that slipped from a shift of the base.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -20,7 +21,7 @@ from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import f_quantile
 from hilcell.ports import Array
 
-RISK = 0.0005  # of each of two tests: that poses which have not changed are found to
+RISK = 0.001  # of each of two tests: that poses which have not changed are found to
 PENALTY = 4.0  # of chi^2, that a parameter more must gain
 
 
@@ -37,7 +38,7 @@ class Differences(msgspec.Struct, frozen=True):
     joints_rad: Array
     freedom: float
     rail: Array
-    firsts: range
+    firsts: Sequence[int]
 
 
 class Change(msgspec.Struct, frozen=True):

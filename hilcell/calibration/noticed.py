@@ -29,6 +29,7 @@ REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and 
 REVISITS = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
 VALIDATION = "validation"
 CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
+MOMENTS = 5  # of the grid at which a change may have come
 MOST_RADIUS_MM = 2.0  # 3 sigma: a mount to +-1 mm as measured by hand, an arm's links to 0.4 mm
 MOST_CONSTANT_MM = 3.0  # of the uncorrected error, that links and zeros explain
 LEAST_INSIDE = 0.82  # of corrected targets, within bounds that 95 % should keep
@@ -109,8 +110,18 @@ def _differences(log: Log, kind: str) -> Differences:
         commanded_rad(now),
         3.0 * (visits - places),
         R @ np.array(log.cell.layout.rail_direction),
-        range(len(now) if kind == CLOSING else 1, len(now) + 1),
+        [len(now)] if kind == CLOSING else _moments(before),
     )
+
+
+def _moments(before: list[Point]) -> list[int]:
+    """Return of how many of the first visits a change is judged to have come after.
+
+    A few spread over the grid, the first right after the base frame: each more is one more chance
+    of a false alarm, and finds hardly what its neighbours do not.
+    """
+    of_base = sum(point.id.kind == "base" for point in before)
+    return [*np.unique(np.linspace(max(of_base, 1), len(before), MOMENTS).astype(int)).tolist()]
 
 
 def _framed_again(log: Log, R: Array) -> Array:
@@ -177,7 +188,7 @@ def _of_validation(log: Log) -> list[Suspicion]:
             commanded_rad(points),
             float(len(points)),
             R.T @ np.array(log.cell.layout.rail_direction),
-            range(len(points), len(points) + 1),
+            [len(points)],
         )
         place = f"{VALIDATION} at {name}: {coverage.share:.0%} within their bounds"
         found.append(likeliest(differences, log.cell.robot.arm(), place))

@@ -3,7 +3,8 @@
 A case is a calibration of the small cell, and the same with one disturbance of a random kind, size
 and moment. The disturbance matters where it moves the mean error of the corrected targets by more
 than `MATTERS_MM`: the mean that the run reports, or the true one. It is noticed where the run ends
-with another exit code than 0, or with a suspicion. The undisturbed run must do neither.
+with another exit code than 0, or with a suspicion. The undisturbed run must do neither. What comes
+after the last point of the robot is beyond what a run can see.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from fakes.simulator import PaperCell
+from hilcell.calibration.noticed import CLOSING
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import HilcellError
 from tests.torture.spread import print_table, progress, spread
@@ -28,6 +30,7 @@ from tests.whole.bench import SMALL, Simulation, command, events, sets
 from tests.whole.trace import judge
 
 COUNT = 300
+CELL = SMALL | {"layout.nest_samples": "10"}  # as many as a real cell takes of a nest
 PLACES = ("S1100", "others")
 MATTERS_MM = 0.03
 LEAST_NOTICED = 0.95
@@ -83,7 +86,7 @@ KINDS = (
 
 @dataclass(frozen=True)
 class Disturbance:
-    """``moment`` is the share of the run's points that are measured before it."""
+    """``moment`` is the share of the points up to the robot's last that are measured before it."""
 
     kind: Kind
     size: float
@@ -173,7 +176,7 @@ def drawn(seed: int, kinds: Sequence[Kind] = KINDS) -> Disturbance:
 
 def calibrated(seed: int, disturbance: Disturbance | None = None, after: str = "") -> Calibrated:
     """Calibrate the small cell on the machine of a seed; ``after`` a point it is disturbed."""
-    cell = load_cell("paper", SMALL)
+    cell = load_cell("paper", CELL)
     simulated = PaperCell(cell, seed=seed)
     control = Simulation(simulated.options, simulated.address)
 
@@ -187,7 +190,7 @@ def calibrated(seed: int, disturbance: Disturbance | None = None, after: str = "
     with tempfile.TemporaryDirectory(prefix="disturbances-") as runs:
         words = ("--unattended", "--name", "run", "--seed", str(seed), "--runs", runs, "--json")
         try:
-            settings = sets(SMALL | {"simulation.address": simulated.address})
+            settings = sets(CELL | {"simulation.address": simulated.address})
             done = command("run", *words, *settings, hear=hear)
         finally:
             simulated.close()
@@ -218,7 +221,8 @@ def _true_means_mm(
 def case(seed: int) -> Case:
     """Run one case."""
     disturbance, undisturbed = drawn(seed), calibrated(seed)
-    keys = undisturbed.keys
+    last = max((n for n, key in enumerate(undisturbed.keys) if key.startswith(CLOSING)), default=0)
+    keys = undisturbed.keys[:last]
     if not keys:  # the figures list it as a false alarm
         return Case(seed, disturbance, undisturbed, undisturbed, "")
     at = keys[int(disturbance.moment * len(keys))]

@@ -7,17 +7,17 @@ import pytest
 
 from fakes.simulator import Control
 from hilcell.cell.devices import start_simulation
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.commands import run
 from hilcell.ports import HilcellError, SimulatedCell
 from hilcell.run.client import order
+from procedures.revisits import visits
 from tests.whole.bench import SMALL, Engine, command, end_of, events, sets
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
 KEY = "validate/S300/chosen/001"
-VERTICES = ("0-0-0", "1-1-0", "2-2-1", "1-1-1", "0-0-2", "1-1-2")
-CLOSING = [f"closing/{vertex}" for vertex in VERTICES]
+CLOSING = [visit.id.key for visit in visits(load_cell("paper", SMALL), "closing")]
 
 
 def retaken(journal: list[dict[str, Any]]) -> list[str]:
