@@ -9,6 +9,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.journal.set_ups import world_key
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import closing, floor_points, step
@@ -47,6 +48,8 @@ class WorldFrame:
         session.reach("frame_world")
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return the tracker in {W}, and how often it has moved."""
-        tracker = {"T_W_L": log.matrix("world").tolist(), "moved": log.set_ups.number}
+        """Return the tracker in {W} at its last set-up and at all of them; how often it moved."""
+        moved = log.set_ups.number
+        set_ups = [log.matrix(world_key(number)).tolist() for number in range(moved + 1)]
+        tracker = {"T_W_L": set_ups[-1], "moved": moved, "set_ups": set_ups}
         return {"tracker": tracker} | length_result(log)

@@ -4,12 +4,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
+from hilcell.geometry.frames import matrix
+from hilcell.journal.runs import read_log
+from hilcell.journal.set_ups import TRACKER_MOVED
 from hilcell.ports import Array, TrackerReading
 from hilcell.run.cell_session import CellSession
 from procedures.station_frames import StationFrames
 from procedures.world_frame import WorldFrame
+from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.bed import CELL, PLAN, Bed
 from tests.hilcell.run.rig import Points, procedure
 
@@ -32,6 +37,20 @@ def test_no_world_is_framed_by_nests_that_stand_otherwise(
     bed.run(procedure(Points(1, act)))
     assert (bed.log().end or {})["error"]["code"] == "HC-T32"
     assert not bed.log().frames
+
+
+def test_the_tracker_in_the_result_is_that_of_the_last_set_up(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r").began()
+    first, last = np.eye(4), matrix(np.eye(3), np.array([4.0, 0.0, 0.0]))
+    assert WorldFrame().result(read_log(tmp_path / "r"))["tracker"] == {
+        "T_W_L": first.tolist(), "moved": 0, "set_ups": [first.tolist()],
+    }  # fmt: skip
+    event = {"what": TRACKER_MOVED, "set_up": 1, "invalid": []}
+    writer.journal.append("event", "", event)
+    writer.frame("world.1", matrix=last)
+    assert WorldFrame().result(read_log(writer.left()))["tracker"] == {
+        "T_W_L": last.tolist(), "moved": 1, "set_ups": [first.tolist(), last.tolist()],
+    }  # fmt: skip
 
 
 def test_control_points_come_after_the_slide_s_nests_at_every_station(
