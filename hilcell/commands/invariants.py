@@ -8,15 +8,14 @@ from hilcell.clean import encodable, harmless
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.invariants.judging import judge
 from hilcell.invariants.tally import INVARIANTS, Break, Verdict
-from hilcell.journal.journal import read_journal
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.runs import read_records
 
 FIRST = 3  # violations of one invariant that are printed
 
 
 def check(folder: Path, *, as_json: bool) -> int:
     """Print each invariant, whether it holds and how often it was judged; 1 where one is broken."""
-    verdicts = judge(read_journal(folder / JOURNAL))
+    verdicts = judge(read_records(folder))
     if as_json:
         found = {name: _facts(verdict) for name, verdict in verdicts.items()}
         print_json({"run": encodable(folder.name), "invariants": found})

@@ -21,14 +21,15 @@ from pathlib import Path
 import msgspec
 
 from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader
-from hilcell.journal.journal import ABSENT, Record, StorageError, read_journal
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
+from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
 SCHEMA = 3  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
+UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
 
 _PASSING = (
@@ -46,9 +47,10 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     """One run, from its journal.
 
     Times are UTC, ISO 8601 to the second; ``ended`` and ``exit`` are of the last end, which a
-    resumed run loses again. An unreadable journal has only name, state, reason, and as ``begun``
-    when its file was last written. Figures (mm) are 3D errors of the validation at the grid's
-    station, or of a fit's nominal and chosen model; None where the procedure has none.
+    resumed run loses again. A journal that is unreadable, or of a run that never began, has only
+    name, state, reason, and as ``begun`` when its file was last written. Figures (mm) are 3D errors
+    of the validation at the grid's station, or of a fit's nominal and chosen model; None where the
+    procedure has none.
     """
 
     name: str
@@ -90,8 +92,8 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def readable(self) -> bool:
-        """Whether the journal could be read."""
-        return self.state != "unreadable"
+        """Whether the journal could be read, and holds something."""
+        return self.state not in (UNREADABLE, NEVER_BEGAN)
 
     @property
     def gone(self) -> bool:
@@ -129,11 +131,10 @@ def row_of(folder: Path) -> RunRow:
     from hilcell.journal.engine_file import live_engine
 
     try:
-        row = _from_records(folder.name, read_journal(folder / JOURNAL))
+        row = _from_records(folder.name, read_records(folder))
     except (StorageError, msgspec.ValidationError) as error:
-        return RunRow(
-            name=folder.name, begun=_written(folder), state="unreadable", reason=str(error)
-        )
+        state = NEVER_BEGAN if isinstance(error, NeverBegan) else UNREADABLE
+        return RunRow(name=folder.name, begun=_written(folder), state=state, reason=str(error))
     return msgspec.structs.replace(row, live=live_engine(folder) is not None)
 
 
@@ -288,10 +289,7 @@ def _from_records(name: str, records: Iterable[Record]) -> RunRow:
                     if state == "checking":
                         end, fault = None, ""
     if plan is None:
-        raise StorageError(
-            "the journal holds no plan: the run died before its first record",
-            code="HC-J06",
-        )
+        raise NeverBegan("the journal holds no plan: the run died before its first record")
     row = _row(name, plan, state, end, fault, len(points))
     simulated = row.simulated or simulated
     return msgspec.structs.replace(row, simulated=simulated, moved=reader.moved, facts=reader.facts)

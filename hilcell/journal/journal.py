@@ -81,6 +81,12 @@ class StorageError(HilcellError):
         return super().facts() | fields
 
 
+class NeverBegan(StorageError):
+    """The journal holds no record: the run died before its first, and nothing is lost."""
+
+    code = "HC-J06"
+
+
 class NotFinite(HilcellError):
     """A record holds a NaN or an infinity, which JSON cannot state; nothing was written."""
 

@@ -19,7 +19,7 @@ from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.journal.asset import Asset, asset_of
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.driven import Driven
-from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.journal import NeverBegan, Record
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import PointId
 from hilcell.journal.set_ups import SetUps, carried, world_key
@@ -352,10 +352,7 @@ class Log:
     def inputs(self) -> PlanRecord:
         """Return the frozen inputs; a run writes them first."""
         if self.plan is None:
-            raise StorageError(
-                "the journal holds no plan: the run died before its first record",
-                code="HC-J06",
-            )
+            raise NeverBegan("the journal holds no plan: the run died before its first record")
         return self.plan
 
     def find(self, id: PointId) -> Point | None:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hilcell.errors import HilcellError
-from hilcell.journal.journal import Record, StorageError, is_there, read_journal
+from hilcell.journal.engine_file import ENGINE
+from hilcell.journal.journal import NeverBegan, Record, StorageError, is_there, read_journal
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
@@ -119,12 +120,18 @@ def read_log(folder: Path) -> Log:
 
 
 def read_records(folder: Path) -> list[Record]:
-    """Return the records of a run that has begun; raises `StorageError`."""
-    records = read_journal(folder / JOURNAL)
-    if not records:
+    """Return the records of a run that has begun; raises `NeverBegan`, `StorageError`."""
+    journal = folder / JOURNAL
+    if records := read_journal(journal):
+        return records
+    later = [name for name in (CALIBRATION, ENGINE) if (folder / name).exists()]
+    if later:
         raise StorageError(
-            f"journal {folder / JOURNAL}: it is empty: the run died before its first record; "
-            "start a new run with `hilcell run`",
-            code="HC-J06",
+            f"journal {journal}: it is empty, although {later[0]} is there: its records are lost; "
+            f"{_FETCH}",
+            code="HC-J02",
         )
-    return records
+    raise NeverBegan(
+        f"run {folder.name} never began: it died before the first record of {journal}; "
+        "start a new run with `hilcell run`"
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hilcell.cell.devices import ConnectFailed
-from hilcell.journal.journal import StorageError
+from hilcell.journal.journal import NeverBegan, StorageError
 from hilcell.ports import DeviceError, DeviceRefused, HilcellError, Stopped
 from hilcell.run.cell_lock import CellLocked
 from hilcell.writing import DiskFailed, NotPrinted
@@ -15,6 +15,7 @@ RESUMABLE = (EXIT_FAULT, EXIT_ABORTED, EXIT_STORAGE)
 
 _TABLE: tuple[tuple[type[Exception], int], ...] = (
     (Stopped, EXIT_ABORTED),
+    (NeverBegan, EXIT_REFUSED),
     (StorageError, EXIT_STORAGE),
     (NotPrinted, EXIT_STORAGE),
     (DiskFailed, EXIT_STORAGE),

@@ -1,17 +1,21 @@
 """Every command says in clear words that a run's journal is damaged, empty, missing or locked."""
 
 import shutil
+import sqlite3
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.engine_file import ENGINE
+from hilcell.journal.journal import Journal
+from hilcell.journal.runs import CALIBRATION, JOURNAL
 from tests.hilcell.report.journals import validated_run
 
 READERS = [
@@ -96,16 +100,57 @@ def test_a_reader_names_the_journal_and_the_damage(
     assert not (runs.parent / "out").exists()
 
 
-@pytest.mark.parametrize("words", [words for words in READERS if words[0] != "watch"], ids=" ".join)
-def test_an_empty_journal_is_named(
-    runs: Path, words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+def no_tables(journal: Path) -> None:
+    """Leave what a kill leaves between the file and its tables."""
+    journal.unlink()
+    with closing(sqlite3.connect(journal)) as base:
+        base.execute("PRAGMA journal_mode=WAL")
+
+
+def no_records(journal: Path) -> None:
+    """Leave what a kill leaves between the tables and the first record."""
+    journal.unlink()
+    Journal(journal, "r", create=True).close()
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        *((no_records, words) for words in READERS if words[0] != "watch"),
+        (no_records, ("show", "r", "--check")),
+        (no_tables, ("resume", "r", "--unattended")),
+        (emptied, ("resume", "r", "--unattended")),
+    ],
+)
+def test_a_run_that_was_killed_before_its_first_record_never_began(
+    runs: Path,
+    how: Callable[[Path], None],
+    words: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    how(runs / "r" / JOURNAL)
+    assert main([*words, "--runs", str(runs)]) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith("hilcell: run r never began: ")
+    assert "start a new run with `hilcell run`" in err
+    assert out == ""
+    assert main(["runs", "--json", "--runs", str(runs)]) == 0
+    listed = msgspec.json.decode(capsys.readouterr().out)["runs"]
+    assert [each["state"] for each in listed] == ["never began", "finished"]
+    assert "start a new run" in listed[0]["reason"]
+
+
+@pytest.mark.parametrize("beside", [CALIBRATION, ENGINE])
+def test_an_empty_journal_beside_files_of_its_run_has_lost_its_records(
+    runs: Path, beside: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     emptied(runs / "r" / JOURNAL)
-    assert main([*words, "--runs", str(runs)]) == 7
-    assert "it is empty: the run died before its first record" in capsys.readouterr().err
+    (runs / "r" / beside).write_text("{}")
+    assert main(["resume", "r", "--unattended", "--runs", str(runs)]) == 7
+    assert f"it is empty, although {beside} is there" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("how", [changed, unreadable_text, damaged_schema, emptied])
+@pytest.mark.parametrize("how", [changed, unreadable_text, damaged_schema])
 def test_a_list_of_runs_names_what_it_cannot_read(
     runs: Path, how: Callable[[Path], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -113,8 +158,7 @@ def test_a_list_of_runs_names_what_it_cannot_read(
     assert main(["runs", "--json", "--runs", str(runs)]) == 0
     listed = msgspec.json.decode(capsys.readouterr().out)["runs"]
     assert [each["state"] for each in listed] == ["unreadable", "finished"]
-    words = "damaged at record" if how is not emptied else "died before its first record"
-    assert words in listed[0]["reason"]
+    assert "damaged at record" in listed[0]["reason"]
 
 
 AS_NOBODY = """

@@ -21,9 +21,9 @@ from hilcell.commands.cli import main
 from hilcell.journal import index
 from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.index import NAME, RunRow, matches, read_index
-from hilcell.journal.journal import Journal, StorageError, read_journal
+from hilcell.journal.journal import Journal, StorageError
 from hilcell.journal.log import Log
-from hilcell.journal.runs import JOURNAL, find_run, read_log, run_folders
+from hilcell.journal.runs import JOURNAL, find_run, read_log, read_records, run_folders
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer
 
 PLACES = {
@@ -65,11 +65,11 @@ class Opened:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.names: list[str] = []
-        monkeypatch.setattr(index, "read_journal", self._read)
+        monkeypatch.setattr(index, "read_records", self._read)
 
-    def _read(self, path: Path) -> Any:
-        self.names.append(path.parent.name)
-        return read_journal(path)
+    def _read(self, folder: Path) -> Any:
+        self.names.append(folder.name)
+        return read_records(folder)
 
     def since(self) -> list[str]:
         names, self.names = sorted(self.names), []
@@ -102,7 +102,7 @@ def test_rows_say_what_logs_say(runs: Path) -> None:
         assert abandoned.condition == "running, engine gone"
         assert abandoned.ended == ""
         assert faulted.begun <= faulted.ended
-        assert faulted.begun == f"{read_journal(runs / '2-faulted' / JOURNAL)[0].t[:19]}Z"
+        assert faulted.begun == f"{read_records(runs / '2-faulted')[0].t[:19]}Z"
 
 
 def test_a_run_of_which_there_is_a_plan_and_no_more_is_not_begun() -> None:
@@ -225,7 +225,8 @@ def test_damaged_journals_are_told_and_read_again(runs: Path, opened: Opened) ->
         "2-faulted",
     ]
     assert "not a journal" in rows["2-faulted"].reason
-    assert "no plan" in rows["5-empty"].reason
+    assert rows["5-empty"].state == "never began"
+    assert "died before the first record" in rows["5-empty"].reason
     assert "seed" in rows["6-alien"].reason
     assert all(row.begun.endswith("Z") for row in rows.values())
     opened.since()
@@ -486,4 +487,4 @@ def test_find_run_takes_the_folder(runs: Path) -> None:
     """What the index leaves in the folder is no run."""
     read_index(runs)
     assert find_run(runs, "1").name == "1-finished"
-    assert Log(read_journal(find_run(runs, "2") / JOURNAL)).inputs.operator == "Bob"
+    assert Log(read_records(find_run(runs, "2"))).inputs.operator == "Bob"
