@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from hilcell.commands.output import print_message
 from hilcell.commands.run_output import kind_of
+from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import CONTROL
 from hilcell.run.procedure import Procedure
@@ -20,6 +21,24 @@ def asks(args: argparse.Namespace) -> bool:
     """
     here = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     return here and not (args.unattended or args.screen)
+
+
+def check_unasked(run: str, log: Log, procedure: Procedure, args: argparse.Namespace) -> None:
+    """Refuse to let a real robot go on where somebody should be asked and nobody can be.
+
+    A simulated one moves nothing: scripts go on with it, and what moves is only said.
+    """
+    if args.unattended or args.screen:
+        return
+    if not log.inputs.simulated:
+        raise HilcellError(
+            f"run {run}: nobody can be asked whether the robot may go on, for this is no terminal; "
+            "resume it at a terminal or from `hilcell tui`, or add --unattended where nobody is "
+            "in the cell",
+            code="HC-C31",
+        )
+    moves = _moves(log, procedure)
+    print_message(f"{kind_of(log)} {run}: nobody is asked, nothing real moves: {moves}")
 
 
 def agrees(run: str, log: Log, procedure: Procedure, changes: Sequence[str]) -> bool:

@@ -33,7 +33,7 @@ from hilcell.cell.devices import (
 from hilcell.cell.file import Cell, load_cell
 from hilcell.clean import encodable
 from hilcell.clock import WallClock
-from hilcell.commands.going_on import agrees, asks
+from hilcell.commands.going_on import agrees, asks, check_unasked
 from hilcell.commands.output import print_message
 from hilcell.commands.run_output import (
     JsonOutput,
@@ -166,6 +166,8 @@ def resume(args: argparse.Namespace) -> int:
                     return EXIT_ABORTED
                 accepted(journal, found, "the operator")
                 changes = Changes(accepted=args.accept_changes)
+            else:
+                check_unasked(folder.name, log, procedure, args)
         output = _output(args.json, journal.run, inputs.points, journal)
         for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
@@ -242,10 +244,14 @@ def check_attended(cell: Cell, *, unattended: bool) -> None:
 
 
 def _resume_live(folder: Path, args: argparse.Namespace) -> int:
-    if asks(args):
+    """Let a live run go on; one that nobody attends, or that a screen shows, asks nobody here."""
+    somebody, status = asks(args), order(folder, "status")
+    if somebody or not (status.unattended or status.screens):
         log = read_log(folder)
         procedure: Procedure = load_entry("procedures", log.inputs.procedure)
-        if not agrees(folder.name, log, procedure, []):
+        if not somebody:
+            check_unasked(folder.name, log, procedure, args)
+        elif not agrees(folder.name, log, procedure, []):
             return EXIT_ABORTED
     for key in args.retake:
         order(folder, "retake", key=key)

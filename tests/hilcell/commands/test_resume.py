@@ -12,9 +12,11 @@ import pytest
 from hilcell import __version__
 from hilcell.commands import run as command
 from hilcell.commands.cli import main
+from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.journal import Journal, read_journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.run.cell_lock import lock_of_name, locked
+from hilcell.run.protocol import Status
 from hilcell.run.same_cell import Changes
 from tests.hilcell.report.journals import Writer
 
@@ -111,6 +113,68 @@ def test_scripts_and_screens_are_not_asked(
     folder = left(tmp_path / "r")
     gone_on = [Changes([], askable="--screen" in words)]
     assert resumed(folder, monkeypatch, "" if words else None, *words) == (0, gone_on)
+
+
+@pytest.mark.parametrize(
+    ("words", "answer", "code"),
+    [((), None, 2), (("--unattended",), None, 0), (("--screen",), None, 0), ((), "y\n", 0)],
+)
+def test_a_real_robot_does_not_go_on_where_nobody_can_be_asked(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    answer: str | None,
+    code: int,
+) -> None:
+    folder = left(tmp_path / "r", simulated=False)
+    before = read_journal(folder / JOURNAL)
+    found, gone_on = resumed(folder, monkeypatch, answer, *words)
+    assert (found, len(gone_on)) == (code, int(code == 0))
+    said = capsys.readouterr().err
+    assert ("add --unattended" in said) is (code == 2)
+    assert ("step 1 of 1, home, moves the robot" in said) is (answer is not None)
+    assert read_journal(folder / JOURNAL) == before
+
+
+def test_a_simulated_one_goes_on_unasked_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert resumed(left(tmp_path / "r"), monkeypatch, None)[0] == 0
+    said = capsys.readouterr().err
+    assert "nobody is asked, nothing real moves: step 1 of 1, home, moves the robot" in said
+
+
+@pytest.mark.parametrize(
+    ("simulated", "screens", "unattended", "words", "code"),
+    [
+        (False, 0, False, (), 2),
+        (False, 0, False, ("--unattended",), 0),
+        (False, 1, False, (), 0),
+        (False, 0, True, (), 0),
+        (True, 0, False, (), 0),
+    ],
+)
+def test_a_live_run_is_let_go_on_by_the_same_rule(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    simulated: bool,
+    screens: int,
+    unattended: bool,
+    words: tuple[str, ...],
+    code: int,
+) -> None:
+    folder = left(tmp_path / "r", simulated=simulated)
+    ordered: list[str] = []
+
+    def order(folder: Path, command: str, *, key: str = "") -> Status:
+        ordered.append(command)
+        return Status(state="paused", screens=screens, unattended=unattended)
+
+    monkeypatch.setattr(command, "order", order)
+    monkeypatch.setattr(command, "live_engine", lambda folder: EngineFile(1, "here"))
+    assert main(["resume", "r", "--runs", str(folder.parent), *words]) == code
+    assert ("proceed" in ordered) is (code == 0)
 
 
 CHANGE = f"hilcell 0.0.1 began this run, this is {__version__}"
