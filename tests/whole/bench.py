@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -16,10 +17,11 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from _pytest.mark import ParameterSet
 
-from fakes.simulator import PaperCell
+from fakes.host import Host, Order
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 
@@ -164,12 +166,21 @@ class Simulation:
 def simulation(
     speed: float = math.inf, values: Mapping[str, str] | None = None, *, faults: str = ""
 ) -> Iterator[Simulation]:
-    """Run the simulated cell beside the test; ``values`` are those of its cell file."""
-    cell = PaperCell(load_cell("paper", values), seed=1, speed=speed, faults=faults)
+    """Run the simulated cell in threads of the test; ``values`` are those of its cell file.
+
+    As a process of its own it would take the time to start one.
+    """
+    cell: dict[str, Any] = msgspec.to_builtins(load_cell("paper", values))
+    given = {key: value for key, value in cell.items() if value is not None}
+    host = Host(Order(cell=given, speed=None if math.isinf(speed) else speed, faults=faults))
+    serving = threading.Thread(target=host.run, name="simulated cell")
+    serving.start()
     try:
-        yield Simulation(cell.options, cell.address)
+        addresses = host.addresses()
+        yield Simulation(addresses, addresses["control"])
     finally:
-        cell.close()
+        host.end()
+        serving.join()
 
 
 @contextmanager
