@@ -64,14 +64,11 @@ def changed(found: Differences, arm: Arm, noticed_by: str) -> Change:
     chi2 = float(d @ np.linalg.solve(found.covariance_mm2, d))
     explained = _explained(found, arm, noticed_by)
     risk = RISK / len(explained)
+    limits = {
+        k: f_quantile(1.0 - risk, k, found.freedom) for k in {each.parameters for each in explained}
+    }
     tests = [(chi2 / len(d), f_quantile(1.0 - RISK, len(d), found.freedom))]
-    tests += [
-        (
-            (chi2 - each.left) / each.parameters,
-            f_quantile(1.0 - risk, each.parameters, found.freedom),
-        )
-        for each in explained
-    ]
+    tests += [((chi2 - e.left) / e.parameters, limits[e.parameters]) for e in explained]
     ratio, limit = max(tests, key=lambda test: test[0] / test[1])
     if ratio <= limit:
         return Change(ratio, limit, None)

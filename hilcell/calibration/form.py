@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from datetime import UTC, datetime
+from functools import cached_property
 from typing import Any, Literal
 
 import msgspec
@@ -167,7 +168,7 @@ class Targets(msgspec.Struct, frozen=True):
         return Remainder([each.measured() for each in self.passes], self.variance_mm2)
 
 
-class Calibration(msgspec.Struct, frozen=True):
+class Calibration(msgspec.Struct, frozen=True, dict=True):
     """The file. ``method`` is the model's name, for readers that know no ``model``.
 
     Files of old state no ``uncertainty``. ``targets`` are those that later runs have measured.
@@ -204,6 +205,10 @@ class Calibration(msgspec.Struct, frozen=True):
 
         Raises `HilcellError` where the parameters are no model's.
         """
+        return self._error_model
+
+    @cached_property
+    def _error_model(self) -> ErrorModel:  # to restore one and check it takes 7 ms
         model = self.learnt_model()
         return model if self.targets is None else WithRemainder(model, self.targets.remainder())
 

@@ -14,6 +14,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import Any
 
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
@@ -353,9 +354,9 @@ class Runner:
         return self._unclosed
 
     def _finish(self) -> int:
-        self._procedure.result(self.log)  # what cannot be computed is a fault, not a finish
+        result = self._procedure.result(self.log)  # what cannot be computed is a fault
         self._life.fire("finish")
-        return finish(self._procedure, self._journal)
+        return finish(self._procedure, self._journal, result)
 
     def _fail(self, error: Exception) -> None:
         """Enter the state that the error means."""
@@ -376,12 +377,15 @@ class Runner:
             self._fault = self._fault or error
 
 
-def finish(procedure: Procedure, journal: RunJournal) -> int:
-    """Write the end of a finished run, unless the journal holds it; return the exit code."""
+def finish(procedure: Procedure, journal: RunJournal, result: dict[str, Any] | None = None) -> int:
+    """Write the end of a finished run, unless the journal holds it; return the exit code.
+
+    ``result`` is what the procedure has computed of the journal already, if it has.
+    """
     log = journal.log
     in_tolerance = all(verdict["holds"] for verdict in log.verdicts.values())
     code = EXIT_OK if in_tolerance else EXIT_OUT_OF_TOLERANCE
     if log.end is None:
-        result = procedure.result(log)
-        journal.append("end", "", {"state": "finished", "exit": code, "result": result})
+        found = procedure.result(log) if result is None else result
+        journal.append("end", "", {"state": "finished", "exit": code, "result": found})
     return code
