@@ -98,7 +98,7 @@ def robot_of(cell: Cell) -> RobotModel:
 
 def measured(log: Log) -> Measurements:
     """Return the campaign's points as measured targets, with the joints as commanded."""
-    points = [point for point in log.points.values() if point.id.kind == "campaign"]
+    points = [*log.measured("campaign")]
     joints_deg = np.array([point.commanded_deg for point in points])
     return Measurements(
         [point.id.pose for point in points],

@@ -78,7 +78,7 @@ class Revisits:
                 nominal_mm = None if vertex_mm is None else apply(T_W_B, vertex_mm)
                 session.flange_point(id, station, joints_rad, nominal_mm=nominal_mm, retake=again)
         session.close_step()
-        newest = max(log.recorded[visit.id.key] for visit in poses)
+        newest = max(log.recorded(log.point(visit.id)) for visit in poses)
         judged = log.judged.get(self._verdict)
         if judged is None or judged.seq < newest:
             self._judge(session)

@@ -55,7 +55,7 @@ def revisited(log: Log, kind: str) -> list[Point]:
 
     One whose first reading was replaced by a later one says nothing until it is visited once more.
     """
-    points = [point for point in log.select(kind) if _first(log, point) < log.recorded[point.key]]
+    points = [point for point in log.select(kind) if _first(log, point) < log.recorded(point)]
     return sorted(points, key=lambda point: _first(log, point))
 
 
@@ -65,15 +65,15 @@ def overtaken(log: Log, point: Point) -> bool:
     At the end that is all but proofs, after the grid the pose's first reading.
     """
     if point.id.kind != CLOSING:
-        return _first(log, point) > log.recorded[point.key]
+        return _first(log, point) > log.recorded(point)
     proofs = (CLOSING, *PROOFS, *CHECKS)
-    others = (log.recorded[key] for key, each in log.points.items() if each.id.kind not in proofs)
-    return max(others) > log.recorded[point.key]
+    others = (log.recorded(each) for each in log.points.values() if each.id.kind not in proofs)
+    return max(others) > log.recorded(point)
 
 
 def _first(log: Log, point: Point) -> int:
     """Return the number of the record with the reading that a re-visit is compared with."""
-    return log.recorded[_before(log, point).key]
+    return log.recorded(_before(log, point))
 
 
 def _before(log: Log, point: Point) -> Point:

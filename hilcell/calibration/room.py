@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import CONTROL
@@ -11,14 +13,8 @@ NOTICED_BY = "weather station"
 
 def reference_c(log: Log) -> float | None:
     """Return the temperature at the grid's first point, before there is one at the run's first."""
-    first_c = None
-    for point in log.points.values():
-        if point.temperature_c is None:
-            continue
-        if point.id.kind == "grid":
-            return point.temperature_c
-        first_c = point.temperature_c if first_c is None else first_c
-    return first_c
+    points = chain(log.measured("grid"), log.points.values())
+    return next((p.temperature_c for p in points if p.temperature_c is not None), None)
 
 
 def warm(log: Log) -> Suspicion | None:

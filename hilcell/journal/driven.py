@@ -5,6 +5,7 @@ A motion has come to its end where a point or another motion follows it in the s
 
 from __future__ import annotations
 
+from array import array
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +23,7 @@ class Driven:
     """Takes a run's records in their order."""
 
     def __init__(self) -> None:
-        self._ends: list[list[float]] = []  # of seven: the strip's reading, six joints in deg
+        self._ends = array("d")  # of each seven: the strip's reading, six joints in deg
         self._under_way: list[float] | None = None
 
     def take(self, record: Record) -> None:
@@ -33,7 +34,7 @@ class Driven:
         if record.kind not in ("intent", "point"):
             return
         if self._under_way is not None:
-            self._ends.append(self._under_way)
+            self._ends.extend(self._under_way)
         self._under_way = None
         if body.get("action") == "robot.move" and "strip_mm" in body:
             self._under_way = [body["strip_mm"], *body["joints_deg"]]
@@ -42,6 +43,6 @@ class Driven:
         """Whether a motion ended at joints (6,) with the slide there."""
         if not self._ends:
             return False
-        off = np.abs(np.array(self._ends) - [strip_mm, *np.degrees(joints_rad)])
+        off = np.abs(np.reshape(self._ends, (-1, 7)) - [strip_mm, *np.degrees(joints_rad)])
         near = (off[:, 0] <= SAME_MM) & (off[:, 1:] <= SAME_DEG).all(axis=1)
         return bool(near.any())

@@ -29,6 +29,7 @@ from hilcell.journal.wal import damage_of
 
 SCHEMA = 1
 READ_BACK = 500  # records between two checks that the file holds what was acknowledged
+CACHE_KIB = 256  # of SQLite's pages: a writer that appends needs the last ones only
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other errors hide a file
 SMALLEST_PAGE = 512  # bytes
 NULL = b"null"  # JSON of None, and of every number that is not finite
@@ -130,6 +131,7 @@ class Journal:
             self._base = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute("PRAGMA synchronous=FULL")
+            self._base.execute(f"PRAGMA cache_size=-{CACHE_KIB}")
             if create:
                 self._base.executescript(f"BEGIN;{_TABLES}")  # all of it, or a file without tables
                 meta = (("schema", str(SCHEMA)), ("run", run))

@@ -6,8 +6,7 @@ from it, so a result can always be rebuilt.
 
 from __future__ import annotations
 
-from bisect import insort
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, MutableMapping, Sequence
 from typing import Any
 
 import msgspec
@@ -21,6 +20,7 @@ from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.driven import Driven
 from hilcell.journal.journal import NeverBegan, Record
 from hilcell.journal.old_keys import id_of_key
+from hilcell.journal.packed import Packed
 from hilcell.journal.point_id import PointId
 from hilcell.journal.set_ups import SetUps, carried, world_key
 from hilcell.journal.states import OVER, CalibrationState, RunState
@@ -63,7 +63,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     """One acknowledged measurement, raw, with all that is needed to use it later.
 
     ``xyz_mm`` is the mean of ``samples``, as seen from the tracker's first set-up, ``nominal_mm``
-    the nominal target in {W}; joints in deg, ``pose`` is what the controller said, row by row.
+    the nominal target in {W}; joints in deg. Its record also says the controller's pose.
     """
 
     id: PointId
@@ -84,7 +84,6 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     smr_mm: tuple[float, float, float] | None = None
     commanded_deg: tuple[float, ...] | None = None
     joints_deg: tuple[float, ...] | None = None
-    pose: tuple[tuple[float, ...], ...] | None = None
     rail_mm: float | None = None
     strip_mm: float | None = None
     readings: Readings | None = None
@@ -100,6 +99,10 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
         ):
             return None
         return Air(self.temperature_c, self.pressure_mbar, self.humidity_percent)
+
+
+class _Row(Point, frozen=True, kw_only=True, array_like=True):
+    """A point as the log packs it."""
 
 
 class Seated(msgspec.Struct, frozen=True, kw_only=True):
@@ -198,9 +201,8 @@ class Log:
     def __init__(self, records: Iterable[Record] = ()) -> None:
         self.plan: PlanRecord | None = None
         self._cell: Cell | None = None
-        self.points: dict[str, Point] = {}
-        self.recorded: dict[str, int] = {}  # number of the record that holds each point
-        self._keys: dict[str, list[str]] = {}  # of the points, by kind, in order
+        self.points: MutableMapping[str, Point] = Packed(_Row)
+        self._keys: dict[str, dict[str, int]] = {}  # of the points, by kind: numbers of records
         self.frames: dict[str, dict[str, Any]] = {}
         self.verdicts: dict[str, dict[str, Any]] = {}
         self.judged: dict[str, Record] = {}  # the verdicts' records
@@ -236,8 +238,7 @@ class Log:
             case "state":
                 self._take_state(record)
             case "point":
-                self._take_point(self._carried(_point(record)))
-                self.recorded[record.key] = record.seq
+                self._take_point(self._carried(_point(record)), record.seq)
             case "frame":
                 self.frames[record.key] = body
                 self._carry_nests(record.key)
@@ -277,14 +278,12 @@ class Log:
         point = self.points.pop(key, None)
         if point is None:
             return
-        self._keys[point.id.kind].remove(key)
-        del self.recorded[key]
+        del self._keys[point.id.kind][key]
         if point.id.kind == "touch":
             self.frames.pop(f"touch.{point.station}", None)
 
-    def _take_point(self, point: Point) -> None:
-        if point.key not in self.points:
-            insort(self._keys.setdefault(point.id.kind, []), point.key)
+    def _take_point(self, point: Point, seq: int) -> None:
+        self._keys.setdefault(point.id.kind, {})[point.key] = seq
         self.points[point.key] = point
         self.retakes.pop(point.key, None)
 
@@ -384,8 +383,16 @@ class Log:
                 and place in (None, point.id.place)
             )
 
-        points = (self.points[key] for key in self._keys.get(kind, ()))
+        points = (self.points[key] for key in sorted(self._keys.get(kind, ())))
         return [point for point in points if agrees(point)]
+
+    def measured(self, kind: str) -> Iterator[Point]:
+        """Yield the points of a kind in the order in which they were first measured."""
+        return (self.points[key] for key in self._keys.get(kind, ()))
+
+    def recorded(self, point: Point) -> int:
+        """Return the number of the record that holds a point."""
+        return self._keys[point.id.kind][point.key]
 
     def temperatures_c(self) -> list[float]:
         """Return the air's temperature at every point; nothing without a weather station."""

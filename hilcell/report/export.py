@@ -142,7 +142,8 @@ def _measured(
     world_mm = None if world is None else apply(world, np.array([point.xyz_mm]))[0]
     known = world_mm is not None and point.nominal_mm is not None
     error_mm = world_mm - np.array(point.nominal_mm) if known else None
-    pose = None if point.pose is None else zyx_from_pose(np.array(point.pose))
+    said = record.body.get("pose")
+    pose = None if said is None else zyx_from_pose(np.array(said))
     return Measured(record, point, world_mm, error_mm, pose, bound_mm)
 
 

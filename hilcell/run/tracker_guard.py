@@ -22,8 +22,8 @@ from hilcell.cell.layout import Nest
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
-from hilcell.journal.point_id import PointId
-from hilcell.journal.set_ups import FRAMED_AGAIN, PROVEN, TRACKER_MOVED, world_key
+from hilcell.journal.point_id import LENGTH, PointId
+from hilcell.journal.set_ups import FRAMED_AGAIN, PROOFS, PROVEN, TRACKER_MOVED, world_key
 from hilcell.ports import Array, DeviceError
 from hilcell.run.run_context import RunContext
 
@@ -311,7 +311,8 @@ def _nest_ids(cell: Cell, set_up: int) -> list[PointId]:
 
 def _control_id(log: Log, nest: Nest) -> PointId:
     """Return the identity of the nest's next control point."""
-    turn = sum(point.id.nest == nest.name for point in log.points.values())
+    before = (point for kind in (*PROOFS, LENGTH) for point in log.measured(kind))
+    turn = sum(point.id.nest == nest.name for point in before)
     return PointId("control", session=log.session, turn=turn, nest=nest.name)
 
 

@@ -24,7 +24,7 @@ class Visits(Log):
                 noise_mm = rng.standard_normal(3) * robot_mm
                 noise_mm += rng.standard_normal(3) * np.array(TRACKER_MM)
                 id = PointId("repeatability", place=place, number=visit)
-                self._take_point(_point(id, 1000.0 * place + noise_mm))
+                self._take_point(_point(id, 1000.0 * place + noise_mm), visit + 1)
 
     @property
     def cell(self) -> Cell:

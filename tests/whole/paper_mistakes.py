@@ -44,7 +44,7 @@ def fails(name: str, log: Log) -> bool:
 def changed(log: Log, points: Iterable[Point]) -> Log:
     """Return the log with these points in the places of those with their keys."""
     other = copy.copy(log)
-    other.points = log.points | {point.key: point for point in points}
+    other.points = {**log.points} | {point.key: point for point in points}
     return other
 
 

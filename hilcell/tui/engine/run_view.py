@@ -73,7 +73,7 @@ class RunView:
         """Return the newest point with a nominal place, or None where there is none yet."""
         if self.last is None or self.last.nominal_mm is not None:
             return self.last
-        points = reversed(self.log.points.values())
+        points = (self.log.points[key] for key in reversed([*self.log.points]))
         return next((point for point in points if point.nominal_mm is not None), None)
 
     @property

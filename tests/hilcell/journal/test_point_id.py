@@ -78,7 +78,7 @@ def test_a_record_of_an_old_journal_is_a_point() -> None:
     log = Log([Record(1, "", "point", "control/1-1/F1", BODY)])
     (point,) = log.select("control")
     assert point.id == PointId("control", session=1, turn=1, nest="F1")
-    assert log.find(point.id) is point
+    assert log.find(point.id) == point
     assert log.find(PointId("world", nest="F1")) is None
 
 

@@ -201,7 +201,7 @@ def test_the_newest_deviation_stays_while_points_without_one_are_measured() -> N
     view.take(story.records[-1])
     assert view.last is not None
     assert view.last.key == "control/F1"
-    assert view.newest_target is view.log.points["grid/0-0-4"]
+    assert view.newest_target == view.log.points["grid/0-0-4"]
 
 
 @pytest.mark.parametrize("remaining_s", [None, 0.0, 30.0, 1e9])
