@@ -16,7 +16,7 @@ import numpy as np
 from hilcell.calibration.frames import grid_of, vertex_ids
 from hilcell.calibration.noticed import CLOSING, REVISIT, overtaken, revisits, suspicions_of
 from hilcell.calibration.reversal import REVERSAL, Reversal, reversal
-from hilcell.calibration.suspicions import Suspicion
+from hilcell.calibration.suspicions import suspected_in
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
@@ -161,5 +161,5 @@ def _figures(found: Reversal) -> dict[str, Any]:
 
 def suspicion_words(result: dict[str, Any]) -> str:
     """Return what is suspected, in words."""
-    found = [msgspec.convert(each, Suspicion) for each in result.get("suspicions", [])]
+    found = suspected_in(result)
     return "\n".join(f"Suspected: {each.text}. Do not use this calibration." for each in found)

@@ -7,8 +7,8 @@ few poses cannot tell every cause from another.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -36,6 +36,12 @@ class Suspicion(msgspec.Struct, frozen=True):
     noticed_by: str
 
     @property
+    def facts(self) -> dict[str, Any]:
+        """Return it as fields of an error that names it."""
+        found: dict[str, Any] = msgspec.to_builtins(self)
+        return found
+
+    @property
     def words(self) -> str:
         """Return cause and size."""
         return f"{self.cause} ({self.size:.4g} {self.unit})"
@@ -44,6 +50,22 @@ class Suspicion(msgspec.Struct, frozen=True):
     def text(self) -> str:
         """Return it in words, with the comparison."""
         return f"{self.words}, noticed by {self.noticed_by}"
+
+
+def blamed(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the result of a run that ended with an error of these facts: the cause, where its
+    fields are those of a `Suspicion`.
+    """
+    try:
+        found = msgspec.convert(facts.get("fields", {}), Suspicion)
+    except msgspec.ValidationError:  # it names no cause, or a size that is no number
+        return {}
+    return {"suspicions": [found.facts]}
+
+
+def suspected_in(result: Mapping[str, Any]) -> list[Suspicion]:
+    """Return the suspicions of a run's result."""
+    return msgspec.convert(result.get("suspicions", []), list[Suspicion])
 
 
 class Pattern(NamedTuple):

@@ -9,6 +9,7 @@ from hilcell.cell.devices import load_entry
 from hilcell.clean import encodable, harmless
 from hilcell.commands.invariants import check
 from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.run_output import print_suspected
 from hilcell.journal.index import RunRow, read_index, row_of
 from hilcell.journal.runs import find_run, read_log
 from hilcell.journal.standing import Standing, standings
@@ -89,7 +90,7 @@ def show(args: argparse.Namespace) -> int:
     inputs = log.inputs
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     finished = log.state == "finished"
-    result = procedure.result(log) if finished else {}
+    result = procedure.result(log) if finished else (log.end or {}).get("result", {})
     summary = _summary(row_of(folder), standings(read_index(folder.parent)).get(folder.name)) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
@@ -111,7 +112,8 @@ def show(args: argparse.Namespace) -> int:
     if standing := _standing(summary):
         rows.append(["its calibration", standing])
     print_table((["run", summary["run"]], rows))
-    if result:
+    print_suspected(log)
+    if finished:
         print_table(procedure.table(result))
         if words := procedure.words(result):
             print_message(words)

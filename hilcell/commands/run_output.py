@@ -16,6 +16,7 @@ import msgspec
 
 from hilcell.alarms.catalogue import entry_of
 from hilcell.calibration.recheck import in_words
+from hilcell.calibration.suspicions import suspected_in
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
 from hilcell.commands.output import (
@@ -187,7 +188,8 @@ def print_end(
         for each in fault.causes.values() or [fault]:
             if entry_of(each.code).specific:
                 print_message(f"what to do: hilcell explain {each.code}")
-    if log.end is not None and log.end["result"]:
+    print_suspected(log)
+    if log.end is not None and log.end["result"] and log.state == "finished":
         _print_result(procedure, output, log.end["result"])
     for key, verdict in log.verdicts.items():
         if not verdict["holds"]:
@@ -197,6 +199,13 @@ def print_end(
     state = log.state
     ended = state if log.end is not None else f"cut off while {state}"
     print_message(f"{kind_of(log)} {folder.name}: {ended}; journal in {folder}")
+
+
+def print_suspected(log: Log) -> None:
+    """Print which cause the fault names that ended a run; a finished one's words have its own."""
+    if log.end is not None and log.state == "faulted":
+        for each in suspected_in(log.end["result"]):
+            print_message(f"Suspected: {each.text}.")
 
 
 def print_unclosed(problems: Mapping[str, Exception]) -> None:

@@ -10,7 +10,8 @@ import time
 
 import numpy as np
 
-from hilcell.calibration.room import reference_c
+from hilcell.calibration.room import NOTICED_BY, reference_c
+from hilcell.calibration.suspicions import Suspicion
 from hilcell.journal.log import Point
 from hilcell.ports import Array, DeviceError, NoReading
 from hilcell.run.measuring import Ask
@@ -74,7 +75,8 @@ class RoomGuard:
             f"air {now_c:.1f} C, {now_c - then_c:+.1f} K from the grid's first point",
             wanted=f"within {table.back_k:g} K of {then_c:.1f} C for {table.steady_s:g} s",
             act="wait until the room is as it was, then resume",
-            fields={"air_c": now_c, "then_c": then_c, "limit_k": table.range_k},
+            fields=Suspicion("temperature", now_c - then_c, "K", NOTICED_BY).facts
+            | {"air_c": now_c, "then_c": then_c, "limit_k": table.range_k},
         )
 
     def _look(self, near_mm: Array, then_c: float) -> Look:

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from hilcell.calibration.suspicions import blamed
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.errors import facts_of
@@ -343,7 +344,8 @@ class Runner:
         code = exit_code(error)
         if code == EXIT_REFUSED and self.log.moved:
             code = EXIT_FAULT  # "refused" is said only before anything moved
-        body = {"exit": code, "result": {}, "reason": str(error), "error": facts_of(error)}
+        facts = facts_of(error)
+        body = {"exit": code, "result": blamed(facts), "reason": str(error), "error": facts}
         self._journal.append("end", "", {"state": self.log.state} | body)
         return code
 

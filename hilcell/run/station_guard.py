@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Nest, Station
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Point, positions_mm
@@ -120,6 +121,7 @@ def _words(station: Station, off: Off) -> str:
 
 
 def _jumped(station: Station, off: Off) -> DeviceError:
+    suspicion = Suspicion("strip", off.off_mm, "mm", f"slide nest at {station.name}")
     return DeviceError(
         "HC-S10",
         "Rail",
@@ -128,10 +130,6 @@ def _jumped(station: Station, off: Off) -> DeviceError:
         wanted=f"within {off.limit_mm:.3f} mm along the rail of its first hold in this run",
         act="the strip has jumped, or a slide nest has moved; put the strip head right and resume, "
         "else start a new run",
-        fields={
-            "station": station.name,
-            "cause": "strip",
-            "off_mm": off.off_mm,
-            "limit_mm": off.limit_mm,
-        },
+        fields=suspicion.facts
+        | {"station": station.name, "off_mm": off.off_mm, "limit_mm": off.limit_mm},
     )

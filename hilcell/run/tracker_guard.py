@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from hilcell.calibration.frames import world_from_tracker
+from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
 from hilcell.geometry.frames import apply, inverse
@@ -189,11 +190,12 @@ class TrackerGuard:
         act = "fix its stand, then start a new run"
         if built:
             act = f"{built} rests on points measured since it was proven; start a new run"
+        suspicion = Suspicion("tracker moved", facts["moved_mm"], "mm", "control points")
         raise _moved(
             f"moved by {facts['moved_mm']:.3f} mm",
             f"<= {facts['limit_mm']:.3f} mm",
             f"the tracker was bumped: {act}",
-            facts,
+            facts | suspicion.facts,
         )
 
 

@@ -129,6 +129,7 @@ def test_a_strip_that_jumps_while_everything_is_dead_stops_the_resumed_run(tmp_p
     assert end["error"]["code"] == "HC-S10"
     assert end["error"]["fields"]["cause"] == "strip"
     assert end["error"]["fields"]["off_mm"] == pytest.approx(-1.0, abs=0.05)
+    assert [each["cause"] for each in end["result"]["suspicions"]] == ["strip"]
     seen = {event["seq"] for event in before}
     points = [e for e in after if e["kind"] == "point" and e["seq"] not in seen]
     assert {point["group"] for point in points} == {"control"}
@@ -146,6 +147,7 @@ def test_a_room_that_becomes_warmer_suspends_the_run_until_it_is_back(tmp_path: 
         end = first[-1]
         assert (end["state"], end["exit"]) == ("faulted", 3), end
         assert end["error"]["code"] == "HC-V14"
+        assert [each["cause"] for each in end["result"]["suspicions"]] == ["temperature"]
         assert cell.ask(do="fault", name="tracker.warmer", value=-8.0, after=4)["ok"]
         printed = Engine("resume", engine.run, "--unattended", "--runs", tmp_path).rest()
     end = printed[-1]

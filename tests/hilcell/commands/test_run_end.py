@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.devices import ConnectFailed, load_entry
+from hilcell.commands.cli import main
 from hilcell.commands.run_output import RunOutput, print_end
 from hilcell.errors import DeviceError
 from hilcell.journal.runs import read_log
@@ -37,6 +40,24 @@ def test_a_fault_names_the_alarms_that_say_what_to_do(
     assert lines[0] == f"hilcell: {fault}".splitlines()[0]
     said = [line for line in lines if "explain" in line]
     assert said == [f"what to do: hilcell explain {code}" for code in codes]
+
+
+def test_the_cause_that_ended_a_run_is_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a fault suspects is no table of a finished run."""
+    writer = Writer(tmp_path / "r1").began()
+    writer.state("run", "faulted")
+    suspected = {"suspicions": [msgspec.to_builtins(Suspicion("strip", 1.0, "mm", "slide nest"))]}
+    end = {"state": "faulted", "exit": 3, "result": suspected}
+    writer.journal.append("end", "", end)
+    folder = writer.left()
+    procedure = load_entry("procedures", "calibrate")
+    print_end(folder, read_log(folder), procedure, RunOutput(as_json=False), LOST)
+    assert main(["show", "r1", "--runs", str(tmp_path)]) == 0
+    assert capsys.readouterr().err.count("Suspected: strip (1 mm), noticed by slide nest") == 2
+    assert main(["show", "r1", "--json", "--runs", str(tmp_path)]) == 0
+    assert msgspec.json.decode(capsys.readouterr().out)["result"] == suspected
 
 
 def test_programs_get_the_fault_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -101,6 +101,10 @@ def test_a_strip_that_has_jumped_ends_a_run_that_nobody_attends(
     fields = end["error"]["fields"]
     assert fields["cause"] == "strip"
     assert fields["off_mm"] == pytest.approx(jump_mm, abs=1e-6)
+    (suspicion,) = end["result"]["suspicions"]
+    assert suspicion.pop("size") == pytest.approx(jump_mm, abs=1e-6)
+    place = fields["station"]
+    assert suspicion == {"cause": "strip", "unit": "mm", "noticed_by": f"slide nest at {place}"}
     assert max(map(abs, off_mm(bed))) < 1e-6  # what was refused is not proven
 
 

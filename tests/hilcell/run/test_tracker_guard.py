@@ -230,6 +230,9 @@ def test_a_tracker_that_moves_again_and_again_ends_the_run(
 
     end = performed(bed, act)
     assert "fix its stand" in end["reason"]
+    (suspicion,) = end["result"]["suspicions"]
+    assert suspicion["cause"] == "tracker moved"
+    assert suspicion["size"] == pytest.approx(0.2, abs=0.05)
     assert bed.log().set_ups.number == MOST_SET_UPS
 
 
