@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 from hilcell.run.cell_lock import OVERRIDE
+from hilcell.run.signals import COMMANDS
 from tests.hilcell.report.browser import NAMES, found
 from tests.whole.golden import GoldenRuns
 
@@ -30,6 +33,16 @@ settings.register_profile(  # of a break: whether an example fails, not which is
     "mutants", settings.get_profile("suite"), phases=(Phase.explicit, Phase.generate)
 )
 settings.load_profile("suite")
+
+
+@pytest.fixture(autouse=True)
+def _signals_put_back() -> Iterator[None]:
+    """Put the handlers of signals back: a run in this process notes them until it ends."""
+    before = {number: signal.getsignal(number) for number in COMMANDS}
+    yield
+    for number, handler in before.items():
+        if signal.getsignal(number) is not handler:
+            signal.signal(number, handler)
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -9,7 +9,7 @@ import argparse
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -455,8 +455,10 @@ def _machine_seed_option(command: argparse.ArgumentParser) -> None:
     )
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code."""
+def main(
+    words: Sequence[str] | None = None, *, imported: Callable[[], object] = lambda: None
+) -> int:
+    """Run one command and return its exit code; ``imported`` is called when the command begins."""
     try:
         args = _parser().parse_args(words)
     except NotPrinted as error:  # the help
@@ -466,6 +468,7 @@ def main(words: Sequence[str] | None = None) -> int:
     module, _, function = args.act.partition(":")
     try:
         act = getattr(importlib.import_module(f"hilcell.{module}"), function)
+        imported()
         code = int(act(args))
         flush_data()
     except KeyboardInterrupt:

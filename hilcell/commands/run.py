@@ -76,7 +76,7 @@ from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
 from hilcell.run.same_cell import NONE, Changes, accepted, cell_file, changed_inputs
-from hilcell.run.signals import signals_noted, stopped_by_signals
+from hilcell.run.signals import note_signals, stopped_by_signals
 from hilcell.writing import NotWritten
 
 RUNS_LOOKED_AT = 5  # for poses that were driven before
@@ -271,20 +271,20 @@ def _perform(
 ) -> int:
     """Run to an end, write the calibration, and print the outcome."""
     log = journal.log
-    with signals_noted() as noted:
-        with ExitStack() as stack:
-            stack.callback(journal.close)
-            stack.enter_context(output)
-            if log.state == "finished" and not log.retakes:
-                ending = Ending(finish(procedure, journal), None)
-                ending = _with_calibration(ending, journal, folder)
-            else:
-                ending = _run(cell, procedure, journal, folder, args, noted, changes)
-            code, fault, unclosed = ending
-        output.close(code, log, fault)
-        print_end(folder, log, procedure, output, fault)
-        print_unclosed(unclosed)
-        print_lost(folder, output)
+    noted = note_signals()
+    with ExitStack() as stack:
+        stack.callback(journal.close)
+        stack.enter_context(output)
+        if log.state == "finished" and not log.retakes:
+            ending = Ending(finish(procedure, journal), None)
+            ending = _with_calibration(ending, journal, folder)
+        else:
+            ending = _run(cell, procedure, journal, folder, args, noted, changes)
+        code, fault, unclosed = ending
+    output.close(code, log, fault)
+    print_end(folder, log, procedure, output, fault)
+    print_unclosed(unclosed)
+    print_lost(folder, output)
     if code in RESUMABLE and not _wants_new_run(fault):
         runs = "" if folder.parent == Path("runs") else f" --runs {folder.parent}"
         print_message(f"resume with: hilcell resume {folder.name}{runs}")

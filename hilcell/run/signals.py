@@ -17,12 +17,16 @@ from hilcell.ports import Stopped
 COMMANDS = {signal.SIGINT: "interrupt", signal.SIGTERM: "terminate", signal.SIGHUP: "lost"}
 
 
-@contextmanager
-def signals_noted() -> Iterator[list[signal.Signals]]:
-    """Note SIGTERM, SIGINT and SIGHUP in the list, and let everything go on."""
+def note_signals() -> list[signal.Signals]:
+    """Note SIGTERM, SIGINT and SIGHUP in the list until the process ends, and let all go on.
+
+    Nothing is put back: between that and the process's end a signal would change the exit code.
+    """
     noted: list[signal.Signals] = []
-    with _handled(dict.fromkeys(COMMANDS, lambda number, _: noted.append(signal.Signals(number)))):
-        yield noted
+    if threading.current_thread() is threading.main_thread():
+        for number in COMMANDS:
+            signal.signal(number, lambda number, _: noted.append(signal.Signals(number)))
+    return noted
 
 
 @contextmanager

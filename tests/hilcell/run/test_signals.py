@@ -10,7 +10,7 @@ import pytest
 
 from hilcell.ports import DeviceError, Stopped
 from hilcell.run.cell_session import CellSession
-from hilcell.run.signals import signals_as_commands, signals_noted, stopped_by_signals
+from hilcell.run.signals import note_signals, signals_as_commands, stopped_by_signals
 from tests.hilcell.run.bed import Bed
 from tests.hilcell.run.rig import Points, procedure
 
@@ -70,11 +70,11 @@ def left(noted: list[signal.Signals]) -> None:
 
 
 def test_while_a_run_starts_a_signal_ends_it_and_later_ones_do_not_interrupt_its_way_out() -> None:
-    with signals_noted() as noted:
-        with pytest.raises(Stopped, match="stopped by SIGHUP before anything moved"):
-            left(noted)
-        assert noted == [signal.SIGHUP, signal.SIGINT, signal.SIGTERM]
-        signal.raise_signal(signal.SIGTERM)
+    noted = note_signals()
+    with pytest.raises(Stopped, match="stopped by SIGHUP before anything moved"):
+        left(noted)
+    assert noted == [signal.SIGHUP, signal.SIGINT, signal.SIGTERM]
+    signal.raise_signal(signal.SIGTERM)
 
 
 def test_a_signal_noted_before_the_start_ends_it_too() -> None:
