@@ -24,12 +24,13 @@ class Left(BaseException):
     """The process would have ended."""
 
 
+def leave(code: int) -> None:
+    raise Left(code)
+
+
 def test_a_signal_while_modules_are_imported_leaves_at_once(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    def leave(code: int) -> None:
-        raise Left(code)
-
     def main(*, imported: Callable[[], object]) -> int:
         with pytest.raises(Left, match="4"):
             signal.raise_signal(signal.SIGINT)
@@ -52,6 +53,11 @@ def test_a_signal_after_the_command_changes_nothing(
     def refused(*, imported: Callable[[], object]) -> int:
         raise SystemExit(2)
 
+    def struck(*_: object) -> None:
+        raise Left(number)
+
+    signal.signal(number, struck)
+    monkeypatch.setattr(os, "_exit", leave)
     monkeypatch.setattr(cli, "main", lambda imported: 7)
     assert entry() == 7
     signal.raise_signal(number)
@@ -100,6 +106,6 @@ def test_ctrl_c_at_any_moment_of_the_start_shows_no_trace_of_hilcell(tmp_path: P
             time.sleep(turn * 0.003)
             process.send_signal(signal.SIGINT)
             _, err = process.communicate()
-        assert b"hilcell/commands" not in err, "an interpreter that starts has a trace of its own"
+        assert b"hilcell/commands" not in err, err  # a starting interpreter has a trace of its own
         if b"interrupted" in err:
             assert (process.returncode, b"Traceback" in err) == (4, False)
