@@ -9,11 +9,47 @@ import pytest
 
 from hilcell.journal.set_ups import TRACKER_MOVED
 from tests.torture.disturbances import PLACES, calibrated
-from tests.whole.bench import SMALL, Engine, command, end_of, events, sets, simulation, sweep
+from tests.whole.bench import (
+    SMALL,
+    Engine,
+    Simulation,
+    command,
+    end_of,
+    events,
+    sets,
+    simulation,
+    sweep,
+)
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
 BUMP_MM = 4.0
+
+
+def struck(
+    cell: Simulation, fault: str, value: float, key: str, *words: str | Path
+) -> list[dict[str, Any]]:
+    """Return what a run prints that a fault strikes, once, when a point is durable.
+
+    Before the first, where none is named.
+    """
+    waiting = [key]
+
+    def hear(event: dict[str, Any]) -> None:
+        if event["kind"] == "point" and event["key"] in waiting:
+            waiting.clear()
+            assert cell.ask(do="fault", name=fault, value=value)["ok"]
+
+    if not key:
+        assert cell.ask(do="fault", name=fault, value=value)["ok"]
+    done = command("run", "--json", *words, hear=hear)
+    assert not key or not waiting, done.stderr
+    return events(done.stdout)
+
+
+def resumed(run: str, runs: Path) -> list[dict[str, Any]]:
+    """Return what a run prints that goes on unattended."""
+    return events(command("resume", run, "--unattended", "--runs", runs, "--json").stdout)
 
 
 def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
@@ -21,10 +57,8 @@ def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
 ) -> None:
     with simulation() as cell:
         words = sets(SMALL | {"simulation.address": cell.control})
-        engine = Engine("run", "--runs", tmp_path, *words)
-        engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/1-1-1")
-        assert cell.ask(do="fault", name="tracker.drift_step", value=BUMP_MM)["ok"]
-        printed = engine.rest()
+        with_bump = (cell, "tracker.drift_step", BUMP_MM, "grid/1-1-1")
+        printed = struck(*with_bump, "--runs", tmp_path, *words)
     end = printed[-1]
     assert (end["state"], end["exit"]) == ("finished", 0), end
     assert end["result"]["tracker"]["moved"] == 1
@@ -68,13 +102,7 @@ def disturbed(tmp_path: Path, fault: str, value: float, key: str) -> dict[str, A
     """
     with simulation() as cell:
         words = sets(SMALL | {"simulation.address": cell.control})
-        if not key:
-            assert cell.ask(do="fault", name=fault, value=value)["ok"]
-        engine = Engine("run", "--unattended", "--runs", tmp_path, *words)
-        if key:
-            engine.until(lambda event: event["kind"] == "point" and event["key"] == key)
-            assert cell.ask(do="fault", name=fault, value=value)["ok"]
-        printed = engine.rest()
+        printed = struck(cell, fault, value, key, "--unattended", "--runs", tmp_path, *words)
     assert judge(printed) == []
     end: dict[str, Any] = printed[-1]
     assert (end["state"], end["exit"]) == ("finished", 1), end
@@ -122,8 +150,7 @@ def test_a_strip_that_jumps_while_everything_is_dead_stops_the_resumed_run(tmp_p
         engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/1-1-1")
         before = engine.kill()
         assert cell.ask(do="fault", name="rail.strip_jump", value=1.0)["ok"]
-        resumed = Engine("resume", engine.run, "--unattended", "--runs", tmp_path)
-        after = resumed.rest()
+        after = resumed(engine.run, tmp_path)
     end = after[-1]
     assert (end["state"], end["exit"]) == ("faulted", 3), end
     assert end["error"]["code"] == "HC-S10"
@@ -140,16 +167,14 @@ def test_a_room_that_becomes_warmer_suspends_the_run_until_it_is_back(tmp_path: 
     with simulation() as cell:
         short = {"plan.unattended_wait_s": "100.0", "room.steady_s": "20.0"}
         words = sets(SMALL | short | {"simulation.address": cell.control})
-        engine = Engine("run", "--unattended", "--runs", tmp_path, *words)
-        engine.until(lambda event: event["kind"] == "point" and event["key"] == "grid/1-1-1")
-        assert cell.ask(do="fault", name="tracker.warmer", value=8.0)["ok"]
-        first = engine.rest()
+        in_grid = (cell, "tracker.warmer", 8.0, "grid/1-1-1")
+        first = struck(*in_grid, "--unattended", "--runs", tmp_path, *words)
         end = first[-1]
         assert (end["state"], end["exit"]) == ("faulted", 3), end
         assert end["error"]["code"] == "HC-V14"
         assert [each["cause"] for each in end["result"]["suspicions"]] == ["temperature"]
         assert cell.ask(do="fault", name="tracker.warmer", value=-8.0, after=4)["ok"]
-        printed = Engine("resume", engine.run, "--unattended", "--runs", tmp_path).rest()
+        printed = resumed(end["run"], tmp_path)
     end = printed[-1]
     assert (end["state"], end["exit"]) == ("finished", 0), end
     assert end["result"]["suspicions"] == []
@@ -168,7 +193,7 @@ def test_a_frame_is_built_of_nests_that_one_engine_has_measured(tmp_path: Path, 
         begun.until(lambda event: event["kind"] == "point" and event["key"] == f"world/{nest}")
         begun.kill()
         assert cell.ask(do="fault", name="tracker.drift_step", value=5.0)["ok"]
-        printed = Engine("resume", begun.run, "--unattended", "--runs", tmp_path).rest()
+        printed = resumed(begun.run, tmp_path)
     assert printed[-1]["exit"] == 0, printed[-1]
     journal = events(command("watch", begun.run, "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []

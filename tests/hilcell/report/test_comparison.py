@@ -22,7 +22,7 @@ from hilcell.report.drift import Change, length_factor
 from hilcell.run.control import Control
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.test_control import Recorder
-from tests.whole.bench import SMALL, end_of, hilcell, sets
+from tests.whole.bench import SMALL, command, end_of, sets
 from tests.whole.golden import GoldenRuns
 
 Change_ = Callable[[Record], Record | None]
@@ -137,7 +137,7 @@ def test_the_same_cell_measured_otherwise_has_not_drifted(
 ) -> None:
     """Other readings of nests and circles: another noise, the same truth, nothing is beyond."""
     words = SMALL | {"layout.nest_samples": "3", "base_frame.points": "7"}
-    end = end_of(hilcell("run", "--json", "--runs", tmp_path, "--seed", "1", *sets(words)))
+    end = end_of(command("run", "--json", "--runs", tmp_path, "--seed", "1", *sets(words)))
     found = compare_runs(first, Log(read_journal(tmp_path / end["run"] / JOURNAL)))
     assert {each.key: (each.first, each.second) for each in found.settings} == {
         "layout.nest_samples": ("2", "3"),
