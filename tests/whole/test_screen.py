@@ -226,6 +226,7 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
             wait_for(lambda: len(read_log(folder).points) >= left + 3, "detached, it goes on")
 
 
+@pytest.mark.nightly  # killed over its own run: by day, above
 def test_a_screen_killed_while_it_shows_another_run_pauses_the_live_one(tmp_path: Path) -> None:
     words = ("run", "home", "--unattended", "--runs", str(tmp_path), "--name", "20200101-home")
     assert command(*words).returncode == 0

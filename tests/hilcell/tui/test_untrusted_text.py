@@ -29,6 +29,7 @@ from tests.hilcell.tui.recording_app import (
 )
 from tests.hilcell.tui.sample_runs import LIVE, fresh, status
 from tests.hilcell.tui.untrusted_text import MARK, NASTY, dangerous, poisoned, runs
+from tests.whole.bench import sweep
 
 __all__ = ["isolated"]
 
@@ -114,7 +115,9 @@ def test_what_a_prompt_needs_stays_in_sight(text: str) -> None:
     assert "Esc STOP" in shown.splitlines()[-1]
 
 
-@pytest.mark.parametrize("text", [NASTY["an action"], NASTY["closing markup"], NASTY["a style"]])
+@pytest.mark.parametrize(
+    "text", [NASTY["closing markup"], *sweep(NASTY["an action"], NASTY["a style"])]
+)
 def test_markup_is_shown_as_it_was_written(text: str) -> None:
     async def run_app() -> dict[str, str]:
         app = RecordingApp(options(RUNS), "done", poisoned("done", text))
