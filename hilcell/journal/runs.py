@@ -26,9 +26,13 @@ def new_run(procedure: str) -> str:
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of a run; raises `StorageError`."""
+    """Make the folder of a run, with an empty journal; raises `StorageError`.
+
+    A folder without one is that of a run whose journal was lost.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        (folder / JOURNAL).touch(mode=0o644)
     except OSError as error:
         raise StorageError(f"run folder {folder} cannot be used: {error.strerror}") from error
 

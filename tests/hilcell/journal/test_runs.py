@@ -17,7 +17,9 @@ from hilcell.commands.arguments import ports_of
 from hilcell.commands.cli import main
 from hilcell.errors import DeviceError, HilcellError
 from hilcell.journal.index import read_index
-from hilcell.journal.runs import JOURNAL, find_run, forget, run_folders
+from hilcell.journal.journal import NeverBegan
+from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.runs import JOURNAL, find_run, forget, make_folder, read_log, run_folders
 from hilcell.run.cell_lock import lock_of_device, locked
 from tests.hilcell.journal.test_index import written
 
@@ -105,6 +107,14 @@ def test_a_run_that_never_began_leaves_nothing_but_what_others_have_put_there(
         forget(tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
     assert [path.name for path in (tmp_path / "b").iterdir()] == ["notes"]
+
+
+def test_a_run_that_dies_with_its_folder_just_made_never_began(tmp_path: Path) -> None:
+    make_folder(tmp_path / "a")
+    assert run_folders(tmp_path) == [tmp_path / "a"]
+    with pytest.raises(NeverBegan, match="run a never began"):
+        read_log(tmp_path / "a")
+    RunJournal(tmp_path / "a" / JOURNAL, "a", create=True).close()  # it may still begin
 
 
 def test_a_run_that_finds_its_device_locked_leaves_no_run(
