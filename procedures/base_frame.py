@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.risen_nest import risen_nest
 from hilcell.cell.file import Cell, Six, Station
 from hilcell.geometry.circles import Circle, base_frame, base_frame_covariance, fit_circle
 from hilcell.geometry.frames import apply
@@ -22,6 +23,7 @@ from procedures.durations import closing, flange_points, step
 ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
 FEWEST_ON_ARC = 5
 QUICK_ON_ARC = 12
+ACT = "put the nest right and start a new run, or revoke that run's calibration"
 
 
 class BaseFrame:
@@ -42,6 +44,8 @@ class BaseFrame:
         """Sweep, fit and frame, once."""
         if "base" not in session.log.frames:
             self._construct(session)
+            if (found := risen_nest(session.log)) is not None:
+                session.pause(f"suspected: {found.text}; {ACT}")
         session.reach("frame_base")
 
     def _construct(self, session: CellSession) -> None:

@@ -33,20 +33,26 @@ def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array
     {W} is spanned by three nests (eqs 14-16), so each coordinate of each is moved by its own
     standard deviation. ``centring_mm2`` is the variance of each besides its reading's.
     """
-    nests = floor_points(log)
-    measured_mm = positions_mm(nests)
-    std_mm = np.sqrt(variances_mm2(nests) + centring_mm2)
-    T_W_L = log.matrix("world")
-    as_built, at_tracker_mm = three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
+    std_mm = np.sqrt(variances_mm2(floor_points(log)) + centring_mm2)
     covariance: Array = np.zeros((6, 6))
-    for place in np.ndindex(measured_mm.shape):
-        other_mm = measured_mm.copy()
-        other_mm[place] += std_mm[place]
-        T = T_W_L @ as_built @ inverse(three_point_frame(*other_mm))
-        turn = (T[:3, :3] @ T_W_L[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
-        moved = np.concatenate([apply(T, at_tracker_mm)[0] - at_mm, turn])
+    for nest, axis in np.ndindex(std_mm.shape):
+        moved = world_motion(log, at_mm, nest, std_mm[nest, axis] * np.eye(3)[axis])
         covariance += np.outer(moved, moved)
     return covariance
+
+
+def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:
+    """Return how a frame at ``at_mm`` (3,) moves (6,) in {W} where a nest is seen elsewhere, by
+    ``step_mm`` (3,) in the tracker's frame.
+    """
+    measured_mm = positions_mm(floor_points(log))
+    other_mm = measured_mm.copy()
+    other_mm[nest] += step_mm
+    T_W_L = log.matrix("world")
+    T = T_W_L @ three_point_frame(*measured_mm) @ inverse(three_point_frame(*other_mm))
+    turn = (T[:3, :3] @ T_W_L[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
+    moved: Array = np.concatenate([apply(T, apply(inverse(T_W_L), at_mm[None]))[0] - at_mm, turn])
+    return moved
 
 
 def base_covariance(log: Log, station: Station) -> Array:

@@ -14,6 +14,7 @@ from hilcell.calibration.frame_covariance import hold_covariance, world_covarian
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
 from hilcell.calibration.reversal import reversal
+from hilcell.calibration.risen_nest import risen_nest
 from hilcell.calibration.room import warm
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
@@ -46,7 +47,7 @@ def suspicions_of(log: Log) -> list[Suspicion]:
     turned = reversal(log)
     lost = turned.suspicion if turned is not None else None
     of_validation = _of_validation(log) if again is None else []
-    found = [scale(log), warm(log), mount_offset(log), lost, again, *of_validation]
+    found = [scale(log), warm(log), risen_nest(log), mount_offset(log), lost, again, *of_validation]
     return [each for each in found if each is not None]
 
 

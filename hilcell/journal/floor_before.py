@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hilcell.cell.file import Cell
 from hilcell.journal.index import read_index
-from hilcell.journal.log import FloorBefore
+from hilcell.journal.log import BaseBefore, FloorBefore, Log
 from hilcell.journal.runs import read_log
 from hilcell.journal.standing import current_of
 
@@ -30,4 +30,15 @@ def floor_before(runs: Path, cell: Cell, machine_seed: int | None) -> FloorBefor
         name,
         {nest: point.xyz_mm for nest, point in nests.items()},
         sum(air_c) / len(air_c) if air_c else None,
+        _base_before(log, cell),
     )
+
+
+def _base_before(log: Log, cell: Cell) -> BaseBefore | None:
+    """Return the base as circles gave it; None where another robot, place or sweep gave others."""
+    then, frame = log.cell, log.frames.get("base", {})
+    station = then.station_named(then.grid.station)
+    alike = station == cell.station_named(cell.grid.station) and then.robot == cell.robot
+    if "circle_rms_mm" not in frame or not alike or then.base_frame != cell.base_frame:
+        return None
+    return BaseBefore(frame["matrix"], frame["covariance"])

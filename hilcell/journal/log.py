@@ -113,12 +113,23 @@ class Seated(msgspec.Struct, frozen=True, kw_only=True):
     strip_mm: float
 
 
+class BaseBefore(msgspec.Struct, frozen=True):
+    """{B} in {W} (4, 4) as an earlier run measured it, and its circles' covariance (6, 6)."""
+
+    matrix: list[list[float]]
+    covariance: list[list[float]]
+
+
 class FloorBefore(msgspec.Struct, frozen=True):
-    """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm."""
+    """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm.
+
+    ``base`` is None where the robot's base was not measured in the same way.
+    """
 
     run: str
     nests_mm: dict[str, tuple[float, float, float]]
     temperature_c: float | None
+    base: BaseBefore | None = None
 
 
 class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
