@@ -1,7 +1,8 @@
 """Files appear whole or not at all: written beside their place, then renamed.
 
 A rename replaces anything of that name, a device, a pipe or a link as well. So links are followed,
-and all but regular files are opened and written to.
+and all but regular files are opened and written to. So is an open file of this process, such as
+/dev/stdout: it may be a regular file that others write as well.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = (
     ready: dict[Path, Path] = {}
     try:
         for path, mode in modes.items():
-            if mode is None or stat.S_ISREG(mode):
+            if (mode is None or stat.S_ISREG(mode)) and _descriptor(path) is None:
                 # A short name of its own: it fits wherever the file's own name does.
                 beside = _place(path).with_name(f".{secrets.token_hex(8)}.part")
                 with _told(path), beside.open("xb") as file:
@@ -102,8 +103,24 @@ def _place(path: Path) -> Path:
 
 
 def _pour(path: Path, content: bytes) -> None:
-    with os.fdopen(os.open(path, os.O_WRONLY), "wb") as file:
+    number = _descriptor(path)
+    opened = os.open(path, os.O_WRONLY) if number is None else os.dup(number)
+    with os.fdopen(opened, "wb") as file:
         file.write(content)
+
+
+def _descriptor(path: Path) -> int | None:
+    """Return the number of the open file of this process that a name such as /dev/stdout means."""
+    own = os.path.realpath("/proc/self/fd")
+    link = path.parent / path.readlink() if path.is_symlink() else path
+    found = next((each for each in (path, link) if os.path.realpath(each.parent) == own), None)
+    return int(found.name) if found is not None and found.name.isdecimal() else None
+
+
+def is_stream(path: Path) -> bool:
+    """Whether what is written goes on elsewhere: a pipe, a device, an open file."""
+    with _told(path):
+        return path.exists() and (not path.is_file() or _descriptor(path) is not None)
 
 
 @contextmanager

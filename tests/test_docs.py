@@ -8,6 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.commands.arguments import HOLES, TARGETS
+from hilcell.commands.bounds import HEADER as BOUNDS
+from hilcell.compensation.stamp import COLUMN
+from hilcell.compensation.targets import HEADER
+from hilcell.planning.holes import NORMALS
+
 ROOT = Path(__file__).parents[1]
 NEIGHBOURS = ("drivers", "procedures", "fakes")
 MANUAL = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md"))
@@ -21,6 +27,16 @@ NO_MODULES = {*GROUPS, "hilcell.src", "hilcell.dat"}
 EXAMPLES = ("tracker_lines", "floor_noise", "program_poses")
 
 Arrow = tuple[str, str]
+
+
+@pytest.mark.parametrize("header", [HEADER, NORMALS, BOUNDS, [*HEADER, COLUMN]])
+def test_a_header_stands_in_the_manual(header: list[str]) -> None:
+    assert f"| `{','.join(header)}` |" in (ROOT / "docs/lists.md").read_text("utf-8")
+
+
+def test_the_help_says_the_headers_of_lists() -> None:
+    assert ",".join(HEADER) == TARGETS
+    assert ",".join(NORMALS) in HOLES
 
 
 def room_of(module: str) -> str:

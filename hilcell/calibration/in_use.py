@@ -201,8 +201,20 @@ def standing_by_name(calibration: Calibration, path: Path, runs: Path) -> Standi
 
     A file that lies alone is looked for in ``runs`` by its run. None as in `standing_of`.
     """
-    folder = path.parent if is_run(path.parent) else runs / calibration.provenance.latest
+    folder = _folder(calibration, path, runs)
     return standing_of(folder.resolve()) if is_run(folder) else None
+
+
+def cell_calibrated(calibration: Calibration, path: Path, runs: Path) -> Cell | None:
+    """Return the cell as it was when a run began that is found as by `standing_by_name`."""
+    folder = _folder(calibration, path, runs)
+    with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
+        return read_log(folder).cell if is_run(folder) else None
+    return None
+
+
+def _folder(calibration: Calibration, path: Path, runs: Path) -> Path:
+    return path.parent if is_run(path.parent) else runs / calibration.provenance.latest
 
 
 def _accepted(

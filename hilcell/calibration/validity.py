@@ -14,6 +14,7 @@ import msgspec
 
 from hilcell.calibration.decision import Limits, limits_of
 from hilcell.calibration.form import Calibration
+from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.journal.standing import Standing
 from hilcell.ports import HilcellError
@@ -38,6 +39,7 @@ def check_fitness(
     *,
     max_age_days: float = MAX_AGE_DAYS,
     cell: Cell | None = None,
+    calibrated: Cell | None = None,
     limits: Limits | None = None,
     temperature_c: float | None = None,
     accept_out_of_tolerance: bool = False,
@@ -46,13 +48,14 @@ def check_fitness(
 ) -> list[str]:
     """Raise `Unfit` with every reason why the calibration must not be used.
 
-    ``cell`` is that of today, ``limits`` are the cell's where it is not given itself,
-    ``temperature_c`` is the room's, ``standing`` that among the cell's calibrations; None leaves
-    each unchecked. Returns why it is out of tolerance, where that was accepted.
+    ``cell`` is that of today, ``calibrated`` as it was when its run began, ``limits`` are the
+    cell's where it is not given itself, ``temperature_c`` is the room's, ``standing`` that among
+    the cell's calibrations; None leaves each unchecked. Returns why it is out of tolerance,
+    where that was accepted.
     """
     reasons = [_unproven(calibration), _age(calibration, now, max_age_days)]
     if cell is not None:
-        reasons.append(_other_cell(calibration, cell))
+        reasons.append(_other_cell(calibration, cell, calibrated))
     if temperature_c is not None:
         reasons.append(_temperature(calibration, temperature_c))
     intolerant = out_of_tolerance(calibration, limits_of(cell) if cell is not None else limits)
@@ -129,15 +132,17 @@ def _age(calibration: Calibration, now: datetime, max_age_days: float) -> str:
     return ""
 
 
-def _other_cell(calibration: Calibration, cell: Cell) -> str:
+def _other_cell(calibration: Calibration, cell: Cell, calibrated: Cell | None) -> str:
     """Say that the cell differs; in its tolerance alone is no other cell, and judged apart."""
     found, verdicts = calibration.provenance.digest, calibration.verdicts or {}
     limits = {Limits(v.mean_tolerance_mm, v.max_tolerance_mm) for v in verdicts.values()}
     if found in {cell.digest, *(_judged_by(cell, each) for each in limits or {OLD_DEFAULT})}:
         return ""
+    changed = differences(calibrated, cell) if calibrated is not None else ""
     return (
         f"it is of cell {calibration.provenance.cell} with digest {found[:12]}, the cell given has "
-        f"{cell.digest[:12]}: another cell, or one whose file was changed since"
+        f"{cell.digest[:12]}: another cell, one whose file was changed since, or other "
+        "--set than its run's" + (f"; its run's and the one given: {changed}" if changed else "")
     )
 
 

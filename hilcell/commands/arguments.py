@@ -12,6 +12,9 @@ LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
 MOST_PORT = 65535
 SIMULATED = ("rail", "robot", "tracker", "control")
+# For the help: headers of `hilcell.compensation.targets` and `hilcell.planning.holes`.
+TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
+HOLES = f"holes in {{W}}, header name,x_mm,y_mm,z_mm,nx,ny,nz; or targets, header {TARGETS}"
 
 
 def _number(text: str) -> float:

@@ -262,7 +262,7 @@ def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 def _add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     plan = _command(commands, "plan", "commands.plan:plan", "choose stations and orders for holes")
-    plan.add_argument("holes", metavar="HOLES.csv", help="holes with normals, or targets, in {W}")
+    plan.add_argument("holes", metavar="HOLES.csv", help=arguments.HOLES)
     _cell_options(plan)
     plan.add_argument("--free", action="store_true", help="stations anywhere along the rail, too")
     plan.add_argument("-o", "--output", default="", metavar="OUT", help="CSV: station,order,name")
@@ -280,7 +280,7 @@ def _add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "commands.prepare:prepare",
         "plan holes, correct them, and write a file of targets for each station",
     )
-    prepare.add_argument("holes", metavar="HOLES.csv", help="as for `plan`")
+    prepare.add_argument("holes", metavar="HOLES.csv", help=arguments.HOLES)
     _cell_options(prepare)
     prepare.add_argument(
         "--calibration", required=True, metavar="CALIBRATION", help="a run or calibration.json"
@@ -329,7 +329,8 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     compensate.add_argument(
         "targets",
         metavar="TARGETS.csv|PROGRAM",
-        help="nominal targets in {W}, or a robot program of an installed format",
+        help=f"nominal targets in {{W}}, header {arguments.TARGETS}; or a robot program of an "
+        "installed format",
     )
     compensate.add_argument("--station", required=True, metavar="S", help="where they are reached")
     compensate.add_argument(
@@ -343,6 +344,7 @@ def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     _set_option(compensate)
     _release_options(compensate)
     _bounds_option(compensate)
+    _json_option(compensate, "one object")
 
 
 def _release_options(parser: argparse.ArgumentParser) -> None:

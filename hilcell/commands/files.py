@@ -12,7 +12,7 @@ from hilcell.calibration.form import Calibration
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
-from hilcell.commands.output import print_message
+from hilcell.commands.output import print_json, print_message
 from hilcell.commands.released import released
 from hilcell.compensation.programs import Program, load_program, notes_of, suffixes, write_program
 from hilcell.compensation.stamp import Stamp
@@ -41,7 +41,19 @@ def compensate(args: argparse.Namespace) -> int:
     if args.bounds:
         write_bounds(Path(args.bounds), bounds, names, out, inputs=inputs)
         inputs.append(Path(args.bounds))
-    written = _write(program, names, command, source, out, found.stamp(args.station), inputs)
+    stamp = found.stamp(args.station)
+    written = _write(program, names, command, source, out, stamp, inputs)
+    if args.json:
+        print_json(
+            {
+                "calibration": calibration.provenance.latest,
+                "station": args.station,
+                "targets": len(names),
+                "standing": found.stands,
+                "stamp": stamp.text,
+                "notes": list(found.notes()),
+            }
+        )
     print_message(f"{len(names)} targets corrected for {args.station} into {written}")
     print_message(summary(bounds, names))
     if drill_mm is not None:

@@ -105,6 +105,7 @@ def _summary(
         "cell": made.cell,
         "digest": made.digest,
         "simulated": made.simulated,
+        "standing": found.stands,
         "holes": source.name,
         "notes": list(found.notes()),
         "stations": [each.facts for each in stations],

@@ -11,12 +11,19 @@ from pathlib import Path
 
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.form import Calibration, written_now
-from hilcell.calibration.in_use import standing_by_name, with_verdicts, written_by
+from hilcell.calibration.in_use import (
+    cell_calibrated,
+    standing_by_name,
+    with_verdicts,
+    written_by,
+)
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell
 from hilcell.compensation.stamp import Stamp
 from hilcell.journal.runs import find_run
 from hilcell.journal.standing import Standing
+
+UNKNOWN = "standing unknown: not among this cell's finished runs"
 
 
 @dataclass(frozen=True)
@@ -36,10 +43,17 @@ class Released:
         made = self.calibration.provenance
         remarks = ["OUT OF TOLERANCE (accepted)"] if self.accepted else []
         remarks += ["no verdict stated"] if self.calibration.verdicts is None else []
-        if self.standing is not None and not self.standing.usable:
+        if self.standing is None:
+            remarks.append(UNKNOWN)
+        elif not self.standing.usable:
             by = f" by {self.standing.by}" if self.standing.by else ""
             remarks.append(f"{self.standing.state.upper()}{by} (accepted)")
         return Stamp(made.latest, written_now(), station, made.simulated, tuple(remarks))
+
+    @property
+    def stands(self) -> str:
+        """Return in a word or two how the calibration stands."""
+        return "unknown" if self.standing is None else self.standing.state
 
     def notes(self) -> Iterator[str]:
         """Yield the warnings for the user of the output."""
@@ -81,6 +95,7 @@ def released(args: argparse.Namespace, cell: Cell | None) -> Released:
         max_age_days=args.max_age,
         temperature_c=args.temperature,
         cell=cell,
+        calibrated=cell_calibrated(calibration, path, args.runs) if cell is not None else None,
         accept_out_of_tolerance=args.accept_out_of_tolerance,
         standing=standing,
         accept_not_current=args.accept_not_current,

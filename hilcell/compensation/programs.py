@@ -18,7 +18,7 @@ from hilcell.cell.devices import load_entry
 from hilcell.compensation.stamp import Stamp, refuse_corrected
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
-from hilcell.writing import NotWritten, write_together
+from hilcell.writing import NotWritten, is_stream, write_together
 
 LIST = ".csv"
 
@@ -100,6 +100,8 @@ def write_program(
     """
     if os.path.isdir(out):  # noqa: PTH112 - Path.is_dir raises for a name too long
         raise NotWritten(f"{out} is a folder; name a program in it")
+    if is_stream(out):
+        raise NotWritten(f"{out} is no file, and a program is one of several; name a file")
     if out.suffix.lower() == LIST:
         raise NotWritten(
             f"{out} is a list of targets by its name, and {source.name} is a program; name it "

@@ -6,21 +6,20 @@ as it was when it began; an edited cell file changes nothing in it, and the oper
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
 from hilcell import __version__
+from hilcell.cell.differences import differences
 from hilcell.cell.file import built_in_cells, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.asset import Asset, asset_of
 from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import DeviceRefused, Identity
-
-NAMED = 3  # changed keys of a cell file; the others are counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,31 +66,9 @@ def _changed_cell(log: Log, uses: str) -> list[str]:
         cell = load_cell(where, log.inputs.settings)
     except SettingsError as error:
         return [f"cell file {where} has changed, and is no cell any more: {error.problems[0]}"]
-    frozen, now = msgspec.to_builtins(log.cell), msgspec.to_builtins(cell)
-    for values in (frozen, now):
-        values.pop(uses, None)
-    keys = list(_different(frozen, now))
-    more = f", and {len(keys) - NAMED} more" if len(keys) > NAMED else ""
-    found = f"cell file {where} has changed: {', '.join(keys[:NAMED])}{more}"
-    return [f"{found}; the run keeps the cell that it began with"] if keys else []
-
-
-def _different(before: object, now: object, key: str = "") -> Iterator[str]:
-    """Yield each key that differs, with both values."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for name in sorted(before.keys() | now.keys()):
-            inner = f"{key}.{name}" if key else str(name)
-            yield from _different(before.get(name), now.get(name), inner)
-    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
-        for number, (one, other) in enumerate(zip(before, now, strict=True), 1):
-            yield from _different(one, other, f"{key}[{number}]")
-    elif before != now:
-        yield f"{key} {_short(before)} -> {_short(now)}"
-
-
-def _short(value: object) -> str:
-    text = f"{value}"
-    return text if len(text) <= 40 else f"{text[:37]}..."
+    changed = differences(log.cell, cell, without=uses)
+    found = f"cell file {where} has changed: {changed}"
+    return [f"{found}; the run keeps the cell that it began with"] if changed else []
 
 
 def changed_assets(before: Sequence[Asset], now: Sequence[Identity]) -> list[str]:

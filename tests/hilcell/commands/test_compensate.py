@@ -1,6 +1,7 @@
 """`compensate` as a command, in this process: lists of targets, and programs of any format."""
 
 import csv
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -17,7 +18,8 @@ from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import ASSUMED, Influence, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
-from hilcell.compensation.targets import write_targets
+from hilcell.compensation.stamp import COLUMN
+from hilcell.compensation.targets import HEADER, write_targets
 from hilcell.geometry.frames import apply, inverse
 from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration
 from tests.hilcell.commands.workplace import Workplace, read_corrected
@@ -25,6 +27,7 @@ from tests.hilcell.compensation.models import level
 
 TARGETS = np.array([[0.0, 0, 1200, 0, 75, 0], [0.0, 50, 1250, 0, 75, 0]])
 STAMP = r"hilcell: corrected by 20261101-\S+ for S1100 on 2026-\d\d-\d\dT\d\d:\d\d:\d\dZ"
+UNKNOWN = "standing unknown: not among this cell's finished runs"
 BOUNDS = r"95 % bounds of the corrected targets: median 0\.\d{3} mm, largest 0\.\d{3} mm at H[12].*"
 
 
@@ -44,7 +47,7 @@ def test_a_corrected_list_arrives(desk: Workplace, capsys: pytest.CaptureFixture
     assert desk.compensate() == 0
     names, command, (stamp,) = read_corrected(desk.out)
     assert names == ["H1", "H2"]
-    assert re.fullmatch(STAMP, stamp)
+    assert re.fullmatch(f"{STAMP}; {UNKNOWN}", stamp)
     assert np.abs(command[:, :3] - TARGETS[:, :3]).max() > 0.3
     np.testing.assert_allclose(arrived_mm(command[:, :3]), TARGETS[:, :3], atol=2e-3)
     reported = capsys.readouterr()
@@ -54,12 +57,37 @@ def test_a_corrected_list_arrives(desk: Workplace, capsys: pytest.CaptureFixture
     assert re.fullmatch(BOUNDS, bounds)
 
 
+def test_a_copy_away_from_its_runs_stands_unknown_in_all_that_is_said(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert desk.compensate("--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["standing"] == "unknown"
+    assert said["stamp"].endswith(UNKNOWN)
+    assert any("whether its calibration is current is not known" in note for note in said["notes"])
+
+
+def test_a_list_is_handed_on_to_a_program_that_reads_it(desk: Workplace) -> None:
+    """In this process's own stdout, which here is a file that others write as well."""
+    shared = desk.folder / "shared.txt"
+    with shared.open("w") as file:
+        file.write("before\n")
+        file.flush()
+        out = Path(f"/dev/fd/{file.fileno()}")
+        assert desk.compensate(out=out) == 0
+        file.write("after\n")
+    first, header, *rows, last = shared.read_text().splitlines()
+    assert (first, last) == ("before", "after")
+    assert header == ",".join([*HEADER, COLUMN])
+    assert [row.partition(",")[0] for row in rows] == ["H1", "H2"]
+
+
 def test_simulated_is_warned_of(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
     desk.calibrate(simulated=True)
     assert desk.compensate() == 0
     assert "SIMULATED: run 20261101" in capsys.readouterr().err
     _, _, (stamp,) = read_corrected(desk.out)
-    assert re.fullmatch(f"{STAMP}; SIMULATION", stamp)
+    assert re.fullmatch(f"{STAMP}; SIMULATION; {UNKNOWN}", stamp)
 
 
 def test_what_was_corrected_is_not_corrected_again(
@@ -358,6 +386,12 @@ def test_a_program_is_not_named_like_a_list(
     assert not any(name.startswith("out") for name in plant.files)
 
 
+def test_a_program_is_not_handed_on(plant: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
+    assert plant.compensate(out=Path("/dev/stdout")) == 2
+    assert "/dev/stdout is no file, and a program is one of several" in capsys.readouterr().err
+    assert not Path("/dev/stdout.POSES").exists()
+
+
 def test_a_second_make_refuses_in_its_own_words(
     plant: Workplace, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -411,7 +445,7 @@ def test_a_failed_validation_corrects_nothing_unasked(
     assert desk.compensate("--accept-out-of-tolerance") == 0
     assert "accepted although validation at S1100" in capsys.readouterr().err
     _, _, (stamp,) = read_corrected(desk.out)
-    assert re.fullmatch(rf"{STAMP}; OUT OF TOLERANCE \(accepted\)", stamp)
+    assert re.fullmatch(rf"{STAMP}; OUT OF TOLERANCE \(accepted\); {UNKNOWN}", stamp)
 
 
 def test_a_file_of_an_earlier_version_says_that_it_has_no_verdict(
@@ -422,4 +456,4 @@ def test_a_file_of_an_earlier_version_says_that_it_has_no_verdict(
     assert desk.compensate() == 0
     assert "states no verdict" in capsys.readouterr().err
     _, _, (stamp,) = read_corrected(desk.out)
-    assert stamp.endswith("; no verdict stated")
+    assert stamp.endswith(f"; no verdict stated; {UNKNOWN}")

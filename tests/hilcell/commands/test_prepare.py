@@ -17,6 +17,7 @@ from hilcell.commands.cli import main
 from hilcell.compensation.targets import write_targets
 from hilcell.planning.holes import NORMALS
 from tests.hilcell.calibration.calibrations import LIMITS, calibration
+from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.workplace import read_corrected
 
 DIGEST = load_cell("paper").digest
@@ -152,12 +153,26 @@ def test_a_calibration_that_failed_plans_and_prepares_nothing(
     assert "accepted although validation at S1100" in capsys.readouterr().err
     if command == "prepare":
         _, _, (stamp,) = read_corrected(tmp_path / "out" / "S1100.csv")
-        assert stamp.endswith("; OUT OF TOLERANCE (accepted)")
+        assert "; OUT OF TOLERANCE (accepted)" in stamp
 
 
 def test_another_cell_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = holes(tmp_path, *INSIDE)
     made(tmp_path)
     assert prepare(tmp_path, path, "--cell", "hard") == 2
-    assert "another cell, or one whose file was changed" in capsys.readouterr().err
+    assert "another cell, one whose file was changed since" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_setting_that_is_not_the_run_s_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The run was made without it, and its journal says so."""
+    path, runs = holes(tmp_path, *INSIDE), tmp_path / "runs"
+    finished(runs, "1-made", MADE)
+    words = ["prepare", str(path), "--runs", str(runs), "--calibration", "1-made"]
+    words += ["-o", str(tmp_path / "out"), "--set", "plan.quick=true"]
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "or other --set than its run's" in told
+    assert "plan.quick False -> True" in told
