@@ -8,7 +8,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
-from tests.whole.bench import SMALL, command, end_of, events, sets
+from tests.whole.bench import SMALL, command, end_of, events, sets, simulation
 from tests.whole.conftest import PaperRun
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
@@ -27,7 +27,9 @@ NAMES = sorted(entry.name for entry in entry_points(group="hilcell.procedures"))
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in OTHERS])
 def test_alone_by_its_name(tmp_path: Path, name: str) -> None:
-    done = command("run", name, "--json", "--unattended", "--runs", tmp_path, *sets(SHORT))
+    with simulation(values=SHORT) as cell:
+        words = sets(SHORT | {"simulation.address": cell.control})
+        done = command("run", name, "--json", "--unattended", "--runs", tmp_path, *words)
     end = end_of(done)
     assert end["state"] == "finished", done.stderr
     assert judge(events(done.stdout)) == []
