@@ -39,7 +39,7 @@ class Stamp:
         at = f" for {self.station}" if self.station else ""
         parts = [f"{MARK}{self.by}{at} on {self.written}"]
         parts += ["SIMULATION"] if self.simulated else []
-        return clean("; ".join([*parts, *self.remarks]).replace(",", " "))
+        return "; ".join(clean(each.replace(",", " ")) for each in (*parts, *self.remarks))
 
 
 def refuse_corrected(source: str, texts: Iterable[str]) -> None:

@@ -18,7 +18,7 @@ from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import ASSUMED, Influence, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
-from hilcell.compensation.stamp import COLUMN
+from hilcell.compensation.stamp import COLUMN, Stamp
 from hilcell.compensation.targets import HEADER, write_targets
 from hilcell.geometry.frames import apply, inverse
 from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration
@@ -457,3 +457,8 @@ def test_a_file_of_an_earlier_version_says_that_it_has_no_verdict(
     assert "states no verdict" in capsys.readouterr().err
     _, _, (stamp,) = read_corrected(desk.out)
     assert stamp.endswith(f"; no verdict stated; {UNKNOWN}")
+
+
+def test_a_long_name_takes_no_warning_off_a_stamp() -> None:
+    text = Stamp("r" * 100, "2026-11-22T21:27:51Z", "s" * 60, True, ("a, b", "REVOKED")).text
+    assert text.endswith("; SIMULATION; a  b; REVOKED")
