@@ -100,10 +100,11 @@ class Revisits:
             session.pause(f"re-visited poses have moved: {found.suspicion.text}")
 
     def result(self, log: Log) -> dict[str, Any]:
-        """Return what is suspected in the whole run; nothing where all is well."""
+        """Return the lost motion, after the grid; at the end all that is suspected in the run."""
+        if self._kind == CLOSING:
+            return {"suspicions": [msgspec.to_builtins(each) for each in suspicions_of(log)]}
         turned = reversal(log)
-        found = {} if turned is None else {"reversal": _figures(turned)}
-        return found | {"suspicions": [msgspec.to_builtins(each) for each in suspicions_of(log)]}
+        return {} if turned is None else {"reversal": _figures(turned)}
 
 
 def _waits(log: Log, id: PointId) -> bool:
