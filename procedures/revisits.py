@@ -27,6 +27,7 @@ from hilcell.run.procedure import Step
 from procedures.base_frame import points_on_arc, sweep
 from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import joints_for, other_stations
+from procedures.validate import judge_suspicions
 
 COUNT, QUICK_COUNT = 12, 3
 REVERSED = 4
@@ -92,8 +93,7 @@ class Revisits:
         facts = {"ratio": found.ratio, "limit": found.limit, "suspected": suspected}
         if self._kind == CLOSING:
             session.verdict("revisits.closing", holds=found.holds, **facts)
-            suspected = [each.text for each in suspicions_of(session.log)]
-            session.verdict("suspicions", holds=not suspected, suspected=suspected)
+            judge_suspicions(session)
             return
         session.verdict("revisits", holds=found.holds, **facts)
         if found.suspicion is not None:

@@ -87,8 +87,7 @@ class Validate:
                 if how in closed(session.cell):
                     session.close_step(carried=True)
         self._judge(session)
-        suspected = [each.text for each in suspicions_of(session.log)]
-        session.verdict("suspicions", holds=not suspected, suspected=suspected)
+        judge_suspicions(session)
         session.reach("validate")
 
     def _send(
@@ -151,6 +150,12 @@ class Validate:
             if where in figures:
                 figures[where]["floor"] = floor(log)
         return figures
+
+
+def judge_suspicions(session: CellSession) -> None:
+    """Journal what the run suspects of all that it has compared so far."""
+    suspected = [each.text for each in suspicions_of(session.log)]
+    session.verdict("suspicions", holds=not suspected, suspected=suspected)
 
 
 def _places(cell: Cell) -> dict[str, list[str]]:

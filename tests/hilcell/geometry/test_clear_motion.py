@@ -1,5 +1,7 @@
 """A motion counts as clear only where all of it is; what is proven survives many looks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -76,6 +78,13 @@ def test_a_posture_that_is_no_number_proves_nothing(axis: int, value: float, whi
     (start if which == "start" else end)[axis] = value
     with np.errstate(invalid="ignore"):
         assert around.prove(start[None], end[None], WANTED_MM).clear.tolist() == [False]
+
+
+def test_a_base_that_is_no_number_proves_nothing() -> None:
+    around = body(box(0.0, 0.0, -5000.0))
+    nowhere = replace(around, base=np.full((4, 4), np.nan))
+    start, end = posture(0.0, HOME), posture(0.0, HOME + 0.1)
+    assert nowhere.prove(start[None], end[None], WANTED_MM).clear.tolist() == [False]
 
 
 @pytest.mark.parametrize("value", [1e12, 1e307, 1e308])

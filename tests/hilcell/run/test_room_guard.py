@@ -15,7 +15,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Air
 from hilcell.run.cell_session import CellSession
 from hilcell.run.room_guard import ROOM_BACK
-from tests.hilcell.run.bed import CELL, PLAN, Bed, Live
+from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 
 S1100 = CELL.station_named("S1100")
@@ -51,10 +51,11 @@ def test_a_room_within_its_range_suspends_nothing(bed: Bed, off_k: float) -> Non
 
 @pytest.mark.parametrize("off_k", [3.1, -8.0])
 def test_it_goes_on_by_itself_and_measures_the_point_again(bed: Bed, off_k: float) -> None:
-    act = Points(1, lambda session, number: grid(session, 3, {1: off_k}, bed))
+    act = Points(1, lambda session, number: grid(session, 3, {1: off_k, 2: off_k}, bed))
     with Live(bed, procedure(act)) as live:
         live.until("state", "suspended")
         warm_now = bed.tracker.air
+        until(lambda: live.status("prompt")["age_s"] is not None)  # it has looked, in the warm
         assert live.status("prompt")["ready"] is False
         live.runner.post("proceed")  # the room is still as it was: refused
         assert bed.tracker.air is warm_now

@@ -14,15 +14,18 @@ from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.point_id import PointId
 from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED
-from hilcell.ports import Array, DeviceError, TrackerReading
+from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.cell_session import CellSession
+from hilcell.run.measuring import MEASURE_TRIES
 from hilcell.run.tracker_guard import MOST_SET_UPS, check_distances, check_places
-from tests.hilcell.run.bed import CELL, PLAN, Bed
+from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 
 NESTS_MM = np.array([nest.xyz_mm for nest in CELL.layout.floor])
 SEEN_MM = apply(inverse(CELL.tracker.pose.matrix()), NESTS_MM)
 STEP = [PointId("six", nest=nest.name) for nest in CELL.layout.floor]
+S1100, HOME_RAD = CELL.station_named("S1100"), np.radians(CELL.robot.home_deg)
+FLANGE_MM = 500.0  # from all nests: where the flange is
 Act = Callable[[CellSession, int], None]
 
 
@@ -62,11 +65,16 @@ class Floor:
     def __init__(self, bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
         self.T, self.lifted_mm = np.eye(4), np.zeros((3, 3))
         self.bumps: list[tuple[int, Array]] = []
+        self.missed = 0  # readings of which the next ones fail
         monkeypatch.setattr(bed.tracker, "measure", self.measure)
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        if self.missed:
+            self.missed -= 1
+            raise NoReading("HC-T10", "Tracker", "measure", "beam broken")
         seen_mm = apply(inverse(self.T), SEEN_MM + self.lifted_mm)
-        nearest = seen_mm[np.argmin(np.linalg.norm(seen_mm - near_mm, axis=1))]
+        away_mm = np.linalg.norm(seen_mm - near_mm, axis=1)
+        nearest = near_mm if away_mm.min() > FLANGE_MM else seen_mm[np.argmin(away_mm)]
         std_mm = np.full(3, 0.005)
         self.bumps = [(left - 1, T) for left, T in self.bumps]
         self.T = next((T for left, T in self.bumps if left == 0), self.T)
@@ -198,6 +206,49 @@ def test_a_nest_that_moved_alone_ends_the_run(
     end = performed(bed, act)
     assert end["error"]["code"] in ("HC-T33", "HC-J12")  # a NaN is stopped by the journal
     assert not bed.events(TRACKER_MOVED)
+
+
+def test_a_nest_that_moved_while_the_tracker_was_bumped_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All nests seem to have moved, and none stands beside the others."""
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+
+    def act(session: CellSession, number: int) -> None:
+        measured_step(session)
+        floor.T = moved(2.0)
+        floor.lifted_mm[0, :2] = -0.5
+        session.close_step()
+
+    assert performed(bed, act)["exit"] == 3
+    assert "F1 to F2 was" in bed.log().fault
+    assert not bed.events(TRACKER_MOVED)
+
+
+def test_the_tracker_is_proven_after_a_question_before_the_point_that_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """I16: the one who cleared the beam may have bumped the tracker."""
+    monkeypatch.setattr("hilcell.run.worker.LOOK_S", 0.01)
+    bed = Bed(tmp_path, unattended=False)
+    floor = Floor(bed, monkeypatch)
+    proofs: list[int] = []
+
+    def act(session: CellSession, number: int) -> None:
+        session.reach("reference")
+        session.frame_world()
+        session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+        floor.missed = MEASURE_TRIES
+        proofs.append(len(bed.events(PROVEN)))
+        session.flange_point(PointId("grid", vertex=(0, 0, 0)), S1100, HOME_RAD)
+        proofs.append(len(bed.events(PROVEN)))
+
+    with Live(bed, procedure(Points(1, act))) as live:
+        live.until("state", "suspended")
+        until(lambda: live.runner.answer() == "")
+    assert live.code == 0, bed.log().fault
+    assert proofs == [0, 1]
 
 
 def test_what_rests_on_unproven_points_is_not_mended(
