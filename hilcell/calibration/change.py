@@ -2,10 +2,11 @@
 
 The tracker is proven by its own nests, so a pose that comes out elsewhere the second time is the
 robot's, its mount's or the slide's doing. Of N differences d with covariance C, ``d' C^-1 d`` is
-judged as 3N F(3N, nu), nu the degrees of freedom by which the repeatability is known, and what a
-cause of k parameters explains of it as k F(k, nu), the risk shared by all causes. The cause is
-named that leaves what chance explains, the one of fewest parameters first. One orientation of the
-tool cannot tell a reflector that slipped from a shift of the base.
+judged as 3N F(3N, nu), nu the degrees of freedom by which the repeatability is known at a few
+places and wider by its spread over the others, and what a cause of k parameters explains of it as
+k F(k, nu), the risk shared by all causes. The cause is named that leaves what chance explains, the
+one of fewest parameters first. One orientation of the tool cannot tell a reflector that slipped
+from a shift of the base.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from hilcell.geometry.statistics import f_quantile
 from hilcell.ports import Array
 
 RISK = 0.001  # of each of two tests: that poses which have not changed are found to
+SPREAD = 1.5  # of the scatter's variance over a cube: a joint's own scatter acts by its reach
 PENALTY = 4.0  # of chi^2, that a parameter more must gain
 
 
@@ -67,7 +69,7 @@ def changed(found: Differences, arm: Arm, noticed_by: str) -> Change:
     limits = {
         k: f_quantile(1.0 - risk, k, found.freedom) for k in {each.parameters for each in explained}
     }
-    tests = [(chi2 / len(d), f_quantile(1.0 - RISK, len(d), found.freedom))]
+    tests = [(chi2 / len(d), SPREAD * f_quantile(1.0 - RISK, len(d), found.freedom))]
     tests += [((chi2 - e.left) / e.parameters, limits[e.parameters]) for e in explained]
     ratio, limit = max(tests, key=lambda test: test[0] / test[1])
     if ratio <= limit:
