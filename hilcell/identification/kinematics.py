@@ -14,7 +14,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
-from hilcell.geometry.frames import cross_matrix
+from hilcell.geometry.frames import cross_matrix, motion_levers
 from hilcell.geometry.jacobian import KINDS, tool_jacobian
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.rotations import from_rotvec
@@ -176,7 +176,7 @@ class Kinematics:
         joints, basis, axes = self._bent(state, joints_rad)
         flange = forward(arm, joints)
         turned = state.T[:3, :3] @ flange[:, :3, :3]
-        levers = turned[:, None] @ _levers(state.smr_mm)
+        levers = turned[:, None] @ motion_levers(state.smr_mm)[..., :6]
         J = tool_jacobian(arm, joints)[..., :LINKS]
         links = (levers.reshape(len(joints), -1, 6) @ J).reshape(*levers.shape[:3], LINKS)
         by_joint = arm.sign * links[..., 3 * 6 : 4 * 6]  # a joint turns as its offset does
@@ -240,13 +240,6 @@ def _waves(joints: Array) -> Array:
     """Return cos q, sin q, cos 2q, sin 2q of each joint in turn (M, 24)."""
     angles = joints[..., None] * np.array(ORDERS)
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(len(joints), -1)
-
-
-def _levers(smr_mm: Array) -> Array:
-    """Return d(reflector) / d(shift, rotation vector) of the flange (K, 3, 6), in its axes."""
-    shifts = np.broadcast_to(np.eye(3), (len(smr_mm), 3, 3))
-    levers: Array = np.concatenate([shifts, -cross_matrix(smr_mm)], axis=-1)
-    return levers
 
 
 def _carried(flange: Array, smr_mm: Array) -> Array:
