@@ -355,12 +355,13 @@ class RailDrive(CanopenSlave):
     def _start(self, target: int) -> None:
         number = self.dictionary.number
         self._target, self._reached, self._busy = target, False, True
-        gap = target - self._position()
+        gap = target - self._position()  # of the counter, which may have wrapped
         self._direction = (gap > 0) - (gap < 0)
         speed = self._hurry * min(number(0x6081), number(0x607F))
         # The plant's trapezoid is symmetric; the gentler ramp holds for both ends.
         acceleration = min(number(0x6083), number(0x6084))
-        self._rail.move(target / COUNTS_PER_MM, speed / COUNTS_PER_MM, acceleration / COUNTS_PER_MM)
+        end_mm = self._slide.encoder_mm + gap / COUNTS_PER_MM
+        self._rail.move(end_mm, speed / COUNTS_PER_MM, acceleration / COUNTS_PER_MM)
 
     def _start_homing(self) -> None:
         self._reached = self._homed = False

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from hilcell.invariants.scene import Scene
 from hilcell.invariants.tally import Tally
-from hilcell.journal.asset import asset_of
+from hilcell.journal.asset import Asset, asset_of, same
 from hilcell.journal.journal import Record
-
-Known = dict[str, tuple[str, ...]]
 
 
 class Identities:
@@ -17,7 +13,8 @@ class Identities:
 
     def __init__(self, tally: Tally, scene: Scene) -> None:
         self._check, self._scene = tally.check, scene
-        self._before: Known = {}
+        self._before: dict[str, Asset] = {}
+        self._hilcell = ""
         self._accepted = False  # since the last connection
 
     def take(self, record: Record) -> None:
@@ -26,26 +23,15 @@ class Identities:
             case "changes accepted":
                 self._accepted = True
             case "connected":
-                now = _identities(record.body)
-                if self._before:
-                    changed = _changed(self._before, now)
-                    what = f"changed, and nobody has accepted it: {', '.join(changed)}"
-                    self._check("I18", record, self._accepted or not changed, what)
-                self._before, self._accepted = now, False
+                self._connected(record)
 
-
-def _identities(body: dict[str, Any]) -> Known:
-    """Return what identifies each part: the devices by kind, and hilcell."""
-    assets = [asset_of(entry) for entry in body["devices"]]
-    found: Known = {
-        each.kind: (each.maker, each.model, each.serial, each.firmware) for each in assets
-    }
-    version = body.get("hilcell")
-    return found | ({"hilcell": (version,)} if version else {})
-
-
-def _changed(before: Known, now: Known) -> list[str]:
-    kinds = before.keys() | now.keys()
-    if not ("hilcell" in before and "hilcell" in now):  # a journal that did not keep it
-        kinds -= {"hilcell"}
-    return sorted(kind for kind in kinds if before.get(kind) != now.get(kind))
+    def _connected(self, record: Record) -> None:
+        now = {each.kind: each for each in map(asset_of, record.body["devices"])}
+        hilcell = record.body.get("hilcell") or self._hilcell  # old journals do not keep it
+        if self._before:
+            kinds = self._before.keys() | now.keys()
+            changed = [k for k in sorted(kinds) if not same(self._before.get(k), now.get(k))]
+            changed += ["hilcell"] if self._hilcell not in ("", hilcell) else []
+            what = f"changed, and nobody has accepted it: {', '.join(changed)}"
+            self._check("I18", record, self._accepted or not changed, what)
+        self._before, self._hilcell, self._accepted = now, hilcell, False

@@ -39,6 +39,14 @@ def asset_of(entry: dict[str, Any]) -> Asset:
     return msgspec.convert(entry | {"kind": kind}, Asset)
 
 
+def same(before: Asset | None, now: Asset | None) -> bool:
+    """Whether two assets of a kind are one; a firmware that was not stated once proves nothing."""
+    if before is None or now is None:
+        return before is now
+    known = (before.maker, before.model, before.serial) == (now.maker, now.model, now.serial)
+    return known and (before.firmware == now.firmware or "" in (before.firmware, now.firmware))
+
+
 def differing(first: list[Asset], second: list[Asset]) -> list[tuple[Asset, Asset]]:
     """Return the assets of one kind that are not the same ones in both runs, by serial number."""
     there = {asset.kind: asset for asset in second}

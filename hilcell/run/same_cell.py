@@ -16,7 +16,7 @@ from hilcell import __version__
 from hilcell.cell.differences import differences
 from hilcell.cell.file import built_in_cells, load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.journal.asset import Asset, asset_of
+from hilcell.journal.asset import Asset, asset_of, same
 from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import DeviceRefused, Identity
@@ -80,7 +80,7 @@ def changed_assets(before: Sequence[Asset], now: Sequence[Identity]) -> list[str
     return [
         f"{kind}: {_words(first.get(kind))} before, {_words(found.get(kind))} now"
         for kind in sorted(first.keys() | found.keys())
-        if _words(first.get(kind)) != _words(found.get(kind))
+        if not same(first.get(kind), found.get(kind))
     ]
 
 

@@ -108,3 +108,13 @@ def test_vanished_gateway_answers_nobody() -> None:
                 pass
         with pytest.raises(OSError, match="refused"):
             Line(bench.server.port)
+
+
+def test_counter_that_wrapped_moves_by_its_own_count() -> None:
+    with served() as bench, Master(bench.server.port) as master:
+        master.home()
+        bench.faults.set("rail.reference_lost", 2_147_483.0, count=2)
+        until(lambda: bench.rail.poll().encoder_mm > 4_000_000.0, "the count has wrapped")
+        before = master.read(0x6064, 0, "i")
+        master.move(before + 100_000)
+        assert master.read(0x6064, 0, "i") == pytest.approx(before + 100_000, abs=50)

@@ -82,8 +82,7 @@ def problems(found: Killed, whole: Sequence[Event]) -> list[str]:
     if end["kind"] != "end" or end["state"] != "finished":
         return [f"the run did not finish: {end.get('state')} {end.get('reason')}"]
     said = [str(each) for each in judge(found.journal)]
-    counted = [e["key"] for e in found.journal if e["kind"] == "point" and not e.get("retaken")]
-    said += [f"{key} stands {n} times" for key, n in Counter(counted).items() if n > 1]
+    said += [f"{key} stands {n} times" for key, n in standing(found.journal).items() if n > 1]
     said += [f"{key} was acknowledged, and is lost" for key in set(found.acknowledged) - set(kept)]
     differ = without_stops(found.journal) ^ without_stops(whole)
     said += [f"{key} is in one of both runs" for key in sorted(differ)]
@@ -92,6 +91,17 @@ def problems(found: Killed, whole: Sequence[Event]) -> list[str]:
         said.append(f"{len(again)} points were measured again by {found.kills} kills")
     said += [f"a point lies {each:.3f} mm off" for each in again if not each <= NOISE_MM]
     return said + list(_figures_off(end["result"], whole[-1]["result"]))
+
+
+def standing(journal: Sequence[Event]) -> Counter[str]:
+    """Return how often each point stands; those that an event makes invalid do not."""
+    counted = Counter[str]()
+    for event in journal:
+        if event["kind"] == "point" and not event.get("retaken"):
+            counted[event["key"]] += 1
+        for key in event.get("invalid", ()):
+            counted[key] = 0
+    return counted
 
 
 def again_mm(found: Sequence[Event], whole: Sequence[Event]) -> list[float]:
@@ -197,12 +207,12 @@ def campaign(seeds: range) -> int:
     """Kill calibrations at random, and the short run at each of its records."""
     whole = uninterrupted(*SHORT, 1)
     records = [event["seq"] for event in whole[:-1]]
-    each = list(_told(spread(partial(at_record, whole=whole), records)))
-    random_ones = list(_told(spread(at_random, seeds)))
+    each = list(_reported(spread(partial(at_record, whole=whole), records)))
+    random_ones = list(_reported(spread(at_random, seeds)))
     return 0 if report({"at each record": each, "at random": random_ones}) else 1
 
 
-def _told(cases: Iterator[Case]) -> Iterator[Case]:
+def _reported(cases: Iterator[Case]) -> Iterator[Case]:
     for case in cases:
         progress(f"{case.name}: {case.kills} kills {'; '.join(case.wrong) or 'as uninterrupted'}")
         yield case

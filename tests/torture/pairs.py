@@ -24,7 +24,7 @@ from tests.torture.table import FAULTS
 
 COUNT = 10_000
 # Seeds that have failed once, to be replayed.
-FAILED: Sequence[int] = (45, 72, 80, 197, 295, 301, 378, 398, 444)
+FAILED: Sequence[int] = (45, 72, 80, 197, 295, 301, 378, 398, 444, 101930, 104008)
 RECORDS = 46  # of a run that nothing strikes
 LIMIT_S = 60
 AT_ONCE = 8  # mostly a driver waits for an answer that does not come

@@ -29,6 +29,8 @@ WHOLE = [point("a"), point("b"), end(0.1)]
         (["a", "b"], [point("a"), end(0.1)], "b was acknowledged, and is lost"),
         (["a"], [point("a"), end(0.1)], "b is in one of both runs"),
         (["a"], [point("a"), point("a"), point("b"), end(0.1)], "a stands 2 times"),
+        (["a"], [point("a"), {"kind": "event", "invalid": ["a"]}, *WHOLE], ""),
+        (["a"], [point("a"), {"kind": "event", "invalid": ["b"]}, *WHOLE], "a stands 2 times"),
         (["a"], [point("a"), point("a") | {"retaken": True}, point("b"), end(0.1)], ""),
         (["a"], [point("a"), point("b", 0.3), end(0.1)], "a point lies 0.300 mm off"),
         (["a"], [point("a", 0.1), point("b", 0.1), end(0.1)], "2 points were measured again"),

@@ -8,7 +8,7 @@ import pytest
 
 from hilcell.invariants.judging import judge
 from hilcell.journal.journal import StorageError
-from tests.hilcell.invariants.doctored import Doctored, event, flange, rail, robot, state
+from tests.hilcell.invariants.doctored import DEVICES, Doctored, event, flange, rail, robot, state
 
 NAN = math.nan
 LATE = {"taken_s": 17.0, "age_s": 0.1, "ended_s": 18.0}
@@ -135,12 +135,14 @@ def test_a_gap_is_found() -> None:
     [
         Doctored().after("found", event("agreed", "changes accepted")).move("agreed", "resume")
         .change("connected again", devices=OTHER),
+        Doctored().change("connected again", devices=[{**each, "firmware": "1.2"}
+                                                      for each in DEVICES]),
         Doctored().change("connected", hilcell=None).change("connected again", hilcell="0.2.0"),
         Doctored().after("point 3", event("odd", "outlier measured again", key="grid/3"),
                          robot("odd move", "grid/3", 2),
                          flange("odd point", "grid/3", 2, 1)).change("odd point", retaken=True),
     ],
-    ids=["accepted", "version not kept", "retake"],
+    ids=["accepted", "firmware not stated once", "version not kept", "retake"],
 )  # fmt: skip
 def test_what_was_agreed_to_breaks_nothing(journal: Doctored) -> None:
     assert broken(journal) == {}

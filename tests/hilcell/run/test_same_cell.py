@@ -86,6 +86,7 @@ def test_a_cell_is_found_again_from_any_folder(file: Path, monkeypatch: pytest.M
             [replace(STRIP, firmware="1.3"), DRIVE],
             [f"strip: {AS_BEFORE} before, MSA111C, serial 4711, firmware 1.3 now"],
         ),
+        ([replace(STRIP, firmware=""), replace(DRIVE, firmware="2.0")], []),  # not stated once
         ([STRIP], ["drive: MD36, serial 815 before, none now"]),
     ],
 )
