@@ -14,6 +14,10 @@ def point(key: str, x_mm: float = 0.0) -> dict[str, Any]:
     return {"kind": "point", "key": key, "id": {"kind": "grid"}, "xyz_mm": [x_mm, 0.0, 0.0]}
 
 
+def move(key: str) -> dict[str, Any]:
+    return {"kind": "intent", "key": key, "action": "robot.move"}
+
+
 def end(mean_mm: float, state: str = "finished") -> dict[str, Any]:
     figures = {"before": {"mean": 1.0}, "idw": {"mean": 0.2}, "chosen": {"mean": mean_mm}}
     return {"kind": "end", "state": state, "result": {"validation": {"S1100": figures}}}
@@ -33,7 +37,8 @@ WHOLE = [point("a"), point("b"), end(0.1)]
         (["a"], [point("a"), {"kind": "event", "invalid": ["b"]}, *WHOLE], "a stands 2 times"),
         (["a"], [point("a"), point("a") | {"retaken": True}, point("b"), end(0.1)], ""),
         (["a"], [point("a"), point("b", 0.3), end(0.1)], "a point lies 0.300 mm off"),
-        (["a"], [point("a", 0.1), point("b", 0.1), end(0.1)], "2 points were measured again"),
+        (["a"], [move("a"), move("a"), *WHOLE], ""),
+        (["a"], [*[move("a")] * 3, *WHOLE], "2 points were measured again by 1 kills"),
         (["a"], [point("a", math.nan), point("b"), end(0.1)], "a point lies nan mm off"),
         (["a"], [point("a"), point("b"), end(0.2)], "S1100.chosen is 0.2, uninterrupted 0.1"),
         (["a"], [point("a"), point("b"), end(math.nan)], "S1100.chosen is nan"),
