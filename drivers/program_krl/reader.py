@@ -7,7 +7,8 @@ nobody has checked, so that such a program is refused.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence, Set
+from functools import partial
 
 from drivers.program_krl.data import AXES, EXTERNAL, POINTS, DataList, Datum, declared
 from drivers.program_krl.frames import FrameRule, assigned_at
@@ -58,15 +59,19 @@ class _Reader:
         self._left: dict[str, int] = {}  # homes and other files' programs, by their first line
 
     def read(self) -> None:
-        for act in (self._take, self._check_uses):
-            for statement in self._found:
-                try:
-                    act(statement)
-                except KrlError as error:
-                    self.problems.append(f"{self._file} line {statement.line}: {error}")
+        self._each(self._take)
+        used = {target.name.partition("[")[0] for target in self.targets.values()}
+        self._each(partial(self._check_uses, used))
         self._check_external()
         if not self.targets and not self.problems:
             self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
+
+    def _each(self, act: Callable[[Statement], None]) -> None:
+        for statement in self._found:
+            try:
+                act(statement)
+            except KrlError as error:
+                self.problems.append(f"{self._file} line {statement.line}: {error}")
 
     def notes(self) -> list[str]:
         """Return the parts that were left as they are."""
@@ -172,8 +177,7 @@ class _Reader:
 
     # -- the second pass ----------------------------------------------------------------------
 
-    def _check_uses(self, statement: Statement) -> None:
-        used = {target.name.partition("[")[0] for target in self.targets.values()}
+    def _check_uses(self, used: Set[str], statement: Statement) -> None:
         if _is_header(statement):
             return
         for at, token in enumerate(statement.tokens):

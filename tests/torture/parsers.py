@@ -7,7 +7,7 @@ import queue
 import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -36,6 +36,7 @@ from hilcell.journal.log import Log
 from hilcell.planning.holes import read_holes
 from hilcell.run.control import _Handler
 from hilcell.run.protocol import LONGEST_REQUEST, Status
+from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text import run as run_text
@@ -43,11 +44,12 @@ from hilcell.tui.text.alarms import alarm_page
 from hilcell.tui.text.tables import record_row
 from tests.drivers.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import calibration as made_calibration
-from tests.hilcell.tui.sample_runs import status
-from tests.hilcell.tui.untrusted_text import NASTY, dangerous, poisoned
+from tests.hilcell.tui.sample_runs import fresh, status
+from tests.hilcell.tui.untrusted_text import NASTY, dangerous, poison
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 DRIVE = 5
+FEW = 4  # records of a screen
 Samples = Callable[[], Iterable[bytes]]
 
 
@@ -309,11 +311,22 @@ def control_samples() -> Iterable[bytes]:
     yield b'{"command": "retake", "key": "grid/1-1-1"}\n'
 
 
+@cache
+def _faulted() -> RunUpdate:
+    return fresh("fault")
+
+
 def screen(data: bytes) -> None:
-    """A journal of which every text carries the input: lines and tables, and how they are shown."""
-    found = poisoned("fault", data.decode("utf-8", errors="replace"))
+    """A run of which a few records carry the input in every text, and how it is shown.
+
+    The first byte says which records.
+    """
+    sample = _faulted()
+    at = int.from_bytes(data[:1]) % len(sample.records)
+    few = replace(sample, records=sample.records[at : at + FEW])
+    found = poison(few, data[1:].decode("utf-8", errors="replace"))
     view = RunView("run", status=found.status)
-    for record in found.records:
+    for record in (*sample.records[:FEW], *found.records):
         view.take(record)
     painted = [
         run_text.identity(view, 80).plain,
@@ -329,7 +342,7 @@ def screen(data: bytes) -> None:
 
 
 def screen_samples() -> Iterable[bytes]:
-    return (text.encode() for text in NASTY.values())
+    return (bytes([n]) + text.encode() for n, text in enumerate(NASTY.values()))
 
 
 PARSERS = {

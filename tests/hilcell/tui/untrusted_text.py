@@ -43,7 +43,11 @@ _KEPT = ("what", "machine", "to", "from", "group", "state", "trigger", "frame", 
 
 def poisoned(name: str, text: str) -> RunUpdate:
     """Return a made-up run with ``text`` in every word that comes from outside."""
-    found = fresh(name)
+    return poison(fresh(name), text)
+
+
+def poison(found: RunUpdate, text: str) -> RunUpdate:
+    """Return a run with ``text`` in every word of it that comes from outside."""
     records = [_record(record, text) for record in found.records]
     return RunUpdate(records, found.engine, _status(found.status, text), text)
 
