@@ -14,7 +14,7 @@ import numpy as np
 from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import calibration_in, calibration_named, record_of
-from hilcell.calibration.rechecked import recheck_result, rechecked_run
+from hilcell.calibration.rechecked import doubt, recheck_result, rechecked_run
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.geometry.frames import apply
@@ -83,6 +83,7 @@ class Recheck:
             verdict=result["verdict"],
             drift_mm=result["drift_mm"],
             drift_u_mm=result["drift_u_mm"],
+            doubt=doubt(result),
         )
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -30,7 +30,8 @@ from hilcell.run.procedure import Span
 from procedures.durations import flange_points
 from procedures.plan import check_targets, joints_for, poses_at
 
-MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
+MOST_PULL = 4.3  # root of chi^2 of 7 degrees of freedom at 1 %: a slip of .1 mm shows
+MOST_MISFIT = 5.0  # sigmas: beyond, no chance explains it
 
 
 def touch_spans(cell: Cell, station: Station) -> list[Span]:
@@ -94,7 +95,7 @@ def check_agreement(station: Station, found: FrameUpdate) -> None:
         f"touch poses at {station.name}",
         f"they move the base by {found.pull:.1f} sigma of the station frame and leave "
         f"{found.misfit:.1f} sigma of their own",
-        wanted=f"<= {MOST_PULL:.0f} and <= {MOST_MISFIT:.0f} sigma",
+        wanted=f"<= {MOST_PULL:g} and <= {MOST_MISFIT:g} sigma",
         act="a nest, the strip, the tool or an axis' zero has changed; check them, then start a "
         "new run",
         fields={

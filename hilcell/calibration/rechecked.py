@@ -94,6 +94,17 @@ def recheck_result(log: Log) -> dict[str, Any]:
     return {"recheck": result | {"text": _words(result, judgement.worst, causes)}}
 
 
+def doubt(result: dict[str, Any]) -> str:
+    """Return what explains an update as well as a base that moved; "" is nothing."""
+    slips = [each["size"] for each in result["suspicions"] if result["verdict"] == "update"]
+    return (
+        f"a reflector that slipped by {slips[0]:.3f} mm on its mount explains it as well; see that "
+        "it sits; if it had slipped, seat it, revoke this run and re-check"
+        if slips
+        else ""
+    )
+
+
 def _suspicions(log: Log, found: Rechecked, judgement: Judgement) -> list[Suspicion]:
     joints_rad = commanded_rad(log.select(KIND))
     return suspicions(found, judgement, log.cell.robot.arm(), joints_rad)

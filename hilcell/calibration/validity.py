@@ -98,11 +98,10 @@ def _not_current(standing: Standing) -> Iterator[str]:
     if standing.usable:
         return
     yield f"it is {standing.text}"
-    yield (
-        f"the current one of the cell is that of run {standing.current}"
-        if standing.current
-        else "no calibration of the cell is current: calibrate again"
-    )
+    if standing.current:
+        yield f"the current one of the cell is that of run {standing.current}"
+    elif standing.state != "in doubt":
+        yield "no calibration of the cell is current: calibrate again"
     yield "--accept-not-current uses it all the same, and says so"
 
 

@@ -41,6 +41,8 @@ def revoke(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"run": folder.name, "reason": args.reason, "current": current or None})
         return 0
-    left = f"current is {current}" if current else f"{cell} has no current calibration any more"
+    machine = f" ({standing.machine})" if standing is not None and standing.machine else ""
+    none = f"{cell}{machine} has no current calibration any more"
+    left = f"current is {current}" if current else none
     print_message(f"the calibration of run {folder.name} is revoked; {left}")
     return 0

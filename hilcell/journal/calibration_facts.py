@@ -19,8 +19,9 @@ class CalibrationFacts(msgspec.Struct, frozen=True):
     """``kind`` says how a run that finishes comes to a calibration: measured, or one of before with
     base, targets or a station's base changed; "" is none. ``used`` is the run whose calibration it
     took, ``validated`` whether places were validated and all hold, ``undecided`` that some are
-    neither in nor out of tolerance and none is out, ``redo`` that a re-check found
-    the used one to hold no more. ``revoked`` is why somebody has revoked its own.
+    neither in nor out of tolerance and none is out, ``redo`` that a re-check found the used one to
+    hold no more, ``doubt`` what would explain an update of it as well. ``revoked`` is why somebody
+    has revoked its own.
     """
 
     kind: Kind = ""
@@ -28,6 +29,7 @@ class CalibrationFacts(msgspec.Struct, frozen=True):
     validated: bool = False
     undecided: bool = False
     redo: bool = False
+    doubt: str = ""
     revoked: str = ""
 
 
@@ -35,6 +37,7 @@ class _Verdict(msgspec.Struct):
     holds: bool
     verdict: str = ""
     outcome: str | None = None
+    doubt: str = ""
 
 
 class _Event(msgspec.Struct):
@@ -66,12 +69,13 @@ class CalibrationReader:
     @property
     def facts(self) -> CalibrationFacts:
         """Return what the records have said."""
-        recheck = self._verdicts.get("recheck", _Verdict(holds=True)).verdict
+        rechecked = self._verdicts.get("recheck", _Verdict(holds=True))
         places = [v for key, v in self._verdicts.items() if key.startswith(VALIDATION)]
         failed = [each.outcome for each in places if not each.holds]
         return CalibrationFacts(
-            self._kind(recheck), self._used, bool(places) and not failed,
-            bool(failed) and set(failed) == {"undecided"}, recheck == "redo", self._revoked,
+            self._kind(rechecked.verdict), self._used, bool(places) and not failed,
+            bool(failed) and set(failed) == {"undecided"}, rechecked.verdict == "redo",
+            rechecked.doubt, self._revoked,
         )  # fmt: skip
 
     def _kind(self, recheck: str) -> Kind:

@@ -26,7 +26,7 @@ from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
-SCHEMA = 3  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 4  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds

@@ -20,7 +20,7 @@ from typing import Literal
 from hilcell.journal.index import RunRow
 
 State = Literal[
-    "current", "superseded", "revoked", "out of date", "not validated", "undecided"
+    "current", "superseded", "revoked", "in doubt", "out of date", "not validated", "undecided"
 ]  # fmt: skip
 
 
@@ -59,7 +59,9 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     for cell, of_cell in groupby(ordered, key=lambda row: cells[row.name]):
         several = sum(other[:-1] == cell[:-1] for other in calibrated) > 1
         machine = cell[-1] if several else ""
-        standing = _of_cell(list(of_cell))
+        rows_of_cell = list(of_cell)
+        doubts = {row.name: _doubt(row, known) for row in rows_of_cell}
+        standing = _of_cell(rows_of_cell, doubts)
         found |= {name: replace(each, machine=machine) for name, each in standing.items()}
     return found
 
@@ -92,20 +94,28 @@ def _machine(row: RunRow, known: Mapping[str, RunRow]) -> str:
 
     A run that uses a calibration was made on the machine of that, wherever its simulator was.
     """
-    before = set[str]()
-    while row.facts.used in known and row.name not in before:
-        before.add(row.name)
-        row = known[row.facts.used]
-    if not row.simulated:
-        return ""
-    return _simulated(row.machine_seed)
+    first = _origins(row, known)[-1]
+    return _simulated(first.machine_seed) if first.simulated else ""
+
+
+def _doubt(row: RunRow, known: Mapping[str, RunRow]) -> str:
+    """Return what makes a calibration doubtful, or one that it was made of; "" is nothing."""
+    return next((each.facts.doubt for each in _origins(row, known) if each.facts.doubt), "")
+
+
+def _origins(row: RunRow, known: Mapping[str, RunRow]) -> list[RunRow]:
+    """Return a run, the one whose calibration it used, and so on."""
+    found = [row]
+    while (used := known.get(found[-1].facts.used)) is not None and used not in found:
+        found.append(used)
+    return found
 
 
 def _simulated(seed: int | None) -> str:
     return "a simulator that ran before" if seed is None else f"simulated machine {seed}"
 
 
-def _of_cell(rows: list[RunRow]) -> dict[str, Standing]:
+def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Standing]:
     """Return the standings of one cell's calibrations; rows in the order of their ends."""
     found: dict[str, Standing] = {}
     touches = {row.name: row.facts.used for row in rows if row.facts.kind == "touch"}
@@ -118,11 +128,13 @@ def _of_cell(rows: list[RunRow]) -> dict[str, Standing]:
         elif not made and current and used != current:
             found[row.name] = Standing("superseded", current)
         else:
-            found[row.name] = Standing("current")
+            doubt = doubts[row.name]
+            found[row.name] = Standing("in doubt", "", doubt) if doubt else Standing("current")
             if not (row.facts.revoked or row.name in touches):
                 before = [name for name in found if found[name].state != "superseded"]
+                before.remove(row.name)
                 found |= dict.fromkeys(before, Standing("superseded", row.name))
-                found[row.name], current = Standing("current"), row.name
+                current = row.name
     found |= _left(rows, found) | _revoked(rows)
     named = current if current and found[current].state == "current" else ""
     calibrated = {row.name for row in rows if row.calibrates}

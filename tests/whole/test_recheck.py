@@ -50,6 +50,25 @@ def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_pat
     assert "run V wrote no calibration; it used that of R" in done.stderr
 
 
+def test_an_update_that_a_slip_explains_as_well_is_in_doubt(
+    golden: GoldenRuns, tmp_path: Path
+) -> None:
+    faults, runs, targets = tmp_path / "faults.toml", tmp_path / "runs", tmp_path / "t.csv"
+    faults.write_text('[[fault]]\nname = "robot.mount_slip"\nvalue = 1.5\n')
+    with sim_command("--seed", "1", "--speed", "max", "--faults", str(faults)) as cell:
+        words = SMALL | {"simulation.address": cell.control}
+        words |= {"recheck.calibration": str(golden["small"].folder)}
+        done = command("run", "recheck", "--json", "--name", "R", "--runs", runs, *sets(words))
+    assert (done.returncode, end_of(done)["result"]["recheck"]["verdict"]) == (1, "update")
+    targets.write_text("name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,0,0,1200,0,75,0\n")
+    use = ("compensate", "R", targets, "--station", "S1100", "-o", tmp_path / "o", "--runs", runs)
+    done = command(*use)
+    assert done.returncode == 2
+    assert "it is in doubt: a reflector that slipped by 1.5" in done.stderr
+    assert command(*use, "--accept-not-current").returncode == 0
+    assert "IN DOUBT (accepted)" in (tmp_path / "o").read_text()
+
+
 @pytest.mark.nightly
 def test_turned_poses_tell_a_slipped_mount_from_a_moved_base(tmp_path: Path) -> None:
     """The calibration that was made for turned targets predicts turned poses, too."""

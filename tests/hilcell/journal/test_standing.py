@@ -9,6 +9,8 @@ from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
 from hilcell.journal.standing import Standing, current_of, standings
 
+REVOKED = CalibrationFacts(kind="base", used="01", doubt="a slip", revoked="it had slipped")
+
 
 def row(name: str, *, code: int = 0, state: str = "finished", **facts: Any) -> RunRow:
     """Return a run whose name is the second at which it began and ended."""
@@ -45,6 +47,17 @@ def test_a_later_one_supersedes() -> None:
 )
 def test_what_was_not_validated_supersedes_nothing(bad: RunRow) -> None:
     assert states(made("01"), bad)["01"] == "current"
+
+
+def test_a_doubt_goes_on_to_what_is_made_of_it() -> None:
+    doubted = row("02", kind="base", used="01", doubt="a slip explains it as well")
+    runs = [made("01"), doubted, row("03", kind="targets", used="02")]
+    in_doubt = "in doubt: a slip explains it as well"
+    assert states(*runs[:2]) == {"01": "superseded by 02", "02": in_doubt}
+    assert not any(each.usable or each.current for each in standings(runs[:2]).values())
+    assert states(*runs)["03"] == in_doubt
+    assert states(*runs, made("04"))["04"] == "current"
+    assert states(made("01"), msgspec.structs.replace(doubted, facts=REVOKED))["01"] == "current"
 
 
 def test_what_was_not_validated_is_superseded() -> None:
