@@ -14,7 +14,15 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.frames import grid_of, vertex_ids
-from hilcell.calibration.noticed import CLOSING, REVISIT, overtaken, revisits, suspicions_of
+from hilcell.calibration.noticed import (
+    CLOSING,
+    REVISIT,
+    VERDICTS,
+    established,
+    overtaken,
+    revisits,
+    suspicions_of,
+)
 from hilcell.calibration.reversal import REVERSAL, Reversal, reversal
 from hilcell.calibration.suspicions import suspected_in
 from hilcell.cell.file import Cell
@@ -52,7 +60,7 @@ class Revisits:
     def __init__(self, *, at_end: bool = False) -> None:
         """``at_end``: the slide comes from the last station, back to the grid's."""
         self._kind, self.name = (CLOSING, "closing") if at_end else (REVISIT, "revisits")
-        self._verdict = "revisits.closing" if at_end else "revisits"
+        self._verdict = VERDICTS[self._kind]
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step: the grid's own has refused vertices out of reach."""
@@ -89,14 +97,18 @@ class Revisits:
         if turned is not None and self._kind == REVISIT:
             session.verdict("reversal", holds=turned.holds, **_figures(turned))
         found = revisits(session.log, self._kind)
-        suspected = [] if found.suspicion is None else [found.suspicion.text]
-        facts = {"ratio": found.ratio, "limit": found.limit, "suspected": suspected}
+        suspicion = established(session.log, self._kind) or found.suspicion
+        session.verdict(
+            self._verdict,
+            holds=found.holds and suspicion is None,
+            ratio=found.ratio,
+            limit=found.limit,
+            suspicion=None if suspicion is None else suspicion.facts,
+            suspected=[] if suspicion is None else [suspicion.text],
+        )
         if self._kind == CLOSING:
-            session.verdict("revisits.closing", holds=found.holds, **facts)
             judge_suspicions(session)
-            return
-        session.verdict("revisits", holds=found.holds, **facts)
-        if found.suspicion is not None:
+        elif found.suspicion is not None:
             session.pause(f"re-visited poses have moved: {found.suspicion.text}")
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from hilcell.calibration.target_pass import (
     gross_targets,
     judged_pass,
     listed,
+    moved_together,
     targets_result,
 )
 from hilcell.cell.file import Cell, Station
@@ -72,7 +73,8 @@ class TargetPass:
         self._measure_again(session, names, joints_rad, values)
         session.close_step(carried=True)
         found = msgspec.to_builtins(judged_pass(session.log))
-        session.verdict("targets", holds=found.pop("holds"), **found)
+        holds = found.pop("holds") and moved_together(session.log) is None
+        session.verdict("targets", holds=holds, **found)
 
     def _measure_again(
         self, session: CellSession, names: list[str], joints_rad: Array, values: Array

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from msgspec import convert
 from msgspec.structs import replace
 
 from hilcell.calibration.bounds import validated, validation_points
@@ -28,6 +29,7 @@ from hilcell.ports import Array
 
 REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and in the end
 REVISITS = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
+VERDICTS = {REVISIT: "revisits", CLOSING: "revisits.closing"}  # their keys in the journal
 VALIDATION = "validation"
 CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
 MOMENTS = 5  # of the grid at which a change may have come
@@ -42,13 +44,26 @@ def suspicions_of(log: Log) -> list[Suspicion]:
 
     A correction that was learnt from a robot which changed names no cause of its own.
     """
-    rounds = (revisits(log, kind).suspicion for kind in REVISITS if revisited(log, kind))
+    rounds = (
+        established(log, kind) or revisits(log, kind).suspicion
+        for kind in REVISITS
+        if revisited(log, kind)
+    )
     again = next((each for each in rounds if each is not None), None)
     turned = reversal(log)
     lost = turned.suspicion if turned is not None else None
     of_validation = _of_validation(log) if again is None else []
     found = [scale(log), warm(log), risen_nest(log), mount_offset(log), lost, again, *of_validation]
     return [each for each in found if each is not None]
+
+
+def established(log: Log, kind: str) -> Suspicion | None:
+    """Return what re-visits have shown before, though the poses are back where they were.
+
+    The points in between are those of a robot that had changed.
+    """
+    kept = log.verdicts.get(VERDICTS[kind], {}).get("suspicion")
+    return None if kept is None else convert(kept, Suspicion)
 
 
 def revisited(log: Log, kind: str) -> list[Point]:

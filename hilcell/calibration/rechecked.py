@@ -22,7 +22,7 @@ from hilcell.calibration.suspicions import Suspicion
 from hilcell.calibration.visit import used, visited
 from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.statistics import bounds95_mm
-from hilcell.journal.log import Log, commanded_rad
+from hilcell.journal.log import Log, Point, commanded_rad
 
 KIND = "recheck"
 
@@ -34,8 +34,12 @@ def rechecked_run(log: Log) -> Judgement:
 
 def rechecked(log: Log) -> Rechecked:
     """Return errors and covariance of the measured poses, in the calibration's {B}."""
-    calibration, points = used(log), log.select(KIND)
-    found = visited(log, points, log.cell.grid.station)
+    return as_predicted(log, log.select(KIND), log.cell.grid.station)
+
+
+def as_predicted(log: Log, points: list[Point], station: str) -> Rechecked:
+    """Return errors of points at a station, with the covariance that the calibration predicts."""
+    calibration, found = used(log), visited(log, points, station)
     poses = driven_poses(calibration, log, points, found.nominal_mm)
     model = calibration.error_model().predict(poses)
     J = motion_levers(found.nominal_mm).reshape(-1, 7)

@@ -1,10 +1,13 @@
 """A pass over targets as its journal proves it: errors as found, and what is folded in.
 
 Targets that no others support, by more than `GROSS` standard deviations, are left out and named.
+Errors that share a motion which the calibration does not predict are not its targets': nothing is
+folded in where the base, the slide or the mount has moved.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -13,6 +16,8 @@ import numpy as np
 from hilcell.calibration.bounds import target_bounds
 from hilcell.calibration.decision import Judged, judged_errors
 from hilcell.calibration.form import Calibration, TargetPass, Targets
+from hilcell.calibration.recheck import FEWEST, Judgement, judged
+from hilcell.calibration.rechecked import as_predicted
 from hilcell.calibration.visit import Visited, used, visited
 from hilcell.compensation.remainder import Remainder
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
@@ -24,6 +29,7 @@ from hilcell.ports import Array
 KIND = "targets"
 LISTED = "targets listed"  # the event that keeps the file's content
 GROSS = 5.0
+APART = 10  # targets of which each stands for itself, as in a re-check
 
 
 def listed(log: Log) -> tuple[list[str], Array] | None:
@@ -80,6 +86,7 @@ def targets_result(log: Log) -> dict[str, Any]:
         "points": len(points),
         "as_found": figures_of(lengths_mm(errors_mm))._asdict(),
         "in_tolerance": judged_pass(log).holds,
+        **_motion(log),
         "share": 1.0 - float(left.mean()),
         "bound_before_mm": bounds[0],
         "bound_after_mm": bounds[1],
@@ -95,6 +102,28 @@ def targets_result(log: Log) -> dict[str, Any]:
 def judged_pass(log: Log) -> Judged:
     """Return the decision on the errors as found."""
     return judged_errors(log, _errors_mm(log))
+
+
+def moved_together(log: Log) -> Judgement | None:
+    """Return the judgement of a motion that all targets share; None where it holds.
+
+    Fewer targets than a re-check takes are not judged. Errors of the model are alike at targets
+    that lie near each other, so that many tell no more than `APART` do.
+    """
+    points = target_points(log)
+    if len(points) < FEWEST:
+        return None
+    found = as_predicted(log, points, points[0].station)
+    own_mm2 = found.own_mm2 * max(1.0, len(points) / APART)
+    judgement = judged(replace(found, own_mm2=own_mm2))
+    return None if judgement.moved.holds else judgement
+
+
+def _motion(log: Log) -> dict[str, Any]:
+    found = moved_together(log)
+    if found is None:
+        return {"as_predicted": True}
+    return {"as_predicted": False, "shift_mm": found.shift_mm, "u_mm": found.u_mm}
 
 
 def _errors_mm(log: Log) -> Array:
@@ -141,6 +170,13 @@ def _words(result: dict[str, Any]) -> str:
     if not result["in_tolerance"]:
         return (
             f"{begin}That is out of tolerance: nothing is folded in; `hilcell run recheck` first."
+        )
+    if not result["as_predicted"]:
+        return (
+            f"{begin}They share a motion of {result['shift_mm']:.3f} mm ± "
+            f"{2.0 * result['u_mm']:.3f} mm (k = 2) that the calibration does not predict: base, "
+            "slide or the reflector's mount has moved. Nothing is folded in; `hilcell run recheck` "
+            "first."
         )
     words = (
         f"{begin}{100 * result['share']:.0f} % of what the model left of each is folded into this "

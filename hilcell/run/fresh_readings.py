@@ -13,18 +13,19 @@ from typing import TypeVar
 from hilcell.ports import RailReading, RobotReading
 
 TRIES = 5
+SHARE = 0.8  # of the limit: the rest is left until the motion begins
 
 R = TypeVar("R", RailReading, RobotReading)
 
 
 def fresh(read: Callable[[], R], limit_s: float, taken: R | None = None) -> R:
-    """Return ``taken`` if it is younger than ``limit_s``, or the first of some readings that is.
+    """Return ``taken`` if it is well below ``limit_s`` old, or the first of some readings that is.
 
     Where none is, the last one is returned.
     """
     reading = read() if taken is None else taken
     for _ in range(TRIES - 1):
-        if monotonic() - reading.taken_s <= limit_s:
+        if monotonic() - reading.taken_s <= SHARE * limit_s:
             break
         reading = read()
     return reading

@@ -97,17 +97,17 @@ class Motion:
     def _prepare_rail(self, action: str, facts: dict[str, object]) -> ReadingTime:
         """Park the robot and journal the intent; return the reading by which the slide moves."""
         self._run.checkpoint()
-        robot = self._check_parked(self.park_robot())  # read at rest, after its motion ended
+        robot, _ = self._check_parked(self.park_robot())  # read at rest, after its motion ended
         self.held = None
         self._run.intend("", action, **facts, seen=seen(robot))
-        robot = self._check_parked(robot)  # the commit may have taken long
-        return time_of(robot, time.monotonic())
+        return time_of(*self._check_parked(robot))  # the commit may have taken long
 
-    def _check_parked(self, taken: RobotReading) -> RobotReading:
-        """Return a young reading of a robot that lets the slide move."""
+    def _check_parked(self, taken: RobotReading) -> tuple[RobotReading, float]:
+        """Return a young reading of a robot that lets the slide move, and when it was judged."""
         robot = fresh(self._run.devices.robot.read, self._run.cell.settle.reading_age_s, taken)
-        rail_may_move(self._run.cell, robot, time.monotonic())
-        return robot
+        now_s = time.monotonic()
+        rail_may_move(self._run.cell, robot, now_s)
+        return robot, now_s
 
     def _hold_rail(self) -> None:
         self._run.devices.rail.hold()
@@ -156,9 +156,16 @@ class Motion:
 
     def check_held(self, station: Station | None, taken: RailReading | None = None) -> RailReading:
         """Return a young reading of a slide that is held, at ``station``, so the robot may move."""
+        return self._check_held(station, taken)[0]
+
+    def _check_held(
+        self, station: Station | None, taken: RailReading | None
+    ) -> tuple[RailReading, float]:
+        """Return the reading, and when it was judged."""
         rail = fresh(self._run.devices.rail.read, self._run.cell.settle.reading_age_s, taken)
-        robot_may_move(self._run.cell, rail, station, time.monotonic())
-        return rail
+        now_s = time.monotonic()
+        robot_may_move(self._run.cell, rail, station, now_s)
+        return rail, now_s
 
     def _stops(self, rail: RailReading, joints_rad: Array, what: str, above: bool) -> list[Array]:
         """Return where to go, in turn, on the way to joints (6,)."""
@@ -182,14 +189,14 @@ class Motion:
         Those at hand may have grown old: by a commit, or by the motion before. Then they are taken
         again, and a robot that may stand elsewhere has its way checked again.
         """
-        rail = self.check_held(station, rail)
         if self._run.cell.surroundings is not None:
             proven = self._last
             self._resting_rad()
             if self._last is not proven:
                 self.check_way(rail, joints_rad, what)
+        rail, judged_s = self._check_held(station, rail)
         self._last = None  # nobody knows where a motion that fails has ended
-        self.began = time_of(rail, time.monotonic())
+        self.began = time_of(rail, judged_s)
         return rail
 
     def _drive(

@@ -113,11 +113,36 @@ def test_a_dry_run_has_ten_points(golden: GoldenRuns, tmp_path: Path) -> None:
     assert plan["duration_s"] < 120
 
 
+def six_targets(path: Path) -> Path:
+    """Write a list of targets in the volume."""
+    rows = [f"H{n},{-200 + 80 * n},{300 - 90 * n},{1000 + 70 * n},0,75,0" for n in range(6)]
+    path.write_text("\n".join(["name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg", *rows]) + "\n")
+    return path
+
+
+def test_targets_on_a_strip_that_jumped_are_not_folded_in(
+    golden: GoldenRuns, tmp_path: Path
+) -> None:
+    """All are within the cell's tolerance, and lie beside where the calibration predicts them."""
+    faults, targets = tmp_path / "faults.toml", six_targets(tmp_path / "t.csv")
+    faults.write_text('[[fault]]\nname = "rail.strip_jump"\nvalue = 0.2\n')
+    with sim_command("--seed", "1", "--speed", "max", "--faults", str(faults)) as cell:
+        words = SMALL | {"simulation.address": cell.control, "targets.file": str(targets)}
+        words |= {"targets.calibration": str(golden["small"].folder)}
+        named = ("--json", "--name", "T", "--runs", tmp_path)
+        done = command("run", "targets", *named, *sets(words))
+    found = end_of(done)["result"]["targets"]
+    assert done.returncode == 1
+    assert found["in_tolerance"]
+    assert not found["as_predicted"]
+    assert abs(found["shift_mm"] - 0.2) < 3 * found["u_mm"]
+    assert "has moved. Nothing is folded in" in found["text"]
+    assert not (tmp_path / "T" / CALIBRATION).exists()
+
+
 def test_targets_are_measured_and_folded_in(golden: GoldenRuns, tmp_path: Path) -> None:
     """The machine is that of the calibration, whatever the run's own seed is."""
-    targets, runs = tmp_path / "t.csv", tmp_path / "runs"
-    rows = [f"H{n},{-200 + 80 * n},{300 - 90 * n},{1000 + 70 * n},0,75,0" for n in range(6)]
-    targets.write_text("\n".join(["name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg", *rows]) + "\n")
+    targets, runs = six_targets(tmp_path / "t.csv"), tmp_path / "runs"
     small = golden["small"].folder
     words = SMALL | {"targets.file": str(targets), "targets.calibration": str(small)}
     named = ("--json", "--seed", "9", "--name", "T", "--runs", runs)

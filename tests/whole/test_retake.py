@@ -76,6 +76,10 @@ def test_a_robot_that_changed_before_its_run_is_reopened_is_noticed(
     (found,) = end["result"]["suspicions"]
     assert found["cause"] == "mount slipped"
     assert found["noticed_by"] == "vertices re-visited at the end"
+    monkeypatch.setattr(run, "start_simulation", start_simulation)  # the mount is put back
+    done = command("resume", "small", "--runs", tmp_path, "--retake", KEY, "--json")
+    assert end_of(done)["exit"] == 1
+    assert end_of(done)["result"]["suspicions"] == [found]
 
 
 @pytest.mark.parametrize(
