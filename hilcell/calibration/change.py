@@ -5,8 +5,8 @@ robot's, its mount's or the slide's doing. Of N differences d with covariance C,
 judged as 3N F(3N, nu), nu the degrees of freedom by which the repeatability is known at a few
 places and wider by its spread over the others, and what a cause of k parameters explains of it as
 k F(k, nu), the risk shared by all causes. The cause is named that leaves what chance explains, the
-one of fewest parameters first. One orientation of the tool cannot tell a reflector that slipped
-from a shift of the base.
+one of fewest parameters first; none where the best of them leaves most. One orientation of the tool
+cannot tell a reflector that slipped from a shift of the base.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from hilcell.ports import Array
 RISK = 0.001  # of each of two tests: that poses which have not changed are found to
 SPREAD = 1.5  # of the scatter's variance over a cube: a joint's own scatter acts by its reach
 PENALTY = 4.0  # of chi^2, that a parameter more must gain
+MOST_LEFT = 0.5  # of chi^2, by a cause that is named
 
 
 class Differences(msgspec.Struct, frozen=True):
@@ -74,16 +75,21 @@ def changed(found: Differences, arm: Arm, noticed_by: str) -> Change:
     ratio, limit = max(tests, key=lambda test: test[0] / test[1])
     if ratio <= limit:
         return Change(ratio, limit, None)
-    return Change(ratio, limit, _least(explained))
+    return Change(ratio, limit, _named(found, explained, noticed_by))
 
 
 def likeliest(found: Differences, arm: Arm, noticed_by: str) -> Suspicion:
     """Return the cause that leaves least, each parameter having to gain its penalty."""
-    return _least(_explained(found, arm, noticed_by))
+    return _named(found, _explained(found, arm, noticed_by), noticed_by)
 
 
-def _least(explained: list[_Explained]) -> Suspicion:
-    return min(explained, key=lambda each: each.left + PENALTY * each.parameters).suspicion
+def _named(found: Differences, explained: list[_Explained], noticed_by: str) -> Suspicion:
+    best = min(explained, key=lambda each: each.left + PENALTY * each.parameters)
+    d = found.difference_mm.reshape(-1)
+    if best.left <= MOST_LEFT * float(d @ np.linalg.solve(found.covariance_mm2, d)):
+        return best.suspicion
+    rms_mm = float(np.sqrt(np.square(found.difference_mm).sum(axis=1).mean()))
+    return Suspicion("unknown", rms_mm, "mm", noticed_by)
 
 
 class _Explained(NamedTuple):

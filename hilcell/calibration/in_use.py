@@ -214,7 +214,10 @@ def cell_calibrated(calibration: Calibration, path: Path, runs: Path) -> Cell | 
 
 
 def _folder(calibration: Calibration, path: Path, runs: Path) -> Path:
-    return path.parent if is_run(path.parent) else runs / calibration.provenance.latest
+    """Return the folder of the run that wrote a calibration; a copied folder is no other run."""
+    here = path.resolve().parent
+    wrote = (here.parent if is_run(here) else runs) / calibration.provenance.latest
+    return here if is_run(here) and not is_run(wrote) else wrote
 
 
 def _accepted(

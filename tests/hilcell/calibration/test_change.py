@@ -78,6 +78,16 @@ def test_a_cause_is_named_with_its_size(
     assert named >= 16, named
 
 
+def test_scatter_that_no_cause_explains_names_none() -> None:
+    unknown = 0
+    for seed in range(20):
+        scatter_mm = 0.5 * np.random.default_rng([seed, 2]).standard_normal((COUNT, 3))
+        found = changed(measured(seed, scatter_mm), ARM, "re-visits")
+        assert found.suspicion is not None
+        unknown += found.suspicion.cause == "unknown"
+    assert unknown >= 14, unknown
+
+
 def test_not_a_number_does_not_hold() -> None:
     nowhere = np.full((COUNT, 3), np.nan)
     assert not changed(measured(0, nowhere), ARM, "x").holds

@@ -1,6 +1,7 @@
 """`revoke`, and `compensate` with calibrations that are not current."""
 
 import json
+import shutil
 from pathlib import Path
 
 import msgspec
@@ -60,6 +61,17 @@ def test_a_revoked_one_is_refused_and_the_current_one_named(
     assert stamp.endswith("; REVOKED (accepted)")
     assert compensate(runs, "1-made") == 0
     assert read_log(runs / "2-made").state == "finished"
+
+
+def test_a_copied_folder_is_revoked_with_its_run(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(runs / "1-made", runs / "2-copy")
+    assert main(["revoke", "1-made", "--runs", str(runs), "--reason", "a crash"]) == 0
+    assert compensate(runs, "2-copy") == 2
+    assert "it is revoked: a crash" in capsys.readouterr().err
+    (runs / "2-copy").rename(runs.parent / "renamed")
+    assert compensate(runs, str(runs.parent / "renamed" / CALIBRATION)) == 0
 
 
 def test_a_superseded_one_is_refused(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
