@@ -98,17 +98,19 @@ class Revisits:
             session.verdict("reversal", holds=turned.holds, **_figures(turned))
         found = revisits(session.log, self._kind)
         suspicion = established(session.log, self._kind) or found.suspicion
-        session.verdict(
-            self._verdict,
-            holds=found.holds and suspicion is None,
-            ratio=found.ratio,
-            limit=found.limit,
-            suspicion=None if suspicion is None else suspicion.facts,
-            suspected=[] if suspicion is None else [suspicion.text],
-        )
+        holds = found.holds and suspicion is None
+        facts = {
+            "ratio": found.ratio,
+            "limit": found.limit,
+            "suspicion": None if suspicion is None else suspicion.facts,
+            "suspected": [] if suspicion is None else [suspicion.text],
+        }
         if self._kind == CLOSING:
+            session.verdict("revisits.closing", holds=holds, **facts)
             judge_suspicions(session)
-        elif found.suspicion is not None:
+            return
+        session.verdict("revisits", holds=holds, **facts)
+        if found.suspicion is not None:
             session.pause(f"re-visited poses have moved: {found.suspicion.text}")
 
     def result(self, log: Log) -> dict[str, Any]:
