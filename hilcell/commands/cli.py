@@ -17,6 +17,7 @@ from typing import Any
 from hilcell import __version__
 from hilcell.clean import clean
 from hilcell.commands import arguments
+from hilcell.commands.encoding import never_fail_to_encode
 from hilcell.commands.output import (
     flush_data,
     print_error,
@@ -461,6 +462,7 @@ def main(
     words: Sequence[str] | None = None, *, imported: Callable[[], object] = lambda: None
 ) -> int:
     """Run one command and return its exit code; ``imported`` is called when the command begins."""
+    never_fail_to_encode((sys.stdout, sys.stderr))
     try:
         args = _parser().parse_args(words)
     except NotPrinted as error:  # the help

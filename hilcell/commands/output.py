@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from hilcell.clean import harmless
+from hilcell.commands.encoding import in_ascii
 from hilcell.errors import HilcellError
 from hilcell.writing import NotPrinted
 
@@ -54,9 +55,14 @@ def print_answer(values: Mapping[str, object], words: str, *, as_json: bool) -> 
 
 def print_json(values: Mapping[str, object]) -> None:
     """Print ``values`` as one JSON object on stdout; raises `NotPrinted`."""
+    print_data(json_line(values))
+
+
+def json_line(values: Mapping[str, object]) -> str:
+    """Return ``values`` as one JSON object on one line, in ASCII."""
     import msgspec  # `--help` does without it
 
-    print_data(msgspec.json.encode(values).decode())
+    return in_ascii(msgspec.json.encode(values).decode())
 
 
 def print_data(text: str) -> None:

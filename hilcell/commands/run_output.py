@@ -22,6 +22,7 @@ from hilcell.clean import harmless
 from hilcell.commands.output import (
     flush_data,
     harmless_lines,
+    json_line,
     print_error,
     print_json,
     print_message,
@@ -103,7 +104,7 @@ class JsonOutput(RunOutput):
 
     def _write(self, event: dict[str, Any]) -> None:
         with stdout_checked():
-            sys.stdout.buffer.write(msgspec.json.encode(event) + b"\n")
+            sys.stdout.buffer.write(f"{json_line(event)}\n".encode("ascii"))
             sys.stdout.buffer.flush()
 
 
