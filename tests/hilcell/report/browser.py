@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import html
+import json
 import os
+import re
 import shutil
 import signal
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
+
+from hilcell.ports import Array
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 QUIET = (
@@ -32,8 +41,11 @@ def browser() -> str:
     )
 
 
-def browse(page: Path, *words: str) -> None:
-    """Open a page, do what ``words`` say, and end with every process that was started."""
+def browse(page: Path, *words: str) -> str:
+    """Open a page, do what ``words`` say, and end with every process that was started.
+
+    Returns what the browser printed.
+    """
     profile = page.with_name("profile")
     command = [browser(), *QUIET, f"--user-data-dir={profile}", *words, page.as_uri()]
     process = subprocess.Popen(
@@ -46,3 +58,61 @@ def browse(page: Path, *words: str) -> None:
         output, _ = process.communicate()
         raise AssertionError(f"the browser did not end within {LIMIT_S} s:\n{output}") from None
     assert process.returncode == 0, output
+    return output
+
+
+# Runs before the page's policy is read, and so is not blocked by it. An image of an SVG has no
+# `naturalWidth`: one of the page's own with the same address has, under the same policy.
+_PROBE = """<script>
+const blocked = [];
+addEventListener("securitypolicyviolation",
+                 (event) => blocked.push(`${event.effectiveDirective}: ${event.blockedURI}`));
+addEventListener("load", async () => {
+  const box = (each) => {
+    const {left, top, width, height} = each.getBoundingClientRect();
+    return [left, top, width, height];
+  };
+  const images = await Promise.all([...document.querySelectorAll("img, image")].map(
+    async (each) => {
+      const image = new Image();
+      image.src = each.getAttribute("src") || each.getAttribute("href");
+      await image.decode().catch(() => null);
+      return {width: image.naturalWidth, box: box(each)};
+    }));
+  const drawings = [...document.querySelectorAll("figure svg")].map(box);
+  document.documentElement.dataset.seen = JSON.stringify({blocked, images, drawings});
+});
+</script>"""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A page as it was shown: what its policy blocked, its images, the boxes of its drawings.
+
+    ``images`` have their ``width`` in pixels, 0 where they were not shown, and their ``box``;
+    a box is left, top, width, height. ``pixels`` are (rows, columns, 3), 0 to 255.
+    """
+
+    blocked: list[str]
+    images: list[dict[str, Any]]
+    drawings: list[list[float]]
+    pixels: Array
+
+    def inked(self, box: list[float]) -> float:
+        """Return the share of pixels in a box that are not white."""
+        left, top, width, height = (round(side) for side in box)
+        inside = self.pixels[top : top + height, left : left + width]
+        return float(np.mean(np.any(inside < 250, axis=2)))
+
+
+def looked_at(page: Path, folder: Path, size: tuple[int, int] = (900, 3000)) -> Seen:
+    """Show a page on a screen of a size, and look at it."""
+    probed, picture = folder / "probed.html", folder / "screen.png"
+    probed.write_text(page.read_text("utf-8").replace("<head>", f"<head>{_PROBE}", 1), "utf-8")
+    window = f"--window-size={size[0]},{size[1]}"
+    dumped = browse(probed, window, "--virtual-time-budget=5000", "--dump-dom")
+    found = re.search(r'data-seen="([^"]*)"', dumped)
+    assert found is not None, dumped[-2000:]
+    browse(probed, window, f"--screenshot={picture}")
+    pixels = np.round(imread(picture)[..., :3] * 255).astype(int)
+    return Seen(**json.loads(html.unescape(found[1])), pixels=pixels)

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from hilcell.commands.cli import main
 from hilcell.journal.runs import JOURNAL
-from tests.hilcell.report.browser import browse
+from tests.hilcell.report.browser import browse, looked_at
 from tests.hilcell.report.pages import Page
 from tests.whole.bench import HILCELL, command
 from tests.whole.golden import GoldenRuns
@@ -167,17 +166,40 @@ def test_a_journal_that_lacks_what_its_result_needs(
 
 
 def test_seen_in_a_browser(page: Path, tmp_path: Path) -> None:
-    shown = tmp_path / "report.html"
-    shutil.copy(page, shown)
-    picture = tmp_path / "screen.png"
-    browse(shown, "--window-size=900,3000", f"--screenshot={picture}")
-    pixels = np.round(imread(picture)[..., :3] * 255).astype(int)
-    assert pixels.shape == (3000, 900, 3)
-    white = float(np.mean(np.all(pixels == 255, axis=2)))
-    assert 0.4 < white < 0.95
+    seen = looked_at(page, tmp_path, (900, 9000))
+    assert seen.blocked == []
+    assert all(image["width"] > 0 for image in seen.images)
+    assert len(seen.drawings) >= 4
+    for box in seen.drawings + [image["box"] for image in seen.images]:
+        assert 0.01 < seen.inked(box) < 0.9
+    assert 0.4 < float(np.mean(np.all(seen.pixels == 255, axis=2))) < 0.95
     for colour in (RUST, BLUE):
-        near = np.all(np.abs(pixels - colour) < 24, axis=2)
+        near = np.all(np.abs(seen.pixels - colour) < 24, axis=2)
         assert near.sum() > 300, f"the figures' colour {colour} is not to be seen"
+
+
+PIXEL = (
+    "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwAD"
+    "hgGAWjR9awAAAABJRU5ErkJggg=="
+)
+
+
+@pytest.mark.parametrize(
+    ("policy", "shown"),
+    [("default-src 'none'", 0), pytest.param("img-src data:", 1, marks=pytest.mark.nightly)],
+)
+def test_the_browser_sees_what_a_policy_blocks(policy: str, shown: int, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text(
+        f"""<!DOCTYPE html><html><head>
+        <meta http-equiv="Content-Security-Policy" content="{policy}; style-src 'unsafe-inline'">
+        </head><body><img src="{PIXEL}" width="50" height="50">
+        <svg width="50" height="50"><image href="{PIXEL}" width="50" height="50"/></svg>
+        </body></html>"""
+    )
+    seen = looked_at(page, tmp_path, (300, 300))
+    assert [image["width"] for image in seen.images] == [shown, shown]
+    assert bool(seen.blocked) == (not shown)
 
 
 def test_printed_on_a4(page: Path, tmp_path: Path) -> None:
