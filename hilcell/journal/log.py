@@ -249,7 +249,7 @@ class Log:
             case "state":
                 self._take_state(record)
             case "point":
-                self._take_point(self._carried(_point(record)), record.seq)
+                self._take_point(self.read(record), record.seq)
             case "frame":
                 self.frames[record.key] = body
                 self._carry_nests(record.key)
@@ -267,6 +267,10 @@ class Log:
         self.driven.take(record)
         for key in self.set_ups.take(record):
             self._drop(key)
+
+    def read(self, record: Record) -> Point:
+        """Return the point of a record, a later one may count, as seen from the first set-up."""
+        return self._carried(_point(record))
 
     def _carried(self, point: Point) -> Point:
         """Return a point as its tracker would have seen it from the first set-up."""

@@ -13,10 +13,12 @@ from hilcell.clean import harmless
 from hilcell.report import tables
 from hilcell.report.certificate import certificate, title
 from hilcell.report.columns import present
+from hilcell.report.course import course
 from hilcell.report.curves import curves
 from hilcell.report.facts import Facts
 from hilcell.report.figures import drawings
 from hilcell.report.method import models
+from hilcell.report.remeasured import remeasured
 from hilcell.report.target_budget import target_budget, target_sheets
 
 if TYPE_CHECKING:
@@ -76,7 +78,8 @@ def report_html(facts: Facts) -> str:
                 tables.conditions(facts),
                 tables.groups(facts),
                 tables.software(facts),
-                tables.course(facts),
+                remeasured(facts),
+                course(facts),
             ),
         )
     )

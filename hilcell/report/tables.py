@@ -8,24 +8,20 @@ from dataclasses import dataclass
 from operator import attrgetter, itemgetter
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from hilcell.calibration.contribution import Contribution
 from hilcell.calibration.errors import OTHERS, Errors, places, reduction, validation
 from hilcell.calibration.measurement_budget import Budget
-from hilcell.calibration.recheck import in_words
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.asset import Asset
-from hilcell.journal.curve_record import CurveRecord
-from hilcell.journal.journal import Record
 from hilcell.ports import Array
 from hilcell.report.columns import Column, Sheet, Value, present, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.figures import series_name
-from hilcell.report.method import chosen_poses_words
+from hilcell.report.wording import facts_of
 
 Pair = tuple[str, str]
 
@@ -250,43 +246,13 @@ def groups(facts: Facts) -> Sheet | None:
 VERDICTS: tuple[Column[tuple[str, Mapping[str, Any]]], ...] = (
     Column("judged", itemgetter(0)),
     Column("verdict", lambda row: "holds" if row[1]["holds"] else "does not hold"),
-    Column("by", lambda row: _facts_of(row[1])),
+    Column("by", lambda row: facts_of(row[1])),
 )
 
 
 def verdicts(facts: Facts) -> Sheet | None:
     """Return the verdicts, with the figures behind them."""
     return sheet("Verdicts", VERDICTS, facts.log.verdicts.items())
-
-
-COURSE: tuple[Column[tuple[str, str, str]], ...] = (
-    Column("UTC", itemgetter(0)),
-    Column("what", itemgetter(1)),
-    Column("why, how", itemgetter(2)),
-)
-
-
-def course(facts: Facts) -> Sheet | None:
-    """Return how the run went: its states, and events on the way."""
-    rows = [
-        (record.t[:19].replace("T", " "), *_happened(facts, record))
-        for record in facts.records
-        if record.kind == "state"
-        or (record.kind == "event" and record.body["what"] not in ("connected", "closed"))
-    ]
-    return sheet("Course of the run", COURSE, rows)
-
-
-def _happened(facts: Facts, record: Record) -> Pair:
-    """Return a record of a state or an event in words: what, and why or how."""
-    body = record.body
-    if record.kind == "state":
-        return f"{body['machine']}: {body['to'].replace('_', ' ')}", str(body.get("reason", ""))
-    if body["what"] == "curve":
-        return "curve", msgspec.convert(body, CurveRecord).words
-    if body["what"] == "poses chosen":
-        return "poses chosen", chosen_poses_words(facts, body)
-    return body["what"], _facts_of(body)
 
 
 PAPER: tuple[Column[Mapping[str, Any]], ...] = (
@@ -356,23 +322,3 @@ def _sums(u_mm: float, expanded_mm: float) -> tuple[Sum, Sum]:
         Sum("combined u", "root of the sum of all squares so far", "", "5.1.2", u_mm),
         Sum("expanded U", "U = k u, k = 2, about 95 %", "normal", "6.2.1", expanded_mm),
     )
-
-
-def _facts_of(body: Mapping[str, Any]) -> str:
-    known = ("holds", "what")
-    return ", ".join(
-        _with_unit(name, value)
-        for name, value in in_words(body).items()
-        if name not in known and not isinstance(value, dict | list)
-    )
-
-
-def _with_unit(name: str, value: object) -> str:
-    words = name.removesuffix("_mm").replace("_", " ")
-    return f"{words} {_text(value)}{' mm' if name.endswith('_mm') else ''}"
-
-
-def _text(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.4f}" if isinstance(value, float) else str(value)
