@@ -14,7 +14,7 @@ import msgspec
 from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.cell.addresses import places
 from hilcell.cell.file import Cell
-from hilcell.cell.settings import SettingsError, convert
+from hilcell.cell.settings import SettingsError, convert, did_you_mean
 from hilcell.ports import (
     Clock,
     DeviceError,
@@ -40,7 +40,8 @@ def load_entry(group: str, name: str) -> Any:
     found = {entry.value: entry for entry in entries if entry.name == name}
     if not found:
         known = ", ".join(sorted(entries.names)) or "none; is the package installed?"
-        raise SettingsError(group, [f"{name!r} is not installed; installed: {known}"])
+        hint = did_you_mean(name, entries.names) or f"; installed: {known}"
+        raise SettingsError(group, [f"{name!r} is not installed{hint}"])
     if len(found) > 1:
         both = " and ".join(sorted(found))
         raise SettingsError(group, [f"{name!r} is installed as {both}; uninstall all but one"])

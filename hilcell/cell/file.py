@@ -23,7 +23,15 @@ from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.plan import QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES, PlanTable
 from hilcell.cell.robot import Joint, RobotTable, arm_from_joints
 from hilcell.cell.room import RoomTable
-from hilcell.cell.settings import SettingsError, convert, override, read_text, refuse, unreadable
+from hilcell.cell.settings import (
+    SettingsError,
+    convert,
+    did_you_mean,
+    override,
+    read_text,
+    refuse,
+    unreadable,
+)
 from hilcell.cell.surroundings import (
     CapsuleTable,
     EnvelopeTable,
@@ -376,9 +384,10 @@ def _read(where: str) -> dict[str, Any]:
         try:
             text = read_text(path)
         except FileNotFoundError:
-            known = ", ".join(built_in_cells())
+            names = built_in_cells()
+            hint = f"; built in: {', '.join(names)}{did_you_mean(where, names)}"
             raise SettingsError(
-                where, [f"no such file, and no built-in cell of that name; built in: {known}"]
+                where, [f"no such file, and no built-in cell of that name{hint}"]
             ) from None
         except (OSError, UnicodeDecodeError) as error:
             raise unreadable(where, error, "cell file") from error

@@ -13,7 +13,7 @@ import stat
 import tomllib
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -125,9 +125,14 @@ def _short(value: object) -> str:
 
 
 def _unknown(path: str, key: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(key[:LONGEST_VALUE], known, n=1)
-    hint = f'; did you mean "{near[0]}"?' if near else f"; known here: {', '.join(sorted(known))}"
+    hint = did_you_mean(key, known) or f"; known here: {', '.join(sorted(known))}"
     return f"{clean(path)}: unknown key{hint}"
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return the end of a sentence that names the nearest known word; empty without one."""
+    near = difflib.get_close_matches(word[:LONGEST_VALUE], list(known), n=1)
+    return f'; did you mean "{near[0]}"?' if near else ""
 
 
 def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:

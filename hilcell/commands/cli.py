@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from hilcell import __version__
 from hilcell.clean import clean
@@ -23,8 +22,8 @@ from hilcell.commands.output import (
     print_error,
     print_json,
     print_message,
-    stdout_checked,
 )
+from hilcell.commands.parser import Parser
 from hilcell.writing import NotPrinted
 
 EPILOG = """\
@@ -32,30 +31,22 @@ exit codes: 0 in tolerance; 1 measured, out of tolerance; 2 refused before anyth
 3 device fault, safe-stopped; 4 aborted by the operator; 5 internal error; 6 cell locked by
 another run; 7 storage fault. After 3, 4 and 7, `hilcell resume RUN` continues.
 hilcell is not a safety function: keep the E-stop in reach."""
+FIRST = """\
+`hilcell run` calibrates a simulated cell in about a minute; nothing real moves
+`hilcell show last` shows its result; `hilcell report last -o report.html` prints it
+your own cell: `hilcell check CELL.toml`, then `hilcell tui --cell CELL.toml`
+`hilcell --help` lists all commands"""
 
 
-class _Parser(argparse.ArgumentParser):
-    """Argparse takes no notice of a stdout that fails."""
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        """Print the help, or an error; raises `NotPrinted`."""
-        if file is not sys.stdout:
-            super()._print_message(message, file)
-            return
-        with stdout_checked():
-            sys.stdout.write(message)
-            sys.stdout.flush()
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = _Parser(
+def _parser() -> Parser:
+    parser = Parser(
         prog="hilcell",
         description="Calibrates a robot on a cheap rail with a laser tracker, unattended.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"hilcell {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    commands = parser.add_commands()
     _add_run(commands)
     _add_live(commands)
     _add_tui(commands)
@@ -67,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_run(commands: argparse._SubParsersAction[Parser]) -> None:
     run = _command(commands, "run", "commands.run:run", "perform a procedure on a cell")
     run.add_argument("procedure", nargs="?", default="calibrate", help="default: calibrate")
     _cell_options(run)
@@ -118,7 +109,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     _json_option(resume, "one event a line, as journalled")
 
 
-def _add_live(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_live(commands: argparse._SubParsersAction[Parser]) -> None:
     for name, text in (
         ("pause", "pause a live run after the point in flight"),
         ("stop", "stop a live run now, safely; it can be resumed"),
@@ -131,7 +122,7 @@ def _add_live(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _json_option(watch, "one event a line, as journalled")
 
 
-def _add_tui(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_tui(commands: argparse._SubParsersAction[Parser]) -> None:
     tui = _command(
         commands,
         "tui",
@@ -169,7 +160,7 @@ def _add_tui(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
 
 
-def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_past(commands: argparse._SubParsersAction[Parser]) -> None:
     runs = _command(commands, "runs", "commands.past:runs", "list the runs")
     _runs_option(runs)
     _json_option(runs, "one object with all runs")
@@ -209,7 +200,7 @@ def _add_past(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _json_option(show, "one object")
 
 
-def _add_reports(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_reports(commands: argparse._SubParsersAction[Parser]) -> None:
     report = _command(commands, "report", "commands.report:report", "write a run's report as HTML")
     _run_argument(report)
     report.add_argument("-o", "--output", required=True, metavar="FILE.html", help="one file")
@@ -225,7 +216,7 @@ def _add_reports(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     export.add_argument("-o", "--output", required=True, metavar="FILE", help="where to write")
 
 
-def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_cell(commands: argparse._SubParsersAction[Parser]) -> None:
     check = _command(commands, "check", "commands.cell:check", "check a cell file and its plan")
     check.add_argument("cell", metavar="CELL", help="a built-in name or a TOML path")
     _set_option(check)
@@ -261,7 +252,7 @@ def _add_cell(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _command(commands, "diagram", "commands.cell:diagram", "print the state machines as Mermaid")
 
 
-def _add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_plan(commands: argparse._SubParsersAction[Parser]) -> None:
     plan = _command(commands, "plan", "commands.plan:plan", "choose stations and orders for holes")
     plan.add_argument("holes", metavar="HOLES.csv", help=arguments.HOLES)
     _cell_options(plan)
@@ -293,7 +284,7 @@ def _add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _json_option(prepare, "one object")
 
 
-def _add_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_files(commands: argparse._SubParsersAction[Parser]) -> None:
     fit = _command(commands, "fit", "commands.fit:fit", "fit measured data and judge the fit")
     fit.add_argument(
         "--robot", required=True, metavar="ROBOT.toml|ROBOT.urdf", help="nominal DH rows, or URDF"
@@ -382,7 +373,7 @@ def _accept_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, act: str, text: str
+    commands: argparse._SubParsersAction[Parser], name: str, act: str, text: str
 ) -> argparse.ArgumentParser:
     parser = commands.add_parser(name, help=text, description=text.capitalize() + ".")
     parser.set_defaults(act=act)
@@ -463,6 +454,10 @@ def main(
 ) -> int:
     """Run one command and return its exit code; ``imported`` is called when the command begins."""
     never_fail_to_encode((sys.stdout, sys.stderr))
+    words = sys.argv[1:] if words is None else words
+    if not words:
+        print_message(FIRST)
+        return 2
     try:
         args = _parser().parse_args(words)
     except NotPrinted as error:  # the help

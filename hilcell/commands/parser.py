@@ -1,0 +1,77 @@
+"""The parser of the command line: short errors that name the nearest command or option."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Sequence
+from importlib.metadata import entry_points
+from typing import Any, NoReturn
+
+from hilcell.commands.output import print_message, stdout_checked
+
+REFUSED = 2  # of `hilcell.run.exits`, which is heavy to import
+
+
+class Parser(argparse.ArgumentParser):
+    """Reads the words of one command; ``commands`` are those that may follow, if any may."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.commands: argparse._SubParsersAction[Parser] | None = None
+
+    def add_commands(self) -> argparse._SubParsersAction[Parser]:
+        """Return where commands are added."""
+        self.commands = self.add_subparsers(dest="command", metavar="COMMAND", required=True)
+        return self.commands
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuse unknown words first: argparse would name missing arguments in their place."""
+        self._refuse_unknown(sys.argv[1:] if args is None else args)
+        return super().parse_known_args(args, namespace)
+
+    def _refuse_unknown(self, words: Sequence[str]) -> None:
+        for word in words:
+            name = word.partition("=")[0]
+            if word == "--":
+                return
+            if self.commands is not None and not word.startswith("-"):
+                self._refuse_unknown_command(word, self.commands.choices)
+                return
+            if name.startswith("--") and " " not in word and not self._has_option(name):
+                near = _nearest(name, self._option_string_actions)
+                self.error(f"{name[:80]} is no option{near}")
+
+    def _has_option(self, name: str) -> bool:
+        """Whether ``name`` is an option, or the beginning of one."""
+        return any(option.startswith(name) for option in self._option_string_actions)
+
+    def _refuse_unknown_command(self, word: str, known: Iterable[str]) -> None:
+        if word in known:
+            return
+        if word in entry_points(group="hilcell.procedures").names:
+            self.error(f"{word} is a procedure; did you mean `{self.prog} run {word}`?")
+        self.error(f"{word[:80]!r} is no command{_nearest(word, known)}")
+
+    def error(self, message: str) -> NoReturn:
+        """Print an error, and where the arguments are listed, and end with exit code 2."""
+        print_message(f"{self.prog}: {message}\n`{self.prog} --help` lists what there is")
+        self.exit(REFUSED)
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print the help, or an error; argparse takes no notice of a stdout that fails.
+
+        Raises `NotPrinted`.
+        """
+        if file is not sys.stdout:
+            super()._print_message(message, file)
+            return
+        with stdout_checked():
+            sys.stdout.write(message)
+            sys.stdout.flush()
+
+
+def _nearest(word: str, known: Iterable[str]) -> str:
+    from hilcell.cell.settings import did_you_mean  # `--help` does without it
+
+    return did_you_mean(word, known)
