@@ -88,6 +88,15 @@ def test_scatter_that_no_cause_explains_names_none() -> None:
     assert unknown >= 14, unknown
 
 
+def test_wider_scatter_is_found_by_all_differences_together() -> None:
+    """Twice as wide as the visits' own: a single cause shows in half of them."""
+    found = []
+    for seed in range(40):
+        scatter_mm = 2.0 * SIGMA_MM * np.random.default_rng([seed, 3]).standard_normal((COUNT, 3))
+        found.append(changed(measured(seed, scatter_mm), ARM, "re-visits"))
+    assert sum(not each.holds for each in found) >= 28
+
+
 def test_not_a_number_does_not_hold() -> None:
     nowhere = np.full((COUNT, 3), np.nan)
     assert not changed(measured(0, nowhere), ARM, "x").holds
