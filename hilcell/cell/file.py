@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -20,6 +20,7 @@ from msgspec import Meta, field
 
 from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
 from hilcell.cell.layout import Layout, Nest
+from hilcell.cell.lines import with_lines
 from hilcell.cell.plan import QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES, PlanTable
 from hilcell.cell.robot import Joint, RobotTable, arm_from_joints
 from hilcell.cell.room import RoomTable
@@ -261,21 +262,34 @@ class Cell(Frozen, frozen=True, kw_only=True):
     simulation: SimulationTable | None = None
 
     def __post_init__(self) -> None:
+        refuse(problem for check in self.checks() for problem in check())
+
+    def checks(self) -> Sequence[Callable[[], Iterable[str]]]:
+        """Return the checks of several tables."""
+        return (
+            self._bad_names,
+            self._bad_grid_station,
+            self._bad_stations,
+            self._bad_strips,
+            self._bad_cell_counts,
+            self._bad_others,
+            self._bad_survey,
+            lambda: keep_out_problems(self.keep_out, self.robot.envelope),
+        )
+
+    def _bad_names(self) -> Iterator[str]:
         if not 1 <= len(self.station) <= MOST_STATIONS:
-            raise ValueError(f"1 .. {MOST_STATIONS} stations are needed, found {len(self.station)}")
+            yield f"station: 1 .. {MOST_STATIONS} stations are needed, found {len(self.station)}"
         names = [station.name for station in self.station]
         if len(set(names)) != len(names):
-            raise ValueError(f"station names must differ, found {', '.join(names)}")
+            yield f"station: station names must differ, found {', '.join(names)}"
+
+    def _bad_grid_station(self) -> Iterator[str]:
+        names = [station.name for station in self.station]
         if self.grid.station not in names:
-            raise ValueError(f"grid.station {self.grid.station!r} is none of {', '.join(names)}")
-        refuse(
-            [
-                *self._bad_stations(),
-                *self._bad_counts(),
-                *self._bad_survey(),
-                *keep_out_problems(self.keep_out, self.robot.envelope),
-            ]
-        )
+            yield (
+                f"grid.station: grid.station {self.grid.station!r} is none of {', '.join(names)}"
+            )
 
     def _bad_stations(self) -> Iterator[str]:
         rail = self.rail
@@ -283,29 +297,38 @@ class Cell(Frozen, frozen=True, kw_only=True):
         for n, station in enumerate(self.station):
             if not low_mm <= station.rail_mm <= high_mm:
                 yield (
-                    f"station {station.name}: rail_mm {station.rail_mm} is outside "
+                    f"station[{n}].rail_mm: station {station.name}: rail_mm "
+                    f"{station.rail_mm} is outside "
                     f"{low_mm} .. {high_mm}"
                 )
             if not abs(station.rail_mm - station.strip_mm) <= rail.slip_limit_mm:
                 yield (
-                    f"station {station.name}: strip_mm {station.strip_mm} and rail_mm "
-                    f"{station.rail_mm} differ by more than rail.slip_limit_mm {rail.slip_limit_mm}"
+                    f"station[{n}].strip_mm: station {station.name}: strip_mm "
+                    f"{station.strip_mm} and rail_mm {station.rail_mm} "
+                    f"differ by more than rail.slip_limit_mm {rail.slip_limit_mm}"
                 )
+
+    def _bad_strips(self) -> Iterator[str]:
+        rail = self.rail
+        for n, station in enumerate(self.station):
             for other in self.station[:n]:
                 if not abs(station.strip_mm - other.strip_mm) > rail.strip_tolerance_mm:
                     yield (
-                        f"station {station.name}: strip_mm {station.strip_mm} is also that of "
+                        f"station[{n}].strip_mm: station {station.name}: strip_mm "
+                        f"{station.strip_mm} is also that of "
                         f"station {other.name} ({other.strip_mm} mm); they must differ by more "
                         f"than {rail.strip_tolerance_mm} mm"
                     )
 
-    def _bad_counts(self) -> Iterator[str]:
+    def _bad_cell_counts(self) -> Iterator[str]:
         per_cell, cells = self.validation.per_cell, math.prod(self.grid.cells)
         if not per_cell * cells <= MOST_POINTS:
             yield (
                 f"validation: {per_cell} targets in each of {cells} grid cells are "
                 f"{per_cell * cells}, at most {MOST_POINTS}"
             )
+
+    def _bad_others(self) -> Iterator[str]:
         targets, others = self.validation.others, len(self.station) - 1
         if not targets >= others:
             yield f"validation.others: {targets} targets, wanted one at each of {others} stations"
@@ -365,33 +388,38 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
 def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
     """Read a built-in cell by name or a TOML file, with ``key.path = value`` overrides."""
-    values = _read(where)
-    for key, text in (overrides or {}).items():
-        override(values, key, text)
-    return convert(values, Cell, where)
+    changed = overrides or {}
+    text = _read(where)
+    values = _parsed(text, where)
+    for key, value in changed.items():
+        override(values, key, value)
+    try:
+        return convert(values, Cell, where)
+    except SettingsError as error:
+        if where in built_in_cells():
+            raise
+        raise SettingsError(where, with_lines(error.problems, text, where, changed)) from None
 
 
-def _read(where: str) -> dict[str, Any]:
+def _read(where: str) -> str:
+    """Return the text of a cell file; raises `SettingsError`."""
     if not where.strip():
         known = ", ".join(built_in_cells())
         raise SettingsError(
             "cell", [f"no cell was named; built in are: {known}; or give a path to a TOML file"]
         )
     if where in built_in_cells():
-        text = (resources.files("hilcell.cells") / f"{where}.toml").read_text("utf-8")
-    else:
-        path = Path(where)
-        try:
-            text = read_text(path)
-        except FileNotFoundError:
-            names = built_in_cells()
-            hint = f"; built in: {', '.join(names)}{did_you_mean(where, names)}"
-            raise SettingsError(
-                where, [f"no such file, and no built-in cell of that name{hint}"]
-            ) from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise unreadable(where, error, "cell file") from error
-    return _parsed(text, where)
+        return (resources.files("hilcell.cells") / f"{where}.toml").read_text("utf-8")
+    try:
+        return read_text(Path(where))
+    except FileNotFoundError:
+        names = built_in_cells()
+        hint = f"; built in: {', '.join(names)}{did_you_mean(where, names)}"
+        raise SettingsError(
+            where, [f"no such file, and no built-in cell of that name{hint}"]
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise unreadable(where, error, "cell file") from error
 
 
 def _parsed(text: str, where: str) -> dict[str, Any]:

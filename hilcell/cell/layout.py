@@ -6,12 +6,14 @@ Frames: {W} world (three floor nests), {B} robot base, {S} slide (its nests are 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 from msgspec import field
 
+from hilcell.cell.settings import refuse
 from hilcell.cell.tables import Count, Frozen, Length, Name, Point, Pose, Rate, Size
 from hilcell.geometry.kinematics import Array
 
@@ -59,38 +61,52 @@ class Layout(Frozen, frozen=True, kw_only=True):
     reflectors: Literal["mounted", "by_hand"] = "mounted"
 
     def __post_init__(self) -> None:
-        if not abs(np.linalg.norm(self.rail_direction) - 1) < 1e-6:
-            raise ValueError("rail_direction must have length 1")
-        for nests in (self.floor, self.slide):
-            if not 3 <= len(nests) <= MOST_NESTS:
-                raise ValueError(f"3 .. {MOST_NESTS} nests are needed, found {len(nests)}")
-        names = [nest.name for nest in (*self.standing, *self.slide)]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"nest names must differ, found {name} twice")
-        for nests in (self.floor, self.slide):
-            _refuse_collinear(nests[:3])  # they make the frame's axes
-            _refuse_collinear(nests)
-            _refuse_close(nests)
-        _refuse_close(self.bar)
-        self._refuse_lengths()
+        refuse(problem for check in self.checks() for problem in check())
 
-    def _refuse_lengths(self) -> None:
-        """Refuse lengths that are not those of nests on floor and bars, and bars without one."""
+    def checks(self) -> Sequence[Callable[[], Iterable[str]]]:
+        """Return the checks of several fields."""
+        return (
+            self._bad_direction,
+            self._bad_names,
+            lambda: _bad_frame("floor", self.floor),
+            lambda: _bad_frame("slide", self.slide),
+            lambda: _too_close("bar", self.bar),
+            self._bad_lengths,
+            self._unused_bars,
+        )
+
+    def _bad_direction(self) -> Iterator[str]:
+        if not abs(np.linalg.norm(self.rail_direction) - 1) < 1e-6:
+            yield "rail_direction must have length 1"
+
+    def _bad_names(self) -> Iterator[str]:
+        seen = set[str]()
+        for table, nests in (("floor", self.floor), ("bar", self.bar), ("slide", self.slide)):
+            for n, nest in enumerate(nests):
+                if nest.name in seen:
+                    yield f"{table}[{n}].name: nest names must differ, found {nest.name} twice"
+                seen.add(nest.name)
+
+    def _bad_lengths(self) -> Iterator[str]:
+        """Yield lengths that are not those of nests on floor and bars."""
         at_mm = {nest.name: nest.xyz_mm for nest in self.standing}
-        for each in self.length:
-            for name in each.nests:
-                if name not in at_mm:
-                    raise ValueError(f"length: nest {name} is unknown; known: {', '.join(at_mm)}")
+        for n, each in enumerate(self.length):
+            unknown = [name for name in each.nests if name not in at_mm]
+            for name in unknown:
+                yield f"length[{n}].nests: nest {name} is unknown; known: {', '.join(at_mm)}"
+            if unknown:
+                continue
             nominal_mm = float(np.linalg.norm(at_mm[each.nests[0]] - at_mm[each.nests[1]]))
             if not abs(nominal_mm - each.length_mm) <= 2 * self.nest_tolerance_mm:
-                raise ValueError(
-                    f"length of {' to '.join(each.nests)}: {each.length_mm} mm, by their places "
-                    f"{nominal_mm:.3f} mm"
+                yield (
+                    f"length[{n}].length_mm: length of {' to '.join(each.nests)}: "
+                    f"{each.length_mm} mm, by their places {nominal_mm:.3f} mm"
                 )
+
+    def _unused_bars(self) -> Iterator[str]:
         ends = {name for each in self.length for name in each.nests}
         if unused := [nest.name for nest in self.bar if nest.name not in ends]:
-            raise ValueError(f"bar: no length has nest {', '.join(unused)}")
+            yield f"bar: no length has nest {', '.join(unused)}"
 
     @property
     def standing(self) -> list[Nest]:
@@ -109,22 +125,31 @@ class Layout(Frozen, frozen=True, kw_only=True):
         return T
 
 
-def _refuse_close(nests: list[Nest]) -> None:
-    for one, other in combinations(nests, 2):
+def _bad_frame(table: str, nests: list[Nest]) -> Iterator[str]:
+    """Yield what makes nests no frame: the first three are its axes."""
+    if not 3 <= len(nests) <= MOST_NESTS:
+        yield f"{table}: 3 .. {MOST_NESTS} nests are needed, found {len(nests)}"
+        return
+    yield from _too_close(table, nests)
+    yield from list(_collinear(table, nests[:3])) or _collinear(table, nests)
+
+
+def _too_close(table: str, nests: list[Nest]) -> Iterator[str]:
+    for (_, one), (n, other) in combinations(enumerate(nests), 2):
         apart_mm = float(np.linalg.norm(one.xyz_mm - other.xyz_mm))
         if not apart_mm >= APART_MM:
-            raise ValueError(
-                f"nests {one.name} and {other.name} are {apart_mm:.1f} mm apart, "
+            yield (
+                f"{table}[{n}]: nests {one.name} and {other.name} are {apart_mm:.1f} mm apart, "
                 f"wanted at least {APART_MM} mm"
             )
 
 
-def _refuse_collinear(nests: list[Nest]) -> None:
+def _collinear(table: str, nests: list[Nest]) -> Iterator[str]:
     points = np.array([nest.xyz_mm for nest in nests])
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not spread[1] > 0.02 * spread[0]:
         names = ", ".join(nest.name for nest in nests)
-        raise ValueError(
-            f"nests {names} lie on one line (spread {spread[0]:.1f} mm along it, "
+        yield (
+            f"{table}: nests {names} lie on one line (spread {spread[0]:.1f} mm along it, "
             f"{spread[1]:.3f} mm across): a frame needs a triangle; move one nest aside"
         )

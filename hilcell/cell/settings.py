@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import difflib
 import errno
+import inspect
 import math
+import re
 import stat
 import tomllib
 import types
 import typing
 from collections.abc import Iterable, Mapping
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +26,8 @@ from hilcell.clean import clean
 from hilcell.errors import HilcellError
 
 LONGEST_VALUE = 80
+_PATH = re.compile(r"(\w+)[\w.\[\]]*:")  # with which a table's own check names the field
+_UNREAD = object()
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -75,16 +79,16 @@ def convert(values: Mapping[str, object], kind: type[T], source: str) -> T:
     return typing.cast("T", built)
 
 
-def refuse(problems: list[str]) -> None:
+def refuse(problems: Iterable[str]) -> None:
     """Refuse a table in its ``__post_init__``, for several reasons at once."""
-    if problems:
-        raise ValueError("\n".join(problems))
+    if found := list(problems):
+        raise ValueError("\n".join(found))
 
 
 def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: list[str]) -> Any:
     if not isinstance(values, Mapping):
         problems.append(f"{_where(path)}: a table is expected, found {_short(values)}")
-        return None
+        return _UNREAD
     fields = _fields(kind)
     unknown = [key for key in values if key not in fields]
     problems += [_unknown(f"{path}{key}", key, list(fields)) for key in unknown]
@@ -95,15 +99,58 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
             built[field.name] = _value(values[key], field.type, f"{path}{key}", problems)
         elif field.required:
             problems.append(f"{path}{key}: missing")
-    if len(problems) > before:
-        return None
-    try:
-        return kind(**built)
-    except ValueError as error:
-        for line in str(error).splitlines():
-            named = line.partition(":")[0] in fields
-            problems.append(f"{path}{line}" if named else f"{_where(path)}: {line}")
-        return None
+    if len(problems) == before:
+        try:
+            return kind(**built)
+        except ValueError:
+            pass
+    unsound = _Unsound(kind, built)
+    for line in _refused(unsound):
+        named = _PATH.match(line)
+        known = named is not None and named[1] in fields
+        problems.append(f"{path}{line}" if known else f"{_where(path)}: {line}")
+    return unsound
+
+
+class _Unsound:
+    """A table with problems of its own, so that the checks of tables around it can be made.
+
+    It has the properties and methods of its kind, and lacks the fields that could not be read.
+    """
+
+    def __init__(self, kind: type[msgspec.Struct], built: Mapping[str, object]) -> None:
+        self._kind = kind
+        for field in _fields(kind).values():
+            if field.default_factory is not msgspec.NODEFAULT:
+                setattr(self, field.name, field.default_factory())
+            elif field.default is not msgspec.NODEFAULT:
+                setattr(self, field.name, field.default)
+        for name, value in built.items():
+            if value is _UNREAD:
+                self.__dict__.pop(name, None)
+            else:
+                setattr(self, name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        found = inspect.getattr_static(self._kind, name)
+        if isinstance(found, property | cached_property | types.FunctionType):
+            return found.__get__(self, self._kind)
+        raise AttributeError(name)
+
+
+def _refused(table: _Unsound) -> list[str]:
+    """Return what a table's own checks refuse; one that needs an unread field is left out."""
+    own = getattr(table, "__post_init__", None)
+    checks = table.checks() if hasattr(table, "checks") else [own] if own else []
+    found: list[str] = []
+    for check in checks:
+        try:
+            found += check() or ()
+        except AttributeError:  # the field has a problem of its own
+            continue
+        except ValueError as error:
+            found += str(error).splitlines()
+    return found
 
 
 @cache
@@ -144,14 +191,14 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
         return [_struct(each, item, f"{path}[{n}].", problems) for n, each in enumerate(value)]
     if not _finite(value):
         problems.append(f"{path}: {_short(value)} is not a finite number")
-        return None
+        return _UNREAD
     try:
         return msgspec.convert(value, kind, strict=True)
     except msgspec.ValidationError as error:
         allowed = range_text(kind)
         hint = f"; allowed: {allowed}" if allowed else ""
         problems.append(f"{path}: {error}, found {_short(value)}{hint}")
-        return None
+        return _UNREAD
 
 
 def range_text(kind: Any) -> str:

@@ -1,0 +1,91 @@
+"""The line of a TOML file that gives a value its path: proven by parsing, or none.
+
+`tomllib` keeps no lines. A line is the value's if the text above it, parsed, lacks the path and the
+text with it has the path; text that ends within an array is closed first.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable
+from typing import Any
+
+CLOSED_BY = ("", "\n]", "\n]\n]")
+LONGEST = 5000  # lines: each that may be the one is parsed with all above it
+_ABSENT = object()
+
+
+def with_lines(problems: Iterable[str], text: str, where: str, changed: Iterable[str]) -> list[str]:
+    """Return problems, which begin with a path and ": ", with file and line where one is proven.
+
+    Paths in ``changed``, such as ``rail.speed_mm_s``, have values that are not the file's.
+    """
+    located = []
+    for problem in problems:
+        path = problem.partition(": ")[0]
+        line = None if any(_overlap(path, each) for each in changed) else line_of(text, path)
+        located.append(problem if line is None else f"{where}:{line}: {problem}")
+    return located
+
+
+def line_of(text: str, path: str) -> int | None:
+    """Return the line of ``a.b[2].c``, or of the nearest table around it; counted from 1."""
+    lines = text.split("\n")
+    if len(lines) > LONGEST or re.fullmatch(r"[\w-]+(\[\d+\]|\.[\w-]+)*", path) is None:
+        return None
+    steps = re.findall(r"[\w-]+|\[\d+\]", path)
+    whole = _parsed(text)
+    while steps and _value(whole, steps) is _ABSENT:  # a key that is missing
+        steps.pop()
+    if not steps:
+        return None
+    candidates = _candidates(lines, steps)
+    proven = [n for n in candidates if _begins_at(lines, n, steps)]
+    return proven[0] if len(proven) == 1 else None
+
+
+def _candidates(lines: list[str], steps: list[str]) -> list[int]:
+    """Return the lines that may give the path: its last key with "=", or in a table's header."""
+    key = re.escape(next(step for step in reversed(steps) if not step.startswith("[")))
+    begins = rf"(?<![\w-])[\"']?{key}[\"']?\s*=|^\s*\[.*(?<![\w-])[\"']?{key}[\"']?\s*\]"
+    if steps[-1].startswith("["):
+        begins += r"|\{"
+    return [n for n, line in enumerate(lines, 1) if re.search(begins, line)]
+
+
+def _begins_at(lines: list[str], number: int, steps: list[str]) -> bool:
+    before, after = (_parsed_open("\n".join(lines[:end])) for end in (number - 1, number))
+    return (
+        before is not None
+        and after is not None
+        and (_value(before, steps) is _ABSENT and _value(after, steps) is not _ABSENT)
+    )
+
+
+def _parsed_open(text: str) -> Any:
+    """Return the values of a text that may end within arrays; None where it cannot be closed."""
+    return next((found for end in CLOSED_BY if (found := _parsed(text + end)) is not None), None)
+
+
+def _parsed(text: str) -> Any:
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _value(values: Any, steps: list[str]) -> Any:
+    for step in steps:
+        index = int(step[1:-1]) if step.startswith("[") else step
+        try:
+            values = values[index]
+        except (KeyError, IndexError, TypeError):
+            return _ABSENT
+    return values
+
+
+def _overlap(path: str, other: str) -> bool:
+    """Whether one of two paths is the other, or holds it."""
+    short, long = sorted((path, other), key=len)
+    return long == short or long.startswith((f"{short}.", f"{short}["))
