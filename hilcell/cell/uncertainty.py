@@ -21,7 +21,8 @@ class UncertaintyTable(Frozen, frozen=True, kw_only=True):
     The tracker's limit is ``tracker_limit_mm`` in each direction, and across the beam
     ``tracker_limit_um_m`` times the range besides. ``arm_growth_um_m_k`` is the most, that
     of aluminium: an arm lags the room. ``drill_offset_mm`` is where the tool works,
-    from the reflector's centre, with the axes of {T}.
+    from the reflector's centre, with the axes of {T}. Certificates are numbers and dates, as
+    the report's first page shall name them.
     """
 
     tracker_limit_mm: Limit = 0.015  # the paper's tracker within 10 m (section 5.1)
@@ -34,3 +35,6 @@ class UncertaintyTable(Frozen, frozen=True, kw_only=True):
     reversal_limit_mm: Limit = 0.0  # programs approach from below on every axis, as the run does
     drill_offset_mm: Point = (0.0, 0.0, 0.0)
     orientation_urad: Urad = 1000.0
+    tracker_certificate: str = ""
+    smr_certificate: str = ""
+    weather_certificate: str = ""

@@ -12,6 +12,7 @@ from hilcell.calibration.decision import RULE
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.report.facts import Facts
+from hilcell.report.first_page import certified
 from hilcell.report.method import adjustment_words, method_words
 from hilcell.report.target_budget import TargetBudget
 
@@ -36,7 +37,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
              f"{facts.run}, journal {facts.fingerprint[:16]}"),
         Item("7.8.2.1 e", "Customer"),
         Item("7.8.2.1 e", "Job", inputs.job),
-        Item("7.8.2.1 f", "Method", _method(facts)),
+        Item("7.8.2.1 f", "Method", procedure_words(facts)),
         Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
              f"{cell.robot.name}{_robot_serial(facts)}; {len(cell.station)} stations on a rail of "
              f"{cell.rail.travel_max_mm - cell.rail.travel_min_mm:g} mm"),
@@ -49,12 +50,12 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
              + (", temperatures °C" if measured_air else "")),
         Item("7.8.2.1 n", "Deviations from the method", _deviations(facts)),
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets)),
-        Item("7.8.4.1 b", "Conditions", _conditions(facts)),
+        Item("7.8.4.1 b", "Conditions", conditions_words(facts)),
         Item("7.8.4.1 c", "Measured with", _measured_with(facts)),
         Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
              + (", thermometer" if measured_air else "")),
         Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts)),
-        Item("7.8.6.2", "Conformity, decision rule", _conformity(facts)),
+        Item("7.8.6.2", "Conformity, decision rule", conformity_words(facts)),
         Item("7.8.2.1 l", "Validity",
              _revoked(facts) + "the results relate only to the item calibrated, in the "
              + ("volume, orientation and temperatures stated here" if measured_air else
@@ -64,14 +65,19 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
 
 def title(facts: Facts) -> str:
     """Return the kind of this report: without a validated correction nothing is calibrated."""
-    return "Calibration report" if _calibrated(facts) else "Measurement report"
+    if not _calibrated(facts):
+        return "Measurement report"
+    if facts.inputs.simulated:
+        return "Simulated calibration"
+    return "Calibration certificate" if certified(facts) else "Calibration report"
 
 
 def _calibrated(facts: Facts) -> bool:
     return facts.log.calibration == "validated"
 
 
-def _method(facts: Facts) -> str:
+def procedure_words(facts: Facts) -> str:
+    """Return the method in words."""
     if _calibrated(facts):
         return method_words(facts)
     return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
@@ -107,7 +113,8 @@ def _uncertainty(budget: Budget | None, targets: TargetBudget) -> str:
     return words + " (JCGM 100:2008)"
 
 
-def _conditions(facts: Facts) -> str:
+def conditions_words(facts: Facts) -> str:
+    """Return the air in words, "" where nothing was measured."""
     if not facts.log.points:
         return ""
     celsius = facts.log.temperatures_c()
@@ -124,7 +131,8 @@ def _revoked(facts: Facts) -> str:
     return f"REVOKED: {facts.revoked}; " if facts.revoked else ""
 
 
-def _conformity(facts: Facts) -> str:
+def conformity_words(facts: Facts) -> str:
+    """Return limits and decision rule."""
     limits, plan = facts.cell.validation, facts.cell.plan
     judged = [v for key, v in facts.log.verdicts.items() if key.startswith(VALIDATION)]
     rule = RULE

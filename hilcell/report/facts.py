@@ -6,18 +6,21 @@ time, for a live engine or for this machine.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hilcell.calibration.file import read_calibration
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError
 from hilcell.clean import encodable
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, PlanRecord
-from hilcell.journal.runs import read_records
+from hilcell.journal.runs import CALIBRATION, read_records
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure, Table
 
@@ -33,6 +36,7 @@ class Facts:
     procedure: Procedure
     result: dict[str, Any]
     fingerprint: str
+    file_digest: str = ""  # SHA-256 of its sound calibration file
 
     @property
     def inputs(self) -> PlanRecord:
@@ -72,7 +76,22 @@ def read_facts(folder: Path) -> Facts:
     log, run = Log(records), encodable(folder.resolve().name)
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
     result = _result(run, procedure, log)
-    return Facts(run, records, log, log.cell, procedure, result, fingerprint_of(records))
+    return Facts(run, records, log, log.cell, procedure, result, fingerprint_of(records),
+                 file_digest_of(folder, log))  # fmt: skip
+
+
+def file_digest_of(folder: Path, log: Log) -> str:
+    """Return the SHA-256 of a run's calibration file, as `sha256sum` gives it.
+
+    "" where there is none, or one that was changed, or is not this cell's: none is vouched for.
+    """
+    path = folder / CALIBRATION
+    try:
+        content = path.read_bytes()
+        sound = read_calibration(path).provenance.digest == log.inputs.digest
+    except (OSError, SettingsError):
+        return ""
+    return hashlib.sha256(content).hexdigest() if sound else ""
 
 
 def _result(run: str, procedure: Procedure, log: Log) -> dict[str, Any]:

@@ -48,20 +48,44 @@ Drawn = tuple["Figure", str]  # with the caption that belongs to it
 def drawings(facts: Facts) -> list[Drawing]:
     """Return every figure that the run's data allow, in the order of a reader's questions."""
     found: list[tuple[str, str, Callable[[], Drawn | None]]] = [
-        ("targets", "Error at each target, station of the grid (Fig 12)", lambda: fig_12(facts)),
-        ("transferred", "Error at each target, other stations (Fig 13)", lambda: fig_13(facts)),
+        (
+            "targets",
+            "Error at each target, station of the grid" + _of_paper(facts, " (Fig 12)"),
+            lambda: fig_12(facts),
+        ),
+        (
+            "transferred",
+            "Error at each target, other stations" + _of_paper(facts, " (Fig 13)"),
+            lambda: fig_13(facts),
+        ),
         ("sorted", "Errors sorted", lambda: fig_sorted(facts)),
         ("volume", "Error vectors in the volume, from three sides", lambda: fig_volume(facts)),
-        ("similarity", "Similarity of errors (eq 8)", lambda: fig_similarity(facts)),
+        (
+            "similarity",
+            "Similarity of errors" + _of_paper(facts, " (eq 8)"),
+            lambda: fig_similarity(facts),
+        ),
         (
             "curves",
             "Transmission errors of the gears, and their spectra",
             lambda: fig_curves(facts),
         ),
-        ("rail", "Position error of the rail, both ways (Fig 1)", lambda: fig_1(facts)),
+        (
+            "rail",
+            "Position error of the rail, both ways" + _of_paper(facts, " (Fig 1)"),
+            lambda: fig_1(facts),
+        ),
         ("slide", "Roll, pitch and yaw of the slide", lambda: fig_slide(facts)),
-        ("frames", "Repeatability of base and station frames (Fig 8)", lambda: fig_8(facts)),
-        ("strip", "Repeatability of a station (Fig 10)", lambda: fig_10(facts)),
+        (
+            "frames",
+            "Repeatability of base and station frames" + _of_paper(facts, " (Fig 8)"),
+            lambda: fig_8(facts),
+        ),
+        (
+            "strip",
+            "Repeatability of a station" + _of_paper(facts, " (Fig 10)"),
+            lambda: fig_10(facts),
+        ),
     ]
     if "world" not in facts.log.frames:
         return []
@@ -82,11 +106,24 @@ def _finished(facts: Facts, name: str, title: str, drawn: Drawn) -> Drawing:
     return Drawing(name, title, caption, svg_of(figure, name))
 
 
+def is_paper(facts: Facts) -> bool:
+    """Whether a run repeats the paper: only its report speaks of the paper's figures."""
+    return facts.inputs.procedure == "paper"
+
+
+def _of_paper(facts: Facts, words: str) -> str:
+    return words if is_paper(facts) else ""
+
+
 def series_name(how: str, facts: Facts) -> str:
     """Return how a series of targets is called."""
     method = harmless(str(facts.log.verdicts.get("fit", {}).get("method", "")))
     chosen = f"after, {method}" if method else "after, chosen"
-    return {"before": "before", "idw": "after, IDW (paper)", "chosen": chosen}[how]
+    return {
+        "before": "before",
+        "idw": "after, IDW" + _of_paper(facts, " (paper)"),
+        "chosen": chosen,
+    }[how]
 
 
 # -- errors at the targets ------------------------------------------------------------------------
@@ -96,7 +133,8 @@ def fig_12(facts: Facts) -> Drawn | None:
     """Draw the errors at the grid's station, target by target."""
     log = facts.log
     series = validation(log, [facts.cell.grid.station])
-    return _targets(facts, series, "The paper: mean 1.2092 mm before, 0.1168 mm after (135).")
+    paper = _of_paper(facts, "The paper: mean 1.2092 mm before, 0.1168 mm after (135).")
+    return _targets(facts, series, paper)
 
 
 def fig_13(facts: Facts) -> Drawn | None:
@@ -104,9 +142,8 @@ def fig_13(facts: Facts) -> Drawn | None:
     stations = places(facts.cell).get(OTHERS) or list(places(facts.cell))[1:]
     series = validation(facts.log, stations)
     words = f"Stations {' and '.join(stations)}, corrected by data transferred to them. "
-    return _targets(
-        facts, series, words + "The paper: mean 1.2511 mm before, 0.1600 mm after (150)."
-    )
+    paper = _of_paper(facts, "The paper: mean 1.2511 mm before, 0.1600 mm after (150).")
+    return _targets(facts, series, words + paper)
 
 
 def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn | None:
@@ -299,7 +336,7 @@ def fig_1(facts: Facts) -> Drawn | None:
     return figure, (
         f"Backlash {_with_u(survey['backlash_mm'], 'mm')}; "
         f"scale {_with_u(survey['scale_ppm'], 'ppm')}. "
-        "The paper: error up to 0.5 mm, backlash about 0.2 mm."
+        + _of_paper(facts, "The paper: error up to 0.5 mm, backlash about 0.2 mm.")
     )
 
 
@@ -329,7 +366,10 @@ def fig_slide(facts: Facts) -> Drawn | None:
 
 def fig_similarity(facts: Facts) -> Drawn | None:
     """Draw how errors part with joint and with Cartesian distance, over all pairs of vertices."""
-    if not {"base", "fit"} <= facts.log.frames.keys() | facts.log.verdicts.keys():
+    if (
+        not is_paper(facts)
+        or not {"base", "fit"} <= facts.log.frames.keys() | facts.log.verdicts.keys()
+    ):
         return None
     pairs = grid_pairs(facts.log)
     count = len(pairs.difference_mm)
@@ -380,7 +420,7 @@ def fig_8(facts: Facts) -> Drawn | None:
     return figure, (
         f"Against station {facts.cell.grid.station}. The station frame repeats "
         f"{found['ratio']:.1f} times better, interval {low:.1f} to {high:.1f}. "
-        "The paper: about 4 times."
+        + _of_paper(facts, "The paper: about 4 times.")
     )
 
 
@@ -406,7 +446,7 @@ def fig_10(facts: Facts) -> Drawn | None:
     _legend_above(axes[0, -1])
     return figure, (
         f"Deviation from each series' mean. Ranges: {'; '.join(ranges)}. "
-        "The paper: at most 0.035 mm with the strip, backlash 0.2 mm without."
+        + _of_paper(facts, "The paper: at most 0.035 mm with the strip, backlash 0.2 mm without.")
     )
 
 

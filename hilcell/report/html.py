@@ -3,37 +3,41 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hilcell import __version__
-from hilcell.calibration.errors import OTHERS, places, reduction, validation
+from hilcell.calibration.errors import places, validation
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.clean import harmless
+from hilcell.ports import Array
 from hilcell.report import tables
-from hilcell.report.certificate import certificate, title
+from hilcell.report.certificate import (
+    certificate,
+    conditions_words,
+    conformity_words,
+    procedure_words,
+    title,
+)
 from hilcell.report.columns import present
 from hilcell.report.course import course
 from hilcell.report.curves import curves
 from hilcell.report.facts import Facts
-from hilcell.report.figures import drawings
+from hilcell.report.figures import drawings, is_paper
+from hilcell.report.first_page import (
+    instruments,
+    item_facts,
+    results_sheet,
+    uncertainty_words,
+    validity_facts,
+    verdict_word,
+)
 from hilcell.report.method import models
+from hilcell.report.plan_view import plan_view
 from hilcell.report.remeasured import remeasured
 from hilcell.report.target_budget import target_budget, target_sheets
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-
-
-@dataclass(frozen=True, slots=True)
-class Headline:
-    """A reader's first lines: one place, before, after, and the share that was removed."""
-
-    place: str
-    before_mm: float
-    after_mm: float
-    after_max_mm: float
-    removed: float
 
 
 def report_html(facts: Facts) -> str:
@@ -52,7 +56,18 @@ def report_html(facts: Facts) -> str:
             standing=words,
             controls=len(facts.log.select("control")),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
-            headlines=headlines(facts),
+            lead=lead(facts),
+            word=verdict_word(facts),
+            sentence=sentence(facts),
+            conformity=conformity_words(facts),
+            results=results_sheet(facts),
+            uncertainty=uncertainty_words(facts, budget),
+            item=item_facts(facts, measured(facts)),
+            validity=validity_facts(facts),
+            instruments=instruments(facts),
+            conditions=conditions_words(facts),
+            method=procedure_words(facts),
+            plan=plan_view(facts.cell, tracker_mm(facts)),
             certificate=certificate(facts, budget, targets),
             result_sheets=present(
                 tables.accuracy(facts),
@@ -104,24 +119,35 @@ def standing(facts: Facts) -> tuple[str, str]:
     return "open", f"not finished: {state}"
 
 
+def lead(facts: Facts) -> str:
+    """Return what the report is about, in a line."""
+    if facts.log.calibration == "validated" and not is_paper(facts):
+        return "Robot on a rail: position errors of the tool point and their correction"
+    return facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
+
+
+def sentence(facts: Facts) -> str:
+    """Return the verdict as a sentence."""
+    word = verdict_word(facts)
+    if word.endswith("PASS"):
+        return "After correction the robot keeps its limits, the uncertainty taken into account."
+    if word.endswith("FAIL"):
+        return "The robot is not shown to keep its limits, the uncertainty taken into account."
+    return "No correction was judged against limits in this run."
+
+
+def tracker_mm(facts: Facts) -> Array:
+    """Return where the tracker stood in {W}, (3,)."""
+    T = facts.log.matrix("world") if "world" in facts.log.frames else None
+    found: Array = (facts.cell.tracker.pose.matrix() if T is None else T)[:3, 3]
+    return found
+
+
 def measured(facts: Facts) -> str:
     """Return from when to when the run went, to the second, UTC."""
     first, last = facts.records[0].t, facts.last.t
     begin, end = first[:19].replace("T", " "), last[:19].replace("T", " ")
     return f"{begin} to {end[11:] if end[:10] == begin[:10] else end}"
-
-
-def headlines(facts: Facts) -> list[Headline]:
-    """Return the figures at the grid's station and at the others."""
-    found = []
-    for place, stations in list(places(facts.cell).items())[:2]:
-        series = validation(facts.log, stations)
-        if "before" in series and "chosen" in series:
-            before, after = series["before"].figures, series["chosen"].figures
-            name = f"Stations {' and '.join(stations)}" if place == OTHERS else f"Station {place}"
-            removed = reduction(before.mean, after.mean)
-            found.append(Headline(name, before.mean, after.mean, after.max, removed))
-    return found
 
 
 def _environment() -> Environment:

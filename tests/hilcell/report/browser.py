@@ -80,7 +80,9 @@ addEventListener("load", async () => {
       return {width: image.naturalWidth, box: box(each)};
     }));
   const drawings = [...document.querySelectorAll("figure svg")].map(box);
-  document.documentElement.dataset.seen = JSON.stringify({blocked, images, drawings});
+  document.documentElement.dataset.seen = JSON.stringify({
+    blocked, images, drawings, width: document.documentElement.scrollWidth,
+    first: document.querySelector(".first")?.offsetHeight ?? 0});
 });
 </script>"""
 
@@ -90,12 +92,16 @@ class Seen:
     """A page as it was shown: what its policy blocked, its images, the boxes of its drawings.
 
     ``images`` have their ``width`` in pixels, 0 where they were not shown, and their ``box``;
-    a box is left, top, width, height. ``pixels`` are (rows, columns, 3), 0 to 255.
+    a box is left, top, width, height. ``width`` is that of the page, which a printer shrinks
+    to its paper, ``first`` the height of its first sheet. ``pixels`` are (rows, columns, 3), of
+    0 to 255.
     """
 
     blocked: list[str]
     images: list[dict[str, Any]]
     drawings: list[list[float]]
+    width: int
+    first: int
     pixels: Array
 
     def inked(self, box: list[float]) -> float:

@@ -46,7 +46,7 @@ def test_a_validated_run(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r1")
     writer.state("calibration", "validated")
     page = page_of(writer.facts())
-    assert page.of("h1") == ["Calibration report"]
+    assert page.of("h1") == ["Simulated calibration"]
     assert page.tags["html"] == page.tags["main"] == page.tags["h1"] == 1
     assert figures_of(page) == {"targets", "transferred", "sorted", "volume"}
     assert len(set(page.ids)) == len(page.ids)
@@ -85,7 +85,9 @@ def test_means_maxima_and_both_ratios(html: str) -> None:
 
 def test_nothing_is_fetched_and_nothing_runs(html: str) -> None:
     page = Page(html)
-    assert not {"script", "link", "img", "iframe", "object", "embed", "form"} & set(page.tags)
+    assert not {"script", "link", "img", "image", "iframe", "object", "embed", "form"} & set(
+        page.tags
+    )
     assert page.links
     assert all(link.startswith("#") for link in page.links)
     assert {link[1:] for link in page.links} <= set(page.ids)
@@ -97,8 +99,11 @@ def test_nothing_is_fetched_and_nothing_runs(html: str) -> None:
 
 def test_every_svg_is_well_formed(html: str) -> None:
     drawn = re.findall(r"<svg.*?</svg>", html, re.DOTALL)
-    assert len(drawn) == 4
-    for each in drawn:
+    assert len(drawn) == 5
+    assert "tracker" in "".join(
+        ET.fromstring(drawn[0]).itertext()
+    )  # the plan, which no run changes
+    for each in drawn[1:]:
         words = "".join(ET.fromstring(each).itertext())
         assert "mm" in words
         assert "SIMULATION" in words

@@ -1,0 +1,241 @@
+"""The first page, which can be signed: verdict, limits, uncertainty, instruments, validity.
+
+It stands alone: nothing on it needs another page. Results are those of the journalled verdicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from operator import attrgetter, itemgetter
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.decision import Judged, outcome_of
+from hilcell.calibration.errors import places, validation
+from hilcell.calibration.file import calibration_so_far
+from hilcell.calibration.measurement_budget import Budget
+from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
+from hilcell.geometry.frames import zyx_from_pose
+from hilcell.journal.calibration_facts import VALIDATION
+from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.report.facts import Facts
+
+K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
+MOST_PLACES = 4  # whose results stand on the page
+OUTCOMES = {"accepted": "pass", "undecided": "not shown", "rejected": "fail"}
+
+
+class Fact(NamedTuple):
+    """A name and words; without words it is a line to fill in."""
+
+    name: str
+    words: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One figure against its limit, mm; None where it was not measured or is not stated."""
+
+    name: str
+    limit_mm: float
+    before_mm: float | None
+    after_mm: float
+    U_mm: float | None
+
+    @property
+    def most_mm(self) -> float:
+        """Return what the figure may be at most: its limit less U."""
+        return self.limit_mm - (self.U_mm or 0.0)
+
+    @property
+    def verdict(self) -> str:
+        """Return whether it keeps the limit, by the decision rule."""
+        return OUTCOMES[outcome_of(self.after_mm, self.limit_mm, self.U_mm or 0.0)]
+
+
+RESULTS: tuple[Column[Result], ...] = (
+    Column("3-D position error", attrgetter("name")),
+    Column("limit", attrgetter("limit_mm"), "mm", ".3f"),
+    Column("before", attrgetter("before_mm"), "mm", ".3f"),
+    Column("after", attrgetter("after_mm"), "mm", ".3f"),
+    Column("U", attrgetter("U_mm"), "mm", ".3f"),
+    Column("after may be at most", attrgetter("most_mm"), "mm", ".3f"),
+    Column("verdict", attrgetter("verdict"), form="s"),
+)
+
+
+def results_sheet(facts: Facts) -> Sheet | None:
+    """Return the table of results, nothing where nothing was judged."""
+    return sheet("Results", RESULTS, _results(facts), _left_out(facts))
+
+
+def _judged(facts: Facts) -> dict[str, Judged]:
+    """Return the verdicts of single stations."""
+    return {
+        place: msgspec.convert(facts.log.verdicts[VALIDATION + place], Judged)
+        for place, stations in places(facts.cell).items()
+        if len(stations) == 1 and VALIDATION + place in facts.log.verdicts
+    }
+
+
+def _shown(facts: Facts) -> list[str]:
+    """Return the stations on the page: those nearest to a limit, in the cell's order."""
+    found = _judged(facts)
+    nearest = sorted(found, key=lambda name: found[name].max_mm / found[name].max_tolerance_mm)
+    kept = set(nearest[-MOST_PLACES:])
+    return [name for name in found if name in kept]
+
+
+def _left_out(facts: Facts) -> str:
+    left = len(_judged(facts)) - len(_shown(facts))
+    return f"{left} stations further from their limits: see Verdicts." if left else ""
+
+
+def _results(facts: Facts) -> Iterator[Result]:
+    judged = _judged(facts)
+    for name in _shown(facts):
+        each, series = judged[name], validation(facts.log, [name])
+        before = series["before"].figures if "before" in series else None
+        count = len(series["chosen"]) if "chosen" in series else 0
+        yield Result(
+            f"Mean of {count} targets at {name}", each.mean_tolerance_mm,
+            before.mean if before else None, each.mean_mm, each.mean_U_mm,
+        )  # fmt: skip
+        yield Result(
+            f"Largest of {count} targets at {name}", each.max_tolerance_mm,
+            before.max if before else None, each.max_mm, each.max_U_mm,
+        )  # fmt: skip
+
+
+def verdict_word(facts: Facts) -> str:
+    """Return the verdict in one or two words, "NO VERDICT" where there is none."""
+    judged = [v for key, v in facts.log.verdicts.items() if key.startswith(VALIDATION)]
+    if facts.revoked:
+        return "REVOKED"
+    if not facts.finished or not judged or facts.log.end is None:
+        return "NO VERDICT"
+    passed = facts.log.end["exit"] == 0 and all(each["holds"] for each in judged)
+    word = "PASS" if passed else "FAIL"
+    return f"WOULD {word}" if facts.inputs.simulated else word
+
+
+def uncertainty_words(facts: Facts, budget: Budget | None) -> str:
+    """Return U with its coverage factors, of one coordinate and of a 3-D position."""
+    if budget is None:
+        return ""
+    return (
+        f"U of the table: expanded, k = 2 (about 95 %), along the error; u = {budget.u_mm:.4f} mm "
+        f"of one coordinate. A measured 3-D position lies within {K_3D:.2f} u = "
+        f"{K_3D * budget.u_mm:.3f} mm with 95 % (k = {K_3D:.2f}, three coordinates; GUM)."
+    )
+
+
+def item_facts(facts: Facts, measured: str) -> list[Fact]:
+    """Return what was calibrated, for whom, when."""
+    cell = facts.cell
+    serials = {asset.kind: asset.serial for asset in facts.log.assets}
+    robot = f", serial {serials['robot']}" if "robot" in serials else ""
+    travel_m = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 1000
+    names = ", ".join(station.name for station in cell.station[:MOST_PLACES])
+    more = f" and {len(cell.station) - MOST_PLACES} more" if len(cell.station) > MOST_PLACES else ""
+    return [
+        Fact("Laboratory"),
+        Fact("Customer"),
+        Fact("Run", facts.run),
+        Fact("Job", facts.inputs.job),
+        Fact("Cell", f"{cell.name}, serial {cell.serial}"),
+        Fact("Robot", f"{cell.robot.name}{robot}, on a rail of {travel_m:g} m"),
+        Fact("Stations", names + more),
+        Fact("Measured", f"{measured} UTC"),
+        Fact("Operator", facts.inputs.operator),
+    ]
+
+
+def validity_facts(facts: Facts) -> list[Fact]:
+    """Return volume, orientation, temperature and age outside which `compensate` refuses."""
+    calibration = calibration_so_far(facts.log, facts.run)
+    if calibration is None:
+        return []
+    validity = calibration.validity
+    turned = np.eye(4)
+    turned[:3, :3] = validity.orientation
+    a, b, c = zyx_from_pose(turned)[3:]
+    ranges = zip("xyz", validity.low_mm, validity.high_mm, strict=True)
+    cube = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges)
+    return [
+        Fact("Volume", f"{cube} mm in the robot's base {{B}}, at each station"),
+        Fact(
+            "Orientation",
+            f"A {a:.1f}°, B {b:.1f}°, C {c:.1f}° of the flange in {{B}}, turned by at most "
+            f"{validity.orientation_tolerance_deg:g}°; every axis approached from below",
+        ),
+        Fact("Temperature", _temperature(validity.temperature_c)),
+        Fact(
+            "Age",
+            f"until {_expires(facts)} ({MAX_AGE_DAYS:g} days), earlier after a collision, a new "
+            "mastering, a changed motor or tool, or a failed re-check",
+        ),
+    ]
+
+
+def _temperature(range_c: tuple[float, float] | None) -> str:
+    if range_c is None:
+        return "not measured"
+    low_c, high_c = (range_c[0] - TEMPERATURE_MARGIN_K, range_c[1] + TEMPERATURE_MARGIN_K)
+    return (
+        f"{low_c:.1f} to {high_c:.1f} °C at the tracker (calibrated {range_c[0]:.1f} to "
+        f"{range_c[1]:.1f} °C)"
+    )
+
+
+def _expires(facts: Facts) -> str:
+    ended = datetime.fromisoformat(facts.last.t)
+    return (ended + timedelta(days=MAX_AGE_DAYS)).date().isoformat()
+
+
+INSTRUMENTS: tuple[Column[tuple[str, str, str, str]], ...] = (
+    Column("instrument", itemgetter(0)),
+    Column("model", itemgetter(1)),
+    Column("serial", itemgetter(2)),
+    Column("certificate", itemgetter(3)),
+)
+
+
+def instruments(facts: Facts) -> Sheet | None:
+    """Return what measured, with serial numbers and certificates."""
+    stated, blank = facts.cell.uncertainty, "…" * 12
+    none = "none, simulated" if facts.inputs.simulated else ""
+    rows = [
+        ("Laser tracker", each.model, each.serial, none or stated.tracker_certificate or blank)
+        for each in facts.log.assets
+        if each.kind == "tracker"
+    ]
+    if not rows:
+        return None
+    rows.append(("Reflector", facts.cell.tracker.reflector, (none and "–") or blank,
+                 none or stated.smr_certificate or blank))  # fmt: skip
+    if facts.log.temperatures_c():
+        rows.append(("Weather station", "of the tracker", (none and "–") or blank,
+                     none or stated.weather_certificate or blank))  # fmt: skip
+    for each in facts.cell.layout.length:
+        name = f"{' to '.join(each.nests)}, {each.length_mm:g} mm, u {each.u_mm:g} mm"
+        rows.append(("Known length", name, "–", none or each.certificate or blank))
+    return sheet("Instruments and traceability", INSTRUMENTS, rows, _traceable(facts, rows, blank))
+
+
+def _traceable(facts: Facts, rows: list[tuple[str, str, str, str]], blank: str) -> str:
+    if facts.inputs.simulated:
+        return "Not traceable: no instrument measured anything."
+    if any(row[3] == blank for row in rows):
+        return "Traceability is not shown: a certificate is missing."
+    return "Traceable to the SI through these certificates."
+
+
+def certified(facts: Facts) -> bool:
+    """Whether the certificate of each instrument is named."""
+    found = instruments(facts)
+    return found is not None and found.note.startswith("Traceable")

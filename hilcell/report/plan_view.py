@@ -1,0 +1,168 @@
+"""The cell from above, to scale: rail, stations, calibrated volumes, floor nests, tracker, {W}.
+
+One scale both ways, x to the right and y up, as {W} has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from html import escape
+
+import numpy as np
+
+from hilcell.cell.file import Cell, Station
+from hilcell.geometry.frames import apply
+from hilcell.ports import Array
+
+WIDTH_MM, MARGIN_MM = 88.0, 5.0  # on paper
+MOST_HEIGHT_MM = 50.0
+RAIL_WIDE_MM = 500.0  # drawn
+LABEL_MM = 2.5  # height of letters on paper
+INK, MUTED, BLUE = "#1b2430", "#4a5663", "#0b4a7d"
+
+
+def plan_view(cell: Cell, tracker_mm: Array) -> str:
+    """Return the drawing as SVG; ``tracker_mm`` (3,) is where the tracker stands in {W}."""
+    return _Plan(cell, tracker_mm).svg()
+
+
+class _Plan:
+    def __init__(self, cell: Cell, tracker_mm: Array) -> None:
+        self._cell, self._tracker_mm = cell, np.asarray(tracker_mm)[:2]
+        self._rail_mm = np.array(
+            [cell.layout.nominal_base(at)[:2, 3] for at in _ends(cell)], dtype=float
+        )
+        self._floor = [(nest.name, nest.xyz_mm[:2]) for nest in cell.layout.floor]
+        shown: list[Array] = [
+            self._rail_corners(),
+            self._tracker_mm[None],
+            *(at_mm[None] for _, at_mm in self._floor),
+            *(self._volume_mm(station) for station in cell.station),
+        ]
+        every = np.concatenate(shown)
+        self._low_mm, high_mm = every.min(axis=0), every.max(axis=0)
+        span_mm = np.maximum(high_mm - self._low_mm, 1000.0)
+        room = np.array([WIDTH_MM, MOST_HEIGHT_MM]) - 2 * MARGIN_MM
+        self._scale = float((room / span_mm).min())
+        self._height = float(span_mm[1]) * self._scale + 2 * MARGIN_MM
+
+    def svg(self) -> str:
+        """Return the whole drawing."""
+        parts = [
+            *self._rail(), *self._volumes(), *self._nests(), *self._tracker(), *self._bar(),
+        ]  # fmt: skip
+        return (
+            f'<svg viewBox="0 0 {WIDTH_MM:g} {self._height:.2f}" font-size="{LABEL_MM}" '
+            f'fill="{INK}" stroke-width="0.25">'
+            "<title>The cell in plan view: rail, stations, volumes, tracker</title>"
+            f"{''.join(parts)}</svg>"
+        )
+
+    def _at(self, xy_mm: Array) -> tuple[float, float]:
+        """Return a place of {W} on paper."""
+        x, y = (np.asarray(xy_mm) - self._low_mm) * self._scale + MARGIN_MM
+        return float(x), self._height - float(y)
+
+    def _volume_mm(self, station: Station) -> Array:
+        """Return the corners (4, 2) of a station's volume in {W}."""
+        grid = self._cell.grid
+        half = np.array(grid.size_mm)[:2] / 2
+        centre = grid.centre
+        corners = [
+            (centre.x_mm + x * half[0], centre.y_mm + y * half[1], centre.z_mm)
+            for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        found: Array = apply(self._cell.layout.nominal_base(station.rail_mm), corners)[:, :2]
+        return found
+
+    def _across(self) -> Array:
+        """Return half the rail's width (2,) as drawn, square to its direction."""
+        along = np.array(self._cell.layout.rail_direction)[:2]
+        found: Array = np.array([-along[1], along[0]]) * RAIL_WIDE_MM / 2
+        return found
+
+    def _rail_corners(self) -> Array:
+        (begin, end), across = self._rail_mm, self._across()
+        return np.array([begin + across, end + across, end - across, begin - across])
+
+    def _rail(self) -> Iterator[str]:
+        across = self._across()
+        yield self._polygon(self._rail_corners(), f'fill="#eef3f8" stroke="{MUTED}"')
+        for station in self._cell.station:
+            at = self._cell.layout.nominal_base(station.rail_mm)[:2, 3]
+            yield self._line(at - across, at + across, f'stroke="{INK}"')
+            bold = station.name == self._cell.grid.station
+            x, y = self._at(at)
+            if bold:
+                yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="1.6" fill="#fff" stroke="{INK}"/>'
+            right = max(self._at(at + across)[0], self._at(at - across)[0])
+            yield _text(right + 0.8, y + 0.9, station.name, bold=bold)
+
+    def _volumes(self) -> Iterator[str]:
+        for station in self._cell.station:
+            corners_mm = self._volume_mm(station)
+            own = station.name == self._cell.grid.station
+            dash = "" if own else ' stroke-dasharray="1.2 0.8"'
+            fill = "#d3e0ec" if own else "none"
+            style = f'fill="{fill}" fill-opacity="0.6" stroke="{BLUE}"{dash}'
+            yield self._polygon(corners_mm, style)
+            right = max(self._at(corner)[0] for corner in corners_mm)
+            top = min(self._at(corner)[1] for corner in corners_mm)
+            y = top + 2.0 if own else self._at(corners_mm.mean(axis=0))[1] + 0.9
+            yield _text(right + 0.8, y, station.name, "start", BLUE, own)
+        middle_mm = self._volume_mm(self._cell.station_named(self._cell.grid.station)).mean(axis=0)
+        yield self._line(
+            self._tracker_mm, middle_mm, f'stroke="{MUTED}" stroke-dasharray="0.5 0.8"'
+        )
+
+    def _nests(self) -> Iterator[str]:
+        for name, at_mm in self._floor:
+            x, y = self._at(at_mm)
+            yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="0.8" fill="#fff" stroke="{INK}"/>'
+            yield _text(x + 1.3, y - 0.8, name)
+        if not self._floor:
+            return
+        origin = self._floor[0][1]
+        for axis, direction in (("x", (1.0, 0.0)), ("y", (0.0, 1.0))):
+            end = origin + np.array(direction) * 5.5 / self._scale
+            yield self._line(origin, end, f'stroke="{INK}" stroke-width="0.4"')
+            x, y = self._at(end)
+            yield _text(x + 0.5, y + 2.6 * (axis == "x"), axis)
+
+    def _tracker(self) -> Iterator[str]:
+        x, y = self._at(self._tracker_mm)
+        yield (
+            f'<path d="M{x:.2f} {y - 1.8:.2f}l1.7 3h-3.4z" fill="#fff" stroke="{INK}" '
+            'stroke-width="0.4"/>'
+        )
+        yield _text(x, y - 2.6, "tracker", "middle", bold=True)
+
+    def _bar(self) -> Iterator[str]:
+        y, begin = self._height - 1.5, WIDTH_MM - MARGIN_MM - 1000.0 * self._scale
+        yield (
+            f'<path d="M{begin:.2f} {y:.2f}H{WIDTH_MM - MARGIN_MM:.2f}" stroke="{INK}" '
+            'stroke-width="0.6"/>'
+        )
+        yield _text(begin - 1.0, y + 0.9, "1 m", "end")
+
+    def _polygon(self, corners_mm: Array, style: str) -> str:
+        points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(self._at, corners_mm))
+        return f'<polygon points="{points}" {style}/>'
+
+    def _line(self, begin_mm: Array, end_mm: Array, style: str) -> str:
+        (x1, y1), (x2, y2) = self._at(begin_mm), self._at(end_mm)
+        return f'<path d="M{x1:.2f} {y1:.2f}L{x2:.2f} {y2:.2f}" fill="none" {style}/>'
+
+
+def _ends(cell: Cell) -> tuple[float, float]:
+    return cell.rail.travel_min_mm, cell.rail.travel_max_mm
+
+
+def _text(
+    x: float, y: float, words: str, anchor: str = "start", colour: str = INK, bold: bool = False
+) -> str:
+    weight = ' font-weight="bold"' if bold else ""
+    return (
+        f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}" fill="{colour}"{weight}>'
+        f"{escape(words)}</text>"
+    )
