@@ -201,9 +201,15 @@ def _add_past(commands: argparse._SubParsersAction[Parser]) -> None:
 
 
 def _add_reports(commands: argparse._SubParsersAction[Parser]) -> None:
-    report = _command(commands, "report", "commands.report:report", "write a run's report as HTML")
+    report = _command(commands, "report", "commands.report:report", "write a run's report")
     _run_argument(report)
-    report.add_argument("-o", "--output", required=True, metavar="FILE.html", help="one file")
+    report.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="FILE.html",
+        help="one file; FILE.pdf is printed by a browser of this machine",
+    )
     export = _command(commands, "export", "commands.report:export", "export a run's tables")
     _run_argument(export)
     forms = export.add_mutually_exclusive_group(required=True)

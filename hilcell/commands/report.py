@@ -12,13 +12,17 @@ from hilcell.writing import check_place, write_whole
 
 
 def report(args: argparse.Namespace) -> int:
-    """Write one self-contained HTML file."""
+    """Write one self-contained HTML file, or print it to a PDF where it is named so."""
     from hilcell.report.html import report_html
+    from hilcell.report.pdf import find_browser, pdf_of
 
     folder, place = find_run(args.runs, args.run), Path(args.output)
     check_place(place, inputs=_files(folder))  # before the work
+    browser = find_browser() if place.suffix.lower() == ".pdf" else ""
     facts = read_facts(folder)
-    write_whole(place, report_html(facts).encode(), inputs=_files(folder))
+    html = report_html(facts)
+    content = pdf_of(html, browser) if browser else html.encode()
+    write_whole(place, content, inputs=_files(folder))
     print_message(f"report of run {facts.run} in {args.output}")
     return 0
 

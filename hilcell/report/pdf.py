@@ -1,0 +1,67 @@
+"""A page printed as PDF by a browser of this machine, which has no part of its own in hilcell."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from hilcell.writing import NotWritten
+
+BROWSERS = (
+    "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "microsoft-edge",
+)  # fmt: skip
+QUIET = (
+    "--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
+    "--no-pdf-header-footer",
+)  # fmt: skip
+LIMIT_S = 60.0
+
+
+def find_browser() -> str:
+    """Return the browser that prints; raises `NotWritten` where there is none."""
+    found = next((path for path in map(shutil.which, BROWSERS) if path), "")
+    if not found:
+        raise NotWritten(
+            f"report: no browser to print a PDF with, wanted one of {', '.join(BROWSERS)}; install "
+            "chromium, or write FILE.html, open it in any browser and print it to a file"
+        )
+    return found
+
+
+def pdf_of(html: str, browser: str) -> bytes:
+    """Return a page as PDF; raises `NotWritten` where the browser does not print it in time."""
+    with TemporaryDirectory(prefix="hilcell-", ignore_cleanup_errors=True) as folder:
+        page, paper = Path(folder, "report.html"), Path(folder, "report.pdf")
+        page.write_text(html, "utf-8")
+        found = _print(browser, page, paper, Path(folder, "profile"))
+        content = paper.read_bytes() if paper.exists() else b""
+    if not content.startswith(b"%PDF-"):
+        raise NotWritten(
+            f"report: {browser} printed no PDF: {found.strip()[-300:] or 'it said nothing'}; "
+            "write FILE.html and print it in a browser"
+        )
+    return content
+
+
+def _print(browser: str, page: Path, paper: Path, profile: Path) -> str:
+    """Run the browser and end every process of it; return what it said."""
+    sandbox = ("--no-sandbox",) if os.geteuid() == 0 else ()  # it refuses root without
+    command = [
+        browser, *QUIET, *sandbox, f"--user-data-dir={profile}", f"--print-to-pdf={paper}",
+        page.as_uri(),
+    ]  # fmt: skip
+    process = subprocess.Popen(  # noqa: S603 - a browser found by its name, no words of others
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
+    )
+    try:
+        said, _ = process.communicate(timeout=LIMIT_S)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        return f"not within {LIMIT_S:g} s"
+    return said.decode(errors="replace")
