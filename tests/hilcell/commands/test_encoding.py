@@ -17,27 +17,10 @@ from hilcell.commands.encoding import in_ascii, never_fail_to_encode
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.run_output import JsonOutput
 from hilcell.journal.journal import Record
+from tests.hilcell.commands.terminal import Terminal
 from tests.hilcell.report.journals import Writer, validated_run
 
 OPERATOR = "Jürgen \N{CJK UNIFIED IDEOGRAPH-4E2D}\N{GRINNING FACE}"
-
-
-class Terminal:
-    """Both streams of a process, in one encoding, strict as stdout is in most locales."""
-
-    def __init__(self, encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.encoding = encoding
-        self.streams = {
-            name: io.TextIOWrapper(io.BytesIO(), encoding=encoding) for name in ("stdout", "stderr")
-        }
-        for name, stream in self.streams.items():
-            monkeypatch.setattr(sys, name, stream)
-
-    def read(self, name: str) -> str:
-        stream = self.streams[name]
-        stream.flush()
-        stream.seek(0)
-        return stream.buffer.read().decode(self.encoding)
 
 
 @pytest.mark.parametrize(
