@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from operator import attrgetter
 from typing import Any
 
@@ -225,36 +226,74 @@ def _quoted(value: Value) -> Value:
 
 
 def xlsx_bytes(facts: Facts) -> bytes:
-    """Return a workbook with the sheets run, points, frames and results."""
+    """Return a workbook with the sheets run, points, frames, results and before and after."""
     from xlsxwriter import Workbook
 
     file = io.BytesIO()
     with Workbook(file, {"in_memory": True, "nan_inf_to_errors": True}) as book:
         book.set_properties({"created": datetime.fromisoformat(facts.records[0].t)})
+        styles = {form: book.add_format({"num_format": form}) for form in _FORMS.values()}
         bold = book.add_format({"bold": True})
         for name, headers, rows in (
             ("run", ["name", "value"], run_table(facts)),
             ("points", _keys(POINTS), _values(POINTS, points(facts))),
             ("frames", _keys(FRAMES), _values(FRAMES, tables.posed(facts))),
             ("results", ["figure", "value"], results_table(facts)),
-        ):
+            (COMPARED, _keys(tables.ACCURACY),
+             _values(tables.ACCURACY, tables.validated_rows(facts))),
+        ):  # fmt: skip
             sheet = book.add_worksheet(name)
             sheet.freeze_panes(1, 0)
             sheet.set_column(0, len(headers) - 1, 16)
-            _write_row(sheet, 0, list(headers), bold)
+            _write_row(sheet, 0, list(headers), [bold] * len(headers))
             for number, row in enumerate(rows, start=1):
-                _write_row(sheet, number, row)
+                keys = headers if headers[1:] != ["value"] else [str(row[0])] * 2
+                _write_row(sheet, number, row, [styles.get(_form(key)) for key in keys])
+            if name != COMPARED:
+                sheet.autofilter(0, 0, max(1, len(rows)), len(headers) - 1)
+            elif rows:
+                columns = [{"header": header} for header in headers]
+                sheet.add_table(0, 0, len(rows), len(headers) - 1,
+                                {"name": "before_after", "columns": columns})  # fmt: skip
     return file.getvalue()
 
 
-def _write_row(sheet: Any, number: int, row: Row, style: Any = None) -> None:
-    for column, value in enumerate(row):
+COMPARED = "before and after"
+# How a spreadsheet shows a figure, by the unit that ends its key.
+_FORMS = {
+    "utc": "yyyy-mm-dd hh:mm:ss",
+    "mm": "0.0000",
+    "deg": "0.00000",
+    "c": "0.00",
+    "mbar": "0.0",
+    "percent": "0.0",
+    "s": "0.000",
+}
+
+
+def _form(key: str) -> str:
+    return _FORMS.get(key.rpartition("_")[2], "General")
+
+
+def _write_row(sheet: Any, number: int, row: Row, styles: Sequence[Any]) -> None:
+    for column, (value, style) in enumerate(zip(row, styles, strict=True)):
         if isinstance(value, str):
-            sheet.write_string(number, column, harmless(value), style)
+            if style is not None and style.num_format == _FORMS["utc"] and _TIME.match(value):
+                sheet.write_datetime(number, column, _in_utc(value), style)
+            else:
+                sheet.write_string(number, column, harmless(value), style)
         elif isinstance(value, bool):
-            sheet.write_boolean(number, column, value, style)
+            sheet.write_boolean(number, column, value)
         elif value is not None:
             sheet.write_number(number, column, value, style)
+
+
+_TIME = re.compile(r"\d{4}-\d\d-\d\dT")
+
+
+def _in_utc(time: str) -> datetime:
+    """Return a journal's time without its zone, which spreadsheets do not know."""
+    return datetime.fromisoformat(time).astimezone(UTC).replace(tzinfo=None)
 
 
 def json_bytes(facts: Facts) -> bytes:

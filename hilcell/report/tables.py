@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter, itemgetter
 from typing import Any
 
@@ -59,15 +59,27 @@ ACCURACY: tuple[Column[Validated], ...] = (
 )
 
 
+def validated_rows(facts: Facts) -> list[Validated]:
+    """Return each series of targets with its place."""
+    return [
+        Validated(
+            "others together" if place == OTHERS else place,
+            series_name(how, facts),
+            errors,
+            series.get("before"),
+        )
+        for place, stations in places(facts.cell).items()
+        for series in (validation(facts.log, stations),)
+        for how, errors in series.items()
+    ]
+
+
 def accuracy(facts: Facts) -> Sheet | None:
     """Return the errors before and after per place, and both ratios of the paper's abstract."""
-    rows = []
-    for place, stations in places(facts.cell).items():
-        series = validation(facts.log, stations)
-        name = "others together" if place == OTHERS else place
-        for number, (how, errors) in enumerate(series.items()):
-            first = "" if number else name
-            rows.append(Validated(first, series_name(how, facts), errors, series.get("before")))
+    rows, last = [], ""
+    for row in validated_rows(facts):
+        rows.append(replace(row, place="") if row.place == last else row)
+        last = row.place
     floor = facts.result.get("repeatability", {}).get("floor_mm")
     rp_robot = facts.result.get("repeatability", {}).get("rp_robot_mm")
     note = "Removed: 1 − after / before. Every figure is of targets really sent and measured."

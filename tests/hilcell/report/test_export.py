@@ -75,7 +75,7 @@ def test_workbook(tmp_path: Path) -> None:
         names = [each.get("name") for each in _tree(book, "workbook.xml").iter(f"{SHEET}sheet")]
         words = ["".join(each.itertext()) for each in _tree(book, "sharedStrings.xml")]
         cells = list(_tree(book, "worksheets/sheet2.xml").iter(f"{SHEET}row"))
-    assert names == ["run", "points", "frames", "results"]
+    assert names == ["run", "points", "frames", "results", "before and after"]
     assert set(POINT_KEYS) <= set(words)
     assert len(cells) == 1 + 16
     keys = [words[int(cell.findtext(f"{SHEET}v", ""))] for cell in cells[0]]
@@ -83,6 +83,27 @@ def test_workbook(tmp_path: Path) -> None:
     first = {(cell.get("r") or "").rstrip("2"): cell for cell in cells[1]}
     column = (cells[0][keys.index("x_mm")].get("r") or "").rstrip("1")
     assert float(first[column].findtext(f"{SHEET}v", "nan")) == 1.0
+
+
+def test_a_workbook_can_be_worked_with(tmp_path: Path) -> None:
+    facts = validated_run(tmp_path / "r").facts()
+    with zipfile.ZipFile(io.BytesIO(xlsx_bytes(facts))) as book:
+        points = _tree(book, "worksheets/sheet2.xml")
+        table = _tree(book, "tables/table1.xml")
+        compared = _tree(book, "worksheets/sheet5.xml")
+        styles = book.read("xl/styles.xml").decode()
+    assert points.find(f"{SHEET}autoFilter") is not None
+    cells = {cell.get("r"): cell for cell in points.iter(f"{SHEET}c")}
+    days = float(cells["B2"].findtext(f"{SHEET}v", "nan"))  # a date is a number of days
+    assert 40_000 < days < 80_000
+    assert cells["B2"].get("s") not in (None, "0")
+    assert "yyyy-mm-dd hh:mm:ss" in styles
+    assert '"0.0000"' in styles
+    assert table.get("displayName") == "before_after"
+    headers = [each.get("name") for each in table.iter(f"{SHEET}tableColumn")]
+    assert headers[:4] == ["station", "error", "targets", "mean_mm"]
+    rows = list(compared.iter(f"{SHEET}row"))
+    assert float(rows[1][3].findtext(f"{SHEET}v", "nan")) == pytest.approx(2.0)
 
 
 def _tree(book: zipfile.ZipFile, name: str) -> ET.Element:
