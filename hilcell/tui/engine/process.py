@@ -17,6 +17,7 @@ import msgspec
 
 from hilcell.errors import HilcellError
 
+LISTS_WORDS = "--help` lists what there is"  # the end of `hilcell.commands.parser`'s errors
 REASON = "hilcell: "
 MOST_LINES = 7  # of an engine's log are shown
 EXIT_REASONS = {  # exits that the journal may not hold
@@ -126,7 +127,9 @@ async def run_command(*arguments: str) -> str:
     out, err = await process.communicate()
     if process.returncode:
         reason = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
-        reason = reason.rpartition("error: ")[2] if reason.startswith("usage: ") else reason
+        words, _, hint = reason.partition("\n")
+        if hint.endswith(LISTS_WORDS):  # of a command line, which nobody wrote here
+            reason = words.partition(": ")[2]
         raise HilcellError(reason.removeprefix(REASON))
     return out.decode(errors="replace") + err.decode(errors="replace")
 
