@@ -47,52 +47,36 @@ Drawn = tuple["Figure", str]  # with the caption that belongs to it
 
 def drawings(facts: Facts) -> list[Drawing]:
     """Return every figure that the run's data allow, in the order of a reader's questions."""
-    found: list[tuple[str, str, Callable[[], Drawn | None]]] = [
+    found: list[tuple[str, str, Callable[[Facts], Drawn | None]]] = [
         (
             "targets",
             "Error at each target, station of the grid" + _of_paper(facts, " (Fig 12)"),
-            lambda: fig_12(facts),
+            fig_12,
         ),
         (
             "transferred",
             "Error at each target, other stations" + _of_paper(facts, " (Fig 13)"),
-            lambda: fig_13(facts),
+            fig_13,
         ),
-        ("sorted", "Errors sorted", lambda: fig_sorted(facts)),
-        ("volume", "Error vectors in the volume, from three sides", lambda: fig_volume(facts)),
-        (
-            "similarity",
-            "Similarity of errors" + _of_paper(facts, " (eq 8)"),
-            lambda: fig_similarity(facts),
-        ),
-        (
-            "curves",
-            "Transmission errors of the gears, and their spectra",
-            lambda: fig_curves(facts),
-        ),
-        (
-            "rail",
-            "Position error of the rail, both ways" + _of_paper(facts, " (Fig 1)"),
-            lambda: fig_1(facts),
-        ),
-        ("slide", "Roll, pitch and yaw of the slide", lambda: fig_slide(facts)),
+        ("sorted", "Errors sorted", fig_sorted),
+        ("volume", "Error vectors in the volume, from three sides", fig_volume),
+        ("similarity", "Similarity of errors" + _of_paper(facts, " (eq 8)"), fig_similarity),
+        ("curves", "Transmission errors of the gears, and their spectra", fig_curves),
+        ("rail", "Position error of the rail, both ways" + _of_paper(facts, " (Fig 1)"), fig_1),
+        ("slide", "Roll, pitch and yaw of the slide", fig_slide),
         (
             "frames",
             "Repeatability of base and station frames" + _of_paper(facts, " (Fig 8)"),
-            lambda: fig_8(facts),
+            fig_8,
         ),
-        (
-            "strip",
-            "Repeatability of a station" + _of_paper(facts, " (Fig 10)"),
-            lambda: fig_10(facts),
-        ),
+        ("strip", "Repeatability of a station" + _of_paper(facts, " (Fig 10)"), fig_10),
     ]
     if "world" not in facts.log.frames:
         return []
     drawn = []
     with house_style():
         for name, title, draw in found:
-            figure = draw()
+            figure = draw(facts)
             if figure is not None:
                 drawn.append(_finished(facts, name, title, figure))
     return drawn
