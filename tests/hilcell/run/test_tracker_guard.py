@@ -90,6 +90,17 @@ def measured_step(session: CellSession) -> None:
         session.floor_point(id, nest)
 
 
+def struck(strike: Callable[[], None]) -> Act:
+    """Return a step of which something happens between its last point and its end."""
+
+    def act(session: CellSession, number: int) -> None:
+        measured_step(session)
+        strike()
+        session.close_step()
+
+    return act
+
+
 def performed(bed: Bed, act: Act) -> dict[str, Any]:
     def whole(session: CellSession, number: int) -> None:
         session.reach("reference")
@@ -108,12 +119,10 @@ def test_a_nest_that_is_lifted_is_not_taken_for_a_tracker_that_was_bumped(
     bed = Bed(tmp_path)
     floor = Floor(bed, monkeypatch)
 
-    def act(session: CellSession, number: int) -> None:
-        measured_step(session)
+    def strike() -> None:
         floor.lifted_mm[0, 2] = lifted_mm
-        session.close_step()
 
-    assert performed(bed, act)["exit"] == 3
+    assert performed(bed, struck(strike))["exit"] == 3
     assert f"F1 moved by {lifted_mm:.3f} mm, F2, F3 by 0.000 mm" in bed.log().fault
     assert not bed.events(TRACKER_MOVED)
 
@@ -125,13 +134,11 @@ def test_a_step_of_a_tracker_that_was_bumped_is_measured_again(
     bed = Bed(tmp_path)
     floor = Floor(bed, monkeypatch)
 
-    def act(session: CellSession, number: int) -> None:
-        measured_step(session)
+    def strike() -> None:
         if not bed.events(TRACKER_MOVED):
             floor.T = T
-        session.close_step()
 
-    assert performed(bed, act)["exit"] == 0, bed.log().fault
+    assert performed(bed, struck(strike))["exit"] == 0, bed.log().fault
     (event,) = bed.events(TRACKER_MOVED)
     assert event["invalid"] == [id.key for id in STEP]
     assert bed.events(PROVEN)[-1]["off_mm"] == pytest.approx([0.0] * 3, abs=1e-6)
@@ -163,13 +170,11 @@ def test_a_bump_between_two_nests_is_not_blamed_on_a_nest(
     bed = Bed(tmp_path)
     floor = Floor(bed, monkeypatch)
 
-    def act(session: CellSession, number: int) -> None:
-        measured_step(session)
+    def strike() -> None:
         if not bed.events(TRACKER_MOVED):
             floor.bumps = bumps
-        session.close_step()
 
-    assert performed(bed, act)["exit"] == 0, bed.log().fault
+    assert performed(bed, struck(strike))["exit"] == 0, bed.log().fault
     assert len(bed.events(TRACKER_MOVED)) == bed.log().set_ups.number == set_ups
     for id, seen_mm in zip(STEP, SEEN_MM, strict=True):
         point = bed.log().point(id)
@@ -181,12 +186,10 @@ def test_a_small_drift_is_no_bump(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     bed = Bed(tmp_path)
     floor = Floor(bed, monkeypatch)
 
-    def act(session: CellSession, number: int) -> None:
-        measured_step(session)
+    def strike() -> None:
         floor.T = moved(0.03)
-        session.close_step()
 
-    assert performed(bed, act)["exit"] == 0
+    assert performed(bed, struck(strike))["exit"] == 0
     assert not bed.events(TRACKER_MOVED)
     assert not {id.key for id in STEP} & bed.log().set_ups.unproven.keys()
 
@@ -198,12 +201,10 @@ def test_a_nest_that_moved_alone_ends_the_run(
     bed = Bed(tmp_path)
     floor = Floor(bed, monkeypatch)
 
-    def act(session: CellSession, number: int) -> None:
-        measured_step(session)
+    def strike() -> None:
         floor.lifted_mm[1, :] = lift_mm
-        session.close_step()
 
-    end = performed(bed, act)
+    end = performed(bed, struck(strike))
     assert end["error"]["code"] in ("HC-T33", "HC-J12")  # a NaN is stopped by the journal
     assert not bed.events(TRACKER_MOVED)
 
@@ -215,13 +216,11 @@ def test_a_nest_that_moved_while_the_tracker_was_bumped_ends_the_run(
     bed = Bed(tmp_path)
     floor = Floor(bed, monkeypatch)
 
-    def act(session: CellSession, number: int) -> None:
-        measured_step(session)
+    def strike() -> None:
         floor.T = moved(2.0)
         floor.lifted_mm[0, :2] = -0.5
-        session.close_step()
 
-    assert performed(bed, act)["exit"] == 3
+    assert performed(bed, struck(strike))["exit"] == 3
     assert "F1 to F2 was" in bed.log().fault
     assert not bed.events(TRACKER_MOVED)
 
@@ -274,12 +273,10 @@ def test_a_tracker_that_moves_again_and_again_ends_the_run(
     bed = Bed(tmp_path)
     floor = Floor(bed, monkeypatch)
 
-    def act(session: CellSession, number: int) -> None:
-        measured_step(session)
+    def strike() -> None:
         floor.T = moved(0.2) @ floor.T
-        session.close_step()
 
-    end = performed(bed, act)
+    end = performed(bed, struck(strike))
     assert "fix its stand" in end["reason"]
     (suspicion,) = end["result"]["suspicions"]
     assert suspicion["cause"] == "tracker moved"
