@@ -2,11 +2,13 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+COMPILE := uv pip compile pyproject.toml --universal --generate-hashes \
+  --no-emit-index-url --no-header
 
 # The tests start hundreds of short processes: each module is compiled once, not once for each.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: run test suite nightly mutants torture lint bench lock clean
+.PHONY: run test suite nightly mutants torture lint bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
@@ -41,9 +43,12 @@ $(VENV)/ready: requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
-lock:  ## pin every dependency by hash, for all supported pythons
-	uv pip compile pyproject.toml --extra dev --extra build --universal --generate-hashes \
-	  --no-emit-index-url --no-header --output-file requirements.lock
+bundle: $(VENV)/ready  ## one archive in dist/ that installs on a PC without a network
+	sh .ci/bundle/make.sh $(BIN)/python
+
+lock:  ## pin every dependency by hash, for all supported pythons; those of a run by themselves
+	$(COMPILE) --extra dev --extra build --output-file requirements.lock
+	$(COMPILE) --extra offline --constraint requirements.lock --output-file requirements-run.lock
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

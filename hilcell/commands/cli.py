@@ -11,11 +11,10 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from pathlib import Path
 
 from hilcell import __version__
 from hilcell.clean import clean
-from hilcell.commands import arguments
+from hilcell.commands import arguments, options
 from hilcell.commands.encoding import never_fail_to_encode
 from hilcell.commands.output import (
     flush_data,
@@ -61,7 +60,7 @@ def _parser() -> Parser:
 def _add_run(commands: argparse._SubParsersAction[Parser]) -> None:
     run = _command(commands, "run", "commands.run:run", "perform a procedure on a cell")
     run.add_argument("procedure", nargs="?", default="calibrate", help="default: calibrate")
-    _cell_options(run)
+    options.add_cell_options(run)
     run.add_argument(
         "--seed",
         type=arguments.seed_of,
@@ -69,15 +68,15 @@ def _add_run(commands: argparse._SubParsersAction[Parser]) -> None:
         metavar="N",
         help="of random targets; of the simulated machine, too, unless it has its own (default: 1)",
     )
-    _machine_seed_option(run)
-    _runs_option(run)
+    options.add_machine_seed_option(run)
+    options.add_runs_option(run)
     run.add_argument(
         "--speed",
         type=arguments.speed_of,
         metavar="X|max",
         help="of a simulated cell's time: a factor, or as fast as it goes (default: max)",
     )
-    _watch_options(run)
+    options.add_watch_options(run)
     run.add_argument(
         "--operator", type=clean, default="", metavar="NAME", help="kept in the journal"
     )
@@ -88,12 +87,12 @@ def _add_run(commands: argparse._SubParsersAction[Parser]) -> None:
         help="the run's name and folder (default: made of time and procedure)",
     )
     run.add_argument("--job", type=clean, default="", metavar="ID", help="kept in the journal")
-    _accept_options(run)
+    options.add_accept_options(run)
     run.add_argument("--dry-run", action="store_true", help="check and show the plan; open nothing")
-    _json_option(run, "one event a line, as journalled")
+    options.add_json_option(run, "one event a line, as journalled")
     resume = _command(commands, "resume", "commands.run:resume", "continue a run, or a paused one")
-    _run_argument(resume)
-    _watch_options(resume)
+    options.add_run_argument(resume)
+    options.add_watch_options(resume)
     resume.add_argument(
         "--accept-changes",
         action="store_true",
@@ -106,7 +105,7 @@ def _add_run(commands: argparse._SubParsersAction[Parser]) -> None:
         metavar="KEY",
         help="re-measure this point; may be repeated; opens a finished run again",
     )
-    _json_option(resume, "one event a line, as journalled")
+    options.add_json_option(resume, "one event a line, as journalled")
 
 
 def _add_live(commands: argparse._SubParsersAction[Parser]) -> None:
@@ -115,11 +114,11 @@ def _add_live(commands: argparse._SubParsersAction[Parser]) -> None:
         ("stop", "stop a live run now, safely; it can be resumed"),
     ):
         command = _command(commands, name, f"commands.live:{name}", text)
-        _run_argument(command)
-        _json_option(command, "the engine's answer")
+        options.add_run_argument(command)
+        options.add_json_option(command, "the engine's answer")
     watch = _command(commands, "watch", "commands.live:watch", "follow a run from another terminal")
-    _run_argument(watch)
-    _json_option(watch, "one event a line, as journalled")
+    options.add_run_argument(watch)
+    options.add_json_option(watch, "one event a line, as journalled")
 
 
 def _add_tui(commands: argparse._SubParsersAction[Parser]) -> None:
@@ -136,8 +135,8 @@ def _add_tui(commands: argparse._SubParsersAction[Parser]) -> None:
         metavar="RUN",
         help="a run's name, its beginning, or `last` (default: the live one, else the form)",
     )
-    _runs_option(tui)
-    _cell_options(tui)
+    options.add_runs_option(tui)
+    options.add_cell_options(tui)
     tui.add_argument(
         "--theme",
         choices=("calm", "daylight", "contrast"),
@@ -162,19 +161,19 @@ def _add_tui(commands: argparse._SubParsersAction[Parser]) -> None:
 
 def _add_past(commands: argparse._SubParsersAction[Parser]) -> None:
     runs = _command(commands, "runs", "commands.past:runs", "list the runs")
-    _runs_option(runs)
-    _json_option(runs, "one object with all runs")
+    options.add_runs_option(runs)
+    options.add_json_option(runs, "one object with all runs")
     revoke = _command(
         commands, "revoke", "commands.revoke:revoke", "revoke the calibration of a run"
     )
-    _run_argument(revoke)
+    options.add_run_argument(revoke)
     revoke.add_argument(
         "--reason", type=arguments.reason, required=True, metavar="TEXT", help="kept in the journal"
     )
     revoke.add_argument(
         "--operator", type=clean, default="", metavar="NAME", help="kept in the journal"
     )
-    _json_option(revoke, "one object")
+    options.add_json_option(revoke, "one object")
     compare = _command(
         commands,
         "compare",
@@ -183,26 +182,26 @@ def _add_past(commands: argparse._SubParsersAction[Parser]) -> None:
     )
     compare.add_argument("first", metavar="RUN", help="the earlier run")
     compare.add_argument("second", metavar="RUN", help="the later run")
-    _runs_option(compare)
-    _json_option(compare, "one object")
+    options.add_runs_option(compare)
+    options.add_json_option(compare, "one object")
     explain = _command(
         commands, "explain", "commands.explain:explain", "say what an alarm means, and what to do"
     )
     explain.add_argument("code", metavar="CODE", help="as shown beside the alarm: HC-R31")
-    _json_option(explain, "one object")
+    options.add_json_option(explain, "one object")
     show = _command(commands, "show", "commands.past:show", "show a run, computed from its journal")
-    _run_argument(show)
+    options.add_run_argument(show)
     show.add_argument(
         "--check",
         action="store_true",
         help="judge the run's invariants from its journal; exit 1 where one is broken",
     )
-    _json_option(show, "one object")
+    options.add_json_option(show, "one object")
 
 
 def _add_reports(commands: argparse._SubParsersAction[Parser]) -> None:
     report = _command(commands, "report", "commands.report:report", "write a run's report")
-    _run_argument(report)
+    options.add_run_argument(report)
     report.add_argument(
         "-o",
         "--output",
@@ -211,7 +210,7 @@ def _add_reports(commands: argparse._SubParsersAction[Parser]) -> None:
         help="one file; FILE.pdf is printed by a browser of this machine",
     )
     export = _command(commands, "export", "commands.report:export", "export a run's tables")
-    _run_argument(export)
+    options.add_run_argument(export)
     forms = export.add_mutually_exclusive_group(required=True)
     for form, text in (
         ("csv", "the points"),
@@ -225,14 +224,14 @@ def _add_reports(commands: argparse._SubParsersAction[Parser]) -> None:
 def _add_cell(commands: argparse._SubParsersAction[Parser]) -> None:
     check = _command(commands, "check", "commands.cell:check", "check a cell file and its plan")
     check.add_argument("cell", metavar="CELL", help="a built-in name or a TOML path")
-    _set_option(check)
-    _json_option(check, "one object")
+    options.add_set_option(check)
+    options.add_json_option(check, "one object")
     sim = _command(commands, "sim", "commands.cell:sim", "run the simulated cell by itself")
-    _cell_options(sim)
+    options.add_cell_options(sim)
     sim.add_argument(
         "--seed", type=arguments.seed_of, default=1, metavar="N", help="of the machine (default: 1)"
     )
-    _machine_seed_option(sim)
+    options.add_machine_seed_option(sim)
     sim.add_argument(
         "--truth", action="store_true", help="the control channel answers what is true; for tests"
     )
@@ -261,7 +260,7 @@ def _add_cell(commands: argparse._SubParsersAction[Parser]) -> None:
 def _add_plan(commands: argparse._SubParsersAction[Parser]) -> None:
     plan = _command(commands, "plan", "commands.plan:plan", "choose stations and orders for holes")
     plan.add_argument("holes", metavar="HOLES.csv", help=arguments.HOLES)
-    _cell_options(plan)
+    options.add_cell_options(plan)
     plan.add_argument("--free", action="store_true", help="stations anywhere along the rail, too")
     plan.add_argument("-o", "--output", default="", metavar="OUT", help="CSV: station,order,name")
     plan.add_argument(
@@ -270,8 +269,8 @@ def _add_plan(commands: argparse._SubParsersAction[Parser]) -> None:
         metavar="CALIBRATION",
         help="a run or calibration.json: no hole where `compensate` would refuse it",
     )
-    _release_options(plan)
-    _json_option(plan, "one object")
+    options.add_release_options(plan)
+    options.add_json_option(plan, "one object")
     prepare = _command(
         commands,
         "prepare",
@@ -279,15 +278,15 @@ def _add_plan(commands: argparse._SubParsersAction[Parser]) -> None:
         "plan holes, correct them, and write a file of targets for each station",
     )
     prepare.add_argument("holes", metavar="HOLES.csv", help=arguments.HOLES)
-    _cell_options(prepare)
+    options.add_cell_options(prepare)
     prepare.add_argument(
         "--calibration", required=True, metavar="CALIBRATION", help="a run or calibration.json"
     )
     prepare.add_argument(
         "-o", "--output", required=True, metavar="FOLDER", help="a new folder, or an empty one"
     )
-    _release_options(prepare)
-    _json_option(prepare, "one object")
+    options.add_release_options(prepare)
+    options.add_json_option(prepare, "one object")
 
 
 def _add_files(commands: argparse._SubParsersAction[Parser]) -> None:
@@ -318,8 +317,8 @@ def _add_files(commands: argparse._SubParsersAction[Parser]) -> None:
     fit.add_argument(
         "-o", "--output", default="", metavar="OUT", help="corrected targets, or program"
     )
-    _bounds_option(fit)
-    _json_option(fit, "one object")
+    options.add_bounds_option(fit)
+    options.add_json_option(fit, "one object")
     compensate = _command(
         commands, "compensate", "commands.files:compensate", "correct targets by a calibration"
     )
@@ -339,43 +338,10 @@ def _add_files(commands: argparse._SubParsersAction[Parser]) -> None:
         metavar="CELL",
         help="refuse a calibration of another cell, and turns of the joints that change",
     )
-    _set_option(compensate)
-    _release_options(compensate)
-    _bounds_option(compensate)
-    _json_option(compensate, "one object")
-
-
-def _release_options(parser: argparse.ArgumentParser) -> None:
-    """Add the conditions under which a calibration is used."""
-    parser.add_argument(
-        "--temperature",
-        type=arguments.finite,
-        metavar="T_C",
-        help="the room's: refuse one further than 2 K from the calibrated",
-    )
-    parser.add_argument(
-        "--max-age",
-        type=arguments.days,
-        default=180.0,
-        metavar="DAYS",
-        help="refuse an older calibration (default: 180)",
-    )
-    _accept_options(parser)
-    _runs_option(parser)
-
-
-def _accept_options(parser: argparse.ArgumentParser) -> None:
-    """Add what a calibration is used in spite of; the output, or the journal, says so."""
-    parser.add_argument(
-        "--accept-out-of-tolerance",
-        action="store_true",
-        help="use a calibration whose validation failed, was not made or had another tolerance",
-    )
-    parser.add_argument(
-        "--accept-not-current",
-        action="store_true",
-        help="use a calibration that is revoked, superseded or out of date",
-    )
+    options.add_set_option(compensate)
+    options.add_release_options(compensate)
+    options.add_bounds_option(compensate)
+    options.add_json_option(compensate, "one object")
 
 
 def _command(
@@ -384,75 +350,6 @@ def _command(
     parser = commands.add_parser(name, help=text, description=text.capitalize() + ".")
     parser.set_defaults(act=act)
     return parser
-
-
-def _cell_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--cell",
-        default="paper",
-        metavar="CELL",
-        help="a built-in name or a TOML path (default: paper, simulated)",
-    )
-    _set_option(parser)
-
-
-def _set_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        type=arguments.assignment,
-        metavar="KEY=VALUE",
-        help="override one value of the cell file; may be repeated",
-    )
-
-
-def _run_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", metavar="RUN", help="a run's name, its beginning, or `last`")
-    _runs_option(parser)
-
-
-def _runs_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--runs",
-        type=Path,
-        default=Path("runs"),
-        metavar="DIR",
-        help="folder of runs (default: runs)",
-    )
-
-
-def _watch_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--unattended", action="store_true", help="nobody is there to ask")
-    parser.add_argument(
-        "--screen",
-        action="store_true",
-        help="a screen has ordered this: nothing moves before one attends",
-    )
-
-
-def _bounds_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--bounds",
-        default="",
-        metavar="FILE.csv",
-        help="also write the 95 %% bound of each target's error, and u of its coordinates",
-    )
-
-
-def _json_option(parser: argparse.ArgumentParser, text: str) -> None:
-    parser.add_argument("--json", action="store_true", help=f"print JSON: {text}")
-
-
-def _machine_seed_option(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--machine-seed",
-        type=arguments.seed_of,
-        default=None,
-        metavar="N",
-        help="of the simulated machine: robot, rail, tracker (default: the seed; where a run uses "
-        "a calibration, that of the calibrated machine)",
-    )
 
 
 def main(
