@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hilcell.calibration.errors import errors_of
+from hilcell.calibration.errors import errors_of, targets
 from hilcell.calibration.frames import grid_pairs
 from hilcell.geometry.frames import apply, inverse, rigid_fit, three_point_frame
 from hilcell.geometry.statistics import chi2_quantile, f_quantile, ranks, rms, variance_of_mean
@@ -144,8 +144,7 @@ def as_cross_validated(log: Log, result: Result) -> Limits:
 
     It is taken at twice the pitch, so the grid itself leaves less.
     """
-    points = log.select("validate", log.cell.grid.station, how="idw")
-    norms_mm = errors_of(log, points).norms_mm
+    norms_mm = errors_of(log, targets(log, log.cell.grid.station, "idw")).norms_mm
     share = 3 * np.sqrt(2 * variance_of_mean(norms_mm)) / norms_mm.mean()
     return -INFINITE, (1 + share) * result["fit"]["loocv"]["idw"]["mean"]
 
@@ -166,7 +165,7 @@ def same_robot(log: Log, result: Result) -> Limits:
     tools_mm = [result["stations"][name]["tool_uncertainty_mm"] for name in others]
     variance_mm2 = max(tools_mm) ** 2
     for names in ([reference], others):
-        points = [p for name in names for p in log.select("validate", name, how="before")]
+        points = [p for name in names for p in targets(log, name, "before")]
         variance_mm2 += variance_of_mean(errors_of(log, points).norms_mm)
     mean_mm = validation("reference", "before", "mean")(log, result)
     return mean_mm - 3 * np.sqrt(variance_mm2), mean_mm + 3 * np.sqrt(variance_mm2)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilcell.calibration.budget import in_validation, temperature, touched
-from hilcell.calibration.errors import errors_of
+from hilcell.calibration.errors import errors_of, targets
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, Influence, NoBound, Uncertainty, bounds_of
 from hilcell.geometry.frames import inverse, matrix
@@ -121,7 +121,7 @@ def driven_poses(
 
 def validation_points(log: Log, station: str) -> list[Point]:
     """Return the points of a station that `validated` judges, in its order."""
-    return [p for p in log.select("validate", station, how=HOW) if p.nominal_mm is not None]
+    return targets(log, station, HOW)
 
 
 def coverages(

@@ -48,12 +48,28 @@ def errors_of(log: Log, points: list[Point]) -> Errors:
     return Errors(nominal_mm, actual_mm - nominal_mm)
 
 
+def targets(log: Log, station: str, how: str) -> list[Point]:
+    """Return the targets of a station sent in one way, each by its largest measured error.
+
+    So a target that is measured again, whatever the reason, cannot make the figures smaller.
+    """
+    found = log.select("validate", station, how=how)
+    return [counting(log, point) for point in found if point.nominal_mm is not None]
+
+
+def counting(log: Log, point: Point) -> Point:
+    """Return the measurement of a target that counts: that with the largest error."""
+    if point.key not in log.repeated:
+        return point
+    measured = [*log.repeated[point.key], point]
+    return measured[int(np.argmax(errors_of(log, measured).norms_mm))]
+
+
 def validation(log: Log, stations: list[str]) -> dict[str, Errors]:
     """Return the errors before and after at ``stations``, as far as they were measured."""
     series: dict[str, Errors] = {}
     for how in HOWS if "world" in log.frames else ():
-        points = [p for name in stations for p in log.select("validate", name, how=how)]
-        errors = errors_of(log, points)
+        errors = errors_of(log, [p for name in stations for p in targets(log, name, how)])
         if len(errors):
             series[how] = errors
     return series

@@ -213,6 +213,7 @@ class Log:
         self.plan: PlanRecord | None = None
         self._cell: Cell | None = None
         self.points: MutableMapping[str, Point] = Packed(_Row)
+        self.repeated: dict[str, list[Point]] = {}  # earlier measurements of targets, by key
         self._keys: dict[str, dict[str, int]] = {}  # of the points, by kind: numbers of records
         self.frames: dict[str, dict[str, Any]] = {}
         self.verdicts: dict[str, dict[str, Any]] = {}
@@ -290,6 +291,7 @@ class Log:
         """Leave out a point of a tracker that had moved; it stays in the journal."""
         self.streams.pop(key, None)
         self.retakes.pop(key, None)
+        self.repeated.pop(key, None)
         point = self.points.pop(key, None)
         if point is None:
             return
@@ -298,6 +300,8 @@ class Log:
             self.frames.pop(f"touch.{point.station}", None)
 
     def _take_point(self, point: Point, seq: int) -> None:
+        if point.id.kind == "validate" and point.key in self.points:
+            self.repeated.setdefault(point.key, []).append(self.points[point.key])
         self._keys.setdefault(point.id.kind, {})[point.key] = seq
         self.points[point.key] = point
         self.retakes.pop(point.key, None)

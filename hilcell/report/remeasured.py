@@ -1,7 +1,7 @@
-"""Points measured more than once: both values, why, and what would be without the later ones.
+"""Points measured more than once: both values, why, and which counts.
 
-The later value counts, in the correction and in the verdict. To re-measure only large errors
-makes the figures smaller than the robot is, so the report states them with the larger values too.
+Of a target the larger error counts (`hilcell.calibration.errors.counting`): to re-measure only
+large errors would make the figures smaller than the robot is. Of every other point the later does.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from operator import attrgetter
 
+import msgspec
 import numpy as np
 
-from hilcell.calibration.decision import guard_of, judged, limits_of
-from hilcell.calibration.errors import errors_of
-from hilcell.geometry.statistics import figures_of
+from hilcell.calibration.decision import Judged, guard_of, judged, limits_of
+from hilcell.calibration.errors import counting, errors_of, validation
+from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log, Point
-from hilcell.ports import Array
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
 
@@ -26,6 +26,7 @@ REASONS = {
     "visited once more": "visited once more",
 }
 INVALIDATED = "measured before the tracker was found moved"
+ROUNDING_MM = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,15 +62,16 @@ REPEATS: tuple[Column[Repeat], ...] = (
 
 def remeasured(facts: Facts) -> Sheet | None:
     """Return the points that were measured more than once, with both values."""
-    found = repeats(facts)
-    note = "Every value stays in the journal. " + " ".join(_without_choice(facts.log, found))
-    return sheet("Points measured more than once", REPEATS, found, note.strip())
+    note = "Every value stays in the journal. Of a target the larger error counts, whatever the "
+    note += "reason; of other points the later value."
+    earlier = " ".join(_judged_by_the_later(facts.log))
+    return sheet("Points measured more than once", REPEATS, repeats(facts), f"{note} {earlier}")
 
 
 def repeats(facts: Facts) -> list[Repeat]:
     """Return each pair of successive measurements of one point, in the order of the later ones."""
     pairs = list(_pairs(facts))
-    last = {again.key: number for number, (_, again, _) in enumerate(pairs)}
+    counted = {key: _counted(facts.log, key) for key in {again.key for _, again, _ in pairs}}
     return [
         Repeat(
             first,
@@ -77,10 +79,23 @@ def repeats(facts: Facts) -> list[Repeat]:
             why,
             _error_mm(facts.log, first),
             _error_mm(facts.log, again),
-            "the later" if last[again.key] == number else "neither",
+            _which(counted[again.key], first, again),
         )
-        for number, (first, again, why) in enumerate(pairs)
+        for first, again, why in pairs
     ]
+
+
+def _counted(log: Log, key: str) -> Point | None:
+    """Return the measurement of a point that counts, nothing where none does any more."""
+    point = log.points.get(key)
+    target = point is not None and point.id.kind == "validate" and point.nominal_mm is not None
+    return counting(log, point) if point is not None and target and "world" in log.frames else point
+
+
+def _which(counted: Point | None, first: Point, again: Point) -> str:
+    places_mm = {"again": again.xyz_mm, "first": first.xyz_mm}
+    found = (name for name, at_mm in places_mm.items() if counted and at_mm == counted.xyz_mm)
+    return next(found, "neither")
 
 
 def _pairs(facts: Facts) -> Iterator[tuple[Point, Point, str]]:
@@ -106,32 +121,19 @@ def _error_mm(log: Log, point: Point) -> float | None:
     return float(errors_of(log, [point]).norms_mm[0])
 
 
-def _without_choice(log: Log, found: list[Repeat]) -> Iterator[str]:
-    """Yield for each station what its figures are with the larger value of each target."""
-    chosen = [
-        each
-        for each in found
-        if each.again.id.kind == "validate" and each.again.id.how == "chosen"
-        and each.first_mm is not None
-    ]  # fmt: skip
-    for station in dict.fromkeys(each.again.station for each in chosen):
-        points = log.select("validate", station, how="chosen")
-        norms_mm = errors_of(log, points).norms_mm
-        number = {point.key: n for n, point in enumerate(points)}
-        larger_mm = norms_mm.copy()
-        for each in chosen:
-            n = number.get(each.again.key)
-            if n is not None and each.first_mm is not None:
-                larger_mm[n] = max(larger_mm[n], each.first_mm)
-        yield _words(log, station, norms_mm, larger_mm)
-
-
-def _words(log: Log, station: str, norms_mm: Array, larger_mm: Array) -> str:
-    counted, larger = figures_of(norms_mm), figures_of(larger_mm)
-    guard = guard_of(log, len(norms_mm))
-    holds = judged(larger.mean, larger.max, limits_of(log.cell), guard).holds
-    return (
-        f"{station}, after: mean {counted.mean:.4f} and largest {counted.max:.4f} mm count the "
-        f"later values; with the larger of each target {larger.mean:.4f} and {larger.max:.4f} mm, "
-        f"which {'keeps' if holds else 'would NOT keep'} the limits."
-    )
+def _judged_by_the_later(log: Log) -> Iterator[str]:
+    """Yield what was judged by an earlier version, which counted the later values."""
+    for key, body in log.verdicts.items():
+        series = validation(log, [key.removeprefix(VALIDATION)]) if VALIDATION in key else {}
+        if "chosen" not in series:
+            continue
+        was, count = msgspec.convert(body, Judged), len(series["chosen"])
+        mean_mm, _, max_mm = series["chosen"].figures
+        if max(mean_mm - was.mean_mm, max_mm - was.max_mm) > ROUNDING_MM:
+            holds = judged(mean_mm, max_mm, limits_of(log.cell), guard_of(log, count)).holds
+            yield (
+                f"{key.removeprefix(VALIDATION)} was judged by the later values, mean "
+                f"{was.mean_mm:.4f} and largest {was.max_mm:.4f} mm; the larger ones are "
+                f"{mean_mm:.4f} and {max_mm:.4f} mm, which "
+                f"{'keeps' if holds else 'would NOT keep'} the limits."
+            )

@@ -49,7 +49,7 @@ def test_a_finished_run_is_reopened_measured_and_judged_anew(
     points = [e["key"] for e in printed if e["kind"] == "point" and e["group"] != "control"]
     assert points == [KEY, *CLOSING]
     first = before["result"]["validation"]["S300"]["chosen"]["mean"]
-    assert end["result"]["validation"]["S300"]["chosen"]["mean"] != first
+    assert end["result"]["validation"]["S300"]["chosen"]["mean"] >= first  # the larger counts
     assert end["result"]["validation"]["S1100"] == before["result"]["validation"]["S1100"]
     journal = events(command("watch", "mine", "--runs", runs, "--json").stdout)
     assert judge(journal) == []

@@ -28,7 +28,7 @@ LINES = (
 )
 STORY = (
     "A first calibration: choose `calibrate`, type your name, Enter shows the plan, Enter starts.",
-    "When it is DONE: worst first, choose the point on top, re-measure it, then write the report.",
+    "When it is DONE: look at the largest errors and find their cause, then write the report.",
     "After a FAULT: read the alarm, put it right, then resume. Measured points are kept.",
 )
 

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.calibration.errors import validation
 from hilcell.journal.point_id import PointId
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.remeasured import remeasured
+from hilcell.report.tables import accuracy
 from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
 
 TARGET = PointId("validate", station="S1100", how="chosen", number=2)  # off by 0.3 mm at first
@@ -37,30 +39,57 @@ def test_both_values_and_why(tmp_path: Path, what: str, why: str) -> None:
     (row,) = [dict(zip(found.headers, row, strict=True)) for row in found.rows]
     assert (row["point"], row["at"], row["why"]) == (TARGET.key, "S1100", why)
     assert (row["error first mm"], row["error again mm"]) == ("0.3000", "0.0100")
-    assert (row["apart mm"], row["counts"]) == ("0.3002", "the later")
+    assert (row["apart mm"], row["counts"]) == ("0.3002", "first")
 
 
-def test_the_figures_with_the_larger_values_are_stated(tmp_path: Path) -> None:
-    found = remeasured(retaken(tmp_path / "r", 0.01))
-    assert found is not None
-    assert "mean 0.1275 and largest 0.2000 mm count the later values" in found.note
-    assert "with the larger of each target 0.2000 and 0.3000 mm" in found.note
-    assert "would NOT keep" in found.note
+def test_of_a_target_the_larger_error_counts_everywhere(tmp_path: Path) -> None:
+    facts = retaken(tmp_path / "r", 0.01)
+    (chosen,) = [v["chosen"] for v in (validation(facts.log, ["S1100"]),)]
+    assert chosen.norms_mm.tolist() == pytest.approx([0.1, 0.2, 0.3, 0.2])
+    sheet = accuracy(facts)
+    assert sheet is not None
+    after = next(row for row in sheet.rows if row[1].startswith("after"))
+    assert after[3] == "0.2000", "the table has the same mean"
 
 
 def test_a_larger_later_value_counts(tmp_path: Path) -> None:
-    found = remeasured(retaken(tmp_path / "r", 0.5))
+    facts = retaken(tmp_path / "r", 0.5)
+    found = remeasured(facts)
     assert found is not None
-    assert "largest 0.5000 mm count the later values; with the larger of each target" in found.note
+    assert found.rows[0][3] == "again"
+    assert validation(facts.log, ["S1100"])["chosen"].figures.max == pytest.approx(0.5)
 
 
-def test_of_three_values_the_last_counts(tmp_path: Path) -> None:
+def test_what_was_judged_by_the_later_values_is_said(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r")
-    for _ in range(2):
-        writer.validated("S1100", "chosen", AFTER_MM[:1])
+    body = {"holds": True, "mean_mm": 0.1275, "mean_tolerance_mm": 0.3, "max_mm": 0.2,
+            "max_tolerance_mm": 0.6}  # fmt: skip
+    writer.journal.append("verdict", "validation.S1100", body)
+    writer.point(TARGET, (200.01, 100.0, 1040.0), "S1100", nominal_mm=(200.0, 100.0, 1040.0))
     found = remeasured(writer.facts())
     assert found is not None
-    assert [row[3] for row in found.rows] == ["neither", "the later"]
+    assert "mean 0.1275 and largest 0.2000 mm" in found.note
+    assert "the larger ones are 0.2000 and 0.3000 mm, which would NOT keep" in found.note
+
+
+def test_of_three_values_the_largest_counts(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r")
+    for error_mm in (0.4, 0.05):
+        writer.validated("S1100", "chosen", [(error_mm, 0.0, 0.0)])
+    found = remeasured(writer.facts())
+    assert found is not None
+    assert [row[3] for row in found.rows] == ["again", "first"]
+
+
+def test_of_another_point_the_later_counts(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r").began()
+    for x_mm in (1.0, 0.0):
+        writer.point(
+            PointId("grid", vertex=(0, 0, 0)), (x_mm, 0.0, 0.0), nominal_mm=(0.0, 0.0, 0.0)
+        )
+    found = remeasured(writer.facts())
+    assert found is not None
+    assert [row[3] for row in found.rows] == ["again"]
 
 
 def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
@@ -70,7 +99,7 @@ def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
     writer.point(TARGET, (200.0, 100.0, 1040.0), "S1100", nominal_mm=(200.0, 100.0, 1040.0))
     found = remeasured(writer.facts())
     assert found is not None
-    assert found.rows[0][2] == "measured before the tracker was found moved"
+    assert found.rows[0][2:4] == ["measured before the tracker was found moved", "again"]
 
 
 def test_nothing_measured_twice_is_no_table(tmp_path: Path) -> None:
