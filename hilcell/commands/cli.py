@@ -37,7 +37,8 @@ your own cell: `hilcell check CELL.toml`, then `hilcell tui --cell CELL.toml`
 `hilcell --help` lists all commands"""
 
 
-def _parser() -> Parser:
+def whole_parser() -> Parser:
+    """Return the parser of all commands."""
     parser = Parser(
         prog="hilcell",
         description="Calibrates a robot on a cheap rail with a laser tracker, unattended.",
@@ -52,6 +53,7 @@ def _parser() -> Parser:
     _add_past(commands)
     _add_reports(commands)
     _add_cell(commands)
+    _add_set_up(commands)
     _add_plan(commands)
     _add_files(commands)
     return parser
@@ -257,6 +259,28 @@ def _add_cell(commands: argparse._SubParsersAction[Parser]) -> None:
     _command(commands, "diagram", "commands.cell:diagram", "print the state machines as Mermaid")
 
 
+def _add_set_up(commands: argparse._SubParsersAction[Parser]) -> None:
+    doctor = _command(
+        commands, "doctor", "commands.doctor:doctor", "check this PC before a run; nothing moves"
+    )
+    doctor.add_argument(
+        "--cell",
+        default="",
+        metavar="CELL",
+        help="also connect once to each device of a real cell that no run is using",
+    )
+    options.add_set_option(doctor)
+    options.add_runs_option(doctor)
+    options.add_json_option(doctor, "one object")
+    completion = _command(
+        commands,
+        "completion",
+        "commands.completion:completion",
+        "print the script that completes commands in a shell: bash, zsh, ..",
+    )
+    completion.add_argument("shell", choices=("bash", "zsh", "fish", "tcsh"), help="the shell")
+
+
 def _add_plan(commands: argparse._SubParsersAction[Parser]) -> None:
     plan = _command(commands, "plan", "commands.plan:plan", "choose stations and orders for holes")
     plan.add_argument("holes", metavar="HOLES.csv", help=arguments.HOLES)
@@ -362,7 +386,7 @@ def main(
         print_message(FIRST)
         return 2
     try:
-        args = _parser().parse_args(words)
+        args = whole_parser().parse_args(words)
     except NotPrinted as error:  # the help
         return _refuse(error, as_json=False)
     # Many small matrices: a second thread of the linear algebra makes them up to 30 times slower.

@@ -6,7 +6,7 @@ import argparse
 import random
 from collections.abc import Iterator
 
-from hilcell.commands.cli import _parser
+from hilcell.commands.cli import whole_parser
 
 STRANGE = ["", " ", "-", "é", "\x1b[31m", "\udcff", "\N{GRINNING FACE}", "x" * 300, "%s{}", "\n"]
 BAD_VALUES = {
@@ -41,7 +41,7 @@ def wrong_lines(count: int, seed: int) -> list[list[str]]:
 
 
 def _commands() -> dict[str, argparse.ArgumentParser]:
-    commands = _parser().commands
+    commands = whole_parser().commands
     assert commands is not None
     return dict(commands.choices)
 

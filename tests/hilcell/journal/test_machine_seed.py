@@ -7,7 +7,7 @@ import pytest
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.commands import run
-from hilcell.commands.cli import _parser, main
+from hilcell.commands.cli import main, whole_parser
 from hilcell.journal.runs import read_log
 from hilcell.ports import DeviceError
 
@@ -21,7 +21,7 @@ from hilcell.ports import DeviceError
     ],
 )
 def test_the_machine_has_a_seed_of_its_own_or_the_runs(words: list[str], wanted: int) -> None:
-    assert run.machine_seed(load_cell("paper"), _parser().parse_args(words)) == wanted
+    assert run.machine_seed(load_cell("paper"), whole_parser().parse_args(words)) == wanted
 
 
 def test_a_resumed_run_has_the_machine_that_it_began_with(

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilcell.clean import clean
-from hilcell.commands.cli import _parser
+from hilcell.commands.cli import whole_parser
 from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
 from hilcell.tui.engine.process import EXIT_REASONS, RunRequest, StartedEngine, dry_run, run_command
@@ -27,7 +27,7 @@ TYPED = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]
 @given(operator=TYPED, job=TYPED, attended=st.booleans())
 def test_names_reach_the_command_whole(operator: str, job: str, attended: bool) -> None:
     asked = RunRequest("paper", "calibrate", operator, job, attended=attended)
-    found = _parser().parse_args(asked.arguments())
+    found = whole_parser().parse_args(asked.arguments())
     assert (found.operator, found.job) == (clean(operator), clean(job))
     assert (found.cell, found.procedure, found.seed) == ("paper", "calibrate", 1)
     assert found.unattended is not attended
@@ -35,7 +35,7 @@ def test_names_reach_the_command_whole(operator: str, job: str, attended: bool) 
 
 @pytest.mark.parametrize("name", ["--unattended", "-x", "---", "=", "a b", "[/nope]"])
 def test_names_that_look_like_options_are_names(name: str) -> None:
-    found = _parser().parse_args(
+    found = whole_parser().parse_args(
         RunRequest("paper", "home", name, name, settings=("a.b=c",)).arguments()
     )
     assert (found.operator, found.job, found.unattended) == (name, name, False)
@@ -44,7 +44,9 @@ def test_names_that_look_like_options_are_names(name: str) -> None:
 
 def test_speed_is_named_only_where_it_is_chosen() -> None:
     assert "--speed" not in " ".join(RunRequest("paper", "home").arguments())
-    assert _parser().parse_args(RunRequest("paper", "home", speed="10").arguments()).speed == 10.0
+    assert (
+        whole_parser().parse_args(RunRequest("paper", "home", speed="10").arguments()).speed == 10.0
+    )
 
 
 def test_a_plan_comes_from_the_command_itself() -> None:

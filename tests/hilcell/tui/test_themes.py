@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.segment import Segment
 
-from hilcell.commands.cli import _parser
+from hilcell.commands.cli import whole_parser
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, Glyphs
@@ -141,11 +141,11 @@ def test_every_letter_on_every_screen_is_read(theme: str) -> None:
 
 
 def test_the_command_offers_every_theme_and_no_other() -> None:
-    wanted = [_parser().parse_args(["tui", "--theme", name]).theme for name in NAMES]
+    wanted = [whole_parser().parse_args(["tui", "--theme", name]).theme for name in NAMES]
     assert tuple(wanted) == NAMES
     with pytest.raises(SystemExit):
-        _parser().parse_args(["tui", "--theme", "none"])
-    assert _parser().parse_args(["tui"]).theme == NAMES[0]
+        whole_parser().parse_args(["tui", "--theme", "none"])
+    assert whole_parser().parse_args(["tui"]).theme == NAMES[0]
 
 
 @pytest.mark.parametrize("glyphs", [UNICODE, ASCII], ids=["unicode", "ascii"])
