@@ -13,6 +13,7 @@ from hilcell.calibration.bounds import target_bounds
 from hilcell.calibration.budget import with_drill
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, NoBound
+from hilcell.commands.output_place import CSV, check_output
 from hilcell.compensation.targets import write_rows
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.ports import Array
@@ -68,9 +69,11 @@ def write_bounds(
         raise found
     if os.path.realpath(path) == os.path.realpath(out):
         raise NotWritten(f"{path} is where the corrected targets go; name another file of bounds")
+    read = list(inputs)
+    check_output(path, CSV, "a list", inputs=read)
     u_mm = np.sqrt(np.diagonal(found.covariance_mm2, axis1=1, axis2=2))
     rows = (
         [name, f"{bound:.4f}", *(f"{each:.4f}" for each in u)]
         for name, bound, u in zip(names, found.radii_mm, u_mm, strict=True)
     )
-    write_rows(path, HEADER, rows, inputs=inputs)
+    write_rows(path, HEADER, rows, inputs=read)

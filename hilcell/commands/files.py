@@ -13,6 +13,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
 from hilcell.commands.output import print_json, print_message
+from hilcell.commands.output_place import CSV, check_output
 from hilcell.commands.released import released
 from hilcell.compensation.programs import Program, load_program, notes_of, suffixes, write_program
 from hilcell.compensation.stamp import Stamp
@@ -125,8 +126,10 @@ def _write(
 ) -> str:
     """Write the list or the program, print its notes, and return in words where it was written."""
     if program is None:
+        check_output(out, CSV, "a list", inputs=inputs)
         write_targets(out, names, command, stamp=stamp, inputs=inputs)
         return str(out)
+    check_output(out, tuple(program.suffixes), "a program", inputs=inputs)
     written = write_program(program, command[:, :3], source, out, stamp=stamp, inputs=inputs)
     for note in notes_of(program, "{W}"):
         print_message(f"{source.name}: {note}")

@@ -9,6 +9,7 @@ from pathlib import Path
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.fit_targets import correct, job_of
 from hilcell.commands.output import print_data, print_json, print_message, print_table
+from hilcell.commands.output_place import CSV, check_output
 from hilcell.fit.fitted_arm import FittedArm
 from hilcell.fit.methods import FitResult, Fitted, fitted, methods_table
 from hilcell.fit.robot_file import Robot, read_measurements, read_robot
@@ -55,6 +56,10 @@ def _write_arm(
     from hilcell.fit.arm_files import alone, write_dh, write_urdf
     from hilcell.fit.rigid_arm import rigid_arm
 
+    if args.urdf_out:
+        check_output(Path(args.urdf_out), (URDF,), "a URDF", inputs=inputs)
+    if args.dh_out:
+        check_output(Path(args.dh_out), (*CSV, ".json"), "a DH table", inputs=inputs)
     found = rigid_arm(robot.arm(), fit)
     if args.urdf_out:
         remarks = [f"{fit.result['train']} rows of {Path(args.train).name}.", *alone(found.figures)]

@@ -13,6 +13,7 @@ from hilcell.calibration.influence import bounds_of
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import summary, write_bounds
 from hilcell.commands.output import print_message
+from hilcell.commands.output_place import CSV, check_output
 from hilcell.compensation.programs import Program, load_program, notes_of, write_program
 from hilcell.compensation.stamp import Stamp
 from hilcell.fit.methods import UNDETERMINED_MM, Fitted
@@ -102,6 +103,10 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
     if program is not None and program.needs_arm:
         _check_program(program, reach, command, job.source.name)
     inputs = job.inputs
+    if program is None:
+        check_output(job.out, CSV, "a list", inputs=inputs)
+    else:
+        check_output(job.out, tuple(program.suffixes), "a program", inputs=inputs)
     if job.bounds:
         write_bounds(job.bounds, bounds, targets.names, job.out, inputs=inputs)
         inputs = [*inputs, job.bounds]

@@ -10,6 +10,7 @@ from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.output_place import CSV, check_output
 from hilcell.commands.released import released
 from hilcell.compensation.targets import write_rows
 from hilcell.planning.holes import read_holes
@@ -24,10 +25,9 @@ def plan(args: argparse.Namespace) -> int:
     holes = read_holes(Path(args.holes))
     found = plan_holes(cell, holes, free=args.free, calibrated=calibrated)
     if args.output:
-        header = ["station", "order", "name"]
-        write_rows(
-            Path(args.output), header, _rows(found), inputs=map(Path, (args.holes, args.cell))
-        )
+        out, inputs = Path(args.output), [Path(args.holes), Path(args.cell)]
+        check_output(out, CSV, "a list", inputs=inputs)
+        write_rows(out, ["station", "order", "name"], _rows(found), inputs=inputs)
     if args.json:
         print_json(_facts(found))
     else:

@@ -6,9 +6,10 @@ import argparse
 from pathlib import Path
 
 from hilcell.commands.output import print_message
+from hilcell.commands.output_place import CSV, check_output
 from hilcell.journal.runs import CALIBRATION, JOURNAL, find_run
 from hilcell.report.facts import read_facts
-from hilcell.writing import check_place, write_whole
+from hilcell.writing import write_whole
 
 
 def report(args: argparse.Namespace) -> int:
@@ -17,7 +18,7 @@ def report(args: argparse.Namespace) -> int:
     from hilcell.report.pdf import find_browser, pdf_of
 
     folder, place = find_run(args.runs, args.run), Path(args.output)
-    check_place(place, inputs=_files(folder))  # before the work
+    check_output(place, (".html", ".htm", ".pdf"), "a report", inputs=_files(folder))
     browser = find_browser() if place.suffix.lower() == ".pdf" else ""
     facts = read_facts(folder)
     html = report_html(facts)
@@ -33,11 +34,19 @@ def export(args: argparse.Namespace) -> int:
 
     forms = {"csv": csv_bytes, "xlsx": xlsx_bytes, "json": json_bytes}
     folder, place = find_run(args.runs, args.run), Path(args.output)
-    check_place(place, inputs=_files(folder))
+    suffixes, what = _NAMED[args.form]
+    check_output(place, suffixes, what, inputs=_files(folder))
     facts = read_facts(folder)
     write_whole(place, forms[args.form](facts), inputs=_files(folder))
     print_message(f"{args.form} of run {facts.run} in {args.output}")
     return 0
+
+
+_NAMED = {
+    "csv": (CSV, "CSV"),
+    "xlsx": ((".xlsx",), "a workbook"),
+    "json": ((".json",), "JSON"),
+}
 
 
 def _files(folder: Path) -> list[Path]:

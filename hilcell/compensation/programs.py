@@ -20,8 +20,6 @@ from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
 from hilcell.writing import NotWritten, is_stream, write_together
 
-LIST = ".csv"
-
 
 class Program(Protocol):
     """A robot program that was read: its targets, and its files with other positions."""
@@ -94,19 +92,13 @@ def write_program(
 
     Each file carries the stamp as a comment.
 
-    ``out`` may end in one of the program's suffixes, not in that of a list. Raises `NotWritten` as
-    `write_together` does; the nominal program is an input as well: corrected again, it would be
-    corrected twice.
+    ``out`` may end in one of the program's suffixes. Raises `NotWritten` as `write_together`
+    does; the nominal program is an input as well: corrected again, it would be corrected twice.
     """
     if os.path.isdir(out):  # noqa: PTH112 - Path.is_dir raises for a name too long
         raise NotWritten(f"{out} is a folder; name a program in it")
     if is_stream(out):
         raise NotWritten(f"{out} is no file, and a program is one of several; name a file")
-    if out.suffix.lower() == LIST:
-        raise NotWritten(
-            f"{out} is a list of targets by its name, and {source.name} is a program; name it "
-            f"{out.stem} or {out.stem}{source.suffix}"
-        )
     files = program.with_positions(positions_mm, stamp.text)
     stem = out.stem if out.suffix.lower() in program.suffixes else out.name
     contents = {out.with_name(stem + Path(name).suffix): data for name, data in files.items()}

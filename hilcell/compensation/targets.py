@@ -1,8 +1,9 @@
 """CSV files of named rows in {W}: strict reading, whole writing.
 
-Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with Z-Y-X angles. Python
-takes ``1_0`` for 10, digits of any script, and ``nan`` for a number; all are refused here. So is a
-list that was corrected before: it has a stamp in a column of its own.
+Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with Z-Y-X angles. Python takes ``1_0`` for
+10, digits of any script, and ``nan`` for a number; all are refused here. So is a list that was
+corrected before: it has a stamp in a column of its own. Read are the forms of `csv_text`, written
+is our own.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hilcell.cell.settings import SettingsError, unreadable
+from hilcell.cell.settings import SettingsError
 from hilcell.clean import clean
+from hilcell.compensation.csv_text import POINT, CsvText, read_csv
 from hilcell.compensation.stamp import COLUMN, Stamp, refuse_corrected
 from hilcell.ports import Array
 from hilcell.writing import write_whole
@@ -53,18 +55,18 @@ def read_named_rows(
     ``fault_of`` says in words what is wrong with finite values, or nothing. Raises
     `SettingsError` with every problem and its line, and `CorrectedBefore`.
     """
-    lines = _lines(path)
-    refuse_corrected(str(path), (cell for cells in lines for cell in cells))
-    header = [cell.strip() for cell in lines[0]] if lines else []
+    text = read_csv(path, labels=1)
+    refuse_corrected(str(path), (cell for _, cells in text.rows for cell in cells))
+    header = [cell.strip() for cell in text.header]
     if header not in headers:
         wanted = " or ".join(",".join(each) for each in headers)
-        found = ",".join(lines[0]) if lines else "an empty file"
+        found = text.separator.join(text.header) if text.rows else "an empty file"
         raise SettingsError(str(path), [f"header must be {wanted}, found {found}"])
     rows, known, problems = NamedRows(header), set[str](), list[str]()
-    for number, cells in enumerate(lines[1:], start=2):
+    for line, cells in text.rows[1:]:
         if cells:
-            faults = _take(cells, rows, known, fault_of)
-            problems += [f"line {number}: {fault}" for fault in faults]
+            faults = _take(cells, text, rows, known, fault_of)
+            problems += [f"line {line}: {fault}" for fault in faults]
     if not rows.names and not problems:
         problems.append(f"no {what}")
     if problems:
@@ -72,23 +74,17 @@ def read_named_rows(
     return rows
 
 
-def _lines(path: Path) -> list[list[str]]:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            return list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise unreadable(str(path), error) from error
-
-
 def _take(
     cells: list[str],
+    text: CsvText,
     rows: NamedRows,
     known: set[str],
     fault_of: Callable[[list[str], list[float]], str],
 ) -> list[str]:
     """Add one line to ``rows``; return what is wrong with it."""
     if len(cells) != len(rows.header):
-        return [f"{len(rows.header)} fields are wanted, found {len(cells)}"]
+        more = text.surplus(len(cells), len(rows.header))
+        return [f"{len(rows.header)} fields are wanted, found {len(cells)}{more}"]
     name, faults = cells[0], []
     if name in known:
         faults.append(f"name {name!r} was used before")
@@ -96,7 +92,7 @@ def _take(
         faults.append(f"name {name!r} is empty, too long, or has outer spaces or controls")
     known.add(name)
     try:
-        values = numbers(rows.header[1:], cells[1:])
+        values = numbers(rows.header[1:], cells[1:], text.decimal)
     except ValueError as error:
         return [*faults, str(error)]
     fault = fault_of(rows.header, values)
@@ -106,25 +102,31 @@ def _take(
     return faults
 
 
-def numbers(columns: Sequence[str], cells: Sequence[str]) -> list[float]:
+def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) -> list[float]:
     """Return plain finite numbers of sane size; raises ValueError naming the column."""
-    return [_number(column, cell) for column, cell in zip(columns, cells, strict=True)]
+    return [_number(column, cell, decimal) for column, cell in zip(columns, cells, strict=True)]
 
 
-def _number(column: str, cell: str) -> float:
+def _number(column: str, cell: str, decimal: str) -> float:
     shown = repr(cell if len(cell) <= SHOWN else f"{cell[:SHOWN]}...")
     try:
-        value = float(cell) if cell.isascii() and "_" not in cell else None
+        plain = cell.replace(decimal, POINT)
+        value = float(plain) if plain.isascii() and "_" not in plain else None
     except ValueError:
         value = None
     if value is None:
-        raise ValueError(f"{column} is {shown}, wanted a number like -12.5")
+        raise ValueError(f"{column} is {shown}, wanted a number like -12{decimal}5{_comma(cell)}")
     if not math.isfinite(value):
         raise ValueError(f"{column} is {shown}, wanted a finite number")
     most = MOST_DEG if column.endswith("_deg") else MOST
     if not abs(value) <= most:
         raise ValueError(f"{column} is {shown}, wanted within +-{most:g}")
     return value
+
+
+def _comma(cell: str) -> str:
+    """Return why a comma is refused: in quotes, where it separates fields, or twice."""
+    return ": its comma may be a decimal or a thousands separator" if "," in cell else ""
 
 
 def write_targets(

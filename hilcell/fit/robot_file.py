@@ -7,7 +7,6 @@ read back while the robot moves spoil a fit; give the commanded ones.
 
 from __future__ import annotations
 
-import csv
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from msgspec import Meta
 
 from hilcell.cell.file import Joint, arm_from_joints
 from hilcell.cell.settings import SettingsError, convert, unreadable
+from hilcell.compensation.csv_text import CsvText, read_csv
 from hilcell.compensation.targets import MOST, MOST_DEG, numbers
 from hilcell.geometry.kinematics import Arm, Array
 
@@ -150,20 +150,18 @@ def read_robot(path: Path) -> RobotModel:
 
 def read_measurements(path: Path) -> Measurements:
     """Read measured targets; raises `SettingsError` naming the lines that are not good."""
-    reader = csv.reader(_text(path).splitlines())
-    header = next(reader, [])
-    if header != HEADER:
-        raise SettingsError(
-            str(path), [f"line 1: header {','.join(header)!r}, wanted {','.join(HEADER)!r}"]
-        )
+    text = read_csv(path, LABELS)
+    if text.header != HEADER:
+        found = text.separator.join(text.header)
+        raise SettingsError(str(path), [f"line 1: header {found!r}, wanted {','.join(HEADER)!r}"])
     problems: list[str] = []
     labels, rows = [], []
-    for cells in reader:
+    for line, cells in text.rows[1:]:
         try:
-            rows.append(_numbers(cells))
+            rows.append(_numbers(cells, text))
             labels.append(cells[:LABELS])
         except ValueError as error:
-            problems.append(f"line {reader.line_num}: {error}")
+            problems.append(f"line {line}: {error}")
     if not (labels or problems):
         problems.append("no measured target follows the header")
     if problems:
@@ -180,14 +178,15 @@ def read_measurements(path: Path) -> Measurements:
     )
 
 
-def _numbers(cells: list[str]) -> list[float]:
+def _numbers(cells: list[str], text: CsvText) -> list[float]:
     """Return the nine numbers of a line; raises ValueError."""
     if len(cells) != len(HEADER):
-        raise ValueError(f"{len(cells)} fields, wanted {len(HEADER)} separated by commas")
+        more = text.surplus(len(cells), len(HEADER))
+        raise ValueError(f"{len(cells)} fields, wanted {len(HEADER)}{more}")
     for name, cell in zip(HEADER[:LABELS], cells, strict=False):
         if not cell.strip():
             raise ValueError(f"{name} is empty")
-    return numbers(HEADER[LABELS:], cells[LABELS:])
+    return numbers(HEADER[LABELS:], cells[LABELS:], text.decimal)
 
 
 def _text(path: Path) -> str:

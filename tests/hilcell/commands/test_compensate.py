@@ -382,7 +382,10 @@ def test_a_program_is_not_named_like_a_list(
     plant: Workplace, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert plant.compensate(out=plant.folder / "out.csv") == 2
-    assert "name it out or out.POSES" in capsys.readouterr().err
+    assert (
+        "is a .csv file by its name, and a program is written; name it out.poses"
+        in capsys.readouterr().err
+    )
     assert not any(name.startswith("out") for name in plant.files)
 
 

@@ -1,0 +1,118 @@
+"""CSV text as spreadsheets of several countries write it: fields, and the decimal sign in force.
+
+Our own form has commas between fields and decimal points, in UTF-8. German and French spreadsheets
+write semicolons and decimal commas, older ones in CP1252. 1,234 is 1.234 there and 1234
+where commas group thousands. One number of the file that cannot be grouped thousands, such as 0,5
+or 1234,5, proves the sign for all; without one the file is refused.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from hilcell.cell.settings import SettingsError, unreadable
+
+POINT, COMMA = ".", ","
+OTHER_CODING = "cp1252"
+GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*")  # may be thousands
+FIGURES = re.compile(r"[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?")  # a number, by whatever sign
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+@dataclass(frozen=True, slots=True)
+class CsvText:
+    """Rows as (line, fields), the header among them, and the decimal sign of their numbers."""
+
+    rows: list[tuple[int, list[str]]]
+    separator: str = ","
+    decimal: str = POINT
+
+    @property
+    def header(self) -> list[str]:
+        """Return the fields of the first line as they stand."""
+        return self.rows[0][1] if self.rows else []
+
+    def surplus(self, count: int, wanted: int) -> str:
+        """Return what may have split a row into more fields than wanted; may be nothing."""
+        if count > wanted and self.separator == ",":
+            return "; where a decimal comma has split numbers, separate fields by semicolons"
+        return ""
+
+
+def read_csv(path: Path, labels: int) -> CsvText:
+    """Return a file whose first ``labels`` columns are words and whose others are numbers.
+
+    Raises `SettingsError`, also where the decimal sign is not certain.
+    """
+    text = _text(path)
+    first = text.partition("\n")[0]
+    separator = ";" if ";" in first and "," not in first else ","
+    try:
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+        rows = [(reader.line_num, cells) for cells in reader]
+    except csv.Error as error:
+        raise unreadable(str(path), error) from error
+    if separator == ",":
+        return CsvText(rows)
+    figures = ((line, cell.strip()) for line, cells in rows[1:] for cell in cells[labels:])
+    return CsvText(rows, separator, _decimal(path, figures))
+
+
+def _text(path: Path) -> str:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise unreadable(str(path), error) from error
+    if content.startswith(UTF_16):
+        raise SettingsError(str(path), ["is UTF-16; save it as CSV in UTF-8"])
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        # All our headers are ASCII: a file whose first line is not is no list in any coding.
+        if content.partition(b"\n")[0].isascii():
+            with suppress(UnicodeDecodeError):
+                return content.decode(OTHER_CODING)
+        raise unreadable(str(path), error) from error
+
+
+def _decimal(path: Path, figures: Iterable[tuple[int, str]]) -> str:
+    """Return the decimal sign of a file with semicolons; raises `SettingsError`."""
+    seen: dict[str, tuple[int, str]] = {}  # the first number with a sign
+    proven: set[str] = set()
+    for line, cell in figures:
+        signs = set(_signs(cell))
+        if len(signs) > 1:
+            raise _refusal(path, line, cell, "has a thousands separator; write digits without one")
+        for sign in signs:
+            seen.setdefault(sign, (line, cell))
+            if not GROUPED.fullmatch(cell):
+                proven.add(sign)
+    if len(seen) > 1:
+        (line, cell), (other_line, other) = sorted(seen.values(), reverse=True)
+        words = f"while line {other_line} has {other!r}; write all with one decimal sign"
+        raise _refusal(path, line, cell, words)
+    for sign, (line, cell) in seen.items():
+        if sign not in proven:
+            plain, grouped = cell.replace(sign, POINT), cell.replace(sign, "")
+            raise _refusal(
+                path, line, cell,
+                f"may be {plain}, or {grouped} with a thousands separator, and no other number "
+                f"of the file says which; write one of them with another count of decimals, as "
+                f"{cell}0",
+            )  # fmt: skip
+    return next(iter(seen), POINT)
+
+
+def _signs(cell: str) -> Iterator[str]:
+    if FIGURES.fullmatch(cell):
+        yield from (sign for sign in (POINT, COMMA) if sign in cell)
+
+
+def _refusal(path: Path, line: int, cell: str, words: str) -> SettingsError:
+    return SettingsError(str(path), [f"line {line}: {cell[:40]!r} {words}"])

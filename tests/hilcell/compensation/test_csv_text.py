@@ -1,0 +1,92 @@
+"""CSV of German and French spreadsheets: read where it is certain, refused with the reason else."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.cell.settings import SettingsError
+from hilcell.commands.cli import main
+from hilcell.compensation.targets import HEADER, read_targets
+from hilcell.fit import robot_file
+from hilcell.planning.holes import NORMALS, read_holes
+
+HEAD = ";".join(HEADER)
+VALUES = [[1250.5, -300.0, 0.5, 0.0, 75.25, -0.125], [1.234, 2.0, 3.0, 0.0, 0.0, 0.0]]
+ROWS = "Träger 1;1250,5;-300;0,5;0;75,25;-0,125\r\nH2;1,234;2;3;0;0;0\r\n"
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(SettingsError) as raised:
+        read_targets(path)
+    return "\n".join(raised.value.problems)
+
+
+def listed(folder: Path, rows: str, head: str = HEAD, coding: str = "utf-8") -> Path:
+    path = folder / "targets.csv"
+    path.write_bytes(f"{head}\r\n{rows}".encode(coding))
+    return path
+
+
+@pytest.mark.parametrize("coding", ["utf-8", "utf-8-sig", "cp1252"])
+@pytest.mark.parametrize("decimal", [",", "."])
+def test_semicolons_with_either_decimal_sign(tmp_path: Path, coding: str, decimal: str) -> None:
+    names, values = read_targets(listed(tmp_path, ROWS.replace(",", decimal), coding=coding))
+    assert names == ["Träger 1", "H2"]
+    np.testing.assert_array_equal(values, VALUES)
+
+
+def test_holes_and_measurements_are_read_by_the_same_rules(tmp_path: Path) -> None:
+    path = listed(tmp_path, "H1;1250,5;-300,0;900;0;-0,707;0,707\n", ";".join(NORMALS))
+    np.testing.assert_array_equal(read_holes(path).points_mm, [[1250.5, -300.0, 900.0]])
+    row = "1;T1;0,5;-90;90;0;0;0;1000,25;2;3\n"
+    measured = robot_file.read_measurements(listed(tmp_path, row, ";".join(robot_file.HEADER)))
+    np.testing.assert_array_equal(measured.xyz_mm, [[1000.25, 2.0, 3.0]])
+
+
+@pytest.mark.parametrize(
+    ("rows", "part"),
+    [
+        ("H1;1,234;2;3;0;0;0\n", "line 2: '1,234' may be 1.234, or 1234 with a thousands sep"),
+        ("H1;1.234;2;3;0;0;0\n", "line 2: '1.234' may be 1.234, or 1234 with a thousands sep"),
+        ("H1;1;-1,234,567;3;0;0;0\n", "line 2: '-1,234,567' may be"),
+        ("H1;1.234,5;2;3;0;0;0\n", "line 2: '1.234,5' has a thousands separator"),
+        ("H1;0,5;2;3;0;0;0\nH2;1.5;2;3;0;0;0\n", "line 3: '1.5' while line 2 has '0,5'"),
+        ("H1;0,5;1,2,3;3;0;0;0\n", "y_mm is '1,2,3', wanted a number like -12,5"),
+        ("H1;0,5;1 234;3;0;0;0\n", "y_mm is '1 234', wanted a number like -12,5"),
+        ("H1;0,5;2;3;0;0\n", "7 fields are wanted, found 6"),
+        ("H1,0.5,2,3,0,0,0\n", "7 fields are wanted, found 1"),
+    ],
+)
+def test_what_is_not_certain_is_refused_with_its_line(tmp_path: Path, rows: str, part: str) -> None:
+    assert part in refusal(listed(tmp_path, rows))
+
+
+@pytest.mark.parametrize(
+    ("row", "part"),
+    [
+        ('H1,"1,234",2,3,0,0,0\n', "x_mm is '1,234', wanted a number like -12.5: its comma may be"),
+        ("H1,1,5,2,3,0,0,0\n", "found 8; where a decimal comma has split numbers"),
+    ],
+)
+def test_decimal_commas_between_commas_are_refused(tmp_path: Path, row: str, part: str) -> None:
+    assert part in refusal(listed(tmp_path, row, ",".join(HEADER)))
+
+
+def test_one_number_proves_the_sign_of_all(tmp_path: Path) -> None:
+    """Another count of decimals, as the refusal asks for, is enough."""
+    _, values = read_targets(listed(tmp_path, "H1;1,234;2,3450;3;0;0;0\n"))
+    np.testing.assert_array_equal(values, [[1.234, 2.345, 3.0, 0.0, 0.0, 0.0]])
+
+
+def test_other_codings_are_named(tmp_path: Path) -> None:
+    assert "is UTF-16; save it as CSV in UTF-8" in refusal(listed(tmp_path, ROWS, coding="utf-16"))
+    path = listed(tmp_path, ROWS)
+    path.write_bytes(HEAD.encode() + b"\nH\x81;1;2;3;0;0;0\n")  # undefined in CP1252
+    assert "is no text file (UTF-8)" in refusal(path)
+
+
+def test_a_command_names_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "H1;1,234;2;3;0;0;1\n"
+    assert main(["plan", str(listed(tmp_path, rows, ";".join(NORMALS)))]) == 2
+    assert "'1,234' may be 1.234, or 1234 with a thousands separator" in capsys.readouterr().err
