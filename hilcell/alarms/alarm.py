@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from hilcell.alarms.catalogue import Entry, Severity, code_of_verdict, entry_of
+from hilcell.alarms.catalogue import By, Entry, Severity, code_of_verdict, entry_of
 from hilcell.alarms.finding import Finding, findings_of, line
 
 if TYPE_CHECKING:
@@ -24,11 +24,19 @@ REFUSED_EXITS = (2, 3, 5, 6, 7)
 PROBLEMS = {"safe stop": "HC-C02", "closed": "HC-C03"}
 REFUSALS = {"answer refused": "HC-C09", "retake refused": "HC-C14"}
 GO_ON = "space"  # the usual key
+Cause = Literal[
+    "watched",  # looked at again and again: raised for as long as it is there
+    "not watched",  # whether it is there is not known before the run goes on
+    "over",  # it happened, and lasts no longer
+]
 
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """One alarm, ready to be shown: every text is one clean line; ``do`` are steps in order."""
+    """One alarm, ready to be shown: every text is one clean line; ``do`` are steps in order.
+
+    ``by`` says for each step who knows that it is done.
+    """
 
     code: str
     severity: Severity
@@ -40,7 +48,9 @@ class Alarm:
     t: str
     seq: int
     ended: bool = False  # the run cannot go on: a new one is needed
-    passes: bool = False  # it goes when its cause has gone
+    passes: bool = False  # it shows a condition: raised again, it is new
+    cause: Cause = "over"
+    by: tuple[By, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +61,7 @@ class _Moment:
     t: str = ""
     seq: int = 0
     severity: Severity | None = None
+    cause: Cause = "over"
 
 
 def alarms_of(
@@ -79,9 +90,12 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
     entry = entry_of(finding.code, finding.device)
     severity = moment.severity or entry.severity
     # An entry that knows its fault advises better than the error itself.
-    steps = [*entry.do] if entry.specific else [finding.advice, *entry.do]
+    steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
+    if not entry.specific:
+        steps.insert(0, (finding.advice, "you"))
     if severity != "notice":
-        steps.append(_then(entry, run, go_on, over=over))
+        steps.append((_then(entry, run, go_on, over=over), "you"))
+    steps = [(step, by) for step, by in steps if step]
     return Alarm(
         entry.code,
         severity,
@@ -89,11 +103,13 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         finding.where,
         finding.text,
         entry.means,
-        tuple(step for step in steps if step),
+        tuple(step for step, _ in steps),
         moment.t,
         moment.seq,
         entry.then == "new run",
         entry.passes,
+        moment.cause,
+        tuple(by for _, by in steps),
     )
 
 
@@ -120,13 +136,14 @@ def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
                 yield from _moments(body, t, seq, "notice")
             case "safe stop" | "closed" as what:
                 for name in body["problems"]:
-                    yield _Moment(_cell(PROBLEMS[what], what, _problem(name, body)), t, seq)
+                    finding = _cell(PROBLEMS[what], what, _problem(name, body))
+                    yield _Moment(finding, t, seq, cause="not watched")
             case "command refused":
                 found = f"{body['command']} is not possible while {body['in']}"
                 yield _Moment(_cell("HC-C06", "command", found), t, seq)
             case "screen lost" if seq > back:
                 found = "nobody watches any more"
-                yield _Moment(_cell("HC-C08", "screen lost", found), t, seq)
+                yield _Moment(_cell("HC-C08", "screen lost", found), t, seq, cause="watched")
             case "answer refused" | "retake refused" as what:
                 found = ": ".join(str(body[name]) for name in ("key", "reason") if name in body)
                 yield _Moment(_cell(REFUSALS[what], what, found), t, seq)
@@ -147,11 +164,15 @@ def _of_points(body: dict[str, Any], t: str, seq: int) -> Iterator[_Moment]:
 
 
 def _moments(
-    body: dict[str, Any], t: str, seq: int, severity: Severity | None = None
+    body: dict[str, Any],
+    t: str,
+    seq: int,
+    severity: Severity | None = None,
+    cause: Cause = "over",
 ) -> Iterator[_Moment]:
     """Yield the alarms of a record's error."""
     for finding in findings_of(body):
-        yield _Moment(finding, t, seq, severity)
+        yield _Moment(finding, t, seq, severity, cause)
 
 
 def _cell(code: str, operation: str, found: str, wanted: str = "") -> Finding:
@@ -225,16 +246,16 @@ def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
     t, seq = (last.t, last.seq) if last is not None else ("", 0)
     reason = str(body.get("reason", ""))
     if state == "faulted":
-        yield from _moments(body, t, seq, "fault")
+        yield from _moments(body, t, seq, "fault", "not watched")
     elif state == "suspended" and live and "error" in body:
-        yield from _moments(body, t, seq)
+        yield from _moments(body, t, seq, cause="watched")
     elif state == "aborted":
         yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), t, seq)
     elif end is None and not live:
         found = f"the journal ends while the run was {state}, with {len(log.points)} points"
         final = log.newest
         t, seq = (final.t, final.seq) if final is not None else (t, seq)
-        yield _Moment(_cell("HC-J05", "crash", found), t, seq)
+        yield _Moment(_cell("HC-J05", "crash", found), t, seq, cause="watched")
     yield from _refused(end, reason, t, seq)
 
 
@@ -243,10 +264,10 @@ def _lost(log: Log) -> Iterator[_Moment]:
     if log.calibrates:
         final = log.life[-1]
         finding = _cell("HC-J11", "calibration", "it has no file")
-        yield _Moment(finding, final.t, final.seq)
+        yield _Moment(finding, final.t, final.seq, cause="watched")
 
 
 def _refused(end: dict[str, Any] | None, known: str, t: str, seq: int) -> Iterator[_Moment]:
     """Yield why a session did not begin, where its end alone says so."""
     if end is not None and end.get("reason", "") != known and end["exit"] in REFUSED_EXITS:
-        yield from _moments(end, t, seq, "fault")
+        yield from _moments(end, t, seq, "fault", "not watched")

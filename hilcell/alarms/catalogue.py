@@ -15,6 +15,7 @@ from typing import Literal
 from hilcell.errors import HilcellError
 
 Severity = Literal["notice", "warning", "fault"]
+By = Literal["you", "controller"]
 SEVERITIES: tuple[Severity, ...] = ("notice", "warning", "fault")
 GROUP = "hilcell.alarms"
 # By device, for errors whose code no catalogue has: their own words and advice are shown.
@@ -30,7 +31,11 @@ class CatalogueError(HilcellError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One kind of alarm. ``then`` says how work goes on after ``do``."""
+    """One kind of alarm. ``then`` says how work goes on after ``do``.
+
+    ``by`` says for each step of ``do`` who knows that it is done: a person, or a controller that
+    is asked before anything moves again; empty where it is always a person.
+    """
 
     code: str
     title: str
@@ -40,6 +45,16 @@ class Entry:
     then: Literal["resume", "new run", "nothing"] = "resume"
     passes: bool = False  # it shows a condition, and goes when that is put right
     verdict: str = ""  # the verdict that raises it where it does not hold
+    by: tuple[By, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.by and len(self.by) != len(self.do):
+            raise ValueError(f"{self.code}: by: {len(self.do)} words are wanted, one a step")
+
+    @property
+    def checked_by(self) -> tuple[By, ...]:
+        """Return who knows that a step is done, for each step."""
+        return self.by or tuple("you" for _ in self.do)
 
     @property
     def specific(self) -> bool:

@@ -1,9 +1,10 @@
-"""Alarms latch at their highest severity until somebody has acknowledged them.
+"""Alarms latch at their highest severity until their cause is gone and somebody acknowledged them.
 
-A notice latches too, but is let go when it is raised no more: the screen that was lost is back, the
-run that was stopped goes on. So is an alarm of a condition (`Entry.passes`), which latches again
-when it is raised again. No clock: an alarm is new by the records that it comes from, so the same
-journal, read again, counts nothing twice.
+A cause is gone when the journal raises its alarm no more: the run that asked has gone on, the
+screen that was lost is back. Only then, and only acknowledged, the alarm is let go; a cause that
+lasted no longer than its record needs the acknowledgement alone. An alarm of a condition
+(`Entry.passes`) latches again when it is raised again. No clock: an alarm is new by the records
+that it comes from, so the same journal, read again, counts nothing twice.
 """
 
 from __future__ import annotations
@@ -17,11 +18,21 @@ from hilcell.alarms.catalogue import SEVERITIES, Severity
 
 @dataclass(frozen=True, slots=True)
 class Latched:
-    """An alarm that waits for its acknowledgement: the newest of its code, and how many came."""
+    """An alarm that stands: the newest of its code, and how many came.
+
+    ``gone`` is when its cause was seen to be gone, as an ISO time; "" where it is not known to be.
+    """
 
     alarm: Alarm
     severity: Severity
     count: int
+    gone: str = ""
+    acknowledged: bool = False
+
+    @property
+    def settled(self) -> bool:
+        """Whether nobody has to know of it any more."""
+        return self.acknowledged and (bool(self.gone) or self.alarm.cause == "over")
 
 
 Mark = tuple[str, int, str]
@@ -32,32 +43,37 @@ def _mark(alarm: Alarm) -> Mark:
 
 
 class Latch:
-    """The alarms that nobody has acknowledged yet. Used by one thread."""
+    """The alarms that stand. Used by one thread."""
 
     def __init__(self) -> None:
         self._latched: dict[str, Latched] = {}
         self._seen: dict[Mark, Alarm] = {}
 
-    def take(self, alarms: Iterable[Alarm]) -> None:
-        """Latch those that were not seen before; ``alarms`` are all that the journal raises now."""
+    def take(self, alarms: Iterable[Alarm], at: str = "") -> None:
+        """Latch those that were not seen before; ``alarms`` are all that the journal raises now.
+
+        ``at`` is the time of its newest record, by which the causes of all others are gone; ""
+        where it is not known: a run that is opened again has not tried its devices yet.
+        """
         raised = {_mark(alarm): alarm for alarm in alarms}
         for mark, alarm in [*self._seen.items()]:
-            if mark not in raised:
-                self._let_go(mark, alarm)
+            if mark not in raised and alarm.passes:
+                del self._seen[mark]
+        for code, latched in [*self._latched.items()]:
+            there = _mark(latched.alarm) in raised
+            gone = "" if there else latched.gone or at
+            self._keep(code, replace(latched, gone=gone))
         for mark, alarm in raised.items():
             if mark not in self._seen:
                 self._seen[mark] = alarm
                 self._add(alarm)
 
-    def _let_go(self, mark: Mark, alarm: Alarm) -> None:
-        """Let go of alarms that are raised no more, where their kind goes by itself."""
-        latched = self._latched.get(alarm.code)
-        if latched is not None and _mark(latched.alarm) != mark:
-            latched = None  # a newer one of its code stands
-        if alarm.passes or (latched is not None and latched.severity == "notice"):
-            del self._seen[mark]
-            if latched is not None:
-                del self._latched[alarm.code]
+    def _keep(self, code: str, latched: Latched) -> None:
+        """Keep one as it stands now, or let go of it."""
+        if latched.settled:
+            del self._latched[code]
+        else:
+            self._latched[code] = latched
 
     def _add(self, alarm: Alarm) -> None:
         before = self._latched.pop(alarm.code, None)
@@ -65,18 +81,19 @@ class Latch:
             self._latched[alarm.code] = Latched(alarm, alarm.severity, 1)
             return
         severity = max(before.severity, alarm.severity, key=SEVERITIES.index)
-        self._latched[alarm.code] = replace(
-            before, alarm=alarm, severity=severity, count=before.count + 1
-        )
+        self._latched[alarm.code] = Latched(alarm, severity, before.count + 1)
 
     def standing(self) -> list[Latched]:
         """Return the latched alarms: the most severe first, of those the newest first."""
         newest = list(reversed(self._latched.values()))
         return sorted(newest, key=lambda each: -SEVERITIES.index(each.severity))
 
+    def waits(self) -> bool:
+        """Whether one of them waits for its acknowledgement."""
+        return not all(each.acknowledged for each in self._latched.values())
+
     def acknowledge(self, code: str = "") -> None:
-        """Let go of one code, or of all; later ones latch again."""
-        if code:
-            self._latched.pop(code, None)
-        else:
-            self._latched.clear()
+        """Acknowledge one code, or all; later ones latch again."""
+        for each in [code] if code else [*self._latched]:
+            if each in self._latched:
+                self._keep(each, replace(self._latched[each], acknowledged=True))

@@ -29,7 +29,11 @@ A **fault** has stopped the run; devices are stopped, measured points are kept. 
 for somebody: the run waits, or its result is in doubt. A **notice** is worth knowing. A warning
 that nobody can answer, because the run is unattended, suspends it until a look finds that the cause
 has gone, at most `plan.unattended_wait_s`; then it ends as a fault. A warning that a repetition has
-healed is shown as a notice. `hilcell explain CODE` prints one entry.
+healed is shown as a notice. `hilcell explain CODE` prints one entry. An alarm stays on the screen
+until its cause is gone and somebody has acknowledged it.
+
+A step marked *(controller)* is checked by hilcell itself: it asks the device's controller before
+anything moves again. All other steps are checked by you.
 
 On the screen an alarm also states its place, the found and the wanted value. Where this list does
 not know a fault (codes that end in 99), the first step there is the failing operation's own advice.
@@ -52,7 +56,9 @@ def _chapter(title: str, entries: list[Entry]) -> list[str]:
 
 
 def _section(entry: Entry) -> str:
-    steps = [*entry.do, THEN[entry.then]]
+    marks = ("" if by == "you" else f" *({by})*" for by in entry.checked_by)
+    checked = (f"{step}{mark}" for step, mark in zip(entry.do, marks, strict=True))
+    steps = [*checked, THEN[entry.then]]
     numbered = "\n".join(f"{number}. {step}" for number, step in enumerate(steps, start=1))
     head = f"### {entry.code} {entry.title}\n\n{entry.severity.capitalize()}. {entry.means}"
     return f"{head}\n\n{numbered}\n"

@@ -298,7 +298,7 @@ class HilcellApp(App[int]):
         """Return why an action does nothing now on the top screen."""
         if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
             return ELSEWHERE[name]
-        unacknowledged = self.session is not None and bool(self.latch.standing())
+        unacknowledged = self.session is not None and self.latch.waits()
         return refusal(
             name,
             self.view,

@@ -22,6 +22,7 @@ from hilcell.tui.engine.run_view import EngineState, RunView
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
 
+WENT_ON = ("running", "pausing", "paused", "suspended", "finished")
 PATIENCE_S: dict[Command, float] = {"answer": 30.0}  # the tracker looks first
 
 
@@ -64,7 +65,7 @@ class Session:
             present = view.engine is not EngineState.NONE
             lost = not view.calibrated
             view.alarms = alarms_of(view.log, view.run, live=present, go_on=self._go_on, lost=lost)
-            self.latch.take(view.alarms)
+            self.latch.take(view.alarms, self._went_on_at)
         self.tick(now)
 
     def _engine(self, found: EngineState) -> EngineState:
@@ -85,6 +86,16 @@ class Session:
         except (HilcellError, msgspec.ValidationError) as error:
             self._unreadable = f"{view.run}: written by another version of hilcell: {error}"
             self.view = RunView(view.run)
+
+    @property
+    def _went_on_at(self) -> str:
+        """Return the time of the newest record, where the run went on and so has proven something.
+
+        Where it was opened again, aborted or lost its engine, causes are not known to be gone.
+        """
+        log = self.view.log
+        proven = log.state in WENT_ON and (self.view.live or log.over)
+        return log.newest.t if proven and log.newest is not None else ""
 
     def tick(self, now: datetime) -> None:
         """Update ages and the forecast to the time ``now``."""

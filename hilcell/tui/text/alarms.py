@@ -44,11 +44,12 @@ def alarm_page(alarms: Sequence[Alarm], latch: Latch, glyphs: Glyphs) -> Content
     """
     raised = {alarm.code for alarm in alarms}
     standing = {each.alarm.code: each.alarm for each in latch.standing()}
+    waits = {each.alarm.code for each in latch.standing() if not each.acknowledged}
     earlier = [alarm for code, alarm in standing.items() if code not in raised]
     if not alarms and not earlier:
         return Content("No alarm was raised in this run.")
     return Content("\n\n").join(
-        _one(alarm, glyphs, open_=alarm.code in standing) for alarm in (*reversed(alarms), *earlier)
+        _one(alarm, glyphs, open_=alarm.code in waits) for alarm in (*reversed(alarms), *earlier)
     )
 
 

@@ -139,6 +139,8 @@ def test_a_fault_says_code_place_words_and_steps() -> None:
         ),
         t="2026-11-21T12:00:06Z",
         seq=6,
+        cause="not watched",
+        by=("you", "you", "you"),
     )
 
 

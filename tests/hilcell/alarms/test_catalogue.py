@@ -41,6 +41,7 @@ def test_an_entry_is_short_and_complete(entry: Entry) -> None:
     assert 1 <= len(entry.do) <= 3
     assert all(len(step) <= 110 and step[0].isupper() for step in entry.do)
     assert all(step.endswith((".", "?", "`.")) for step in entry.do)
+    assert len(entry.checked_by) == len(entry.do)
 
 
 def test_titles_are_unique() -> None:
@@ -49,7 +50,7 @@ def test_titles_are_unique() -> None:
 
 def test_no_key_of_the_files_is_misspelt() -> None:
     """A key that nobody reads would pass silently."""
-    known = {"code", "severity", "title", "means", "do", "then", "passes", "verdict"}
+    known = {"code", "severity", "title", "means", "do", "then", "passes", "verdict", "by"}
     files = [file for package in PACKAGES for file in resources.files(package).iterdir()]
     pages = [tomllib.loads(f.read_text("utf-8")) for f in files if f.name.endswith(".toml")]
     assert len(pages) >= 9
@@ -96,7 +97,16 @@ def test_a_code_is_nobody_s_twice(plant: Path) -> None:
         catalogue()
 
 
-@pytest.mark.parametrize("text", ["[[alarm", "[[alarm]]\ncode = 1\n", "[alarms]\n"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[[alarm",
+        "[[alarm]]\ncode = 1\n",
+        "[alarms]\n",
+        ROW.format("HC-T70") + 'by = ["somebody"]\n',
+        ROW.format("HC-T70") + 'by = ["you", "controller"]\n',
+    ],
+)
 def test_a_catalogue_that_cannot_be_read_says_whose_it_is(plant: Path, text: str) -> None:
     (plant / "tracker.toml").write_text(text)
     with pytest.raises(CatalogueError, match="alarms of plant_alarms cannot be read: "):

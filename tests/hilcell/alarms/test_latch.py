@@ -58,52 +58,80 @@ def test_acknowledged_is_gone_until_it_comes_again() -> None:
     assert standing(latch) == [("HC-R31", "notice", 1)]
 
 
-def test_a_notice_of_what_is_no_more_is_let_go() -> None:
+def test_a_notice_stays_until_it_is_acknowledged_though_its_cause_is_gone() -> None:
     latch = Latch()
     lost = (*BEGUN, event("screen lost"))
-    latch.take(alarms(*lost, live=True))
-    assert standing(latch) == [("HC-C08", "notice", 1)]
-    latch.take(alarms(*lost, event("screen back"), live=True))
+    latch.take(alarms(*lost, live=True), "t4")
+    assert [each.gone for each in latch.standing()] == [""]
+    latch.take(alarms(*lost, event("screen back"), live=True), "t5")
+    assert [each.gone for each in latch.standing()] == ["t5"]
+    latch.acknowledge()
     assert standing(latch) == []
     again = (*lost, event("screen back"), event("screen lost"))
-    latch.take(alarms(*again, live=True))
+    latch.take(alarms(*again, live=True), "t6")
     assert standing(latch) == [("HC-C08", "notice", 1)]
 
 
-def test_what_was_worse_than_a_notice_stays_until_acknowledged() -> None:
+def test_acknowledged_stays_until_the_cause_is_gone() -> None:
+    latch = Latch()
+    watched = replace(ONE, cause="watched")
+    latch.take([watched], "t1")
+    assert latch.waits()
+    latch.acknowledge()
+    assert not latch.waits()
+    latch.take([watched], "t2")
+    assert [(each.acknowledged, each.gone) for each in latch.standing()] == [(True, "")]
+    latch.take([], "t3")
+    assert latch.standing() == []
+
+
+def test_a_cause_is_not_gone_where_nothing_has_proven_it() -> None:
+    """A run that is opened again raises the alarms of its last session no more."""
+    latch = Latch()
+    latch.take(alarms(*BEGUN, state("stopping"), CLOSED, faulted(BEAM)))
+    latch.acknowledge()
+    latch.take(
+        alarms(*BEGUN, state("stopping"), CLOSED, faulted(BEAM), state("checking"), live=True)
+    )
+    assert [(each.acknowledged, each.gone) for each in latch.standing()] == [(True, "")]
+    latch.take([], "t9")
+    assert latch.standing() == []
+
+
+def test_a_cause_that_is_back_is_not_gone() -> None:
+    latch = Latch()
+    watched = replace(ONE, cause="watched")
+    for raised, gone in (([watched], ""), ([], "t2"), ([watched], "")):
+        latch.take(raised, "t2")
+        assert [each.gone for each in latch.standing()] == [gone]
+
+
+def test_what_is_raised_no_more_stays_until_acknowledged() -> None:
     latch = Latch()
     fault = replace(ONE, code="HC-R31", severity="fault", seq=6)
     latch.take([ONE, fault])
-    latch.take([])
+    latch.take([], "t2")
     assert standing(latch) == [("HC-R31", "fault", 1), ("HC-T10", "warning", 1)]
 
 
-def test_a_notice_that_is_let_go_and_raised_again_stands_again() -> None:
+def test_an_alarm_of_one_moment_is_not_raised_twice() -> None:
     latch = Latch()
-    notice = replace(ONE, severity="notice")
-    latch.take([notice])
-    latch.take([])
-    latch.take([notice])
-    assert standing(latch) == [("HC-T10", "notice", 1)]
-    latch.acknowledge()
-    latch.take([])
-    latch.take([notice])
+    for raised in ([ONE], [], [ONE]):
+        latch.take(raised, "t2")
+        latch.acknowledge()
     assert standing(latch) == []
 
 
-def test_an_alarm_of_how_something_stands_goes_with_it_and_comes_back_with_it() -> None:
+def test_an_alarm_of_a_condition_comes_back_with_it() -> None:
     latch = Latch()
-    passing = replace(ONE, passes=True)
-    latch.take([passing])
-    latch.take([])
-    assert standing(latch) == []
-    latch.take([passing])
+    passing = replace(ONE, passes=True, cause="watched")
+    latch.take([passing], "t1")
     latch.acknowledge()
-    latch.take([passing])
+    latch.take([], "t2")
     assert standing(latch) == []
-    latch.take([])
-    latch.take([passing])
+    latch.take([passing], "t3")
     assert standing(latch) == [("HC-T10", "warning", 1)]
+    assert latch.waits()
 
 
 def test_the_worst_stands_first_and_of_these_the_newest() -> None:

@@ -53,6 +53,8 @@ def test_a_calibration_saved_later_is_reported() -> None:
             app.post_message(RunUpdated(app.recorded, RunUpdate([], calibrated=calibrated)))
             await settle(pilot)
         assert "the calibration has its file" in text_of(app)
+        assert "HC-J11" in text_of(app)
+        await press(pilot, "k")
         assert "HC-J11" not in text_of(app)
 
     run_app(act, "done")
