@@ -141,7 +141,7 @@ def _add_tui(commands: argparse._SubParsersAction[Parser]) -> None:
     options.add_cell_options(tui)
     tui.add_argument(
         "--theme",
-        choices=("calm", "daylight", "contrast"),
+        choices=("calm", "daylight", "contrast", "contrast-light"),
         default="calm",
         help="calm is safe for colour-blind eyes (default)",
     )

@@ -30,6 +30,7 @@ def tui(args: argparse.Namespace) -> int:
     os.environ.update(variables)
     from hilcell.tui.app.app import HilcellApp
     from hilcell.tui.screens.base import Options
+    from hilcell.tui.terminal.themes import SIXTEEN
 
     options = Options(
         runs=args.runs,
@@ -43,6 +44,8 @@ def tui(args: argparse.Namespace) -> int:
     )
     sys.setswitchinterval(SWITCH_S)
     app = HilcellApp(options)
+    if app.console.color_system == "standard":
+        app.theme = SIXTEEN
     app.run()
     if app.refused is not None:
         raise app.refused

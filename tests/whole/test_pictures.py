@@ -119,7 +119,7 @@ async def a_live_run(tmp_path: Path) -> None:
     with engine(tmp_path, "--speed", "60", *WORDS):
         async with screen(tmp_path, "last", (80, 24)) as pilot:
             await until(pilot, r"/14 robot-grid: ([5-9]|\d\d)/")
-            assert "■ RUNNING" in shown(app_of(pilot))
+            assert "► RUNNING" in shown(app_of(pilot))
             keep(app_of(pilot), "screen-running")
 
 

@@ -132,13 +132,13 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
             start(terminal, to_procedure("robot-grid") + ENTER)
             terminal.shows("/5 robot-grid: ", LIMIT_S)
             terminal.press(" ")
-            terminal.shows("▲ PAUSED", LIMIT_S)
+            terminal.shows("▌▌ PAUSED", LIMIT_S)
             terminal.press(" ")
             terminal.shows("Go on?")
             terminal.answer(ENTER)
-            terminal.shows("■ RUNNING", LIMIT_S)
+            terminal.shows("► RUNNING", LIMIT_S)
             assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
-            terminal.shows("✖ FAULT", LIMIT_S)
+            terminal.shows("× FAULT", LIMIT_S)
             terminal.shows("HC-B")
             terminal.shows("do: ")
             terminal.press("e")
@@ -151,7 +151,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
             terminal.press(" ")  # three keys: resume, yes, acknowledge
             terminal.shows("Resume this run?")
             terminal.answer(ENTER)
-            terminal.shows("■ RUNNING", LIMIT_S)
+            terminal.shows("► RUNNING", LIMIT_S)
             terminal.press("k")
             terminal.until(lambda text: "HC-B" not in text)
             terminal.shows("● DONE", LIMIT_S)
@@ -163,7 +163,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
 def test_esc_stops_from_wherever_one_is(tmp_path: Path, keys: str) -> None:
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
-        terminal.shows("■ RUNNING", LIMIT_S)
+        terminal.shows("► RUNNING", LIMIT_S)
         for key in keys:
             terminal.press(key)
             terminal.pump(0.3)
@@ -189,7 +189,7 @@ def test_esc_right_after_the_start_is_heard(tmp_path: Path, wait_s: float) -> No
 def test_esc_right_after_a_resume_is_heard(tmp_path: Path) -> None:
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
-        terminal.shows("■ RUNNING", LIMIT_S)
+        terminal.shows("► RUNNING", LIMIT_S)
         terminal.press(ESC)
         terminal.shows("space resume", LIMIT_S)
         (before,) = logs(tmp_path)
@@ -215,11 +215,11 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
             second.press("\x11")  # it looked before there was a run: leave it, look again
             assert second.ends() == 0
             with Terminal(["tui", "--runs", str(tmp_path), "last"]) as third:
-                third.shows("▲ PAUSED")
+                third.shows("▌▌ PAUSED")
                 third.press(" ")
                 third.shows("Go on?")
                 third.answer(ENTER)
-                third.shows("■ RUNNING")
+                third.shows("► RUNNING")
                 third.answer("d")
                 assert third.ends() == 0
             left = len(read_log(folder).points)
@@ -232,7 +232,7 @@ def test_a_screen_killed_while_it_shows_another_run_pauses_the_live_one(tmp_path
     assert command(*words).returncode == 0
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
-        terminal.shows("■ RUNNING", LIMIT_S)
+        terminal.shows("► RUNNING", LIMIT_S)
         terminal.press("h")
         terminal.shows("2 of 2 runs")
         terminal.press("\x1b[F" + ENTER)
@@ -269,7 +269,7 @@ def test_an_engine_that_stands_still_is_silent_and_not_gone(
     monkeypatch.setattr(client, "ORDER_S", 1.0)  # of the command below
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
-        terminal.shows("■ RUNNING", LIMIT_S)
+        terminal.shows("► RUNNING", LIMIT_S)
         folder = folder_of(tmp_path)
         engine = live_engine(folder)
         assert engine is not None
@@ -296,7 +296,7 @@ def test_an_engine_that_stands_still_is_silent_and_not_gone(
 def test_the_screen_that_started_a_run_is_left_at_once_and_the_run_goes_on(tmp_path: Path) -> None:
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
-        terminal.shows("■ RUNNING", LIMIT_S)
+        terminal.shows("► RUNNING", LIMIT_S)
         terminal.press("d")
         assert terminal.ends(SOON_S) == 0
         folder = folder_of(tmp_path)

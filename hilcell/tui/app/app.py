@@ -31,7 +31,7 @@ from hilcell.tui.engine.open_runs import OpenRuns
 from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
 from hilcell.tui.screens.base import BaseScreen, Confirm, Options
 from hilcell.tui.terminal.driver import StopDriver
-from hilcell.tui.terminal.themes import NAMES, PALETTES
+from hilcell.tui.terminal.themes import IN_SIXTEEN, NAMES, PALETTES
 from hilcell.tui.text.refusals import ELSEWHERE, refusal
 from hilcell.tui.widgets import CellScrollBar, Choice
 
@@ -83,7 +83,7 @@ class HilcellApp(App[int]):
         self._last_key_s = -math.inf  # when the last key came
         self._collector: GarbageCollector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
-        for palette in PALETTES:
+        for palette in (*PALETTES, IN_SIXTEEN):
             self.register_theme(palette.theme())
         self.theme = options.theme
         self.animation_level = "none"
@@ -394,8 +394,9 @@ class HilcellApp(App[int]):
         self._show()
 
     def do_theme(self) -> None:
-        """Show the next theme."""
-        self.theme = NAMES[(NAMES.index(self.theme) + 1) % len(NAMES)]
+        """Show the next theme; 16 colours have one."""
+        if self.theme in NAMES:
+            self.theme = NAMES[(NAMES.index(self.theme) + 1) % len(NAMES)]
 
     def do_detach(self) -> None:
         """Leave the screen; live runs go on."""

@@ -189,7 +189,7 @@ class BaseScreen(Screen[None]):
         self._notice_state = _notice_state(self.application.view) if for_now else None
         panel = self.panel("notice")
         panel.display = bool(text)
-        panel.show(Content.styled(text, "$warn"))
+        panel.show(Content.styled(text, "$ask"))
 
     def clear_notice(self, text: str) -> None:
         """Remove a notice that is no longer true."""
@@ -207,7 +207,7 @@ class BaseScreen(Screen[None]):
         ]
         line = Content("")
         for key, label in parts:
-            each = Content.assemble((key, "bold $on-quiet on $quiet"), f" {label}  ")
+            each = Content.assemble((key, "bold $on-label on $label-fill"), f" {label}  ")
             if line.cell_length + each.cell_length <= self.line_width + 2:
                 line = line.append(each)
         return line
@@ -303,9 +303,9 @@ class Dialog(ModalScreen[T]):
 def answer_keys(yes: str, no: str) -> Content:
     """Return the two keys of a dialog and their meaning."""
     return Content.assemble(
-        (" Enter ", "bold $on-quiet on $quiet"),
+        (" Enter ", "bold $on-label on $label-fill"),
         f" {yes}   ",
-        (" q ", "bold $on-quiet on $quiet"),
+        (" q ", "bold $on-label on $label-fill"),
         f" {no}",
     )
 
@@ -324,7 +324,7 @@ class Confirm(Dialog[str]):
 
     def on_mount(self) -> None:
         """Show the question."""
-        question = Content.assemble((self._title, "bold $warn"), "\n", self._text, "\n")
+        question = Content.assemble((self._title, "bold $ask"), "\n", self._text, "\n")
         self.show_texts(question, answer_keys(self._yes, "no"))
 
     def action_reply(self, answer: str) -> None:

@@ -178,6 +178,6 @@ def change_row(change: dict[str, Any]) -> Row:
         for name, sign in (("first", ""), ("second", ""), ("change", "+"), ("limit", ""))
     ]
     what = f"{change['what']}, {change['unit']}"
-    tone = "" if change["verdict"] in ("", "within") else "bad"
+    tone = "" if change["verdict"] in ("", "within") else "fault"
     cells = (change["place"], what, *numbers, change["verdict"])
     return Row(f"{change['place']}/{change['what']}", cells, tone)

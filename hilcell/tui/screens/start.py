@@ -68,7 +68,7 @@ class StartScreen(BaseScreen):
         """List the procedures; their summaries come when they are loaded."""
         self.panel("notice").display = False
         self.panel("title").show(
-            Content.assemble(("New run", "bold"), (f"   {NOT_E_STOP}", "$dim"))
+            Content.assemble(("New run", "bold"), (f"   {NOT_E_STOP}", "$label"))
         )
         rows = self.query_one(Table)
         names = sorted({entry.name for entry in entry_points(group="hilcell.procedures")})
@@ -182,9 +182,9 @@ def plan_lines(request: process.RunRequest, plan: dict[str, Any]) -> Content:
         "somebody is here to be asked" if request.attended else "unattended: a question is a fault"
     )
     return Content.assemble(
-        (f"{plan['procedure']} on cell {plan['cell']}", "bold $warn"),
+        (f"{plan['procedure']} on cell {plan['cell']}", "bold $ask"),
         f"   job {request.job or '-'}, operator {request.operator or '-'}\n",
-        (f"{'step':<26}{'points':>7}  {'cell time':>9}\n", "$dim"),
+        (f"{'step':<26}{'points':>7}  {'cell time':>9}\n", "$label"),
         "\n".join(rows),
         f"\n\n{who}.",
     )
@@ -196,7 +196,7 @@ def warning(plan: dict[str, Any]) -> Content:
     return Content.assemble(
         MOVES,
         (", in simulation only: ", "bold") if simulated else "",
-        (" SIMULATION ", "bold $on-sim on $sim") if simulated else "",
+        (" SIMULATION ", "bold $on-sim on $sim-fill") if simulated else "",
         ".\n",
         answer_keys("start", "back"),
     )

@@ -46,13 +46,21 @@ def _is_colourless(environment: Mapping[str, str]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Glyphs:
-    """One set of shapes; every one of them is a single column wide."""
+    """One set of shapes; each is a single column wide, but for the two bars of a pause.
+
+    Other shapes are written as they are: `to_ascii` replaces them where there is ASCII only.
+    """
 
     states: dict[str, str]
     fresh: str
     moving: str
     stale: str
     lost: str
+    locked: str
+    gone: str
+    warned: str
+    newest: str
+    done: str
     full: str
     empty: str
     mark: str
@@ -68,32 +76,40 @@ class Glyphs:
 
 UNICODE = Glyphs(
     states={
-        "idle": "○", "checking": "◌", "running": "■", "pausing": "▽", "paused": "▲",
-        "suspended": "◆", "stopping": "▼", "done": "●", "intolerant": "▣", "aborted": "□",
-        "fault": "✖", "gone": "◇", "silent": "◎", "unreadable": "▤", "looking": "◔",
+        "looking": "○", "idle": "○", "checking": "○", "running": "►", "pausing": "▌▌",
+        "paused": "▌▌", "suspended": "?", "stopping": "▼", "done": "●", "intolerant": "▲",
+        "aborted": "□", "fault": "×", "silent": "×", "unreadable": "×", "gone": "×",
     },
-    fresh="●", moving="◐", stale="○", lost="✖", full="█", empty="░", mark="▼", rule="─",
-    over_left="◀", over_right="▶", degree="°", plus_minus="±", delta="Δ", dot="·", plain=False,
+    fresh="●", moving="►", stale="○", lost="×", locked="■", gone="□", warned="▲", newest="◄",
+    done="√", full="█", empty="░", mark="▼", rule="─", over_left="◄", over_right="►",
+    degree="°", plus_minus="±", delta="Δ", dot="·", plain=False,
 )  # fmt: skip
 
 ASCII = Glyphs(
     states={
-        "idle": "-", "checking": "~", "running": "#", "pausing": "=", "paused": "^",
-        "suspended": "?", "stopping": "V", "done": "*", "intolerant": "!", "aborted": "o",
-        "fault": "X", "gone": "/", "silent": "%", "unreadable": "$", "looking": ":",
+        "looking": "o", "idle": "o", "checking": "o", "running": ">", "pausing": "||",
+        "paused": "||", "suspended": "?", "stopping": "V", "done": "*", "intolerant": "!",
+        "aborted": "#", "fault": "X", "silent": "X", "unreadable": "X", "gone": "X",
     },
-    fresh="*", moving="~", stale="o", lost="X", full="#", empty=".", mark="V", rule="-",
-    over_left="<", over_right=">", degree=" deg", plus_minus="+-", delta="d", dot="|", plain=True,
+    fresh="*", moving=">", stale="o", lost="X", locked="#", gone="=", warned="!", newest="<",
+    done="v", full="#", empty=".", mark="V", rule="-", over_left="<", over_right=">",
+    degree=" deg", plus_minus="+-", delta="d", dot="|", plain=True,
 )  # fmt: skip
 
 _PLAIN = str.maketrans(
     {
         "─": "-", "│": "|", "┌": "+", "┐": "+", "└": "+", "┘": "+", "├": "+", "┤": "+", "┬": "+",
-        "┴": "+", "┼": "+", "°": " ", "±": "~", "·": "|", "…": "~", "⚠": "!", "→": ">",
+        "┴": "+", "┼": "+", "═": "=", "║": "|", "╔": "+", "╗": "+", "╚": "+", "╝": "+",
+        "►": ">", "◄": "<", "▲": "!", "▼": "V", "■": "#", "□": "=", "●": "*", "○": "o", "×": "X",
+        "√": "v", "•": "*", "█": "#", "▀": "'", "▄": "_", "▌": "|", "▐": "|", "░": ".", "▒": "%",
+        "▓": "#", "−": "-", "≤": "<", "°": " ", "±": "~", "·": ".", "…": "~", "⚠": "!", "→": ">",
     }
 )  # fmt: skip
 
 
 def to_ascii(text: str) -> str:
-    """Return ``text`` in ASCII: known shapes by a similar one, all others as ``?``."""
+    """Return ``text`` in ASCII, letter by letter: known shapes by a similar one, others as ``?``.
+
+    Shapes of the design are from the WGL4 set, which terminals' fonts have.
+    """
     return text.translate(_PLAIN).encode("ascii", "replace").decode()

@@ -24,7 +24,7 @@ from textual._xterm_parser import XTermParser
 from textual.color import Color
 from textual.drivers.linux_driver import LinuxDriver
 
-from hilcell.tui.terminal.themes import PALETTES, TONES
+from hilcell.tui.terminal.themes import PALETTES, ROLES
 
 TICK_S = 0.05
 # Esc that begins no sequence, or as terminals with the kitty protocol write it, however often held.
@@ -112,9 +112,9 @@ def _split_codes(codes: list[str]) -> tuple[list[str], str]:
 
 @cache
 def _backgrounds(theme: str) -> tuple[frozenset[str], frozenset[str]]:
-    """Return, in Textual's greys, the backgrounds of tones and caret, and of boxes and cursor."""
+    """Return, in Textual's greys, the fills, and the backgrounds of boxes and cursor."""
     palette = next(each for each in PALETTES if each.name == theme)
-    tones = (Color.parse(getattr(palette, name)) for name in (*TONES, "text"))
+    tones = map(Color.parse, (palette.text, palette.badge, *map(palette.fill, ROLES)))
     box = Color.parse(palette.cursor)
     focused = box.tint(Color.parse(palette.text).with_alpha(FOCUS_TINT))
     return frozenset(map(_monochrome, tones)), frozenset(map(_monochrome, (box, focused)))

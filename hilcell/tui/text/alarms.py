@@ -14,7 +14,7 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import LAMPS, lamp
 
 MOST_ROWS, SPARE = 2, 12  # of a part; the cost of breaking lines at words
-_TONES = {"fault": "bad", "warning": "warn", "notice": "info"}
+_TONES = {"fault": "fault", "warning": "ask", "notice": "label"}
 
 
 def alarm_lines(
@@ -54,14 +54,14 @@ def alarm_page(alarms: Sequence[Alarm], latch: Latch, glyphs: Glyphs) -> Content
 
 
 def _shape(severity: Severity, glyphs: Glyphs) -> str:
-    return {"fault": glyphs.lost, "warning": "!", "notice": "i"}[severity]
+    return {"fault": glyphs.lost, "warning": glyphs.warned, "notice": glyphs.stale}[severity]
 
 
 def _block(alarm: Alarm, severity: Severity, glyphs: Glyphs) -> Content:
     tone = _TONES[severity]
     return Content.styled(
         f" {_shape(severity, glyphs)} {severity.upper()} {alarm.code} ",
-        f"bold $on-{tone} on ${tone}",
+        f"bold $on-{tone} on ${tone}-fill",
     )
 
 
@@ -71,15 +71,15 @@ def _one(alarm: Alarm, glyphs: Glyphs, *, open_: bool) -> Content:
     return Content.assemble(
         _block(alarm, alarm.severity, glyphs),
         (f" {alarm.title}", "bold"),
-        (f"   {alarm.t[:19]}  {state}", "$dim"),
+        (f"   {alarm.t[:19]}  {state}", "$label"),
         "\n",
-        ("where   ", "$dim"),
+        ("where   ", "$label"),
         f"{alarm.where or '-'}\n",
-        ("found   ", "$dim"),
+        ("found   ", "$label"),
         f"{alarm.found}\n",
-        ("means   ", "$dim"),
+        ("means   ", "$label"),
         f"{alarm.means}\n",
-        ("do\n", "$dim"),
+        ("do\n", "$label"),
         steps,
     )
 
@@ -90,9 +90,9 @@ def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
     if status is None or not view.live:
         return Content("No engine is at work on this run: nothing can move from here.")
     lines = [
-        Content.styled(f"{glyphs.lost} {each.name} blocked: {each.blocked}", "bold $warn")
+        Content.styled(f"{glyphs.lost} {each.name} blocked: {each.blocked}", "bold $ask")
         if each.blocked
-        else Content.styled(f"{glyphs.fresh} {each.name}: free", "$good")
+        else Content.styled(f"{glyphs.fresh} {each.name}: free", "$passed")
         for each in status.interlocks
     ]
     lines.append(Content(""))
@@ -106,7 +106,7 @@ def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
         Content.styled(
             "These interlocks protect the measurement. They are no safety function: guards, "
             "enabling switch and E-stop work without hilcell.",
-            "$dim",
+            "$label",
         ),
     ]
     return Content("\n").join(lines)

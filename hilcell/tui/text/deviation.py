@@ -23,9 +23,9 @@ JUDGED = "chosen"  # the paper's method is measured beside it, to be compared
 BAD_STATES = ("out", "unsure", "noisy")
 STATES: dict[Outcome, str] = {"rejected": "out", "undecided": "unsure"}
 SAID: dict[Outcome, tuple[str, str]] = {
-    "accepted": ("in", "$good"),
-    "undecided": ("UNSURE", "bold $warn"),
-    "rejected": ("OUT OF", "bold $bad"),
+    "accepted": ("in", "$passed"),
+    "undecided": ("UNSURE", "bold $ask"),
+    "rejected": ("OUT OF", "bold $fault"),
 }
 
 
@@ -149,7 +149,7 @@ def deviation_lines(found: Deviation | None, glyphs: Glyphs, width: int, none: s
     ``none``: the text where there is no deviation.
     """
     if found is None:
-        return Content.styled("\n".join([f"deviation: {none}", "", "", "", ""]), "$dim")
+        return Content.styled("\n".join([f"deviation: {none}", "", "", "", ""]), "$label")
     values = [
         ("dx", f"{found.error_mm[0]:+.3f}"),
         ("dy", f"{found.error_mm[1]:+.3f}"),
@@ -163,14 +163,14 @@ def deviation_lines(found: Deviation | None, glyphs: Glyphs, width: int, none: s
     )
     digits = "\n".join(gap.join(column[row] for column in columns) for row in range(3))
     return Content.assemble(
-        (head, "$dim"), "\n", (digits, "bold"), "\n", tolerance_line(found, glyphs, width)
+        (head, "$label"), "\n", (digits, "bold"), "\n", tolerance_line(found, glyphs, width)
     )
 
 
 def tolerance_line(found: Deviation, glyphs: Glyphs, width: int) -> Content:
     """Return |e| on a scale from 0 over the limit, the decision, U, and the point's name."""
     if found.limit_mm is None:
-        return Content.styled(f"{found.key}: raw, not corrected; no limit", "$dim")
+        return Content.styled(f"{found.key}: raw, not corrected; no limit", "$label")
     room = 24
     share = found.norm_mm / (1.5 * found.limit_mm)
     at = math.floor(room * share) if share <= 1.0 else room  # NaN is beyond everything

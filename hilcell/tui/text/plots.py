@@ -127,7 +127,7 @@ def draw(plot: Plot, width: int, height: int) -> Content:
     """Return a plot of this size in columns and rows."""
     shown = [line for line in plot.lines if any(map(math.isfinite, line.values))]
     if not shown:
-        return Content.styled("nothing measured for this plot yet", "$dim")
+        return Content.styled("nothing measured for this plot yet", "$label")
     longest = max(len(line.values) for line in shown)
     plotext.clear_figure()
     plotext.theme("clear")
@@ -155,7 +155,7 @@ def side_lines(view: RunView, width: int, height: int) -> Content:
     newest = view.records[-max(height - plot_height - 2, 1) :]
     lines.append(Content.styled("newest records", "bold"))
     lines += [
-        Content.assemble((f"{record.t[11:19]} ", "$dim"), record_words(record)).truncate(
+        Content.assemble((f"{record.t[11:19]} ", "$label"), record_words(record)).truncate(
             width, ellipsis=True
         )
         for record in newest

@@ -30,7 +30,7 @@ _WIDE_COLUMNS = (
     Column("measured x y z mm", 31, right=True),
     *_NARROW_COLUMNS[1:],
 )
-_TONES = {"out": "bad", "unsure": "warn", "noisy": "warn", "waits": "info", "again": "info"}
+_TONES = {"out": "fault", "unsure": "ask", "noisy": "ask", "waits": "live", "again": "live"}
 
 
 def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
@@ -131,7 +131,7 @@ def point_page(view: RunView, key: str) -> Content:
             facts.append(("limit, mm", f"{found.limit_mm:.3f}, U {found.U_mm:.3f} (k = 2)"))
     facts += _measured(point)
     return Content("\n").join(
-        Content.assemble((f"{name:<28}", "$dim"), text) for name, text in facts
+        Content.assemble((f"{name:<28}", "$label"), text) for name, text in facts
     )
 
 

@@ -16,7 +16,7 @@ MOST_LINES = 3  # of a prompt's text
 
 def prompt_lines(prompt: PromptStatus, view: RunView, glyphs: Glyphs, width: int) -> Content:
     """Return element 9: one prompt, with the nest drawn where there is one."""
-    title = Content.styled(prompt.title, "bold $warn").truncate(width, ellipsis=True)
+    title = Content.styled(prompt.title, "bold $ask").truncate(width, ellipsis=True)
     text = Content(prompt.text.replace("\n", " ")).truncate(MOST_LINES * width, ellipsis=True)
     parts = [title, text]  # short, so that what the tracker sees stays in tracker_text
     if prompt.expected_mm is not None:
@@ -32,27 +32,25 @@ def prompt_lines(prompt: PromptStatus, view: RunView, glyphs: Glyphs, width: int
 def tracker_text(prompt: PromptStatus, view: RunView) -> Content:
     """Return what the tracker sees there, and whether Enter works."""
     if not prompt.check:
-        return Content.styled("Enter when it is done", "bold $good")
+        return Content.styled("Enter when it is done", "bold $passed")
     if view.stale or prompt.age_s is None:
-        return Content.styled("the tracker has not looked yet; Enter does not work", "$dim")
+        return Content.styled("the tracker has not looked yet; Enter does not work", "$label")
     age = short_age(prompt.age_s + view.status_age_s)
     if prompt.expected_mm is None:
         return _strip_text(prompt, age)
     if prompt.seen_mm is None:
-        return Content.styled(f"tracker: sees nothing there ({age} ago); Enter waits", "$warn")
+        return Content.styled(f"tracker: sees nothing there ({age} ago); Enter waits", "$ask")
     limit = "" if prompt.limit_mm is None else f", limit {prompt.limit_mm:.1f}"
     seen = f"tracker: reflector {prompt.seen_mm:.2f} mm from there{limit} ({age} ago)"
     if not prompt.ready:
-        return Content.styled(f"{seen}; Enter waits", "$warn")
-    return Content.styled(f"{seen}; press Enter", "bold $good")
+        return Content.styled(f"{seen}; Enter waits", "$ask")
+    return Content.styled(f"{seen}; press Enter", "bold $passed")
 
 
 def _strip_text(prompt: PromptStatus, age: str) -> Content:
     if not prompt.ready:
-        return Content.styled(
-            f"{prompt.place} does not read well ({age} ago); Enter waits", "$warn"
-        )
-    return Content.styled(f"{prompt.place} reads well ({age} ago); press Enter", "bold $good")
+        return Content.styled(f"{prompt.place} does not read well ({age} ago); Enter waits", "$ask")
+    return Content.styled(f"{prompt.place} reads well ({age} ago); press Enter", "bold $passed")
 
 
 def nest_map(layout: Layout, place: str, glyphs: Glyphs) -> list[Content]:
@@ -72,7 +70,7 @@ def nest_map(layout: Layout, place: str, glyphs: Glyphs) -> list[Content]:
         label = f">{name[:3]}<" if name == place else " o  "
         cells[row][column : column + len(label)] = label
     title = "floor" if where is floor else "slide"
-    lines = [Content.styled(f"the {title} from above: x right, y up", "$dim")]
+    lines = [Content.styled(f"the {title} from above: x right, y up", "$label")]
     return lines + [_marked("".join(row), f">{place[:3]}<") for row in cells]
 
 
@@ -83,4 +81,4 @@ def _scale(value: float, values: list[float], most: int) -> int:
 
 def _marked(line: str, label: str) -> Content:
     before, found, after = line.partition(label)
-    return Content.assemble(before, (found, "bold $on-warn on $warn"), after)
+    return Content.assemble(before, (found, "bold $on-ask on $ask-fill"), after)

@@ -17,21 +17,21 @@ from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 
 STATES = {
-    "looking": ("LOOKING", "quiet"),
-    "idle": ("NOT STARTED", "quiet"),
-    "checking": ("CHECKING", "info"),
-    "running": ("RUNNING", "good"),
-    "pausing": ("PAUSING", "warn"),
-    "paused": ("PAUSED", "warn"),
-    "suspended": ("ASKS YOU", "warn"),
-    "stopping": ("STOPPING", "bad"),
-    "done": ("DONE", "good"),
-    "intolerant": ("OUT OF TOLERANCE", "bad"),
-    "aborted": ("ABORTED", "quiet"),
-    "fault": ("FAULT", "bad"),
-    "silent": ("NO ANSWER", "bad"),
-    "unreadable": ("UNREADABLE", "bad"),
-    "gone": ("ENGINE GONE", "bad"),
+    "looking": ("LOOKING", "label"),
+    "idle": ("NOT STARTED", "label"),
+    "checking": ("CHECKING", "label"),
+    "running": ("RUNNING", "live"),
+    "pausing": ("PAUSING", "ask"),
+    "paused": ("PAUSED", "ask"),
+    "suspended": ("ASKS YOU", "ask"),
+    "stopping": ("STOPPING", "fault"),
+    "done": ("DONE", "passed"),
+    "intolerant": ("OUT OF TOLERANCE", "fault"),
+    "aborted": ("ABORTED", "label"),
+    "fault": ("FAULT", "fault"),
+    "silent": ("NO ANSWER", "fault"),
+    "unreadable": ("UNREADABLE", "fault"),
+    "gone": ("ENGINE GONE", "fault"),
 }
 NOT_E_STOP = "software stop; not the E-stop"
 MOVES = "The robot and the rail will move"
@@ -49,7 +49,12 @@ LAMPS = ("rail", "strip", "robot", "tracker")
 
 def block(text: str, tone: str) -> Content:
     """Return a block of a tone: dark on light or light on dark, as the theme has it."""
-    return Content.styled(f" {text} ", f"bold $on-{tone} on ${tone}")
+    return Content.styled(f" {text} ", f"bold $on-{tone} on ${tone}-fill")
+
+
+def badge(text: str) -> Content:
+    """Return a quiet block: no state, but to be seen."""
+    return Content.styled(f" {text} ", "bold $foreground on $badge")
 
 
 def state_block(view: RunView, glyphs: Glyphs) -> Content:
@@ -65,8 +70,7 @@ def banner(view: RunView, glyphs: Glyphs, width: int, background: RunView | None
     """
     parts = [state_block(view, glyphs)]
     if view.engine is not EngineState.UNKNOWN:
-        word, tone = ("LIVE", "info") if view.live else ("HISTORIC", "quiet")
-        parts += [Content(" "), block(word, tone)]
+        parts += [Content(" "), badge("LIVE" if view.live else "HISTORIC")]
     if view.log.plan is not None and view.log.plan.simulated:
         parts += [Content(" "), block("SIMULATION", "sim")]
     left = Content("").join(parts)
@@ -81,8 +85,8 @@ def banner(view: RunView, glyphs: Glyphs, width: int, background: RunView | None
 def _stop_notice(view: RunView, room: int) -> Content:
     if view.state == "silent":
         since = f" for {short_age(view.status_age_s)}" if view.status is not None else ""
-        return Content.styled(f"silent{since}: use the E-stop", "bold $bad")
-    return Content.styled(NOT_E_STOP if room >= len(NOT_E_STOP) else "", "$dim")
+        return Content.styled(f"silent{since}: use the E-stop", "bold $fault")
+    return Content.styled(NOT_E_STOP if room >= len(NOT_E_STOP) else "", "$label")
 
 
 def _background_notice(background: RunView, room: int) -> Content:
@@ -91,7 +95,7 @@ def _background_notice(background: RunView, room: int) -> Content:
     stop = "use the E-stop" if background.state == "silent" else "Esc stops"
     notices = (f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind")
     notice = next((each for each in notices if len(each) <= room), "")
-    return Content.styled(notice, "bold $warn")
+    return Content.styled(notice, "bold $ask")
 
 
 def end_text(view: RunView) -> str:
@@ -121,7 +125,7 @@ def identity(view: RunView, width: int) -> Content:
     left = Content("  ".join(words))
     fits = left.cell_length + len(view.run) < width
     run = view.run if fits else f"run {view.run[-SHORT:]}"  # its last letters differ between runs
-    return justified(left, Content.styled(run, "$dim"), width)
+    return justified(left, Content.styled(run, "$label"), width)
 
 
 def short(name: str) -> str:
@@ -133,7 +137,7 @@ def step(view: RunView, width: int) -> Content:
     """Return element 3: the current step with its count, and the next; in the end the bounds."""
     plan, now = view.log.plan, view.step
     if plan is None or not now:
-        return Content.styled("step: none yet", "$dim")
+        return Content.styled("step: none yet", "$label")
     number, of = int(now["number"]), int(now["of"])
     head = f"step {number}/{of} {now['name']}"
     planned = plan.steps[number - 1]["points"] if number <= len(plan.steps) else 0
@@ -150,7 +154,7 @@ def step(view: RunView, width: int) -> Content:
     if view.state in ("done", "intolerant"):
         return Content(head)
     following = plan.steps[number]["name"] if number < len(plan.steps) else "the end"
-    return justified(Content(head), Content.styled(f"next: {following}", "$dim"), width)
+    return justified(Content(head), Content.styled(f"next: {following}", "$label"), width)
 
 
 def sweeps_of(steps: Sequence[Mapping[str, Any]]) -> int:
@@ -168,7 +172,7 @@ def progress(view: RunView, glyphs: Glyphs, width: int) -> Content:
     room = max(width - len(tail), 1)
     done = math.floor(room * share)
     return Content.assemble(
-        (glyphs.full * done, "$info"), (glyphs.empty * (room - done), "$dim"), tail
+        (glyphs.full * done, "$live"), (glyphs.empty * (room - done), "$label"), tail
     )
 
 
@@ -207,15 +211,15 @@ def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Cont
     """Return one lamp; a stale reading is grey and shows its age."""
     title = name.capitalize()
     if device.age_s is None and device.state != "lost":
-        return Content.styled(f"{glyphs.stale} {title} -", "$dim")
+        return Content.styled(f"{glyphs.stale} {title} -", "$label")
     age_s = (device.age_s or 0.0) + view.status_age_s
     if device.state == "lost":
-        return Content.styled(f"{glyphs.lost} {title} lost", "bold $bad")
+        return Content.styled(f"{glyphs.lost} {title} lost", "bold $fault")
     if device.state == "moving" and not view.stale:
-        return Content.styled(f"{glyphs.moving} {title} moves", "$info")
+        return Content.styled(f"{glyphs.moving} {title} moves", "$live")
     if device.state not in ("fresh", "moving") or view.stale or not age_s <= STALE_AFTER_S:
-        return Content.styled(f"{glyphs.stale} {title} {short_age(age_s)}", "$dim")
-    return Content.styled(f"{glyphs.fresh} {title} {short_age(age_s)}", "$good")
+        return Content.styled(f"{glyphs.stale} {title} {short_age(age_s)}", "$label")
+    return Content.styled(f"{glyphs.fresh} {title} {short_age(age_s)}", "$passed")
 
 
 STALE_AFTER_S = 5.0
@@ -250,7 +254,7 @@ def air(view: RunView, glyphs: Glyphs) -> Content:
         return Content("air not measured")
     text = f"{view.last.temperature_c:.1f} C {glyphs.delta}{drift:+.1f} K"
     within = abs(drift) <= DRIFT_LIMIT_K
-    return Content.styled(text if within else f"! {text}", "" if within else "bold $warn")
+    return Content.styled(text if within else f"! {text}", "" if within else "bold $ask")
 
 
 class _Mean(msgspec.Struct):
@@ -282,7 +286,7 @@ def coverage(view: RunView) -> Content:
     for name, place in _validated(view).items():
         if place.bounds is not None:
             bound, share = place.bounds.mean_mm, 100 * place.bounds.coverage
-            return Content.styled(f"{name}: 95 % bound {bound:.3f} mm, {share:.0f} % in", "$dim")
+            return Content.styled(f"{name}: 95 % bound {bound:.3f} mm, {share:.0f} % in", "$label")
     return Content("")
 
 
@@ -319,11 +323,13 @@ def interlocks(view: RunView, width: int) -> Content:
     found = view.status.interlocks if view.status is not None else []
     blocked = [each for each in found if each.blocked]
     if not found:
-        return Content.styled("interlocks: no reading", "$dim")
+        return Content.styled("interlocks: no reading", "$label")
     if view.stale:
-        return Content.styled(f"interlocks: last heard {short_age(view.status_age_s)} ago", "$dim")
+        return Content.styled(
+            f"interlocks: last heard {short_age(view.status_age_s)} ago", "$label"
+        )
     if not blocked:
-        return Content.styled(f"interlocks: {_free(view)}", "$dim")
+        return Content.styled(f"interlocks: {_free(view)}", "$label")
     line = f"{blocked[0].name} blocked: {blocked[0].blocked}"
     return Content(line).truncate(width, ellipsis=True)
 

@@ -33,7 +33,7 @@ WIDE = (
     Column("run", 36),
 )
 WIDE_FROM = 130
-_RUN_TONES = {"finished": "", "aborted": "dim", "faulted": "bad"}
+_RUN_TONES = {"finished": "", "aborted": "label", "faulted": "fault"}
 
 
 def columns_for(width: int) -> tuple[Column, ...]:
@@ -49,7 +49,7 @@ def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
     mark = "*" if run.name in marked else ""
     begun = run.begun[:16].replace("T", " ")
     tone = (
-        "info" if run.live else "bad" if run.exit in (1, 3) else _RUN_TONES.get(run.state, "warn")
+        "live" if run.live else "fault" if run.exit in (1, 3) else _RUN_TONES.get(run.state, "ask")
     )
     head = (
         mark,
@@ -77,7 +77,7 @@ COLUMNS = (
     Column("kind", 8),
     Column("what", 200),
 )
-_RECORD_TONES = {"faulted": "bad", "suspended": "warn", "aborted": "warn"}
+_RECORD_TONES = {"faulted": "fault", "suspended": "ask", "aborted": "ask"}
 _LONG = (
     "matrix",
     "pose",

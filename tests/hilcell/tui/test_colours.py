@@ -110,3 +110,11 @@ def test_no_shapes_where_they_are_refused(tmp_path: Path) -> None:
     with shown(tmp_path, "--ascii") as terminal:
         terminal.shows("* DONE")
         assert terminal.raw.isascii()
+
+
+def test_sixteen_colours_have_their_own_theme(tmp_path: Path) -> None:
+    with shown(tmp_path, "--colors", "16") as terminal:
+        state, simulation = terminal.screen.buffer[0][1], terminal.text.index("SIMULATION")
+        assert (state.fg, state.bg) == ("black", "brightgreen")  # passed
+        assert terminal.screen.buffer[0][simulation].bg.endswith("magenta")
+        assert terminal.screen.buffer[2][0].bg == "black"

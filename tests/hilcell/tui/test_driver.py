@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from textual.color import Color
 
 from hilcell.tui.terminal.driver import has_escape, without_colours
-from hilcell.tui.terminal.themes import NAMES, PALETTES, TONES, Palette
+from hilcell.tui.terminal.themes import NAMES, PALETTES, ROLES, Palette
 from tests.hilcell.tui.terminal_colours import colours_of
 
 
@@ -77,9 +77,9 @@ def styled(ground: str, *, bold: bool = False, text: str = "#123456") -> str:
 
 
 @by_palette
-@pytest.mark.parametrize("tone", [*TONES, "text"])
-def test_what_stands_on_a_tone_is_reversed(palette: Palette, tone: str) -> None:
-    ground = getattr(palette, tone)
+@pytest.mark.parametrize("role", [*ROLES, "text", "badge"])
+def test_what_stands_on_a_fill_is_reversed(palette: Palette, role: str) -> None:
+    ground = palette.fill(role)
     assert without_colours(styled(ground), palette.name) == "\x1b[7mX\x1b[0m"
     assert without_colours(styled(ground, bold=True), palette.name) == "\x1b[1;7mX\x1b[0m"
 
@@ -93,7 +93,13 @@ def test_the_cursor_row_is_reversed_and_a_text_box_is_a_line_to_write_on(palette
 @by_palette
 def test_what_stands_on_the_ground_or_on_its_shades_is_left_alone(palette: Palette) -> None:
     variables = palette.theme().to_color_system().generate()
-    for ground in (palette.background, variables["scrollbar-background"], variables["surface"]):
+    for ground in (
+        palette.ground,
+        palette.panel,
+        palette.track,
+        variables["scrollbar-background"],
+        variables["surface"],
+    ):
         assert without_colours(styled(ground), palette.name) == "X\x1b[0m"
         assert without_colours(styled(ground, bold=True), palette.name) == "\x1b[1mX\x1b[0m"
 

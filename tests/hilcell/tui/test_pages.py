@@ -249,7 +249,7 @@ def test_the_next_theme_comes_with_a_key() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "t")
         assert app.theme == "daylight"
-        await press(pilot, "t", "t")
+        await press(pilot, "t", "t", "t")
         assert app.theme == "calm"
 
     run_app(act, "running")

@@ -209,7 +209,7 @@ def test_a_row_tells_the_deviation_and_its_state() -> None:
     point = log.points["validate/S1100/chosen/001"]
     row = to_row(row_of(log, point), (), 80)
     assert row.cells == (point.key, "+0.000", "+1.200", "+0.010", "1.200", "0.010", "out")
-    assert row.tone == "bad"
+    assert row.tone == "fault"
     assert to_row(row_of(log, point), [point.key], 80).cells[-1] == "waits"
 
 

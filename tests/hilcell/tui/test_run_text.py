@@ -92,9 +92,9 @@ def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
         (DeviceStatus("fresh", 0.2), "● Rail 0.2 s", True),
         (DeviceStatus("fresh", 5.1), "○ Rail 5.1 s", False),
         (DeviceStatus("fresh", math.nan), "○ Rail ?", False),
-        (DeviceStatus("moving", 0.2), "◐ Rail moves", False),
-        (DeviceStatus("lost", 3.0, reason="no heartbeat"), "✖ Rail lost", False),
-        (DeviceStatus("lost", None), "✖ Rail lost", False),
+        (DeviceStatus("moving", 0.2), "► Rail moves", False),
+        (DeviceStatus("lost", 3.0, reason="no heartbeat"), "× Rail lost", False),
+        (DeviceStatus("lost", None), "× Rail lost", False),
         (DeviceStatus("unknown", None), "○ Rail -", False),
         (DeviceStatus(), "○ Rail -", False),
         (DeviceStatus("unknown", 1.0), "○ Rail 1.0 s", False),
@@ -103,7 +103,7 @@ def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
 def test_lamps(device: DeviceStatus, wanted: str, good: bool) -> None:
     lamp = run_text.lamp("rail", device, view_of("running"), UNICODE)
     assert lamp.plain == wanted
-    assert any("good" in str(span.style) for span in lamp.spans) == good
+    assert any("passed" in str(span.style) for span in lamp.spans) == good
 
 
 def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
@@ -112,7 +112,7 @@ def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
     for device in (DeviceStatus("fresh", 0.2), DeviceStatus("moving", 0.2)):
         lamp = run_text.lamp("rail", device, view, UNICODE)
         assert lamp.plain == "○ Rail 2.3 s"
-        assert not any("good" in str(span.style) for span in lamp.spans)
+        assert not any("passed" in str(span.style) for span in lamp.spans)
     view.status_age_s = math.nan
     assert view.stale
 

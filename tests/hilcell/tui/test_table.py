@@ -171,7 +171,7 @@ HOSTILE = [
 @pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
 def test_cells_are_plain_text_and_stay_in_their_columns(text: str, plain: bool) -> None:
     async def act(app: TableApp, pilot: Pilot[None]) -> None:
-        app.rows.show_rows([Row(text, (text, "1.25"), "bad"), Row("k", ("fine", "2.50"))])
+        app.rows.show_rows([Row(text, (text, "1.25"), "fault"), Row("k", ("fine", "2.50"))])
         line = app.rows.render_line(1)
         assert line.cell_length == app.rows.size.width
         shown = line.text

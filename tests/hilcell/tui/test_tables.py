@@ -73,7 +73,7 @@ def test_any_record_becomes_one_line(kind: Kind, body: dict[str, Any]) -> None:
 def test_a_row_tells_number_time_and_kind() -> None:
     row = record_row(Record(17, T, "state", "", {"machine": "run", "to": "faulted"}))
     assert row.cells[:3] == ("17", "08:00:01.250", "state")
-    assert row.tone == "bad"
+    assert row.tone == "fault"
 
 
 @pytest.mark.parametrize("name", sample_runs())
@@ -101,7 +101,7 @@ def test_what_is_marked_is_seen() -> None:
 def test_the_history_tells_how_a_run_ended() -> None:
     reported = [history_row(run, (), 200).cells[3] for run in RUNS]
     assert reported == ["finished", "out of tolerance", "engine gone", "unreadable"]
-    assert [history_row(run, (), 200).tone for run in RUNS[:2]] == ["", "bad"]
+    assert [history_row(run, (), 200).tone for run in RUNS[:2]] == ["", "fault"]
 
 
 def test_a_screen_of_eighty_columns_holds_the_history() -> None:

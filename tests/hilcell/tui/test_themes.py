@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import fields
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.color import Color as RichColor
+from rich.color import ColorSystem
 from rich.segment import Segment
+from textual.color import Color
 
 from hilcell.commands.cli import whole_parser
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE, Glyphs
-from hilcell.tui.terminal.themes import NAMES, PALETTES, TONES, Palette
+from hilcell.tui.terminal.capabilities import ASCII, UNICODE, Glyphs, to_ascii
+from hilcell.tui.terminal.driver import _backgrounds, _monochrome
+from hilcell.tui.terminal.themes import IN_SIXTEEN, NAMES, PALETTES, ROLES, Palette
 from hilcell.tui.text.run import STATES
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
 from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, painted
@@ -33,6 +38,13 @@ MATRICES = {
             [0.367322, 0.860646, -0.227968],
             [0.280085, 0.672501, 0.047413],
             [-0.011820, 0.042940, 0.968881],
+        ]
+    ),
+    "tritanopia": np.array(
+        [
+            [1.255528, -0.076749, -0.178779],
+            [-0.078411, 0.930809, 0.147602],
+            [0.004733, 0.691367, 0.303900],
         ]
     ),
 }
@@ -68,38 +80,73 @@ def _lab(colour: str, eyes: str) -> Array:
 __all__ = ["isolated"]
 
 LEAST = 4.5  # WCAG 2.2, success criterion 1.4.3
-FRAME = " ▔▁"  # drawn, not read
-CLEAR = 20.0  # CIE76; about 2 is just seen
+FRAME = " ▔▁░"  # drawn, not read
+APART = 14.0  # CIE76, of two fills; about 2 is just seen
 by_palette = pytest.mark.parametrize("palette", PALETTES, ids=lambda palette: palette.name)
 
 
 @by_palette
-@pytest.mark.parametrize("tone", TONES)
-def test_tones_are_read_on_the_ground_and_under_their_own_text(palette: Palette, tone: str) -> None:
-    colour = getattr(palette, tone)
-    assert contrast(colour, palette.background) >= LEAST
-    assert contrast(palette.on, colour) >= LEAST
+@pytest.mark.parametrize("role", ROLES)
+def test_a_role_is_read_on_every_ground_and_under_its_letters(palette: Palette, role: str) -> None:
+    for ground in (palette.ground, palette.panel):
+        assert contrast(palette.ink(role), ground) >= LEAST
+    assert contrast(palette.on(role), palette.fill(role)) >= LEAST
 
 
 @by_palette
 def test_text_is_read_wherever_it_stands(palette: Palette) -> None:
-    for ground in (palette.background, palette.cursor):
-        assert contrast(palette.text, ground) >= LEAST
-    assert contrast(palette.dim, palette.background) >= LEAST
+    grounds = (palette.ground, palette.panel, palette.cursor, palette.badge)
+    for ground in grounds:
+        assert contrast(palette.text, ground) >= 9.0
+        assert contrast(palette.label, ground) >= 5.0
+    for ground in (palette.ground, palette.panel):
+        assert contrast(palette.stale, ground) >= 4.9
+    for role in ("passed", "ask", "fault"):  # the states of the table's row under the cursor
+        assert contrast(palette.ink(role), palette.cursor) >= 4.6, role
+
+
+@by_palette
+def test_high_contrast_is_higher(palette: Palette) -> None:
+    if palette.name.startswith("contrast"):
+        inks = (*map(palette.ink, ROLES), palette.stale)
+        assert min(contrast(ink, palette.ground) for ink in inks) >= 7.0  # AAA
 
 
 @by_palette
 @pytest.mark.parametrize("eyes", MATRICES)
-def test_good_warn_and_bad_differ_for_colour_blind_eyes(palette: Palette, eyes: str) -> None:
-    for one, other in combinations(("good", "warn", "bad"), 2):
-        apart = distance(getattr(palette, one), getattr(palette, other), eyes)
-        assert apart >= CLEAR, (one, other, apart)
+def test_fills_differ_for_colour_blind_eyes(palette: Palette, eyes: str) -> None:
+    meant = [role for role in ROLES if role != "label"]  # grey means nothing
+    for one, other in combinations(meant, 2):
+        apart = distance(palette.fill(one), palette.fill(other), eyes)
+        assert apart >= APART, (one, other, apart)
 
 
 @by_palette
 def test_nothing_else_has_the_colour_of_a_simulation(palette: Palette) -> None:
-    others = {getattr(palette, tone) for tone in TONES if tone != "sim"}
-    assert palette.sim not in others | {palette.text, palette.dim}
+    inks = {palette.ink(role) for role in ROLES if role != "sim"}
+    fills = {palette.fill(role) for role in ROLES if role != "sim"}
+    others = inks | fills | {palette.text, palette.stale, palette.badge, palette.track}
+    assert {palette.sim, palette.sim_fill}.isdisjoint(others)
+
+
+@by_palette
+def test_without_colours_fills_are_reversed_and_the_empty_bar_is_not(palette: Palette) -> None:
+    fills, boxes = _backgrounds(palette.name)
+    for calm in (palette.ground, palette.panel, palette.track):
+        assert _monochrome(Color.parse(calm)) not in fills | boxes
+
+
+def test_sixteen_colours_are_those_that_every_terminal_has() -> None:
+    values = (getattr(IN_SIXTEEN, each.name) for each in fields(Palette))
+    colours = [value for value in values if str(value).startswith("#")]
+    found = {RichColor.parse(value).downgrade(ColorSystem.STANDARD) for value in colours}
+    assert len(found) == len(set(colours))  # no two become one
+    names = {"live": 14, "passed": 10, "ask": 11, "fault": 9, "sim": 13, "label": 7}
+    for role, number in names.items():
+        ink = RichColor.parse(IN_SIXTEEN.ink(role))
+        assert ink.downgrade(ColorSystem.STANDARD).number == number
+        assert contrast(IN_SIXTEEN.ink(role), IN_SIXTEEN.ground) >= LEAST
+        assert contrast(IN_SIXTEEN.on(role), IN_SIXTEEN.fill(role)) >= LEAST
 
 
 def test_the_formula_is_the_standards() -> None:
@@ -149,13 +196,30 @@ def test_the_command_offers_every_theme_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("glyphs", [UNICODE, ASCII], ids=["unicode", "ascii"])
-def test_each_state_has_a_word_and_a_shape_of_its_own(glyphs: Glyphs) -> None:
+def test_each_state_has_its_word_and_a_shape_that_tells_its_role(glyphs: Glyphs) -> None:
     words = [word for word, _ in STATES.values()]
-    shapes = [glyphs.states[key].lower() for key in STATES]
     assert set(glyphs.states) == set(STATES) == set(sample_runs())
     assert len(set(words)) == len(words)
-    assert len(set(shapes)) == len(shapes)
-    assert all(tone in TONES for _, tone in STATES.values())
+    roles: dict[str, set[str]] = {}
+    for key, (_, role) in STATES.items():
+        roles.setdefault(glyphs.states[key], set()).add(role)
+    assert all(len(each) == 1 for each in roles.values()), roles
+    assert {role for each in roles.values() for role in each} <= set(ROLES)
+
+
+WGL4 = "►■□●○▲▼◄×√·•█▀▄▌▐░▒▓─│═║╔╗╚╝┌┐└┘├┤┬┴┼°±−≤Δ"
+
+
+def test_shapes_are_in_the_fonts_of_all_terminals() -> None:
+    values = (getattr(UNICODE, each.name) for each in fields(Glyphs))
+    shapes = "".join(value for value in values if isinstance(value, str))
+    shapes += "".join(UNICODE.states.values())
+    assert {letter for letter in shapes if not letter.isascii()} <= set(WGL4)
+
+
+def test_every_shape_has_one_in_ascii() -> None:
+    assert "?" not in to_ascii(WGL4.replace("Δ", ""))
+    assert len(to_ascii(WGL4)) == len(WGL4)
 
 
 def test_every_state_of_a_run_can_be_shown() -> None:
@@ -167,7 +231,6 @@ def test_every_state_of_a_run_can_be_shown() -> None:
 
 
 def test_ascii_shapes_are_ascii() -> None:
-    shapes = [*ASCII.states.values(), ASCII.fresh, ASCII.moving, ASCII.stale, ASCII.lost]
-    shapes += [ASCII.full, ASCII.empty, ASCII.mark, ASCII.rule, ASCII.over_left, ASCII.over_right]
-    shapes += [ASCII.degree, ASCII.plus_minus, ASCII.delta, ASCII.dot]
-    assert "".join(shapes).isascii()
+    values = (getattr(ASCII, each.name) for each in fields(Glyphs))
+    shapes = "".join(value for value in values if isinstance(value, str))
+    assert (shapes + "".join(ASCII.states.values())).isascii()

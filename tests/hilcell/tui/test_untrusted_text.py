@@ -111,7 +111,7 @@ def test_what_a_prompt_needs_stays_in_sight(text: str) -> None:
     shown = asyncio.run(run_app())
     assert "expected reading: x 4007.5" in shown, shown
     assert "press Enter" in shown
-    assert "◆ ASKS YOU" in shown.splitlines()[0]
+    assert "? ASKS YOU" in shown.splitlines()[0]
     assert "Esc STOP" in shown.splitlines()[-1]
 
 
