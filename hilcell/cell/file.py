@@ -14,6 +14,7 @@ from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
+from unicodedata import normalize
 
 import msgspec
 from msgspec import Meta, field
@@ -411,7 +412,7 @@ def _read(where: str) -> str:
     if where in built_in_cells():
         return (resources.files("hilcell.cells") / f"{where}.toml").read_text("utf-8")
     try:
-        return read_text(Path(where))
+        return normalize("NFC", read_text(Path(where)))  # the letters of names, however typed
     except FileNotFoundError:
         names = built_in_cells()
         hint = f"; built in: {', '.join(names)}{did_you_mean(where, names)}"

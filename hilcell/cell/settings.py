@@ -196,6 +196,9 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
         return msgspec.convert(value, kind, strict=True)
     except msgspec.ValidationError as error:
         allowed = range_text(kind)
+        if isinstance(value, str) and (words := _words(kind)):
+            problems.append(f"{path}: {words} are wanted, found {_short(value)}")
+            return _UNREAD
         hint = f"; allowed: {allowed}" if allowed else ""
         problems.append(f"{path}: {error}, found {_short(value)}{hint}")
         return _UNREAD
@@ -215,6 +218,12 @@ def range_text(kind: Any) -> str:
         limits = ((">", meta.gt), (">=", meta.ge), ("<", meta.lt), ("<=", meta.le))
         bounds += [f"{sign} {limit:g}" for sign, limit in limits if limit is not None]
     return ", ".join(bounds)
+
+
+def _words(kind: Any) -> str:
+    """Return a pattern in words, where the kind has one."""
+    metas = getattr(kind, "__metadata__", ())
+    return next((meta.description for meta in metas if meta.description), "")
 
 
 def _inner_struct(kind: Any) -> type[msgspec.Struct] | None:

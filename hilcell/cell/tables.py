@@ -25,7 +25,13 @@ Rate = Annotated[float, Meta(ge=0, le=1000)]  # um/m, um/(m K)
 Wait = Annotated[float, Meta(ge=0, le=3600)]
 Percent = Annotated[float, Meta(gt=0, le=100)]
 Count = Annotated[int, Meta(ge=1, le=1000)]
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.\- ]{0,63}$")]
+Name = Annotated[
+    str,
+    Meta(
+        pattern=r"^[^\W_][\w.\- ]{0,63}$",
+        description="1 to 64 letters, digits, '_', '.', '-' and spaces, the first no sign",
+    ),
+]
 Point = tuple[Length, Length, Length]
 Sweep = tuple[Angle, Angle]
 Six = tuple[Angle, Angle, Angle, Angle, Angle, Angle]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
+import unicodedata
 
 from hilcell.clean import clean
 
@@ -63,8 +64,9 @@ def ports_of(text: str) -> dict[str, int]:
 
 
 def run_name(text: str) -> str:
-    """Return a name that a folder can have."""
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", text) or text == "last":
+    """Return a name that a folder can have, in letters of any language."""
+    text = unicodedata.normalize("NFC", text)
+    if not re.fullmatch(r"[^\W_][\w.-]{0,99}", text) or text == "last":
         raise argparse.ArgumentTypeError(
             "1 to 100 letters, digits, '_', '.' and '-' are wanted, the first a letter or digit, "
             f"found {text[:80]!r}"

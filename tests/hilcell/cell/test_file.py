@@ -1,5 +1,6 @@
 """Cell files: every problem at once, the nearest key, nothing that is not finite."""
 
+import unicodedata
 from importlib import resources
 from pathlib import Path
 
@@ -71,7 +72,7 @@ def test_collinear_slide_nests_are_refused() -> None:
         ("layout.rail_direction", "[0.0, 0.5, 0.0]", "length 1"),
         ("rail.travel_max_mm", "1500.0", "station S1900: rail_mm 1900.0 is outside"),
         ("robot.joint", "[]", "six joints are wanted, found 0"),
-        ("name", '"a/b"', "Expected `str` matching regex"),
+        ("name", '"a/b"', "1 to 64 letters, digits, '_'"),
         ("rail", "3", "rail: a table is expected, found 3"),
         ("grid.size_mm", "[9000.0, 9000.0, 9000.0]", "29791 vertices, at most 1000"),
         ("grid.pitch_mm", "0.1", "vertices, at most 1000"),
@@ -358,3 +359,13 @@ def test_a_pose_leaves_room_to_come_from_below(margin_deg: float, low_deg: float
 def test_every_other_station_has_a_target() -> None:
     with pytest.raises(SettingsError, match=r"validation.others: 1 targets, wanted one at each of"):
         load_cell("paper", {"validation.others": "1"})
+
+
+def test_names_have_letters_of_every_language_however_typed(tmp_path: Path) -> None:
+    text = resources.files("hilcell.cells").joinpath("paper.toml").read_text("utf-8")
+    file = tmp_path / "cell.toml"
+    typed = unicodedata.normalize("NFD", text.replace("S1900", "Süd").replace('"F1"', '"床1"'))
+    file.write_text(typed, "utf-8")
+    cell = load_cell(str(file))
+    assert "Süd" in [station.name for station in cell.station]
+    assert "床1" in [nest.name for nest in cell.layout.floor]

@@ -20,7 +20,7 @@ BAD_VALUES = {
     "--colors": ["17"],
     "--temperature": ["nan", "warm"],
     "--max-age": ["-1", "inf"],
-    "--name": ["last", "../x", "é", ""],
+    "--name": ["last", "../x", "é/", "_x", ""],
 }
 REFUSED_NAMES = ["compare", "show", "resume", "pause", "stop", "watch", "revoke", "explain"]
 MUST_HAVE = ["show", "report", "export", "compensate", "prepare", "plan", "fit", "check", "compare"]
