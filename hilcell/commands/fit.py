@@ -6,13 +6,15 @@ import argparse
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
+
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.fit_targets import correct, job_of
 from hilcell.commands.output import print_data, print_json, print_message, print_table
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.fit.fitted_arm import FittedArm
 from hilcell.fit.methods import FitResult, Fitted, fitted, methods_table
-from hilcell.fit.robot_file import Robot, read_measurements, read_robot
+from hilcell.fit.robot_file import Measurements, Robot, read_measurements, read_robot
 from hilcell.fit.urdf_file import read_urdf
 
 URDF = ".urdf"
@@ -25,6 +27,8 @@ def fit(args: argparse.Namespace) -> int:
     robot = _robot(Path(args.robot), args.tip)
     train = read_measurements(Path(args.train))
     test = read_measurements(Path(args.test)) if args.test else None
+    if test is not None:
+        _warn_of_shared(train, test)
     inputs = [Path(each) for each in (args.robot, args.train, args.test) if each]
     job = job_of(args, train, inputs)
     found = fitted(robot, train, test)
@@ -107,6 +111,19 @@ def _warn_of_many(result: FitResult) -> None:
         f"warning: {struck.total()} of {result['train']} training rows are left out, wanted at "
         f"most {MANY:.0%}; bounds may be too small; look at {look}, and measure again"
     )
+
+
+def _warn_of_shared(train: Measurements, test: Measurements) -> None:
+    """Warn of test rows that were learnt from: they judge nothing."""
+    learnt, judged = (
+        set(map(tuple, np.column_stack([each.xyz_mm, each.joints_rad]).tolist()))
+        for each in (train, test)
+    )
+    if shared := len(learnt & judged):
+        print_message(
+            f"warning: {shared} rows of {test.source} are training rows too; a test needs rows "
+            "that nothing was learnt from: leave them out, or leave --test away"
+        )
 
 
 def _robot(path: Path, tip: str) -> Robot:

@@ -120,3 +120,13 @@ def test_why_no_robot_is_identified_is_said(
     write_rows(folder / "train.csv", measured(1, 14, ["SMR1"]))
     assert fit(folder, "robot.urdf") == 0
     assert "no robot is identified: kinematics: 14 poses" in capsys.readouterr().err
+
+
+def test_test_rows_that_were_learnt_from_are_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rows(folder / "other.csv", measured(2, 5, ["SMR1"]))
+    assert fit(folder, "robot.toml", "--test", str(folder / "other.csv")) == 0
+    assert "training rows too" not in capsys.readouterr().err
+    assert fit(folder, "robot.toml", "--test", str(folder / "train.csv")) == 0
+    assert "25 rows of" in capsys.readouterr().err
