@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fakes.faults import UNTIL_CLEARED, Value
+from hilcell.cell.file import Cell
 from hilcell.ports import Exercise
 
 
@@ -45,3 +46,8 @@ EXERCISES: Sequence[FaultExercise] = (
     FaultExercise("somebody has pushed the held slide", "HC-S05", "rail.pushed", 30.0),
     _lasting("the strip's head has lost its strip", "HC-S01", "rail.missing_magnet"),
 )
+
+
+def exercises_of(cell: Cell) -> Sequence[FaultExercise]:
+    """Return the faults to practise on in a cell: none of a rail that it lacks."""
+    return [each for each in EXERCISES if cell.has_rail or not each.fault.startswith("rail.")]

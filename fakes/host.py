@@ -1,4 +1,7 @@
-"""A whole simulated cell in one process: plant, three device servers, control channel."""
+"""A whole simulated cell in one process: plant, device servers, control channel.
+
+A cell without a rail has no server of one.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from fakes.krl_controller import KrlController
 from fakes.listener import HOST
 from fakes.plant import Plant
 from fakes.rail_server import RailServer
+from fakes.rail_truth import RailTruth
 from fakes.replay_plant import ReplayPlant
 from fakes.time import PlantTime
 from hilcell.cell.file import Cell
@@ -58,7 +62,9 @@ class Host:
         plant = _plant(cell, order, time, faults)
         harms = (plant.lose_zero, plant.slip_mount, plant.lose_motion)
         controller = KrlController(cell, plant.robot, faults, *harms)
-        self._rail = RailServer(plant.rail, faults, cell, time, port=ports.rail)
+        self._rail: RailServer | None = None
+        if isinstance(plant.rail, RailTruth):
+            self._rail = RailServer(plant.rail, faults, cell, time, port=ports.rail)
         self._robot = C3Server(controller, faults, time.catch_up, port=ports.robot)
         streams = None if plant.streams is None else (plant.streams, time)
         device = EmsconDevice(cell, plant.tracker, faults, streams)
@@ -76,8 +82,9 @@ class Host:
 
     def addresses(self) -> dict[str, Any]:
         """Return where everything listens, and how time passes."""
+        rail = self._rail
         return {
-            "rail": {"channel": f"socket://{HOST}:{self._rail.port}"},
+            "rail": {"channel": f"socket://{HOST}:{rail.port}"} if rail is not None else {},
             "robot": {"host": HOST, "port": self._robot.port},
             "tracker": {"host": HOST, "port": self._tracker.port},
             "control": self._control.address,
@@ -87,7 +94,8 @@ class Host:
     def run(self) -> None:
         """Serve until `end`."""
         with ExitStack() as stack:
-            for server in (self._rail, self._robot, self._tracker, self._control):
+            of_rail = () if self._rail is None else (self._rail,)
+            for server in (*of_rail, self._robot, self._tracker, self._control):
                 stack.callback(server.close)
                 server.start()
             self._ended.wait()

@@ -13,6 +13,7 @@ import numpy as np
 
 from fakes.arm_truth import ArmTruth
 from fakes.faults import Faults
+from fakes.floor_truth import FloorTruth
 from fakes.machine import Machine, machine_of
 from fakes.noise import KeyedNoise
 from fakes.rail_truth import RailTruth
@@ -38,7 +39,7 @@ class Plant:
         machine = machine_of(cell)
         mounting = machine.mounting
         self.cell, self.time = cell, time
-        self.rail = RailTruth(cell, seed, time, faults)
+        self.rail = RailTruth(cell, seed, time, faults) if cell.has_rail else FloorTruth(cell)
         arm = self.arm = _arm(cell, machine, fixed.generator("arm"))
         self.robot = RobotMotion(
             cell, time, lambda key: arm.joint_sigma_rad * landing.normal(key, 6)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fakes.faults import Faults
+from fakes.floor_truth import FloorTruth
 from fakes.rail_truth import RailTruth
 from fakes.robot_motion import RobotMotion
 from fakes.time import PlantTime
@@ -30,7 +31,7 @@ class ReplayPlant:
 
     def __init__(self, cell: Cell, data: Path, time: PlantTime, faults: Faults) -> None:
         self.cell, self.time = cell, time
-        self.rail = RailTruth(cell, 0, time, faults)
+        self.rail = RailTruth(cell, 0, time, faults) if cell.has_rail else FloorTruth(cell)
         self.robot = RobotMotion(cell, time, lambda key: np.zeros(6))
         self.tracker = ReplayTracker(data, self.robot)
         self.streams = None

@@ -18,7 +18,7 @@ from typing import IO, Any, cast
 
 import msgspec
 
-from fakes.exercises import EXERCISES, FaultExercise
+from fakes.exercises import FaultExercise, exercises_of
 from fakes.faults import load_faults
 from fakes.machine import machine_of
 from hilcell.cell.file import Cell
@@ -36,8 +36,6 @@ NO_PORTS: Mapping[str, int] = MappingProxyType({})
 class PaperCell:
     """The paper's cell, or any other, on simulated hardware."""
 
-    exercises: Sequence[Exercise] = EXERCISES
-
     def __init__(
         self,
         cell: Cell,
@@ -50,6 +48,7 @@ class PaperCell:
     ) -> None:
         """``ports``: of ``rail``, ``robot``, ``tracker`` and ``control``; others are free ones."""
         self.check(cell)
+        self.exercises: Sequence[Exercise] = exercises_of(cell)
         load_faults(faults)  # so that a wrong file is refused here, in full
         self._process: subprocess.Popen[bytes] | None = None
         attach = cell.simulation.address if cell.simulation is not None else ""

@@ -81,18 +81,21 @@ STATION_REPEATABILITY = Procedure(
     "15 approaches of a station without and with the strip",
     (Home(), WorldFrame(), StationRepeatability()),
     approach_table,
+    of_rail=True,
 )
 RAIL_SURVEY = Procedure(
     "rail-survey",
     "the rail's error there and back, backlash, straightness, angles",
     (Home(), WorldFrame(), RailSurvey()),
     survey_table,
+    of_rail=True,
 )
 FRAME_REPEATABILITY = Procedure(
     "frame-repeatability",
     "six slide points in base and station frames at every station",
     (*TO_STATION, BaseFrame(), RobotGrid(), StationFrames(), FrameRepeatability()),
     frame_repeatability_table,
+    of_rail=True,
 )
 AXIS_SWEEPS = Procedure(
     "axis-sweeps",
@@ -103,7 +106,11 @@ AXIS_SWEEPS = Procedure(
 BASE_FRAME = Procedure("base-frame", "frame {B}", (*TO_STATION, BaseFrame()), point_table)
 ROBOT_GRID = Procedure("robot-grid", "measure the robot's error on the grid", TO_GRID, point_table)
 STATION_FRAMES = Procedure(
-    "station-frames", "frame the slide at every station", (*TO_GRID, StationFrames()), station_table
+    "station-frames",
+    "frame the slide at every station",
+    (*TO_GRID, StationFrames()),
+    station_table,
+    of_rail=True,
 )
 SIGN_CHECK = Procedure(
     "sign-check",

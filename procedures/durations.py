@@ -117,6 +117,8 @@ def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
 
 def first_hold(cell: Cell, station: Station) -> list[Span]:
     """Return the spans of a run's first way to a station, from the reference on."""
+    if not cell.has_rail:
+        return []
     way_s = approach_s(cell, cell.rail.travel_min_mm, station)
     return [Span("leg", 0, way_s), *hold_proof(cell)]
 
@@ -141,6 +143,8 @@ def step(name: str, points: int, spans: Sequence[Span]) -> Step:
 
 def homing_s(cell: Cell) -> float:
     """Return how long the drive takes to its reference from the middle of the travel, and rests."""
+    if not cell.has_rail:
+        return 0.0
     half_mm = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 2
     way_s = half_mm / min(cell.rail.homing_mm_s, cell.rail.speed_mm_s)
     return way_s + SEEN_S + cell.settle.rail_s

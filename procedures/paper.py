@@ -96,4 +96,5 @@ PAPER = Procedure(
     "every system and experiment of the paper, its figures beside ours",
     (*EXPERIMENTS, PaperRows()),
     paper_table,
+    of_rail=True,
 )

@@ -53,6 +53,8 @@ class StationFrames:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse nests out of the tracker's range at any station."""
+        if not cell.has_rail:
+            return Step(self.name, 0, 0.0, note="the robot stands on the floor")
         nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), nests_mm)
@@ -103,6 +105,9 @@ def frame_station(session: CellSession, station: Station) -> None:
     if f"station.{station.name}" in session.log.frames:
         return
     cell = session.cell
+    if not cell.has_rail:
+        _frame_fixed(session, station)
+        return
     reference = cell.station_named(cell.grid.station)
     session.hold_station(station)
     session.park_robot()
@@ -130,6 +135,23 @@ def frame_station(session: CellSession, station: Station) -> None:
         tool_uncertainty_mm=tool_uncertainty_mm(cell, fit),
         cube_uncertainty_mm=cube_mm,
         left_out=left_out,
+    )
+
+
+def _frame_fixed(session: CellSession, station: Station) -> None:
+    """Journal {B} as {S}, by either way: on the floor no nest carries it anywhere."""
+    base = session.log.matrix("base")
+    points = [session.log.points[key] for key in session.log.frames["base"].get("points", [])]
+    session.frame(f"{THREE}.{station.name}", base, points=points)
+    session.frame(
+        f"station.{station.name}",
+        base,
+        points=points,
+        covariance=np.zeros((6, 6)),
+        rms_mm=0.0,
+        strip_mm=station.strip_mm,
+        tool_uncertainty_mm=0.0,
+        cube_uncertainty_mm=0.0,
     )
 
 

@@ -125,4 +125,5 @@ TOUCH = Procedure(
     touch_table,
     words=touch_words,
     uses=TABLE,
+    of_rail=True,
 )

@@ -217,7 +217,7 @@ def _placed(log: Log, station: Station) -> list[Influence]:
         "Station frame", MEASURED, how if carried else "the grid was measured here", "5.2.2",
         "world", moved_frame(base_covariance(log, station)), (x_mm, y_mm, z_mm),
     )  # fmt: skip
-    return [frame, _strip(log)]
+    return [frame, _strip(log)] if log.cell.has_rail else [frame]
 
 
 def touched(log: Log, station: Station) -> Influence | None:

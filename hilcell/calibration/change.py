@@ -30,7 +30,7 @@ MOST_LEFT = 0.5  # of chi^2, by a cause that is named
 
 class Differences(msgspec.Struct, frozen=True):
     """Differences (N, 3) in {B} at joints (N, 6), their covariance (3N, 3N), and the degrees of
-    freedom of its estimate. ``rail`` (3,) is the rail's direction in {B}.
+    freedom of its estimate. ``rail`` (3,) is the rail's direction in {B}, 0 without one.
 
     Of poses in the order of their first visits the first ones may have changed, and the others
     been visited after the change: so many as one of ``firsts`` says.
@@ -103,8 +103,8 @@ class _Explained(NamedTuple):
 def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
     """Return every cause at every moment at which it may have come."""
     explained = []
-    strip = strip_pattern(found.rail, len(found.joints_rad))
-    for cause, all_columns, factor, unit in [*patterns(arm, found.joints_rad), strip]:
+    strip = [strip_pattern(found.rail, len(found.joints_rad))] if found.rail.any() else []
+    for cause, all_columns, factor, unit in [*patterns(arm, found.joints_rad), *strip]:
         for first in found.firsts:
             columns = all_columns.copy()
             columns[3 * first :] = 0.0

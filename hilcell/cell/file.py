@@ -19,6 +19,7 @@ from unicodedata import normalize
 import msgspec
 from msgspec import Meta, field
 
+from hilcell.cell.fixed import NO_RAIL, completed
 from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
 from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.lines import with_lines
@@ -111,7 +112,8 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        refuse_descending(self, "travel_min_mm", "travel_max_mm")
+        if self.driver != NO_RAIL:
+            refuse_descending(self, "travel_min_mm", "travel_max_mm")
 
     @property
     def held_within_mm(self) -> float:
@@ -270,6 +272,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
         return (
             self._bad_names,
             self._bad_grid_station,
+            self._bad_fixed,
             self._bad_stations,
             self._bad_strips,
             self._bad_cell_counts,
@@ -292,8 +295,29 @@ class Cell(Frozen, frozen=True, kw_only=True):
                 f"grid.station: grid.station {self.grid.station!r} is none of {', '.join(names)}"
             )
 
+    def _bad_fixed(self) -> Iterator[str]:
+        """Yield what a cell without a rail states of one."""
+        if self.has_rail:
+            if not self.layout.slide:
+                yield "layout.slide: a slide needs nests"
+            return
+        if len(self.station) > 1:
+            yield f"station: a cell without [rail] has one station, found {len(self.station)}"
+        for n, station in enumerate(self.station):
+            if station.rail_mm or station.strip_mm:
+                yield (
+                    f"station[{n}].rail_mm: station {station.name}: rail_mm {station.rail_mm}, "
+                    "but the cell has no [rail]; state it, or leave the station out"
+                )
+        if self.layout.slide:
+            yield "layout.slide: nests ride on a slide, but the cell has no [rail]"
+        if self.touch.poses:
+            yield "touch.poses: they follow the slide's stops, but the cell has no [rail]; wanted 0"
+
     def _bad_stations(self) -> Iterator[str]:
         rail = self.rail
+        if not self.has_rail:
+            return
         low_mm, high_mm = rail.travel_min_mm + rail.back_off_mm, rail.travel_max_mm
         for n, station in enumerate(self.station):
             if not low_mm <= station.rail_mm <= high_mm:
@@ -311,6 +335,8 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     def _bad_strips(self) -> Iterator[str]:
         rail = self.rail
+        if not self.has_rail:
+            return
         for n, station in enumerate(self.station):
             for other in self.station[:n]:
                 if not abs(station.strip_mm - other.strip_mm) > rail.strip_tolerance_mm:
@@ -335,12 +361,19 @@ class Cell(Frozen, frozen=True, kw_only=True):
             yield f"validation.others: {targets} targets, wanted one at each of {others} stations"
 
     def _bad_survey(self) -> Iterator[str]:
+        if not self.has_rail:
+            return
         for end_mm in (self.survey.from_mm, self.survey.to_mm):
             if not self.rail.travel_min_mm <= end_mm <= self.rail.travel_max_mm:
                 yield (
                     f"survey: {end_mm} mm is outside the travel {self.rail.travel_min_mm} .. "
                     f"{self.rail.travel_max_mm} mm"
                 )
+
+    @property
+    def has_rail(self) -> bool:
+        """Whether the robot rides on a rail; without one it stands on the floor."""
+        return self.rail.driver != NO_RAIL
 
     @cached_property
     def surroundings(self) -> Surroundings | None:
@@ -395,7 +428,7 @@ def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
     for key, value in changed.items():
         override(values, key, value)
     try:
-        return convert(values, Cell, where)
+        return convert(completed(values), Cell, where)
     except SettingsError as error:
         if where in built_in_cells():
             raise

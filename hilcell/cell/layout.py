@@ -47,7 +47,10 @@ class KnownLength(Frozen, frozen=True, kw_only=True):
 
 
 class Layout(Frozen, frozen=True, kw_only=True):
-    """Where the rail stands: nominal {B} in {W} at rail 0, the rail's direction in {W}."""
+    """Where the rail stands: nominal {B} in {W} at rail 0, the rail's direction in {W}.
+
+    Without a rail the direction is nought, and there are no nests of a slide.
+    """
 
     base: Pose
     rail_direction: Point
@@ -69,14 +72,15 @@ class Layout(Frozen, frozen=True, kw_only=True):
             self._bad_direction,
             self._bad_names,
             lambda: _bad_frame("floor", self.floor),
-            lambda: _bad_frame("slide", self.slide),
+            lambda: _bad_frame("slide", self.slide) if self.slide else (),
             lambda: _too_close("bar", self.bar),
             self._bad_lengths,
             self._unused_bars,
         )
 
     def _bad_direction(self) -> Iterator[str]:
-        if not abs(np.linalg.norm(self.rail_direction) - 1) < 1e-6:
+        fixed = not self.slide and not any(self.rail_direction)
+        if not (fixed or abs(np.linalg.norm(self.rail_direction) - 1) < 1e-6):
             yield "rail_direction must have length 1"
 
     def _bad_names(self) -> Iterator[str]:

@@ -100,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
     if warning := check_copied(args.cell, cell):
         print_message(warning)
     procedure: Procedure = load_entry("procedures", args.procedure)
+    procedure.check(cell)
     accepted: list[str] = []
     if procedure.uses:
         accepts = Accepts(args.accept_out_of_tolerance, args.accept_not_current)

@@ -268,6 +268,7 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
             "cell": cell.name,
             "digest": cell.digest,
             "simulated": cell.simulation is not None,
+            "rail": cell.has_rail,
             "steps": msgspec.to_builtins(plan.steps),
             "points": plan.points,
             "duration_s": plan.duration_s,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from hilcell.calibration.decision import RULE
 from hilcell.calibration.measurement_budget import Budget
+from hilcell.cell.file import Cell
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import certified
@@ -39,8 +40,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.2.1 e", "Job", inputs.job),
         Item("7.8.2.1 f", "Method", procedure_words(facts)),
         Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
-             f"{cell.robot.name}{_robot_serial(facts)}; {len(cell.station)} stations on a rail of "
-             f"{cell.rail.travel_max_mm - cell.rail.travel_min_mm:g} mm"),
+             f"{cell.robot.name}{_robot_serial(facts)}; {_stands(cell)}"),
         Item("7.8.2.1 g, h", "Condition of the item, date of receipt"),
         Item("7.8.2.1 i", "Date of measurement", _dates(facts)),
         Item("7.8.2.1 j", "Date of issue"),
@@ -61,6 +61,14 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
              + ("volume, orientation and temperatures stated here" if measured_air else
                 "volume and orientation stated here; no temperature was measured")),
     ]  # fmt: skip
+
+
+def _stands(cell: Cell) -> str:
+    """Return where the robot works."""
+    if not cell.has_rail:
+        return "on the floor, without a rail"
+    travel_mm = cell.rail.travel_max_mm - cell.rail.travel_min_mm
+    return f"{len(cell.station)} stations on a rail of {travel_mm:g} mm"
 
 
 def title(facts: Facts) -> str:

@@ -140,6 +140,7 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
     serials = {asset.kind: asset.serial for asset in facts.log.assets}
     robot = f", serial {serials['robot']}" if "robot" in serials else ""
     travel_m = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 1000
+    on = f"on a rail of {travel_m:g} m" if cell.has_rail else "on the floor, without a rail"
     names = ", ".join(station.name for station in cell.station[:MOST_PLACES])
     more = f" and {len(cell.station) - MOST_PLACES} more" if len(cell.station) > MOST_PLACES else ""
     return [
@@ -148,7 +149,7 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
         Fact("Run", facts.run),
         Fact("Job", facts.inputs.job),
         Fact("Cell", f"{cell.name}, serial {cell.serial}"),
-        Fact("Robot", f"{cell.robot.name}{robot}, on a rail of {travel_m:g} m"),
+        Fact("Robot", f"{cell.robot.name}{robot}, {on}"),
         Fact("Stations", names + more),
         Fact("Measured", f"{measured} UTC"),
         Fact("Operator", facts.inputs.operator),

@@ -122,7 +122,8 @@ def standing(facts: Facts) -> tuple[str, str]:
 def lead(facts: Facts) -> str:
     """Return what the report is about, in a line."""
     if facts.log.calibration == "validated" and not is_paper(facts):
-        return "Robot on a rail: position errors of the tool point and their correction"
+        robot = "Robot on a rail" if facts.cell.has_rail else "Robot"
+        return f"{robot}: position errors of the tool point and their correction"
     return facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
 
 

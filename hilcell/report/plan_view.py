@@ -75,14 +75,25 @@ class _Plan:
         found: Array = apply(self._cell.layout.nominal_base(station.rail_mm), corners)[:, :2]
         return found
 
+    def _along(self) -> Array:
+        """Return the rail's direction (2,), or x of a base that stands on the floor."""
+        layout = self._cell.layout
+        found: Array = np.array(
+            layout.rail_direction if self._cell.has_rail else layout.nominal_base(0.0)[:3, 0]
+        )[:2]
+        return found
+
     def _across(self) -> Array:
         """Return half the rail's width (2,) as drawn, square to its direction."""
-        along = np.array(self._cell.layout.rail_direction)[:2]
+        along = self._along()
         found: Array = np.array([-along[1], along[0]]) * RAIL_WIDE_MM / 2
         return found
 
     def _rail_corners(self) -> Array:
         (begin, end), across = self._rail_mm, self._across()
+        if not self._cell.has_rail:  # a pedestal
+            half = self._along() * RAIL_WIDE_MM / 2
+            begin, end = begin - half, end + half
         return np.array([begin + across, end + across, end - across, begin - across])
 
     def _rail(self) -> Iterator[str]:

@@ -105,6 +105,8 @@ STATIONS: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
 
 def stations(facts: Facts) -> Sheet | None:
     """Return the quality of each station's frame that this run measured, of no adopted one."""
+    if not facts.cell.has_rail:
+        return None
     found = ((each, facts.log.frames.get(f"station.{each.name}")) for each in facts.cell.station)
     rows = ((station, frame) for station, frame in found if frame and "strip_mm" in frame)
     note = (

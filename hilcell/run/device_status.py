@@ -75,7 +75,8 @@ class DeviceMonitor:
 class CellMonitor:
     """The monitors of a cell's devices, and the devices as the run uses them."""
 
-    def __init__(self, devices: Devices) -> None:
+    def __init__(self, devices: Devices, *, has_rail: bool = True) -> None:
+        self._has_rail = has_rail
         self.rail, self.strip = DeviceMonitor(), DeviceMonitor()
         self.robot, self.tracker = DeviceMonitor(), DeviceMonitor()
         self.rail_reading: RailReading | None = None
@@ -127,14 +128,10 @@ class CellMonitor:
         return reading
 
     def status(self) -> dict[str, DeviceStatus]:
-        """Return the status of all devices by name."""
+        """Return the status of all devices by name; without a rail, none of rail and strip."""
         now_s = time.monotonic()
-        monitors = {
-            "rail": self.rail,
-            "strip": self.strip,
-            "robot": self.robot,
-            "tracker": self.tracker,
-        }
+        of_rail = {"rail": self.rail, "strip": self.strip} if self._has_rail else {}
+        monitors = of_rail | {"robot": self.robot, "tracker": self.tracker}
         return {name: monitor.status(now_s) for name, monitor in monitors.items()}
 
 

@@ -171,6 +171,8 @@ def overview(cell: Cell, sight: Sight) -> list[Interlock]:
     """Return for each interlock its name and what blocks it, from last readings, for faces."""
 
     def held(operation: str) -> None:
+        if not cell.has_rail:
+            return
         _check_known("Rail", operation, sight.rail, sight.rail_moves, sight.now_s)
         if sight.rail is not None:
             check_held(cell, sight.rail, sight.station, operation)
@@ -188,8 +190,9 @@ def overview(cell: Cell, sight: Sight) -> list[Interlock]:
                 "HC-B31", "Robot", MEASURE_BLOCKED, "the robot is moving", wanted="at rest"
             )
 
+    of_rail = [Interlock("rail move", _reason(parked))] if cell.has_rail else []
     return [
-        Interlock("rail move", _reason(parked)),
+        *of_rail,
         Interlock("robot move", _reason(lambda: held(ROBOT_BLOCKED))),
         Interlock("measurement", _reason(at_rest)),
     ]

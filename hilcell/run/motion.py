@@ -38,6 +38,9 @@ class Motion:
 
     def home_rail(self) -> None:
         """Find the drive's reference; the robot goes to its safe pose first."""
+        if not self._run.cell.has_rail:
+            self.park_robot()
+            return
         self._prepare_rail("rail.home", {})
         self._run.devices.rail.home()
         self._hold_rail()
@@ -52,11 +55,12 @@ class Motion:
     def hold_station(self, station: Station, *, again: bool = False) -> None:
         """Bring the slide to ``station`` by the strip and hold it there.
 
-        A slide that a resumed run finds at the station, by the strip, stays there.
+        A slide that a resumed run finds at the station, by the strip, stays there. Without a rail
+        the robot is always found at its station.
         """
         if self.held == station and not again:
             return
-        if not again and self._stands_at(station):
+        if not self._run.cell.has_rail or (not again and self._stands_at(station)):
             self.held = station
             self._run.event("station found held", station=station.name)
             return

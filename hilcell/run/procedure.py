@@ -96,7 +96,8 @@ class Procedure:
     """Acts in their order, found by name through the entry points ``hilcell.procedures``.
 
     ``words`` say the result in a sentence, if one can. ``uses`` is the cell's table that names the
-    calibration which the procedure starts from, if it does.
+    calibration which the procedure starts from, if it does. ``of_rail``: it measures a rail, or
+    what only a rail makes necessary.
     """
 
     name: str
@@ -105,9 +106,21 @@ class Procedure:
     table: Callable[[dict[str, Any]], Table]
     words: Callable[[dict[str, Any]], str] = _no_words
     uses: str = ""
+    of_rail: bool = False
+
+    def check(self, cell: Cell) -> None:
+        """Refuse a cell without the rail that this procedure is about; raises `HilcellError`."""
+        if self.of_rail and not cell.has_rail:
+            raise HilcellError(
+                f"{self.name} refused before anything moves: cell {cell.name} has no rail, its "
+                "robot stands on the floor; choose a procedure of robot and tracker, such as "
+                "calibrate or iso9283",
+                code="HC-C10",
+            )
 
     def plan(self, cell: Cell, seed: int) -> Plan:
         """Return the plan; raises one `HilcellError` with every refusal of every act."""
+        self.check(cell)
         steps, refusals = [], []
         try:
             check_rides(cell)

@@ -56,14 +56,14 @@ class StationGuard:
     def hold(self, station: Station) -> None:
         """Hold a station and prove it, unless it was proven since the slide last moved.
 
-        Without {W}, and where the reflector is carried by hand, nothing can be proven. Raises
-        `BlockLost` where it was the tracker that has moved. A strip that has jumped pauses an
-        attended run; `DeviceError` where the slide is still beside its place afterwards.
+        Without {W}, without a rail, and where the reflector is carried by hand, nothing can be
+        proven. Raises `BlockLost` where it was the tracker that has moved. A strip that has jumped
+        pauses an attended run; `DeviceError` where the slide is still beside its place afterwards.
         """
         self._motion.hold_station(station)
         log = self._run.log
         framed = world_key(log.set_ups.number) in log.frames
-        if not framed or self._run.cell.layout.by_hand:
+        if not (framed and self._run.cell.has_rail) or self._run.cell.layout.by_hand:
             return
         if self._proven == (station.name, log.visit):
             return

@@ -94,7 +94,7 @@ class Worker:
         unattended: bool,
         changes: Changes = NONE,
     ) -> None:
-        self.monitor = CellMonitor(devices)
+        self.monitor = CellMonitor(devices, has_rail=cell.has_rail)
         self.devices = self.monitor.devices
         self.gate = PauseGate(lambda: send(AtRest()))
         self.asking = Asking()

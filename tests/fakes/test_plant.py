@@ -6,8 +6,9 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.plant import FLANGE, Plant
+from fakes.rail_truth import RailTruth
 from fakes.time import PlantTime
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Array, forward
 
@@ -16,6 +17,11 @@ DEG = np.pi / 180
 
 def plant_of(cell: Cell, seed: int = 1) -> Plant:
     return Plant(cell, seed, PlantTime(), Faults())
+
+
+def rail_of(plant: Plant) -> RailTruth:
+    assert isinstance(plant.rail, RailTruth)
+    return plant.rail
 
 
 def go(plant: Plant, joints_deg: Array, polls: int = 0) -> None:
@@ -93,8 +99,8 @@ def test_reflectors_stand_near_their_nominal_places(cell: Cell) -> None:
 def test_slide_nests_and_robot_ride_rigidly(cell: Cell) -> None:
     plant = plant_of(cell)
     before, base_before = plant.reflectors_in_world(), plant.base_in_world()
-    plant.rail.brake(closed=False)
-    plant.rail.move(1000.0, 250.0, 200.0)
+    rail_of(plant).brake(closed=False)
+    rail_of(plant).move(1000.0, 250.0, 200.0)
     plant.time.advance(60.0)
     after, base_after = plant.reflectors_in_world(), plant.base_in_world()
     names = [nest.name for nest in cell.layout.slide] + [FLANGE]
@@ -200,13 +206,14 @@ def test_the_machine_is_the_same_under_another_plan(cell: Cell) -> None:
 
 def _facts(plant: Plant) -> list[Array]:
     """Return what the seed fixes of robot, rail, strip, nests and tracker."""
-    plant.rail.brake(closed=False)
+    rail = rail_of(plant)
+    rail.brake(closed=False)
     strip, slide = [], []
     for target_mm in (200.0, 900.0, 300.0, 2200.0):
-        plant.rail.move(target_mm, 250.0, 200.0)
+        rail.move(target_mm, 250.0, 200.0)
         plant.time.advance(60.0)
-        strip.append(plant.rail.poll().strip_mm)
-        slide.append(plant.rail.slide_pose())
+        strip.append(rail.poll().strip_mm)
+        slide.append(rail.slide_pose())
     joints = np.radians(POSES).astype(float)
     places = plant.places_in_world()
     return [
@@ -219,3 +226,12 @@ def _facts(plant: Plant) -> list[Array]:
         np.array(plant.tracker.pose_in_world),
         visit(plant, POSES[0]),
     ]
+
+
+def test_a_robot_on_the_floor_stands_and_is_bolted_askew() -> None:
+    cell = load_cell("fixed")
+    plant = plant_of(cell)
+    assert (plant.rail.slide_mm(), plant.rail.still) == (0.0, True)
+    assert {FLANGE, "F1", "B1"} <= plant.reflectors_in_world().keys()
+    askew_mm = np.linalg.norm((plant.base_in_world() - cell.layout.nominal_base(0.0))[:3, 3])
+    assert 0.1 < askew_mm < 10.0

@@ -13,6 +13,7 @@ import numpy as np
 
 from fakes.faults import Faults
 from fakes.plant import Plant
+from fakes.rail_truth import RailTruth, _Shape
 from fakes.time import PlantTime
 from hilcell.calibration.file import compensate_targets, read_calibration
 from hilcell.calibration.frames import grid_of, world_from_tracker
@@ -48,7 +49,7 @@ def true_errors_mm(calibration: Path, cell: Cell, truth: Truth) -> dict[str, Arr
     errors = {}
     for station in cell.station:
         slide_mm = _slide_mm(plant, station.strip_mm - truth.strip_jump_mm)
-        slide = plant.rail._shape.pose(slide_mm) @ plant._bolted
+        slide = _shape(plant).pose(slide_mm) @ plant._bolted
         targets = world @ slide @ plant.arm.ideal_base @ places
         names = [str(n) for n in range(len(targets))]
         sent = poses_from_zyx(
@@ -74,5 +75,11 @@ def _slide_mm(plant: Plant, strip_mm: float) -> float:
     """Return where the slide stands when the strip reads ``strip_mm``."""
     slide_mm = strip_mm
     for _ in range(10):
-        slide_mm += strip_mm - plant.rail._shape.strip_mm(slide_mm)
+        slide_mm += strip_mm - _shape(plant).strip_mm(slide_mm)
     return slide_mm
+
+
+def _shape(plant: Plant) -> _Shape:
+    """Return what the seed fixes of the rail."""
+    assert isinstance(plant.rail, RailTruth)
+    return plant.rail._shape

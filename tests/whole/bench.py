@@ -164,13 +164,17 @@ class Simulation:
 
 @contextmanager
 def simulation(
-    speed: float = math.inf, values: Mapping[str, str] | None = None, *, faults: str = ""
+    speed: float = math.inf,
+    values: Mapping[str, str] | None = None,
+    *,
+    name: str = "paper",
+    faults: str = "",
 ) -> Iterator[Simulation]:
     """Run the simulated cell in threads of the test; ``values`` are those of its cell file.
 
     As a process of its own it would take the time to start one.
     """
-    cell: dict[str, Any] = msgspec.to_builtins(load_cell("paper", values))
+    cell: dict[str, Any] = msgspec.to_builtins(load_cell(name, values))
     given = {key: value for key, value in cell.items() if value is not None}
     host = Host(Order(cell=given, speed=None if math.isinf(speed) else speed, faults=faults))
     serving = threading.Thread(target=host.run, name="simulated cell")

@@ -41,7 +41,9 @@ class RunActions:
         else:
             self._application.ask(
                 "Go on?",
-                "The robot and the rail may move at once.",
+                "The robot and the rail may move at once."
+                if session.view.has_rail
+                else "The robot may move at once.",
                 "go on",
                 lambda: self._command("proceed"),
             )

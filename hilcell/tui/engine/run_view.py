@@ -69,6 +69,11 @@ class RunView:
             self.step = record.body
 
     @property
+    def has_rail(self) -> bool:
+        """Whether the run's cell has a rail; so it is taken before its plan is known."""
+        return self.log.plan is None or self.log.cell.has_rail
+
+    @property
     def newest_target(self) -> Point | None:
         """Return the newest point with a nominal place, or None where there is none yet."""
         if self.last is None or self.last.nominal_mm is not None:

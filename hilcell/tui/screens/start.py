@@ -16,7 +16,7 @@ from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
-from hilcell.tui.text.run import MOVES, NOT_E_STOP, duration
+from hilcell.tui.text.run import NOT_E_STOP, duration, moves
 from hilcell.tui.widgets import Choice, Column, Row, Table, TextField, TextPanel
 
 FIELDS = (
@@ -194,7 +194,7 @@ def warning(plan: dict[str, Any]) -> Content:
     """Return what will happen, and the keys."""
     simulated = bool(plan.get("simulated"))
     return Content.assemble(
-        MOVES,
+        moves(has_rail=bool(plan.get("rail", True))),
         (", in simulation only: ", "bold") if simulated else "",
         (" SIMULATION ", "bold $on-sim on $sim-fill") if simulated else "",
         ".\n",

@@ -11,7 +11,7 @@ from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.run import LAMPS, lamp
+from hilcell.tui.text.run import lamp, lamps_of
 
 MOST_ROWS, SPARE = 2, 12  # of a part; the cost of breaking lines at words
 _TONES = {"fault": "fault", "warning": "ask", "notice": "label"}
@@ -96,7 +96,7 @@ def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
         for each in status.interlocks
     ]
     lines.append(Content(""))
-    for name in LAMPS:
+    for name in lamps_of(view):
         device = status.devices.get(name, DeviceStatus())
         head = lamp(name, device, view, glyphs)
         detail = device.reason or device.text

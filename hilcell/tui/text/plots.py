@@ -111,12 +111,14 @@ def curves_plot(log: Log) -> Plot:
 
 
 PLOTS: tuple[Callable[[Log], Plot], ...] = (errors_plot, sorted_plot, repeat_plot, strip_plot)
+OF_ROBOT = PLOTS[:-1]
 MOST_PLOTS = len(PLOTS) + 1
 
 
 def plots_of(log: Log) -> tuple[Callable[[Log], Plot], ...]:
-    """Return the plots of a run: that of the curves where axes were swept."""
-    return (*PLOTS, curves_plot) if log.curves else PLOTS
+    """Return the plots of a run: the strip's where there is a rail, the curves' after sweeps."""
+    plots = PLOTS if log.plan is None or log.cell.has_rail else OF_ROBOT
+    return (*plots, curves_plot) if log.curves else plots
 
 
 MARKS = ("o", "+", "x", "*", "#", "@")

@@ -34,7 +34,7 @@ STATES = {
     "gone": ("ENGINE GONE", "fault"),
 }
 NOT_E_STOP = "software stop; not the E-stop"
-MOVES = "The robot and the rail will move"
+OF_RAIL = ("rail", "strip")  # lamps
 NO_PLAN_TEXTS = {  # where there is no plan in the journal
     EngineState.UNKNOWN: "reading ...",
     EngineState.NONE: "nothing was recorded",
@@ -44,7 +44,7 @@ NO_PLAN_TEXTS = {  # where there is no plan in the journal
 }
 SHORT = 4
 MOST_OF_A_NAME = 20
-LAMPS = ("rail", "strip", "robot", "tracker")
+LAMPS = (*OF_RAIL, "robot", "tracker")
 
 
 def block(text: str, tone: str) -> Content:
@@ -199,12 +199,18 @@ def duration(seconds: float) -> str:
 
 
 def lamps(view: RunView, glyphs: Glyphs, width: int) -> Content:
-    """Return element 5 with 16: four lamps with the age of their readings, and the air."""
+    """Return element 5 with 16: the lamps with the age of their readings, and the air."""
     devices = view.status.devices if view.status is not None and view.live else {}
     parts = [
-        lamp(name, devices.get(name, DeviceStatus()), view, glyphs).append("  ") for name in LAMPS
+        lamp(name, devices.get(name, DeviceStatus()), view, glyphs).append("  ")
+        for name in lamps_of(view)
     ]
     return justified(Content("").join(parts), air(view, glyphs), width)
+
+
+def lamps_of(view: RunView) -> tuple[str, ...]:
+    """Return which lamps the run's cell has."""
+    return LAMPS if view.has_rail else LAMPS[len(OF_RAIL) :]
 
 
 def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Content:
@@ -340,16 +346,22 @@ def _free(view: RunView) -> str:
         return "nothing is blocked; nothing moves before the answer"
     if view.at_rest:
         return "nothing is blocked; nothing moves before one goes on"
-    return "rail and robot may move"
+    return "rail and robot may move" if view.has_rail else "the robot may move"
+
+
+def moves(*, has_rail: bool) -> str:
+    """Return what will move, as the beginning of a sentence."""
+    return "The robot and the rail will move" if has_rail else "The robot will move"
 
 
 def resume_text(view: RunView | None) -> str:
     """Return what a resumed run will meet."""
     if view is not None and view.calibration_lost:
         return "Its calibration file is written; nothing moves."
+    what = moves(has_rail=view is None or view.has_rail)
     if view is not None and any(alarm.ended for alarm in view.alarms):
-        return f"{MOVES}. Its fault wants a new run: resumed, it will most likely fault again."
+        return f"{what}. Its fault wants a new run: resumed, it will most likely fault again."
     return (
-        f"{MOVES}: the devices are connected again, and the tracker's control points proved "
+        f"{what}: the devices are connected again, and the tracker's control points proved "
         "before anything counts."
     )

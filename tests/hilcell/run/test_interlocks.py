@@ -130,6 +130,11 @@ def test_the_overview_opens_on_good_readings() -> None:
     assert blocked() == {"rail move": "", "robot move": "", "measurement": ""}
 
 
+def test_a_robot_on_the_floor_has_no_interlocks_of_a_rail() -> None:
+    found = overview(load_cell("fixed"), sight(rail=None, station=None))
+    assert {each.name: each.blocked for each in found} == {"robot move": "", "measurement": ""}
+
+
 REST = "the robot is moving, wanted at rest"
 AWAY = "robot not at safe pose, A2 -99.800 deg, wanted -100.000 +-0.1 deg"
 OLD = "the {} was last read 6 s ago"

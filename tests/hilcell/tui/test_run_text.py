@@ -16,6 +16,7 @@ from textual.content import Content
 from hilcell.alarms import Latch
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
+from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
@@ -23,6 +24,7 @@ from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import alarm_lines, alarm_page
 from hilcell.tui.text.deviation import Deviation, deviation_lines, large_digits, tolerance_line
+from hilcell.tui.text.plots import plots_of, strip_plot
 from hilcell.tui.text.prompt import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, tracker_text
 from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingSession
 from tests.hilcell.tui.sample_runs import BEGAN, PROMPT, fresh, measuring, sample_runs
@@ -119,6 +121,28 @@ def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
 
 def test_a_past_run_has_no_lamps() -> None:
     assert run_text.lamps(view_of("done"), UNICODE, 80).plain.count(" -") == len(run_text.LAMPS)
+
+
+def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
+    view = view_of("running")
+    assert view.log.plan is not None
+    cell = msgspec.json.decode(msgspec.json.encode(load_cell("fixed")))
+    log = Log()
+    log.take(
+        Record(
+            1,
+            "",
+            "plan",
+            "",
+            msgspec.to_builtins(view.log.plan)
+            | {"cell": {k: v for k, v in cell.items() if v is not None}},
+        )
+    )
+    view = replace(view, log=log)
+    assert "Rail" not in run_text.lamps(view, UNICODE, 80).plain
+    assert "Robot" in run_text.lamps(view, UNICODE, 80).plain
+    assert run_text.resume_text(view).startswith("The robot will move")
+    assert strip_plot not in plots_of(log)
 
 
 # -- lines -----------------------------------------------------------------------------------------

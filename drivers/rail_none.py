@@ -1,0 +1,62 @@
+"""The rail of a cell that has none: a slide that stands at 0, held, for good; no wire."""
+
+from __future__ import annotations
+
+import time
+
+import msgspec
+
+from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
+
+SLACK_MM = 1e-9
+
+
+class NoRail:
+    """Satisfies `hilcell.ports.Rail`: readings are true, and no motion is possible."""
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+        """None: there is nothing to reach."""
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        """Nothing is kept."""
+
+    def connect(self) -> list[Identity]:
+        """Return no asset."""
+        return []
+
+    def home(self) -> None:
+        """Do nothing: the reference is where the robot stands."""
+
+    def move_to(self, position_mm: float) -> None:
+        """Refuse any place but 0; raises `DeviceError`."""
+        if not abs(position_mm) <= SLACK_MM:
+            raise DeviceError(
+                "HC-R36",
+                "Rail",
+                "move",
+                f"target {position_mm:.3f} mm",
+                wanted="0 mm: this cell has no rail",
+                act="choose a procedure of robot and tracker alone",
+                fields={"target_mm": position_mm, "lowest_mm": 0.0, "highest_mm": 0.0},
+            )
+
+    def settle(self) -> RailReading:
+        """Return the reading."""
+        return self.read()
+
+    def read(self) -> RailReading:
+        """Return that nothing moves."""
+        return RailReading(0.0, 0.0, 0.0, still=True, powered=False, taken_s=time.monotonic())
+
+    def hold(self) -> None:
+        """Do nothing."""
+
+    def statistics(self) -> LinkStatistics:
+        """Return that nothing was carried."""
+        return LinkStatistics()
+
+    def stop(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""

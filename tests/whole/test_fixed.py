@@ -1,0 +1,33 @@
+"""A robot on the floor and a tracker: runs without a rail keep every invariant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hilcell.journal.runs import find_run, read_log
+from tests.whole.bench import SMALL, command, end_of, events, sets, simulation
+from tests.whole.trace import judge
+
+SHORT = SMALL | {"grid.pitch_mm": "900.0", "base_frame.points": "4"}
+
+
+def test_the_grid_is_measured_without_a_rail(tmp_path: Path) -> None:
+    with simulation(values=SHORT, name="fixed") as cell:
+        words = sets(SHORT | {"simulation.address": cell.control})
+        where = ("--cell", "fixed", "--runs", tmp_path)
+        done = command("run", "robot-grid", "--json", "--unattended", *where, *words)
+    assert end_of(done)["state"] == "finished", done.stderr
+    assert judge(events(done.stdout)) == []
+    log = read_log(find_run(tmp_path, "last"))
+    assert {each.kind for each in log.assets} == {"robot", "tracker"}
+    assert len(log.select("grid")) == 8
+    assert not [event for event in log.events if event.body["what"] == "station held"]
+    report = tmp_path / "report.html"
+    assert command("report", "last", "--runs", tmp_path, "-o", report).returncode == 0
+    assert "on the floor, without a rail" in report.read_text("utf-8")
+
+
+def test_a_procedure_of_a_rail_is_refused(tmp_path: Path) -> None:
+    done = command("run", "touch", "--cell", "fixed", "--runs", tmp_path)
+    assert done.returncode == 2
+    assert "touch refused before anything moves: cell fixed has no rail" in done.stderr
