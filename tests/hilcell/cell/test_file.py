@@ -215,8 +215,8 @@ def test_missing_keys_are_named(tmp_path: Path) -> None:
     file.write_text('name = "x"\n', "utf-8")
     with pytest.raises(SettingsError) as error:
         load_cell(str(file))
-    assert "rail: missing" in error.value.problems
-    assert "station: missing" in error.value.problems
+    assert "robot: missing" in error.value.problems
+    assert "layout.base: missing" in error.value.problems
 
 
 @pytest.mark.parametrize(
