@@ -118,6 +118,7 @@ class Mounting(Frozen, frozen=True, kw_only=True):
     bolted_urad: Angle = 500.0
     floor_nest_mm: Offset = 1.0
     slide_nest_mm: Offset = 1.2
+    seat_mm: Offset = 0.5  # a reflector on the flange, from the tool point
     tracker_mm: Offset = 3.0
     tracker_urad: Angle = 1000.0
 

@@ -1,7 +1,7 @@
 """The one physical truth of a simulated cell: a machine's rail, robot, tracker and nests.
 
 Frames: {W} world, {S} the slide as the cell file thinks it (nominal {B}), {R} the robot's own base
-frame, which is bolted a little askew on the slide, {T} the reflector on the flange. Machine and
+frame, which is bolted a little askew on the slide, {T} the tool point on the flange. Machine and
 seed fix the truth and the noise, whatever the cell's plan measures; a cell that is started again
 draws the same again from its beginning. Nominal {B} is not {R}, and a calibration finds neither; it
 finds `base_in_world`.
@@ -48,6 +48,7 @@ class Plant:
         turn = mounting.bolted_urad * 1e-6 * _limited(rng, 3)
         self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
         self._slipped = np.eye(4)
+        self._seats = _seats(cell, mounting.seat_mm, fixed.generator("seats"))
         self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
         self._floor |= _bars(cell.layout, mounting.floor_nest_mm, fixed.generator("bars"))
         self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
@@ -95,11 +96,12 @@ class Plant:
         """
         if self.cell.layout.by_hand and name != self.seated:
             return np.zeros((0, 3))
-        if name != FLANGE:
+        if name != FLANGE and name not in self._seats:
             return np.tile(self.places_in_world()[name], (len(times_s), 1))
         joints_rad, side, landing_rad = self.robot.past(times_s)
         arm = self.arm.pose(joints_rad, side, landing_rad, self.tracker.warm_k) @ self._slipped
-        at_mm: Array = (self.rail.slide_pose() @ self._bolted @ arm)[:, :3, 3]
+        tool = self.rail.slide_pose() @ self._bolted @ arm
+        at_mm: Array = tool[:, :3, 3] + tool[:, :3, :3] @ self._seats.get(name, np.zeros(3))
         return at_mm
 
     def places_in_world(self) -> dict[str, Array]:
@@ -113,7 +115,9 @@ class Plant:
             found = dict(self._floor)
             found |= {name: carried(T_W_S, at_mm) for name, at_mm in self._slide.items()}
             arm = self.arm.pose(robot.joints_rad, robot.side, robot.landing_rad, warm_k)
-            found[FLANGE] = (T_W_S @ self._bolted @ arm @ self._slipped)[:3, 3]
+            tool = T_W_S @ self._bolted @ arm @ self._slipped
+            found[FLANGE] = tool[:3, 3]
+            found |= {name: carried(tool, at_mm) for name, at_mm in self._seats.items()}
             self._places = (now, found)
         return found
 
@@ -125,6 +129,15 @@ class Plant:
 
 def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
     return {nest.name: nest.xyz_mm + sigma_mm * _limited(rng, 3) for nest in nests}
+
+
+def _seats(cell: Cell, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
+    """Return the other reflectors (3,) on the flange, from the first and in its axes."""
+    from_first_mm = np.array(cell.robot.more_smr_mm).reshape(-1, 3) - cell.robot.smr_mm
+    return {
+        f"{FLANGE} {number}": at_mm + sigma_mm * _limited(rng, 3)
+        for number, at_mm in enumerate(from_first_mm, start=2)
+    }
 
 
 def _bars(layout: Layout, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:

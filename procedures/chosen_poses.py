@@ -22,7 +22,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
-from procedures.durations import closing, flange_points, step
+from procedures.durations import closing, flange_count, flange_points, step
 from procedures.plan import drivable, joints_for, poses_at, turned
 
 CANDIDATES, PLACES = 128, 64
@@ -35,7 +35,7 @@ class ChosenPoses:
     name = "chosen-poses"
     needs = "the grid, and the sweeps where there are any"
     moves = "the robot in the cube, the tool turned"
-    measures = "the flange reflector at every chosen pose"
+    measures = "the reflectors on the flange at every chosen pose"
     yields = "more certain kinematics"
 
     def plan(self, cell: Cell, seed: int) -> Step:
@@ -44,7 +44,9 @@ class ChosenPoses:
         if not most:
             return Step(self.name, 0, 0.0)
         joints_rad = candidates_rad(cell)[:most]
-        return step(self.name, len(joints_rad), [flange_points(cell, joints_rad), *closing(cell)])
+        measured = flange_points(cell, joints_rad, seats=True)
+        points = flange_count(cell, len(joints_rad))
+        return step(self.name, points, [measured, *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Choose once, then measure."""
@@ -56,7 +58,8 @@ class ChosenPoses:
         nominal_mm = forward(session.cell.robot.arm(), joints_rad)[:, :3, 3]
         world_mm = apply(session.frames.base_in_world(station), nominal_mm)
         for number, (joints, at_mm) in enumerate(zip(joints_rad, world_mm, strict=True)):
-            session.flange_point(PointId("pose", number=number), station, joints, nominal_mm=at_mm)
+            id = PointId("pose", number=number)
+            session.flange_point(id, station, joints, nominal_mm=at_mm, seats=True)
         session.close_step()
 
     def _choose(self, session: CellSession) -> dict[str, Any]:

@@ -67,17 +67,26 @@ def robot_moves_s(
     return moves_s + SEEN_S
 
 
-def flange_points(cell: Cell, joints_rad: Array) -> Span:
-    """Return the span of measuring at joints (N, 6), in order, from the safe pose on."""
+def flange_points(cell: Cell, joints_rad: Array, *, seats: bool = False) -> Span:
+    """Return the span of measuring at joints (N, 6), in order, from the safe pose on.
+
+    With all ``seats``, the other reflectors on the flange are measured at each as well.
+    """
+    each = len(cell.robot.seats_mm) if seats else 1
     approach_rad = np.radians(cell.robot.approach_deg)
     safe_rad = np.radians(cell.robot.safe_deg)
     before_rad = np.vstack([safe_rad, joints_rad[:-1]])
     percent = first_pass_percent(cell, joints_rad)
     there_s = robot_moves_s(cell, before_rad, joints_rad - approach_rad, percent)
     landing_s = robot_moves_s(cell, joints_rad - approach_rad, joints_rad, percent)
-    at_each_s = cell.settle.robot_s + measure_s(cell, cell.tracker.samples)
+    at_each_s = cell.settle.robot_s + each * measure_s(cell, cell.tracker.samples)
     seconds = float(np.sum(there_s + landing_s)) + len(joints_rad) * at_each_s
-    return Span("flange", len(joints_rad), seconds)
+    return Span("flange", each * len(joints_rad), seconds)
+
+
+def flange_count(cell: Cell, poses: int) -> int:
+    """Return how many points poses are at which all reflectors on the flange are measured."""
+    return poses * len(cell.robot.seats_mm)
 
 
 def first_pass_percent(cell: Cell, joints_rad: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
-from hilcell.geometry.frames import apply, inverse, matrix
+from hilcell.geometry.frames import apply, inverse, matrix, zyx_from_pose
 from hilcell.geometry.inverse import Bools, ReachError
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import Array, HilcellError
@@ -20,6 +20,12 @@ def other_stations(cell: Cell) -> list[Station]:
 def poses_at(cell: Cell, points_mm: Array) -> Array:
     """Return poses (N, 4, 4) in {B} at ``points_mm`` (N, 3) with the grid's orientation."""
     return matrix(cell.grid.centre.matrix()[:3, :3], points_mm)
+
+
+def angles_deg(T_W_B: Array, poses: Array) -> Array:
+    """Return A, B, C (N, 3) in {W} of poses (N, 4, 4) in {B}."""
+    found: Array = zyx_from_pose(T_W_B @ poses)[:, 3:]
+    return found
 
 
 def turned(poses: Array, turns_rad: Array) -> Array:

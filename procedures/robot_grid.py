@@ -5,17 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from hilcell.calibration.frames import grid_of, outlying_vertices, vertex_ids
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
-from procedures.durations import closing, flange_points, step
-from procedures.plan import check_range, check_targets, joints_for, poses_at
+from procedures.durations import closing, flange_count, flange_points, step
+from procedures.plan import angles_deg, check_range, check_targets, joints_for, poses_at
 
-Vertex = tuple[PointId, Array, Array]  # identity, joints (6,) in rad, nominal position (3,) in {W}
+# Identity, joints (6,) in rad, nominal position (3,) and angles (3,) in {W}.
+Vertex = tuple[PointId, Array, Array, Array]
 
 
 class RobotGrid:
@@ -27,8 +28,8 @@ class RobotGrid:
     name = "robot-grid"
     needs = "world and base frame, the grid's station held"
     moves = "the robot"
-    measures = "the flange reflector at every vertex"
-    yields = "the position error on the grid"
+    measures = "the reflectors on the flange at every vertex"
+    yields = "the position error on the grid, the orientation's with several reflectors"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse vertices out of reach, out of limits or out of sight, at any station."""
@@ -38,14 +39,9 @@ class RobotGrid:
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
             check_range(cell, world_mm, f"grid at {station.name}")
-        return step(
-            self.name,
-            len(vertices_mm),
-            [
-                flange_points(cell, joints_rad),
-                *closing(cell, carried=True, points=len(vertices_mm)),
-            ],
-        )
+        points = flange_count(cell, len(vertices_mm))
+        measured = flange_points(cell, joints_rad, seats=True)
+        return step(self.name, points, [measured, *closing(cell, carried=True, points=points)])
 
     def perform(self, session: CellSession) -> None:
         """Measure every vertex."""
@@ -53,22 +49,33 @@ class RobotGrid:
         station = cell.station_named(cell.grid.station)
         grid = grid_of(cell)
         vertices_mm = grid.serpentine_mm()
-        world_mm = apply(session.frames.base_in_world(station), vertices_mm)
+        T_W_B = session.frames.base_in_world(station)
+        world_mm = apply(T_W_B, vertices_mm)
+        world_deg = angles_deg(T_W_B, poses_at(cell, vertices_mm))
         joints_rad = joints_for(cell, vertices_mm)
-        vertices = list(zip(vertex_ids(grid), joints_rad, world_mm, strict=True))
-        for id, joints, nominal_mm in vertices:
-            session.flange_point(id, station, joints, nominal_mm=nominal_mm)
-        for id, joints, nominal_mm in self._doubtful(session, vertices):
-            session.flange_point(id, station, joints, nominal_mm=nominal_mm, retake=True)
+        vertices = list(zip(vertex_ids(grid), joints_rad, world_mm, world_deg, strict=True))
+        for each in vertices:
+            self._measure(session, station, each)
+        for each in self._doubtful(session, vertices):
+            self._measure(session, station, each, retake=True)
         session.close_step(carried=True)
         session.reach("measure_grid")
+
+    def _measure(
+        self, session: CellSession, station: Station, vertex: Vertex, *, retake: bool = False
+    ) -> None:
+        id, joints_rad, at_mm, at_deg = vertex
+        session.flange_point(
+            id, station, joints_rad, nominal_mm=at_mm, nominal_deg=at_deg, retake=retake, seats=True
+        )
 
     def _doubtful(self, session: CellSession, vertices: list[Vertex]) -> list[Vertex]:
         """Return the vertices that stand out and were not measured a second time yet."""
         ids = set(outlying_vertices(session.log))
         doubtful = [v for v in vertices if v[0] in ids and not session.log.point(v[0]).retaken]
-        for id, _, _ in doubtful:
-            session.event("outlier measured again", key=id.key)
+        for id, *_ in doubtful:
+            for seat in range(1, len(session.cell.robot.seats_mm) + 1):
+                session.event("outlier measured again", key=id.at_seat(seat).key)
         return doubtful
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -28,13 +28,14 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures import enough_targets
 from procedures.durations import closing, flange_points, leg, step
-from procedures.plan import check_targets, drivable, poses_at, turned
+from procedures.plan import angles_deg, check_targets, drivable, poses_at, turned
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch import touch_once, touch_result, touch_spans
 
 WAYS = ("before", "idw", "chosen")  # as it is, by the paper's method, by the chosen one
 QUICK_WAYS = ("before", "chosen")
+ORIENTED = ("before", "chosen")  # the paper's method knows positions only
 DRAWS = 8  # of a target's turn
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
 
@@ -45,8 +46,8 @@ class Validate:
     name = "validate"
     needs = "the fitted correction, the stations framed"
     moves = "the slide from station to station, the robot to random targets in the cube"
-    measures = "the flange reflector at every target, before and with each correction"
-    yields = "mean, p95 and maximum of the position error per station"
+    measures = "the reflectors on the flange at every target, before and with each correction"
+    yields = "mean, p95 and maximum of the position error, and of the orientation's, per station"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse targets out of reach, and limits that nothing could keep."""
@@ -62,7 +63,8 @@ class Validate:
                 spans += leg(cell, here, station)
             for how in ways(cell):
                 measured = touch_spans(cell, station) if how == "chosen" else []
-                measured.append(flange_points(cell, joints_rad[: planned(cell, how)]))
+                sent_rad = joints_rad[: planned(cell, how)]
+                measured.append(flange_points(cell, sent_rad, seats=how in ORIENTED))
                 count = sum(span.measured for span in measured)
                 proofs = closing(cell, carried=True, points=count) if how in closed(cell) else []
                 spans += [*measured, *proofs]
@@ -100,10 +102,13 @@ class Validate:
         model: ErrorModel | None,
     ) -> None:
         ids = [PointId("validate", station=station.name, how=how, number=n) for n in numbers]
-        if all(session.log.find(id) for id in ids):
+        seats = len(session.cell.robot.seats_mm) if how in ORIENTED else 1
+        wanted_ids = [id.at_seat(seat) for id in ids for seat in range(1, seats + 1)]
+        if all(session.log.find(id) for id in wanted_ids):
             return
-        wanted = poses[numbers]
-        nominal_mm = apply(session.frames.base_in_world(station), wanted[:, :3, 3])
+        wanted, T_W_B = poses[numbers], session.frames.base_in_world(station)
+        nominal_mm = apply(T_W_B, wanted[:, :3, 3])
+        nominal_deg = angles_deg(T_W_B, wanted)
         joints_rad, visit = np.zeros((len(ids), 6)), -1
         for n, id in enumerate(ids):
             session.retake_waiting()  # at another station, it ends the visit
@@ -112,7 +117,10 @@ class Validate:
                 sent = command(session, station, how, wanted, model)
                 joints_rad = session.cell.robot.nominal().joints_for(sent)
                 visit = session.log.visit
-            session.flange_point(id, station, joints_rad[n], nominal_mm=nominal_mm[n])
+            session.flange_point(
+                id, station, joints_rad[n], nominal_mm=nominal_mm[n], nominal_deg=nominal_deg[n],
+                seats=how in ORIENTED,
+            )  # fmt: skip
 
     def _judge(self, session: CellSession) -> None:
         limits = limits_of(session.cell)

@@ -276,6 +276,7 @@ def _fixed(cell: Cell) -> dict[str, object]:
         "serial": cell.serial,
         "robot.joint": cell.robot.joint,
         "robot.smr_mm": cell.robot.smr_mm,
+        "robot.more_smr_mm": cell.robot.more_smr_mm,
         "robot.status": cell.robot.status,
         "layout.base": cell.layout.base,
         "layout.floor": cell.layout.floor,

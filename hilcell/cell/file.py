@@ -278,6 +278,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
             self._bad_cell_counts,
             self._bad_others,
             self._bad_survey,
+            self._bad_reflectors,
             lambda: keep_out_problems(self.keep_out, self.robot.envelope),
         )
 
@@ -375,6 +376,13 @@ class Cell(Frozen, frozen=True, kw_only=True):
         """Whether the robot rides on a rail; without one it stands on the floor."""
         return self.rail.driver != NO_RAIL
 
+    def _bad_reflectors(self) -> Iterator[str]:
+        if self.robot.more_smr_mm and self.layout.by_hand:
+            yield (
+                "robot.more_smr_mm: one reflector is carried by hand (layout.reflectors), and the "
+                "tool's orientation wants all of them mounted"
+            )
+
     @cached_property
     def surroundings(self) -> Surroundings | None:
         """Return what the arm keeps clear of; None where the file states nothing of it."""
@@ -404,6 +412,8 @@ class Cell(Frozen, frozen=True, kw_only=True):
         for table in NOT_THE_CELL:
             values.pop(table)
         values["robot"].pop("envelope")
+        if not self.robot.more_smr_mm:  # as in files that know no such key
+            values["robot"].pop("more_smr_mm")
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)

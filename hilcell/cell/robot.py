@@ -1,7 +1,9 @@
-"""The robot of the cell file: nominal kinematics, where its reflector sits, how it moves."""
+"""The robot of the cell file: nominal kinematics, where its reflectors sit, how it moves."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import combinations
 from typing import Annotated, Any
 
 import numpy as np
@@ -23,6 +25,10 @@ from hilcell.cell.tables import (
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.robot import NominalRobot
 
+REFLECTORS = range(3, 7)  # on the flange, where the tool's orientation is measured
+SEATS_APART_MM = 50.0  # closer ones are taken for one another, and tell little of an angle
+SEATS_ACROSS = 0.2  # of the spread along a line: less is no triangle
+
 
 class Joint(Frozen, frozen=True, kw_only=True):
     """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits."""
@@ -43,12 +49,17 @@ class Joint(Frozen, frozen=True, kw_only=True):
 
 
 class RobotTable(Frozen, frozen=True, kw_only=True):
-    """The robot: nominal kinematics, where the reflector sits, how it moves."""
+    """The robot: nominal kinematics, where the reflector sits, how it moves.
+
+    ``smr_mm`` is the tool point. Two or more other reflectors, ``more_smr_mm``, make the tool's
+    orientation measurable.
+    """
 
     driver: Name
     name: str
     joint: list[Joint]
     smr_mm: Point
+    more_smr_mm: list[Point] = field(default_factory=list)
     home_deg: Six
     safe_deg: Six
     status: Annotated[int, Meta(ge=0, le=7)]
@@ -74,7 +85,38 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
                 )
                 if not joint.min_deg <= deg <= joint.max_deg
             ]
+            + list(self._bad_seats())
         )
+
+    def _bad_seats(self) -> Iterator[str]:
+        """Yield what makes several reflectors no measure of an orientation."""
+        if not self.more_smr_mm:
+            return
+        seats_mm = self.seats_mm
+        if len(seats_mm) not in REFLECTORS:
+            yield (
+                f"more_smr_mm: {REFLECTORS[0] - 1} .. {REFLECTORS[-1] - 1} reflectors besides "
+                f"smr_mm are wanted, found {len(self.more_smr_mm)}"
+            )
+            return
+        for one, other in combinations(range(len(seats_mm)), 2):
+            apart_mm = float(np.linalg.norm(seats_mm[one] - seats_mm[other]))
+            if not apart_mm >= SEATS_APART_MM:
+                yield (
+                    f"more_smr_mm: reflectors {one + 1} and {other + 1} are {apart_mm:.1f} mm "
+                    f"apart, wanted at least {SEATS_APART_MM:g} mm"
+                )
+        spread = np.linalg.svd(seats_mm - seats_mm.mean(axis=0), compute_uv=False)
+        if not spread[1] > SEATS_ACROSS * spread[0]:
+            yield (
+                f"more_smr_mm: the reflectors lie nearly on one line (spread {spread[0]:.1f} mm "
+                f"along it, {spread[1]:.1f} mm across): an orientation needs a triangle"
+            )
+
+    @property
+    def seats_mm(self) -> Array:
+        """Return the nominal places (K, 3) of the flange's reflectors, first the tool point."""
+        return np.array([self.smr_mm, *self.more_smr_mm])
 
     def arm(self) -> Arm:
         """Return the nominal arm; its tool point is the reflector's centre."""

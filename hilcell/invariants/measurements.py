@@ -8,7 +8,7 @@ import msgspec
 
 from hilcell.invariants.bodies import Measured
 from hilcell.invariants.motions import FUTURE_S
-from hilcell.invariants.scene import Scene, is_proof
+from hilcell.invariants.scene import Scene, is_proof, pose_of
 from hilcell.invariants.tally import Tally
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Readings, ReadingTime
@@ -50,7 +50,8 @@ class Measurements:
         self._check("I4", record, not missing, f"{record.key} lacks {', '.join(missing)}")
         if point.commanded_deg and point.group != "campaign":
             last = self._scene.last_key or "none"
-            self._check("I4", record, last == record.key, f"{record.key}: the last motion: {last}")
+            here = pose_of(last) == pose_of(record.key)
+            self._check("I4", record, here, f"{record.key}: the last motion: {last}")
 
     def _at_station(self, record: Record, point: Measured) -> None:
         scene, name = self._scene, point.station

@@ -9,7 +9,7 @@ import msgspec
 
 from hilcell.invariants.bodies import CellFacts, Inputs, Life, Measured, Motion, Station
 from hilcell.journal.journal import Record
-from hilcell.journal.point_id import CHECKS
+from hilcell.journal.point_id import CHECKS, SEAT
 from hilcell.journal.set_ups import FRAMED_AGAIN, INTERRUPTED, PROOFS, PROVEN, TRACKER_MOVED
 from hilcell.journal.states import OVER, WAITING
 
@@ -153,6 +153,12 @@ def is_control(key: str) -> bool:
 def is_proof(key: str) -> bool:
     """Whether a point frames {W}, proves the tracker, or is one of which nothing is built."""
     return key.partition("/")[0] in (*PROOFS, *CHECKS)
+
+
+def pose_of(key: str) -> str:
+    """Return a key without its reflector: all of a pose are measured where it stands."""
+    pose, _, seat = key.rpartition("/")
+    return pose if seat.startswith(SEAT) and seat.removeprefix(SEAT).isdecimal() else key
 
 
 def nest_of(key: str) -> str:

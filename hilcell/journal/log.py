@@ -63,7 +63,8 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     """One acknowledged measurement, raw, with all that is needed to use it later.
 
     ``xyz_mm`` is the mean of ``samples``, as seen from the tracker's first set-up, ``nominal_mm``
-    the nominal target in {W}; joints in deg. Its record also says the controller's pose.
+    the nominal target in {W} and ``nominal_deg`` its angles A, B, C, where the orientation was
+    measured; joints in deg. Its record also says the controller's pose.
     """
 
     id: PointId
@@ -81,6 +82,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     humidity_percent: float | None = None
     retaken: bool = False
     nominal_mm: tuple[float, float, float] | None = None
+    nominal_deg: tuple[float, float, float] | None = None
     smr_mm: tuple[float, float, float] | None = None
     commanded_deg: tuple[float, ...] | None = None
     joints_deg: tuple[float, ...] | None = None
@@ -390,8 +392,12 @@ class Log:
         way: str = "",
         axis: int | None = None,
         place: int | None = None,
+        seat: int | None = None,
     ) -> list[Point]:
-        """Return the points of a kind in the order of their keys; all stated values must agree."""
+        """Return the points of a kind in the order of their keys; all stated values must agree.
+
+        Those of the tool point, or of another ``seat``.
+        """
 
         def agrees(point: Point) -> bool:
             return (
@@ -400,14 +406,16 @@ class Log:
                 and way in ("", point.id.way)
                 and axis in (None, point.id.axis)
                 and place in (None, point.id.place)
+                and seat == point.id.seat
             )
 
         points = (self.points[key] for key in sorted(self._keys.get(kind, ())))
         return [point for point in points if agrees(point)]
 
     def measured(self, kind: str) -> Iterator[Point]:
-        """Yield the points of a kind in the order in which they were first measured."""
-        return (self.points[key] for key in self._keys.get(kind, ()))
+        """Yield the tool points of a kind in the order in which they were first measured."""
+        points = (self.points[key] for key in self._keys.get(kind, ()))
+        return (point for point in points if point.id.seat is None)
 
     def recorded(self, point: Point) -> int:
         """Return the number of the record that holds a point."""

@@ -6,6 +6,7 @@ import msgspec
 
 HELD, LENGTH = "held", "length"  # kinds of points that prove a hold, and the tracker's scale
 CHECKS = (HELD, LENGTH)  # of which nothing is built
+SEAT = "seat"  # begins the last part of a key of another reflector than the tool point
 CONTROL = "control"  # group of points that no plan counts
 _GROUPS = {  # not named by their fields
     "slide": "frames", "three": "three_points", "base": "base", HELD: CONTROL, LENGTH: CONTROL,
@@ -18,7 +19,8 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
     ``station`` is set where the same thing is measured at several stations; ``side`` is +1 for an
     approach from above, -1 from below; ``target`` is a reflector that the cell file does not know.
-    ``visit`` is the `Log.visit` of a point that holds for one stop of the slide only.
+    ``visit`` is the `Log.visit` of a point that holds for one stop of the slide only. ``seat`` is 2
+    or more where it is not the tool point that is measured, but another reflector on the flange.
     """
 
     kind: str
@@ -36,6 +38,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
     nest: str = ""
     target: str = ""
     visit: int | None = None
+    seat: int | None = None
 
     @property
     def key(self) -> str:
@@ -54,6 +57,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
             "" if self.number is None else f"{self.number:03d}{side}",
             self.nest,
             self.target,
+            "" if self.seat is None else f"{SEAT}{self.seat}",
         )
         return "/".join((self.kind, *filter(None, parts)))
 
@@ -63,7 +67,12 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
         if self.kind in _GROUPS:
             return _GROUPS[self.kind]
         place = "" if self.place is None else str(self.place)
-        return "_".join((self.kind, *filter(None, (place, self.how, self.way, self._axis))))
+        seat = "" if self.seat is None else "seats"
+        return "_".join((self.kind, *filter(None, (place, self.how, self.way, self._axis, seat))))
+
+    def at_seat(self, seat: int) -> PointId:
+        """Return the identity of the same pose's reflector, numbered from 1, the tool point."""
+        return msgspec.structs.replace(self, seat=None if seat == 1 else seat)
 
     @property
     def _axis(self) -> str:

@@ -6,12 +6,14 @@ a run resumable.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell, Nest, Station
+from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
@@ -138,20 +140,29 @@ class CellSession(RunContext):
         joints_rad: Array,
         *,
         nominal_mm: Array | None = None,
+        nominal_deg: Array | None = None,
         retake: bool = False,
+        seats: bool = False,
     ) -> Point:
         """Send the reflector on the flange to joints (6,) and measure it, once in a run's life.
 
         Every axis comes from below, or from above where the point's ``side`` is +1.
         ``retake`` re-measures it; the later point supersedes, the earlier stays journalled.
+        ``seats``: the other reflectors on the flange are measured there as well, each a point of
+        its own. ``nominal_deg`` (3,) are A, B, C of the target in {W}, kept where they are.
         Points that wait to be re-measured come first, and a room that is as it was.
         """
         self._room.check()
         self.retake_waiting()
-        known = self.log.find(id)
-        if known is not None and not retake:
-            return known
-        return self._flange_point(id, station, joints_rad, nominal_mm, retake=retake)
+        count = len(self.cell.robot.seats_mm) if seats else 1
+        ids = [id.at_seat(seat) for seat in range(1, count + 1)]
+        waiting = [each for each in ids if retake or self.log.find(each) is None]
+        if waiting:
+            facts = {"nominal_mm": nominal_mm}
+            if nominal_deg is not None and count > 1:
+                facts["nominal_deg"] = nominal_deg
+            self._flange_points(waiting, station, joints_rad, facts, retake=retake)
+        return self.log.point(id)
 
     def retake_waiting(self) -> bool:
         """Re-measure the points that wait for it; return whether there were any.
@@ -163,11 +174,14 @@ class CellSession(RunContext):
             if refused := still_refused(self.log, point.key):
                 self.event("retake refused", key=point.key, reason=refused)
                 continue
-            self._flange_point(
-                point.id,
+            facts: dict[str, Any] = {"nominal_mm": point.nominal_mm}
+            if point.nominal_deg is not None:
+                facts["nominal_deg"] = point.nominal_deg
+            self._flange_points(
+                [point.id],
                 self.cell.station_named(point.station),
                 np.radians(point.commanded_deg or ()),
-                point.nominal_mm,
+                facts,
                 retake=True,
             )
         return bool(waiting)
@@ -178,32 +192,39 @@ class CellSession(RunContext):
         self.hold_station(station)
         self._operator.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
 
-    def _flange_point(
+    def _flange_points(
         self,
-        id: PointId,
+        ids: Sequence[PointId],
         station: Station,
         joints_rad: Array,
-        nominal_mm: Array | tuple[float, ...] | None,
+        facts: Mapping[str, Any],
         *,
         retake: bool,
-    ) -> Point:
+    ) -> None:
+        """Go to joints (6,) and measure reflectors on the flange there; only of the tool point is a
+        nominal target known.
+        """
         self.checkpoint()
         self._guard.prove_where_doubtful()
         self.flange_at(station)
-        robot = self._motion.robot_to(joints_rad, id.key, above=id.side > 0)
-        expected = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
-        samples, at_mm = self.cell.tracker.samples, expected[:3, 3]
-        reading = self._measuring.measure_in_world(id.key, FLANGE, at_mm, samples, STRAY_MM)
-        return self._measuring.keep(
-            id,
-            station.name,
-            reading,
-            robot,
-            nominal_mm=nominal_mm,
-            smr_mm=self.cell.robot.smr_mm,
-            commanded_deg=np.degrees(joints_rad),
-            retaken=retake,
-        )
+        robot = self._motion.robot_to(joints_rad, ids[0].key, above=ids[0].side > 0)
+        T_W_T = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
+        seats_mm, samples = self.cell.robot.seats_mm, self.cell.tracker.samples
+        for n, id in enumerate(ids):
+            smr_mm = seats_mm[0 if id.seat is None else id.seat - 1]
+            at_mm = apply(T_W_T, (smr_mm - seats_mm[0])[None])[0]
+            place = FLANGE if id.seat is None else f"{FLANGE} {id.seat}"
+            reading = self._measuring.measure_in_world(id.key, place, at_mm, samples, STRAY_MM)
+            self._measuring.keep(
+                id,
+                station.name,
+                reading,
+                self.devices.robot.read() if n else robot,
+                **(facts if id.seat is None else {}),
+                smr_mm=smr_mm,
+                commanded_deg=np.degrees(joints_rad),
+                retaken=retake,
+            )
 
     def pose_points(self, joints_rad: Array, targets: Sequence[tuple[PointId, Array]]) -> None:
         """Go to joints (6,) where the slide stands and measure several reflectors there.

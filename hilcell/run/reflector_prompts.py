@@ -18,7 +18,10 @@ def where(cell: Cell, place: str) -> str:
                 frame = "nominal {B}" if on == "slide" else "{W}"
                 at = f"x {nest.x_mm:.0f}, y {nest.y_mm:.0f}, z {nest.z_mm:.0f} mm in {frame}"
                 return f"nest {place} on the {on}, {at}"
-    return "the nest on the robot's flange" if place == FLANGE else f"reflector {place}"
+    if place == FLANGE:
+        return "the nest on the robot's flange"
+    seat = place.removeprefix(f"{FLANGE} ")
+    return f"reflector {seat} on the robot's flange" if seat != place else f"reflector {place}"
 
 
 def seat_prompt(cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float) -> Prompt:

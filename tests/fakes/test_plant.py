@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import combinations
+
 import msgspec
 import numpy as np
 import pytest
@@ -94,6 +96,25 @@ def test_reflectors_stand_near_their_nominal_places(cell: Cell) -> None:
         assert 0 < off < 10.0
     nominal = base @ forward(cell.robot.arm(), np.radians(cell.robot.home_deg))
     assert 0.1 < np.linalg.norm(at_mm[FLANGE] - nominal[:3, 3]) < 15.0
+
+
+def test_other_reflectors_on_the_flange_ride_rigidly_near_their_nominal_places() -> None:
+    seats = "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"
+    cell = load_cell("paper", {"robot.more_smr_mm": seats})
+    plant, names = plant_of(cell), [FLANGE, "flange 2", "flange 3"]
+    shapes = []
+    for turn_deg in (0.0, 20.0):
+        go(plant, np.array(cell.robot.home_deg) + turn_deg)
+        at_mm = plant.reflectors_in_world()
+        shapes.append([np.linalg.norm(at_mm[a] - at_mm[b]) for a, b in combinations(names, 2)])
+    np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-9)
+    wanted = [np.linalg.norm(a - b) for a, b in combinations(cell.robot.seats_mm, 2)]
+    off_mm = np.abs(np.array(shapes[0]) - wanted)
+    assert 0.01 < off_mm.max() < 3.0  # mounted by hand
+    alone = plant_of(load_cell("paper"))
+    go(alone, np.array(cell.robot.home_deg) + 20.0)
+    go(plant, np.array(cell.robot.home_deg) + 20.0)
+    assert np.array_equal(plant_of(cell).base_in_world(), alone.base_in_world())
 
 
 def test_slide_nests_and_robot_ride_rigidly(cell: Cell) -> None:

@@ -94,7 +94,7 @@ class Visits(FakeBench):
         )  # fmt: skip
 
     def flange_point(
-        self, id: PointId, station: Any, joints_rad: Array, *, nominal_mm: Array
+        self, id: PointId, station: Any, joints_rad: Array, *, nominal_mm: Array, **_: Any
     ) -> Point:
         self.retake_waiting()
         if known := self.log.find(id):

@@ -99,6 +99,18 @@ def test_collinear_slide_nests_are_refused() -> None:
         ("rail.travel_max_mm", "1e7", "allowed: >= -1e+06, <= 1e+06"),
         ("rail.travel_max_mm", "-1.0", "travel_min_mm 0.0 must be below travel_max_mm -1.0"),
         ("robot.smr_mm", "[1e9, 0.0, 0.0]", "allowed: >= -1e+06, <= 1e+06"),
+        ("robot.more_smr_mm", "[[0.0, 90.0, 0.0]]", "2 .. 5 reflectors besides smr_mm are wanted"),
+        (
+            "robot.more_smr_mm",
+            "[[98.0, 45.0, 127.0], [0.0, 200.0, 0.0]]",
+            "reflectors 1 and 2 are 45.0 mm apart, wanted at least 50 mm",
+        ),
+        (
+            "robot.more_smr_mm",
+            "[[98.0, 100.0, 127.0], [98.0, 200.0, 130.0]]",
+            "the reflectors lie nearly on one line",
+        ),
+        ("robot.more_smr_mm", "[[98.0, 100.0, nan], [0.0, 0.0, 0.0]]", "nan"),
         ("robot.home_deg", "[1e9, 0.0, 0.0, 0.0, 0.0, 0.0]", "allowed: >= -3600, <= 3600"),
         (
             "robot.safe_deg",
@@ -369,3 +381,21 @@ def test_names_have_letters_of_every_language_however_typed(tmp_path: Path) -> N
     cell = load_cell(str(file))
     assert "Süd" in [station.name for station in cell.station]
     assert "床1" in [nest.name for nest in cell.layout.floor]
+
+
+SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
+
+
+def test_several_reflectors_on_the_flange_are_those_of_another_cell() -> None:
+    one, three = load_cell("paper"), load_cell("paper", SEATS)
+    assert one.robot.seats_mm.tolist() == [[98.0, 0.0, 127.0]]
+    assert three.robot.seats_mm[1].tolist() == [-40.0, 110.0, 127.0]
+    assert one.digest != three.digest
+    assert (
+        one.digest == "b669038506a059db8f6c9a5011fe6d88df32c06b4f4d31ea4a07036b009195cc"
+    )  # files of before are of this cell
+
+
+def test_several_reflectors_cannot_be_carried_by_hand() -> None:
+    problems = refused(SEATS | {"layout.reflectors": '"by_hand"'})
+    assert any("wants all of them mounted" in line for line in problems)

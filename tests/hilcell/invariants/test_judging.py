@@ -62,6 +62,7 @@ CASES: list[tuple[str, Doctored]] = [
     ("I3", Doctored().change("point 1", readings__robot__ended_s=19.1)),
     ("I4", Doctored().change("point 1", readings__robot__ended_s=20.1)),
     ("I4", Doctored().without("move 1")),
+    ("I4", Doctored().after("point 1", flange("seat of another pose", "grid/7/seat2", 1))),
     ("I4", Doctored().change("point 1", reflector=None)),
     ("I4", Doctored().change("point 1", temperature_c=None)),
     ("I4", Doctored().change("point 1", smr_mm=None)),
@@ -141,8 +142,10 @@ def test_a_gap_is_found() -> None:
         Doctored().after("point 3", event("odd", "outlier measured again", key="grid/3"),
                          robot("odd move", "grid/3", 2),
                          flange("odd point", "grid/3", 2, 1)).change("odd point", retaken=True),
+        Doctored().after("point 1", flange("another reflector", "grid/1/seat2", 1))
+        .change("end 2", result={"points": {"world": 6, "grid": 4, "control": 18}}),
     ],
-    ids=["accepted", "firmware not stated once", "version not kept", "retake"],
+    ids=["accepted", "firmware not stated once", "version not kept", "retake", "seat"],
 )  # fmt: skip
 def test_what_was_agreed_to_breaks_nothing(journal: Doctored) -> None:
     assert broken(journal) == {}

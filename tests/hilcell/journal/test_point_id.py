@@ -51,6 +51,20 @@ def test_an_old_journals_keys_are_read(key: str, group: str, id: PointId) -> Non
     assert id_of_key(key) == id
 
 
+def test_a_pose_s_other_reflectors_are_points_of_their_own() -> None:
+    pose = PointId("validate", station="S300", how="chosen", number=7)
+    assert pose.at_seat(1) == pose
+    third = pose.at_seat(3)
+    assert (third.key, third.group) == ("validate/S300/chosen/007/seat3", "validate_chosen_seats")
+    log = Log()
+    for number, id in enumerate((pose, third), start=1):
+        body = BODY | {"group": id.group, "station": "S300", "id": msgspec.to_builtins(id)}
+        log.take(Record(number, "", "point", id.key, body))
+    assert [point.id for point in log.select("validate")] == [pose]
+    assert [point.id for point in log.measured("validate")] == [pose]
+    assert [point.id for point in log.select("validate", seat=3)] == [third]
+
+
 @pytest.mark.parametrize(("key", "group", "id"), OLD)
 def test_identities_survive_a_journal(key: str, group: str, id: PointId) -> None:
     assert msgspec.json.decode(msgspec.json.encode(id), type=PointId) == id

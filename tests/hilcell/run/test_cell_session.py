@@ -9,7 +9,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
-from hilcell.ports import Array, RailReading, RobotReading, TrackerReading
+from hilcell.ports import Array, DeviceError, RailReading, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import CELL, Bed, broken_beam
 from tests.hilcell.run.rig import Points, procedure
@@ -245,3 +245,52 @@ def test_a_resumed_run_proves_its_station_by_the_strip(
     assert fault_of(bed, hold) == ""
     assert len(bed.events("station found held")) == found
     assert len(bed.events("station held")) == 2 - found
+
+
+SEATED = load_cell(
+    "paper", {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
+)
+POSE = PointId("flange", target="0")
+TARGET_DEG = np.array([0.0, 75.0, 0.0])
+
+
+def flange_pose(session: CellSession, number: int) -> None:
+    session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+    session.flange_point(POSE, S1100, HOME_RAD, nominal_deg=TARGET_DEG, seats=True)
+
+
+def test_all_reflectors_of_a_pose_are_measured_after_one_motion(tmp_path: Path) -> None:
+    bed = Bed(tmp_path, cell=SEATED)
+    assert fault_of(bed, flange_pose) == ""
+    moves = [record for record in bed.records("intent") if record.key.startswith("flange")]
+    assert [record.key for record in moves] == ["flange/0"]
+    log = bed.log()
+    assert list(log.points) == ["flange/0", "flange/0/seat2", "flange/0/seat3", "p/0"]
+    points = [log.point(POSE.at_seat(seat)) for seat in (1, 2, 3)]
+    assert [point.nominal_deg for point in points] == [(0.0, 75.0, 0.0), None, None]
+    assert [point.smr_mm for point in points] == [*map(tuple, SEATED.robot.seats_mm.tolist())]
+    seen_mm = np.array([point.xyz_mm for point in points])
+    wanted_mm = SEATED.robot.seats_mm
+    for one, other in ((0, 1), (0, 2), (1, 2)):  # where each was looked for
+        apart_mm = np.linalg.norm(seen_mm[one] - seen_mm[other])
+        assert apart_mm == pytest.approx(np.linalg.norm(wanted_mm[one] - wanted_mm[other]))
+
+
+def test_a_run_that_ends_between_two_reflectors_measures_the_others_only(tmp_path: Path) -> None:
+    bed = Bed(tmp_path, cell=SEATED)
+
+    def ends() -> None:
+        if bed.tracker.measured == 1:
+            raise DeviceError("HC-T31", "Tracker", "measure", "it went away")
+
+    bed.tracker.answer = ends
+    assert fault_of(bed, flange_pose) == "HC-T31"
+    assert list(bed.log().points) == ["flange/0"]
+    first = bed.records("point")[0]
+    bed.tracker.answer = lambda: None
+    assert fault_of(bed, flange_pose) == ""
+    keys = [record.key for record in bed.records("point")]
+    assert keys == ["flange/0", "flange/0/seat2", "flange/0/seat3", "p/0"]
+    assert bed.records("point")[0] == first
+    moves = [r.key for r in bed.records("intent") if r.key.startswith("flange")]
+    assert moves == ["flange/0", "flange/0/seat2"]  # once more to the pose, for the others
