@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 
+from hilcell.journal.runs_folder import OVERRIDE as RUNS
 from hilcell.run.cell_lock import OVERRIDE
 from hilcell.run.signals import COMMANDS
 from tests.hilcell.report.browser import NAMES, found
@@ -75,6 +76,12 @@ def pytest_report_header() -> str:
 def _locks(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Lock devices among these tests alone: what else runs on this machine is not theirs."""
     os.environ[OVERRIDE] = str(tmp_path_factory.mktemp("locks"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _runs(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep runs whose folder no test names away from the user's own."""
+    os.environ[RUNS] = str(tmp_path_factory.mktemp("runs"))
 
 
 @pytest.fixture(scope="session")

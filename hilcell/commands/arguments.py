@@ -6,6 +6,7 @@ import argparse
 import math
 import re
 import unicodedata
+from datetime import datetime
 
 from hilcell.clean import clean
 
@@ -95,6 +96,16 @@ def days(text: str) -> float:
     if not 0 <= value < math.inf:
         raise argparse.ArgumentTypeError(f"days, 0 or more, are wanted, found {text[:80]!r}")
     return value
+
+
+def moment(text: str) -> datetime:
+    """Return a time with its zone, local where it states none; a date is its beginning."""
+    try:
+        return datetime.fromisoformat(text).astimezone()
+    except (ValueError, OverflowError, OSError):
+        raise argparse.ArgumentTypeError(
+            f"a date like 2026-11-22, or 2026-11-22T14:00, is wanted, found {text[:80]!r}"
+        ) from None
 
 
 def assignment(text: str) -> tuple[str, str]:

@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 
 from hilcell import __version__
 from hilcell.clean import clean
@@ -163,6 +164,14 @@ def _add_tui(commands: argparse._SubParsersAction[Parser]) -> None:
 
 def _add_past(commands: argparse._SubParsersAction[Parser]) -> None:
     runs = _command(commands, "runs", "commands.past:runs", "list the runs")
+    runs.add_argument("--cell", metavar="NAME", help="those of this cell, by its name")
+    runs.add_argument("--operator", metavar="NAME", help="those of this operator")
+    runs.add_argument(
+        "--since",
+        type=arguments.moment,
+        metavar="DATE",
+        help="those that began at 2026-11-22 or later, or 2026-11-22T14:00, in local time",
+    )
     options.add_runs_option(runs)
     options.add_json_option(runs, "one object with all runs")
     revoke = _command(
@@ -395,6 +404,8 @@ def main(
     try:
         act = getattr(importlib.import_module(f"hilcell.{module}"), function)
         imported()
+        if getattr(args, "runs", "none") is None:
+            args.runs = _usual_runs()
         code = int(act(args))
         flush_data()
     except KeyboardInterrupt:
@@ -404,6 +415,15 @@ def main(
         return _refuse(error, as_json=getattr(args, "json", False) and args.command == "run")
     else:
         return code
+
+
+def _usual_runs() -> Path:
+    from hilcell.journal.runs_folder import usual_runs  # loads the journal
+
+    usual = usual_runs(os.environ)
+    if usual.note:
+        print_message(usual.note)
+    return usual.path
 
 
 def _refuse(error: Exception, *, as_json: bool) -> int:

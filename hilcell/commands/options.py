@@ -71,13 +71,12 @@ def add_run_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def add_runs_option(parser: argparse.ArgumentParser) -> None:
-    """Add the folder of runs."""
+    """Add the folder of runs; without it `hilcell.commands.cli.main` finds the usual one."""
     parser.add_argument(
         "--runs",
         type=Path,
-        default=Path("runs"),
         metavar="DIR",
-        help="folder of runs (default: runs)",
+        help="folder of runs (default: HILCELL_RUNS, or one for each user)",
     )
 
 

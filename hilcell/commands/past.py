@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
+from datetime import datetime
 from typing import Any
 
 from hilcell.cell.devices import load_entry
@@ -20,20 +22,45 @@ def runs(args: argparse.Namespace) -> int:
     """List the runs of a folder, in the order of their names."""
     rows = read_index(args.runs)
     known = standings(rows)
-    found = [_summary(row, known.get(row.name)) for row in sorted(rows, key=lambda row: row.name)]
+    listed = sorted((row for row in rows if _asked_for(row, args)), key=lambda row: row.name)
+    found = [_summary(row, known.get(row.name)) for row in listed]
     if args.json:
         print_json({"runs": found})
         return 0
     if not found:
-        print_message(f"no runs in {args.runs}")
+        print_message(f"no runs in {args.runs}" + (" are of these" if rows else ""))
         return 0
-    headers = ["run", "procedure", "cell", "state", "points", "exit"]
+    headers = ["run", "procedure", "cell", "operator", "state", "verdict", "points", "exit"]
     cells = [
-        [*(_word(each.get(name)) for name in headers), _kind(each), _standing(each)]
+        [
+            *(_word(each.get(name)) for name in headers),
+            _local(each.get("begun")), _kind(each), _standing(each),
+        ]
         for each in found
-    ]
-    print_table(([*headers, "kind", "calibration"], cells))
+    ]  # fmt: skip
+    print_table(([*headers, "begun", "kind", "calibration"], cells))
     return 0
+
+
+def _asked_for(row: RunRow, args: argparse.Namespace) -> bool:
+    """Return whether a run is of the cell and operator, and as young, as was asked for."""
+    since: datetime | None = args.since
+    begun = _time(row.begun)
+    young = since is None or (begun is not None and begun >= since)
+    cell, operator = args.cell in (None, row.cell), args.operator in (None, row.operator)
+    return young and cell and operator
+
+
+def _time(begun: str) -> datetime | None:
+    with suppress(ValueError):
+        return datetime.fromisoformat(begun)
+    return None
+
+
+def _local(begun: str | None) -> str:
+    """Return a time of the index (UTC) in the zone of this PC."""
+    time = _time(begun or "")
+    return "" if time is None else f"{time.astimezone():%Y-%m-%d %H:%M %Z}"
 
 
 def _standing(summary: dict[str, Any]) -> str:
@@ -66,6 +93,10 @@ def _summary(row: RunRow, standing: Standing | None) -> dict[str, Any]:
         "operator": row.operator,
         "job": row.job,
         "live": row.live,
+        "begun": row.begun,
+        "ended": row.ended or None,
+        "verdict": row.verdict,
+        "reason": encodable(row.reason),
         "standing": None if standing is None else _facts(standing),
     }
 
@@ -109,6 +140,8 @@ def show(args: argparse.Namespace) -> int:
         return 0
     rows = [[name, str(summary[name])] for name in _SHOWN if summary.get(name) not in ("", None)]
     rows.append(["state", summary["state"]])
+    if summary.get("verdict"):
+        rows.append(["verdict", summary["verdict"]])
     if standing := _standing(summary):
         rows.append(["its calibration", standing])
     print_table((["run", summary["run"]], rows))

@@ -61,6 +61,7 @@ from hilcell.journal.runs import (
     new_run,
     read_log,
 )
+from hilcell.journal.runs_folder import runs_option
 from hilcell.ports import HilcellError, Stopped
 from hilcell.run.cell_lock import (
     CellLocked,
@@ -287,8 +288,7 @@ def _perform(
     print_unclosed(unclosed)
     print_lost(folder, output)
     if code in RESUMABLE and not _wants_new_run(fault):
-        runs = "" if folder.parent == Path("runs") else f" --runs {folder.parent}"
-        print_message(f"resume with: hilcell resume {folder.name}{runs}")
+        print_message(f"resume with: hilcell resume {folder.name}{runs_option(folder.parent)}")
     return EXIT_STORAGE if output.lost is not None and code in DONE else code
 
 

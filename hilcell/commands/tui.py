@@ -10,6 +10,7 @@ from pathlib import Path
 
 from hilcell.commands.output import print_message
 from hilcell.errors import HilcellError
+from hilcell.journal.runs_folder import runs_option
 from hilcell.tui.keys import load_keys
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, has_colours, has_unicode, is_coerced
 
@@ -57,7 +58,7 @@ def tui(args: argparse.Namespace) -> int:
             " not stopped by that: `hilcell tui last` shows it again"
         )
         return EXIT_INTERNAL
-    runs = "" if args.runs == Path("runs") else f" --runs {args.runs}"
+    runs = runs_option(args.runs)
     for detached in app.detached:
         again = f"hilcell tui {detached}{runs}"
         print_message(f"hilcell: detached; the run goes on: `{again}` shows it again")

@@ -1,4 +1,4 @@
-"""The calibration that a run made, changed or judged, or that was revoked, from its journal."""
+"""The calibration of a run, made, changed, judged or revoked, and its verdict, from its journal."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from hilcell.journal.journal import Record
 USED = "calibration used"  # the events
 REVOKED = "calibration revoked"
 VALIDATION = "validation."  # the key of a verdict is this and the place
+RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
 
 Kind = Literal["", "made", "base", "targets", "touch"]
 
@@ -21,7 +22,8 @@ class CalibrationFacts(msgspec.Struct, frozen=True):
     took, ``validated`` whether places were validated and all hold, ``undecided`` that some are
     neither in nor out of tolerance and none is out, ``redo`` that a re-check found the used one to
     hold no more, ``doubt`` what would explain an update of it as well. ``revoked`` is why somebody
-    has revoked its own.
+    has revoked its own. ``suspected`` says that the run suspects a cause that was not cleared,
+    ``verdict`` is that of all verdicts in words, "" where the run has none.
     """
 
     kind: Kind = ""
@@ -31,6 +33,8 @@ class CalibrationFacts(msgspec.Struct, frozen=True):
     redo: bool = False
     doubt: str = ""
     revoked: str = ""
+    suspected: bool = False
+    verdict: str = ""
 
 
 class _Verdict(msgspec.Struct):
@@ -38,6 +42,7 @@ class _Verdict(msgspec.Struct):
     verdict: str = ""
     outcome: str | None = None
     doubt: str = ""
+    suspected: list[str] = []
 
 
 class _Event(msgspec.Struct):
@@ -72,10 +77,24 @@ class CalibrationReader:
         rechecked = self._verdicts.get("recheck", _Verdict(holds=True))
         places = [v for key, v in self._verdicts.items() if key.startswith(VALIDATION)]
         failed = [each.outcome for each in places if not each.holds]
+        undecided = bool(failed) and set(failed) == {"undecided"}
+        kind, validated = self._kind(rechecked.verdict), bool(places) and not failed
+        broken = [each for each in self._verdicts.values() if not each.holds]
+        suspected = any(each.suspected for each in broken)
+        if rechecked.verdict in RECHECKED:
+            verdict = RECHECKED[rechecked.verdict]
+        elif undecided:
+            verdict = "undecided"
+        elif any(not each.suspected for each in broken):
+            verdict = "out of tolerance"
+        elif kind == "made" and not validated:
+            verdict = "not validated"
+        else:
+            verdict = "in tolerance" if self._verdicts and not suspected else ""
         return CalibrationFacts(
-            self._kind(rechecked.verdict), self._used, bool(places) and not failed,
-            bool(failed) and set(failed) == {"undecided"}, rechecked.verdict == "redo",
-            rechecked.doubt, self._revoked,
+            kind, self._used, validated, undecided, rechecked.verdict == "redo",
+            rechecked.doubt, self._revoked, suspected,
+            "; ".join(filter(None, (verdict, "suspected" if suspected else ""))),
         )  # fmt: skip
 
     def _kind(self, recheck: str) -> Kind:

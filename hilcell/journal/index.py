@@ -26,7 +26,7 @@ from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
-SCHEMA = 4  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 5  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
@@ -84,6 +84,15 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     def finished(self) -> bool:
         """Whether the run came to its end."""
         return self.state == "finished" and self.exit is not None
+
+    @property
+    def verdict(self) -> str:
+        """Return how the run came out, in words; "" where it has not ended."""
+        if self.live or self.exit is None:
+            return ""
+        if not self.finished:
+            return "refused" if self.state == "idle" else self.state
+        return self.facts.verdict or ("out of tolerance" if self.exit else "done")
 
     @property
     def order(self) -> tuple[str, str, str]:
@@ -174,6 +183,7 @@ _LOOKS: dict[str, Callable[[RunRow], str]] = {
     "exit": lambda row: "" if row.exit is None else str(row.exit),
     "points": lambda row: str(row.points),
     "reason": attrgetter("reason"),
+    "verdict": attrgetter("verdict"),
 }
 
 

@@ -17,10 +17,12 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
+from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
 
 State = Literal[
-    "current", "superseded", "revoked", "in doubt", "out of date", "not validated", "undecided"
+    "current", "superseded", "revoked", "in doubt", "out of date", "not validated", "undecided",
+    "suspected",
 ]  # fmt: skip
 
 
@@ -39,7 +41,7 @@ class Standing:
     @property
     def usable(self) -> bool:
         """Whether it may be used; one whose validation does not hold is judged by its verdicts."""
-        return self.state in ("current", "not validated", "undecided")
+        return self.state in ("current", "not validated", "undecided", "suspected")
 
     @property
     def text(self) -> str:
@@ -123,8 +125,7 @@ def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Standin
     for row in (row for row in rows if row.calibrates):
         made, used = row.facts.kind == "made", touches.get(row.facts.used, row.facts.used)
         if made and not (row.facts.validated and row.exit == 0):
-            undecided = row.facts.undecided
-            found[row.name] = Standing("undecided" if undecided else "not validated")
+            found[row.name] = Standing(_unproven(row.facts))
         elif not made and current and used != current:
             found[row.name] = Standing("superseded", current)
         else:
@@ -139,6 +140,12 @@ def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Standin
     named = current if current and found[current].state == "current" else ""
     calibrated = {row.name for row in rows if row.calibrates}
     return {name: replace(found[name], current=named) for name in calibrated}
+
+
+def _unproven(facts: CalibrationFacts) -> State:
+    if facts.undecided:
+        return "undecided"
+    return "suspected" if facts.suspected and facts.validated else "not validated"
 
 
 def _revoked(rows: list[RunRow]) -> dict[str, Standing]:

@@ -16,6 +16,7 @@ from hilcell.commands.cli import main
 from hilcell.journal.engine_file import ENGINE
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
+from hilcell.journal.runs_folder import OVERRIDE
 from tests.hilcell.report.journals import validated_run
 
 READERS = [
@@ -39,6 +40,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def runs(sound: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with two of them; commands write beside it."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(OVERRIDE, str(tmp_path / "runs"))
     return Path(shutil.copytree(sound, tmp_path / "runs", ignore=shutil.ignore_patterns("t")))
 
 

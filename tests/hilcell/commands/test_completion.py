@@ -43,8 +43,8 @@ def test_bash_completes(completed: Path, words: list[str], wanted: list[str]) ->
     Path(completed, "mine.toml").touch()
     answer = subprocess.run(
         ["bash", "-c", ASK, "bash", "hilcell", *words],
-        cwd=completed, env={"PATH": f"{BIN}:/usr/bin:/bin"}, capture_output=True, text=True,
-        check=True,
+        cwd=completed, env={"PATH": f"{BIN}:/usr/bin:/bin", "HILCELL_RUNS": str(completed)},
+        capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert answer.stdout.split() == wanted, answer.stderr
 

@@ -1,0 +1,120 @@
+"""The list of runs: when, by whom, with which verdict; and those that were asked for."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hilcell.commands.cli import main
+from hilcell.journal.index import RunRow, row_of
+from hilcell.journal.standing import standings
+from tests.hilcell.commands.finished_runs import MADE, REDO, finished
+
+UNDECIDED = {"validation.S1100": {"holds": False, "outcome": "undecided"}}
+REJECTED = {"validation.S1100": {"holds": False, "outcome": "rejected"}}
+SUSPECTED = {"suspicions": {"holds": False, "suspected": ["tracker moved by 0.3 mm"]}}
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "code", "said", "stands"),
+    [
+        (MADE, 0, "in tolerance", "current"),
+        (MADE | REJECTED, 1, "out of tolerance", "not validated"),
+        (MADE | UNDECIDED, 1, "undecided", "undecided"),
+        (MADE | SUSPECTED, 1, "suspected", "suspected"),
+        (MADE | REJECTED | SUSPECTED, 1, "out of tolerance; suspected", "not validated"),
+        (MADE | {"suspicions": {"suspected": []}}, 0, "in tolerance", "current"),
+        ({"fit": {}}, 0, "not validated", "not validated"),
+        (REDO, 1, "calibrate again", ""),
+        ({"recheck": {"verdict": "valid"}}, 0, "still valid", ""),
+        ({"backlash": {"holds": False}}, 1, "out of tolerance", ""),
+        ({}, 0, "done", ""),
+        ({}, 1, "out of tolerance", ""),
+    ],
+)
+def test_a_verdict_in_words(
+    tmp_path: Path, verdicts: dict[str, Any], code: int, said: str, stands: str
+) -> None:
+    """A suspected calibration was validated: "not validated" would be wrong."""
+    finished(tmp_path, "r", verdicts, code=code)
+    row = row_of(tmp_path / "r")
+    found = standings([row]).get("r")
+    assert (row.verdict, found.text if found else "") == (said, stands)
+
+
+@pytest.mark.parametrize(
+    ("state", "code", "said"),
+    [("aborted", 4, "aborted"), ("faulted", 3, "faulted"), ("idle", 2, "refused"),
+     ("running", None, "")],
+)  # fmt: skip
+def test_a_run_that_did_not_finish(state: str, code: int | None, said: str) -> None:
+    assert RunRow(name="r", begun="2026-11-22T10:00:00Z", state=state, exit=code).verdict == said
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    for name in ("1-made", "2-made"):
+        finished(tmp_path, name, MADE)
+    return tmp_path
+
+
+def listed(runs: Path, capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
+    assert main(["runs", "--json", "--runs", str(runs), *words]) == 0
+    found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)["runs"]
+    return found
+
+
+def test_the_table_has_the_local_time_the_operator_and_the_verdict(
+    runs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hilcell.commands.past.read_index", lambda _: [
+        RunRow(
+            name="r", begun="2026-11-22T22:30:00Z", state="finished", exit=0, operator="Ann\x1b[0m",
+            procedure="home", cell="paper",
+        )
+    ])  # fmt: skip
+    assert main(["runs", "--runs", str(runs)]) == 0
+    head, row = (" ".join(line.split()) for line in capsys.readouterr().out.splitlines()[1::2][:2])
+    assert all(word in head for word in ("operator", "verdict", "begun"))
+    assert "2026-11-22 22:30" in row or "2026-11-2" in row
+    assert "done" in row
+    assert "\x1b" not in row
+
+
+def test_json_keys_are_added_to(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, _ = listed(runs, capsys)
+    assert {"run", "procedure", "cell", "state", "points", "exit", "simulated", "operator", "job",
+            "live", "standing"} < set(first)  # fmt: skip
+    assert first["verdict"] == "in tolerance"
+    assert first["begun"].endswith("Z")
+    assert first["ended"] >= first["begun"]
+
+
+@pytest.mark.parametrize(
+    ("words", "count"),
+    [
+        (["--cell", "paper"], 2),
+        (["--cell", "hard"], 0),
+        (["--operator", "nobody"], 0),
+        (["--since", "2020-01-01"], 2),
+        (["--since", "2020-01-01T10:00+02:00"], 2),
+        (["--since", "2999-01-01"], 0),
+    ],
+)
+def test_those_that_were_asked_for(
+    runs: Path, capsys: pytest.CaptureFixture[str], words: list[str], count: int
+) -> None:
+    assert len(listed(runs, capsys, *words)) == count
+
+
+def test_none_of_these(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["runs", "--runs", str(runs), "--cell", "hard"]) == 0
+    assert capsys.readouterr().err == f"no runs in {runs} are of these\n"
+
+
+@pytest.mark.parametrize("text", ["soon", "22.11.2026", "0001-01-01", ""])
+def test_what_is_no_date(capsys: pytest.CaptureFixture[str], text: str) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["runs", "--since", text])
+    assert "a date like 2026-11-22" in capsys.readouterr().err

@@ -1,0 +1,80 @@
+"""The folder of runs: named, else the one of this directory that has runs, else the user's own."""
+
+from pathlib import Path
+
+import pytest
+
+from hilcell.commands.cli import main
+from hilcell.journal.runs_folder import OVERRIDE, runs_option, usual_runs
+from tests.hilcell.commands.finished_runs import MADE, finished
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return an empty current directory, with nothing set."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv(OVERRIDE)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("environment", "path"),
+    [
+        ({OVERRIDE: "/data/runs", "XDG_DATA_HOME": "/x", "HOME": "/h"}, "/data/runs"),
+        ({OVERRIDE: "", "XDG_DATA_HOME": "/x", "HOME": "/h"}, "/x/hilcell/runs"),
+        ({"XDG_DATA_HOME": "not/absolute", "HOME": "/h"}, "/h/.local/share/hilcell/runs"),
+        ({"HOME": "/h"}, "/h/.local/share/hilcell/runs"),
+    ],
+)
+def test_which_folder(here: Path, environment: dict[str, str], path: str) -> None:
+    assert usual_runs(environment) == (Path(path), "")
+
+
+def test_a_user_without_a_home(here: Path) -> None:
+    usual = usual_runs({"HOME": "nowhere"})
+    assert usual.path == Path("runs")
+    assert f"this user has no home: runs are in {here / 'runs'}" in usual.note
+
+
+def test_runs_of_this_directory_stay_in_use(here: Path) -> None:
+    (here / "runs" / "photos").mkdir(parents=True)
+    assert usual_runs({"HOME": "/h"}).path.is_absolute()  # no run is in it
+    finished(here / "runs", "1-made", MADE)
+    usual = usual_runs({"HOME": "/h"})
+    assert usual.path == Path("runs")
+    assert f"the runs of this directory are used, {here / 'runs'}; --runs DIR" in usual.note
+    assert usual_runs({"HOME": "/h", OVERRIDE: "/data"}) == (Path("/data"), "")
+
+
+def test_commands_find_a_run_from_any_directory(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(here / "data"))
+    own = here / "data" / "hilcell" / "runs"
+    finished(own, "1-made", MADE)
+    assert main(["runs"]) == 0
+    assert "1-made" in capsys.readouterr().out
+    (here / "elsewhere").mkdir()
+    monkeypatch.chdir(here / "elsewhere")
+    assert main(["show", "last"]) == 0
+    printed = capsys.readouterr()
+    assert "1-made" in printed.out
+    assert printed.err == ""
+
+
+def test_one_line_says_that_those_of_this_directory_are_used(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    finished(here / "runs", "1-made", MADE)
+    assert main(["runs", "--json"]) == 0
+    assert capsys.readouterr().err.count("the runs of this directory are used") == 1
+    assert main(["runs", "--runs", "runs"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_hint_names_the_folder_where_a_command_would_not_find_it(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(OVERRIDE, str(here / "own"))
+    assert runs_option(here / "own") == ""
+    assert runs_option(here / "on shelf") == f" --runs '{here}/on shelf'"
