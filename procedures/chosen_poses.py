@@ -101,7 +101,7 @@ def rows_of(model: Kinematic, joints_rad: Array, reading_mm2: Array) -> Rows:
     found = model.kinematics.linearised(model.state, joints_rad)
     one = (len(joints_rad), 1)
     own_mm2 = np.broadcast_to(reading_mm2, (*one, 3, 3))
-    noise_mm2 = model.noise.covariance(found.by_joint, own_mm2, np.ones(one, dtype=bool))
+    noise_mm2 = model.noise.covariance(found.by_joint[:, :1], own_mm2, np.ones(one, dtype=bool))
     return Rows(found.by_parameter[:, 0], noise_mm2)
 
 

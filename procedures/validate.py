@@ -18,7 +18,7 @@ from hilcell.calibration.influence import NoBound
 from hilcell.calibration.noticed import suspicions_of
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
-from hilcell.compensation.correction import corrected
+from hilcell.compensation.correction import corrected_poses
 from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
@@ -203,7 +203,7 @@ def command(
         touch_once(session, station, model)
         at_mm = frames.on_visit_mm(station, targets_mm)
     at = matrix(poses[:, :3, :3], at_mm)
-    return matrix(poses[:, :3, :3], corrected(grid_of(session.cell), at, model))
+    return corrected_poses(grid_of(session.cell), at, model)
 
 
 def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from hilcell.calibration.volume import turned_deg
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.choice import MODELS
-from hilcell.compensation.correction import corrected
+from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log
@@ -193,6 +193,7 @@ def compensate_targets(
 ) -> Array:
     """Return what to command, (N, 6) x, y, z, a, b, c in {W}, for nominal ``targets`` (N, 6).
 
+    The angles are the targets', or corrected where the calibration has measured orientation.
     Raises `HilcellError` naming every target outside the calibrated volume or orientation.
     """
     if station not in calibration.stations:
@@ -210,9 +211,19 @@ def compensate_targets(
     in_base = inverse(T_W_B) @ poses
     _refuse_turned(calibration, in_base, names)
     model = calibration.error_model()
-    command = corrected(calibration.grid(), in_base, model, names=names)
-    poses[:, :3, 3] = apply(T_W_B, command)
-    return zyx_from_pose(poses)
+    command = corrected_poses(calibration.grid(), in_base, model, names=names)
+    poses[:, :3, 3] = apply(T_W_B, command[:, :3, 3])
+    if not calibration.orients:
+        return zyx_from_pose(poses)
+    poses[:, :3, :3] = T_W_B[:3, :3] @ command[:, :3, :3]
+    return _beside(targets, zyx_from_pose(poses))
+
+
+def _beside(targets: Array, commands: Array) -> Array:
+    """Return commands (N, 6) with angles within half a turn of the targets' (N, 6)."""
+    beside = commands.copy()
+    beside[:, 3:] += 360.0 * np.round((targets[:, 3:] - commands[:, 3:]) / 360.0)
+    return beside
 
 
 def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> None:

@@ -208,6 +208,12 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
         return self._error_model
 
     @cached_property
+    def orients(self) -> bool:
+        """Whether it corrects the tool's orientation as well: several reflectors were measured."""
+        middle_mm = (np.array(self.validity.low_mm) + np.array(self.validity.high_mm)) / 2
+        return self.error_model().predict(self.poses_at(middle_mm[None])).turn is not None
+
+    @cached_property
     def _error_model(self) -> ErrorModel:  # to restore one and check it takes 7 ms
         model = self.learnt_model()
         return model if self.targets is None else WithRemainder(model, self.targets.remainder())

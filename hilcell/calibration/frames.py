@@ -12,7 +12,7 @@ import numpy as np
 from hilcell.cell.file import Cell, Station
 from hilcell.cell.plan import coarsest_pitch_mm
 from hilcell.compensation.grid import Grid, MeasuredGrid
-from hilcell.compensation.measured import Measured, StaticPoses
+from hilcell.compensation.measured import Measured, OtherReflectors, StaticPoses
 from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.compensation.transfer import base_at
@@ -159,7 +159,26 @@ def _static(log: Log, points: list[Point]) -> StaticPoses:
 def measured_of(log: Log) -> Measured:
     """Return everything that the models learn from."""
     curves = tuple(record.curve() for record in log.curves.values() if record.holds)
-    return Measured(measured_grid(log), log.cell.robot.nominal(), static_poses(log), curves)
+    poses, others = static_poses(log), other_reflectors(log)
+    return Measured(measured_grid(log), log.cell.robot.nominal(), poses, curves, others)
+
+
+def other_reflectors(log: Log) -> OtherReflectors | None:
+    """Return the other reflectors at the poses of `static_poses`; None where the cell has one."""
+    places_mm = log.cell.robot.seats_mm[1:]
+    if not len(places_mm):
+        return None
+    T_B_L = inverse(log.matrix("base")) @ log.matrix("world")
+    points = [*log.select("grid"), *log.select("pose")]
+    shape = (len(points), len(places_mm), 3)
+    at_mm, covariance_mm2 = np.full(shape, np.nan), np.full((*shape, 3), np.nan)
+    for row, point in enumerate(points):
+        for n in range(len(places_mm)):
+            seen = log.find(point.id.at_seat(n + 2))
+            if seen is not None:
+                at_mm[row, n] = apply(T_B_L, positions_mm([seen]))[0]
+                covariance_mm2[row, n] = covariances_mm2([seen], T_B_L[:3, :3])[0]
+    return OtherReflectors(places_mm, at_mm, covariance_mm2)
 
 
 def vertex_ids(grid: Grid) -> list[PointId]:

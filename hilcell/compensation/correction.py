@@ -2,7 +2,8 @@
 
 With e = actual - nominal the command is P - e: the paper's "adding the error" has the wrong sign,
 which doubles the error. P - e(P) is first order only, for the robot goes to the command, not to
-P: so P_cmd = P - e(P_cmd), by fixed-point steps.
+P: so P_cmd = P - e(P_cmd), by fixed-point steps. The orientation likewise: with the actual one
+exp(t) R_cmd, t the predicted rotation vector, the command is R_cmd = exp(-t(P_cmd)) R.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import numpy as np
 
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
+from hilcell.geometry.frames import matrix
 from hilcell.geometry.kinematics import Array
+from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 
@@ -45,19 +48,50 @@ def corrected(
     vertices of both differ. So a command that has come to within micrometres may cross a face
     and move by that jump once more.
     """
+    commands = _settled(grid, poses, model, steps, names, turned=False)
+    return commands[:, :3, 3]
+
+
+def corrected_poses(
+    grid: Grid,
+    poses: Array,
+    model: ErrorModel,
+    steps: int = 2,
+    names: Sequence[str] | None = None,
+) -> Array:
+    """Return commands (N, 4, 4) for target poses (N, 4, 4), in the grid's frame.
+
+    As `corrected`; the orientation is corrected as well where the model predicts its error, and is
+    the target's where it does not.
+    """
+    return _settled(grid, poses, model, steps, names, turned=True)
+
+
+def _settled(
+    grid: Grid,
+    poses: Array,
+    model: ErrorModel,
+    steps: int,
+    names: Sequence[str] | None,
+    *,
+    turned: bool,
+) -> Array:
     if steps < 1:
         raise CorrectionError(f"correction: {steps} steps, wanted 1 or more")
-    targets, at = poses[:, :3, 3], poses.copy()
+    targets, R, at = poses[:, :3, 3], poses[:, :3, :3], poses.copy()
     grid.check_inside(targets, names)
     command, first_mm = targets, np.full(len(targets), np.inf)
     for step in range(steps):
         at[:, :3, 3] = grid.clamped(command)
-        further = targets - model.predict(at).error_mm
+        found = model.predict(at)
+        further = targets - found.error_mm
         moved_mm = lengths_mm(further - command)
         first_mm = moved_mm if step == 0 else first_mm
         _check_contraction(moved_mm, first_mm, step, names)
         command = further
-    return command
+        if turned and found.turn is not None:
+            at[:, :3, :3] = from_rotvec(-found.turn.error_rad) @ R
+    return matrix(at[:, :3, :3], command)
 
 
 def _check_contraction(

@@ -16,16 +16,17 @@ import numpy as np
 
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.measured import Measured
-from hilcell.compensation.model import ModelError, Prediction
+from hilcell.compensation.model import ModelError, Prediction, Turn
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.robot import NominalRobot
+from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.curve import TransmissionCurve
 from hilcell.identification.estimate import Estimate, identify, identify_trusted
 from hilcell.identification.kinematics import Kinematics, Placed, State
 from hilcell.identification.noise import Noise
 from hilcell.identification.observability import observability
-from hilcell.identification.prediction import predict
+from hilcell.identification.prediction import predict, predict_orientations
 from hilcell.identification.readings import IdentificationError, Readings
 
 CONTRADICTED = 4.0  # times the square that chance gives a curve's change
@@ -69,12 +70,14 @@ class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     without_mm: float | None = None
 
 
-class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """The identified robot.
 
     ``base`` (4, 4), ``reflector_mm`` (3,), ``values`` by name (V,), and the ``covariance`` (P, P)
-    of base, reflector and values; noise; how many directions of the parameters the poses determine,
-    and how much better the best than the worst; poses that were struck out as gross.
+    of base, reflectors and values; noise; how many directions of the parameters the poses
+    determine, and how much better the best than the worst; poses that were struck out as gross.
+    ``more_reflectors_mm`` are the others on the flange, where the orientation was measured, and
+    ``pose_mm`` is the part of the noise that they share.
     """
 
     robot: RobotEntry
@@ -93,6 +96,8 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     directions: int
     condition: float
     outliers: list[int]
+    more_reflectors_mm: list[list[float]] = []
+    pose_mm: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +136,7 @@ class Kinematic:
             decision,
             known.directions,
             known.condition,
-            np.flatnonzero(estimate.outliers[:, 0]).tolist(),
+            np.flatnonzero(estimate.outliers.any(axis=1)).tolist(),
         )
 
     @classmethod
@@ -144,11 +149,15 @@ class Kinematic:
 
     def predict(self, poses: Array) -> Prediction:
         """Return the errors at nominal poses (N, 4, 4) in {B}; raises `ReachError`."""
+        known = (self.kinematics, self.state, self.covariance, self.noise)
         joints = self.robot.joints_for(poses)
-        found_mm, covariance_mm2 = predict(
-            self.kinematics, self.state, self.covariance, self.noise, joints
-        )
-        return Prediction(found_mm[:, 0] - poses[:, :3, 3], covariance_mm2[:, 0])
+        found_mm, covariance_mm2 = predict(*known, joints)
+        error_mm, turn = found_mm[:, 0] - poses[:, :3, 3], None
+        if self.kinematics.reflectors > 1:
+            R, covariance_rad2 = predict_orientations(*known, joints)
+            back = np.swapaxes(poses[:, :3, :3] @ self.robot.arm.tool[:3, :3].T, 1, 2)
+            turn = Turn(to_rotvec(R @ back), covariance_rad2)
+        return Prediction(error_mm, covariance_mm2[:, 0], turn)
 
     def parameters(self) -> dict[str, Any]:
         """Return the identified robot."""
@@ -175,6 +184,8 @@ class Kinematic:
             self.directions,
             self.condition,
             self.outliers,
+            self.state.smr_mm[1:].tolist(),
+            self.noise.pose_mm or None,  # absent, as in files of one reflector
         )  # fmt: skip
         found: dict[str, Any] = msgspec.to_builtins(entry)
         return found
@@ -188,24 +199,25 @@ class Kinematic:
             raise ModelError(f"no identified robot: {error}") from error
         robot = _robot(entry.robot)
         curves = tuple(_curve(curve) for curve in entry.curves)
+        seats = [entry.reflector_mm, *entry.more_reflectors_mm]
         kinematics = Kinematics(
-            robot.arm, gravity=entry.gravity, waves=entry.waves, tool=entry.tool, curves=curves
-        )
+            robot.arm, len(seats), gravity=entry.gravity, waves=entry.waves, tool=entry.tool,
+            curves=curves,
+        )  # fmt: skip
         placed, size = kinematics.placed, len(kinematics.names)
         covariance = _numbers("covariance", entry.covariance, (size, size), MOST_MM)
         _check_covariance(covariance)
         state = State(
             _frame("base", entry.base),
-            _numbers("reflector_mm", [entry.reflector_mm], (1, 3), MOST_MM),
+            _seats_mm(seats),
             _numbers("values", entry.values, (size - placed,), MOST_MM),
             np.zeros(placed),
         )
-        scatter = _numbers(
-            "reading_mm and joint_rad", [entry.reading_mm, *entry.joint_rad], (7,), MOST_MM
-        )
+        deviations = [entry.reading_mm, entry.pose_mm or 0.0, *entry.joint_rad]
+        scatter = _numbers("reading_mm, pose_mm and joint_rad", deviations, (8,), MOST_MM)
         if not (scatter >= 0.0).all():
-            raise ModelError("reading_mm and joint_rad: a standard deviation below zero")
-        noise = Noise(float(scatter[0]), 0.0, scatter[1:])
+            raise ModelError("reading_mm, pose_mm and joint_rad: a standard deviation below zero")
+        noise = Noise(float(scatter[0]), float(scatter[1]), scatter[2:])
         return cls(
             robot, kinematics, state, covariance, noise, entry.decision, entry.directions,
             entry.condition, entry.outliers,
@@ -229,17 +241,13 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
 
     A run asks for it with each of its results; it is made again when a number has changed.
     """
-    readings = Readings(
-        measured.poses.joints_rad,
-        measured.poses.actual_mm[:, None],
-        np.nan_to_num(measured.poses.covariance_mm2)[:, None],
-    )
     arm = measured.robot.arm
-    kinematics = Kinematics(arm, assumed=ASSUMED)
-    start = kinematics.start(np.eye(4), arm.tool[None, :3, 3])
-    without = _better(
-        identify(kinematics, readings, start, Noise.of_joints()), replace(kinematics, tool=True)
-    )
+    readings, seats_mm = _readings(measured), arm.tool[None, :3, 3]
+    if measured.others is not None:
+        seats_mm = np.concatenate([seats_mm, measured.others.places_mm])
+    kinematics = Kinematics(arm, len(seats_mm), assumed=ASSUMED)
+    start, noise = kinematics.start(np.eye(4), seats_mm), Noise.of_joints(len(seats_mm))
+    without = _better(identify(kinematics, readings, start, noise), replace(kinematics, tool=True))
     kinematics = without.kinematics
     curves = tuple(curve for curve in measured.curves if len(curve.cycles))
     if not curves:
@@ -258,6 +266,25 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
         f"{both[1]:.4f} mm without"
     )
     return (with_ if used else without), CurvesUsed(used, reason, *both)
+
+
+def _readings(measured: Measured) -> Readings:
+    """Return where the reflectors were, the tool point first."""
+    poses, others = measured.poses, measured.others
+    xyz_mm, covariance_mm2 = poses.actual_mm[:, None], poses.covariance_mm2[:, None]
+    if others is not None:
+        xyz_mm = np.concatenate([xyz_mm, others.actual_mm], axis=1)
+        covariance_mm2 = np.concatenate([covariance_mm2, others.covariance_mm2], axis=1)
+    return Readings(poses.joints_rad, xyz_mm, np.nan_to_num(covariance_mm2))
+
+
+def seats_mm(measured: Measured) -> Array:
+    """Return where the reflectors (K, 3) are on the flange, as identified.
+
+    They define the tool's orientation: the flange's, by the controller's zero of axis 6. Raises
+    `IdentificationError`.
+    """
+    return _identified(measured)[0].state.smr_mm
 
 
 def _with_curves(without: Estimate, curves: tuple[TransmissionCurve, ...]) -> Estimate:
@@ -358,6 +385,16 @@ def _frame(name: str, rows: list[list[float]]) -> Array:
     return T
 
 
+def _seats_mm(places: list[list[float]]) -> Array:
+    """Return reflectors (K, 3): one, or three and more that span a triangle."""
+    seats_mm = _numbers("reflector_mm", places, (len(places), 3), MOST_MM)
+    across_mm = np.linalg.svd(seats_mm - seats_mm.mean(axis=0), compute_uv=False)
+    if len(seats_mm) > 1 and not across_mm[1] > LEAST_ACROSS_MM:
+        raise ModelError("more_reflectors_mm: an orientation needs a triangle of reflectors")
+    return seats_mm
+
+
+LEAST_ACROSS_MM = 1.0
 RIGID = 1e-6  # of a rotation matrix times its transpose
 SYMMETRIC = 1e-9  # of the parameters' correlations
 

@@ -42,16 +42,31 @@ class StaticPoses:
 
 
 @dataclass(frozen=True, eq=False)
+class OtherReflectors:
+    """The K - 1 reflectors on the flange besides the tool point, at the same M poses.
+
+    ``places_mm`` (K - 1, 3) are nominal, on the flange, ``actual_mm`` (M, K - 1, 3) in {B}, NaN
+    where one was not measured, ``covariance_mm2`` (M, K - 1, 3, 3) that of the averaged readings.
+    """
+
+    places_mm: Array
+    actual_mm: Array
+    covariance_mm2: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Measured:
     """The grid for models of space, all poses and the curves for models of the arm.
 
-    Two with the same numbers are equal: models learnt from either are the same.
+    ``others`` tell of the tool's orientation; None where one reflector was measured. Two with the
+    same numbers are equal: models learnt from either are the same.
     """
 
     grid: MeasuredGrid
     robot: NominalRobot
     poses: StaticPoses
     curves: tuple[TransmissionCurve, ...] = ()
+    others: OtherReflectors | None = None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Measured) and self._content == other._content
@@ -61,7 +76,7 @@ class Measured:
 
     @cached_property
     def _content(self) -> Any:
-        return _plain((self.grid, self.robot, self.poses, self.curves))
+        return _plain((self.grid, self.robot, self.poses, self.curves, self.others))
 
 
 def _plain(value: Any) -> Any:

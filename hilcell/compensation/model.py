@@ -1,4 +1,4 @@
-"""A model of position errors: nominal poses in, predicted errors and their covariance out.
+"""A model of a robot's errors: nominal poses in, predicted errors and their covariance out.
 
 A model is one module with one class, registered under its name in `hilcell.compensation.choice`;
 nothing else in the core names it.
@@ -23,9 +23,19 @@ class ModelError(HilcellError):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Turn:
+    """Errors of orientation at N targets as rotation vectors (N, 3), and their covariances
+    (N, 3, 3): actual = exp(vector) nominal, so that the axes are those of the model's frame.
+    """
+
+    error_rad: Array
+    covariance_rad2: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Prediction:
     """Errors e = actual - nominal (N, 3) at N targets, and their covariances (N, 3, 3), NaN where
-    a calibration states none.
+    a calibration states none. ``turn`` is None where the model knows positions only.
 
     The covariance covers parameters, residual and the repeatability of one visit, as far as the
     data that the model learnt from show it. The frame is the model's.
@@ -33,10 +43,11 @@ class Prediction:
 
     error_mm: Array
     covariance_mm2: Array
+    turn: Turn | None = None
 
 
 class ErrorModel(Protocol):
-    """Predicts the robot's position error."""
+    """Predicts the robot's error of position, and of orientation if it can."""
 
     def predict(self, poses: Array) -> Prediction:
         """Return the errors at nominal poses (N, 4, 4) in {B}; raises `HilcellError` outside."""

@@ -113,7 +113,8 @@ class WithRemainder:
         """Return the errors at poses (N, 4, 4) in {B}; raises as the model does."""
         found = self.model.predict(poses)
         mean_mm, left = self.remainder.at(poses)
-        return Prediction(found.error_mm + mean_mm, found.covariance_mm2 * left[:, None, None])
+        covariance_mm2 = found.covariance_mm2 * left[:, None, None]
+        return Prediction(found.error_mm + mean_mm, covariance_mm2, found.turn)
 
 
 class _Solved(NamedTuple):

@@ -4,9 +4,9 @@ Three sources: the tracker's own beyond what the readings' covariance says, inde
 to reading; a shift common to all reflectors of a pose; and the joints' (repeatability, and short
 waves of gears that no parameter describes). One that is zero is absent and stays so.
 
-Several reflectors are not described by noise of the joints: where the wrist is nearly singular it
-claims that the robot cannot miss in some direction, and the few poses there outweigh all others
-(two real robots, `docs/decisions/0027-kinematic-identification.md`).
+Several reflectors are not described by noise of the joints alone: where the wrist is nearly
+singular it claims that the robot cannot miss in some direction, and the few poses there outweigh
+all others (two real robots, `docs/decisions/0027-kinematic-identification.md`).
 """
 
 from __future__ import annotations
@@ -31,9 +31,12 @@ class Noise:
     joint_rad: Array
 
     @classmethod
-    def of_joints(cls) -> Noise:
-        """Return noise of readings and joints, to be estimated; for one reflector."""
-        return cls(TYPICAL_MM, 0.0, np.full(6, TYPICAL_RAD))
+    def of_joints(cls, reflectors: int = 1) -> Noise:
+        """Return noise of readings and joints, with several reflectors of poses too, to be
+        estimated.
+        """
+        pose_mm = TYPICAL_MM if reflectors > 1 else 0.0
+        return cls(TYPICAL_MM, pose_mm, np.full(6, TYPICAL_RAD))
 
     @classmethod
     def of_poses(cls, reflectors: int) -> Noise:

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.file import compensate_targets
-from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
+from hilcell.calibration.form import Calibration
+from hilcell.compensation.model import Prediction, Turn
+from hilcell.geometry.frames import inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
+from hilcell.geometry.rotations import to_rotvec
 from hilcell.ports import Array, HilcellError
 from tests.hilcell.calibration.calibrations import LOW_MM, PITCH_MM, T_W_B, calibration, field_mm
 
@@ -47,3 +50,25 @@ def test_a_target_that_is_nowhere_is_refused(value: float) -> None:
 def test_a_target_outside_the_grid_is_refused() -> None:
     with pytest.raises(HilcellError, match="hole"):
         compensate_targets(calibration(), "S1100", target(at_mm=LOW_MM - 1.0), ["hole"])
+
+
+class Turned:
+    """Predicts that the tool arrives 1 mrad too far about z of {B}, and in its place."""
+
+    def predict(self, poses: Array) -> Prediction:
+        zeros = np.zeros((len(poses), 3, 3))
+        return Prediction(
+            zeros[:, 0], zeros, Turn(np.tile([0.0, 0.0, 1e-3], (len(poses), 1)), zeros)
+        )
+
+
+def test_a_calibrated_orientation_is_corrected_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Calibration, "learnt_model", lambda self: Turned())
+    nominal = target()
+    nominal[0, 3] += 360.0  # as a program may state it
+    command = compensate_targets(calibration(), "S1100", nominal, ["hole"])
+    np.testing.assert_allclose(command[0, :3], nominal[0, :3], atol=1e-9)
+    found, wanted = (inverse(T_W_B) @ poses_from_zyx(each)[0] for each in (command, nominal))
+    turn = to_rotvec(found[:3, :3] @ wanted[:3, :3].T)
+    np.testing.assert_allclose(turn, [0.0, 0.0, -1e-3], atol=1e-9)
+    assert np.abs(command[0, 3:] - nominal[0, 3:]).max() < 1.0
