@@ -44,6 +44,7 @@ class Datum:
     file: str
     line: int
     tokens: Sequence[Token] = field(repr=False)
+    is_global: bool = False
 
     def fields(self) -> dict[str, Sequence[Token]]:
         """Return the tokens of each component; raises `KrlError`."""
@@ -58,7 +59,7 @@ class Datum:
                 f"{self.name} leaves out {', '.join(missing)}, which keep their value from the "
                 "motion before; state all of X Y Z A B C"
             )
-        return {name: _number(name, fields[name]) for name in (*POSE, *EXTERNAL) if name in fields}
+        return {name: number(name, fields[name]) for name in (*POSE, *EXTERNAL) if name in fields}
 
     def posture(self) -> int | None:
         """Return S where S and T fix the posture with its whole turns; raises `KrlError`."""
@@ -84,7 +85,8 @@ def aggregate(tokens: Sequence[Token]) -> dict[str, Sequence[Token]]:
     return fields
 
 
-def _number(name: str, tokens: Sequence[Token]) -> Number:
+def number(name: str, tokens: Sequence[Token]) -> Number:
+    """Return the number of one component; raises `KrlError`."""
     text = "".join(token.text for token in tokens)
     signed = len(tokens) == 2 and tokens[0].text in "+-"
     if tokens[-1].kind != "number" or not (signed or len(tokens) == 1):
@@ -147,6 +149,7 @@ class DataList:
         self.data: dict[str, Datum] = {}
         self.kinds: dict[str, str] = {}
         self.problems: list[str] = []
+        self._global = set[str]()  # names that other programs may use
         self._file = file
         for statement in found:
             try:
@@ -156,17 +159,21 @@ class DataList:
 
     def _take(self, statement: Statement) -> None:
         kind, variables = declared(statement)
+        is_global = any(token.word == "GLOBAL" for token in statement.tokens[:2])
         for name, value in variables:
             self.kinds[name] = kind
+            if is_global:
+                self._global.add(name)
             if value:
-                self._keep(Datum(name, kind, self._file, statement.line, value))
+                self._keep(Datum(name, kind, self._file, statement.line, value, is_global))
         if kind:
             return
         one = element(statement)
         if one is not None:
             base = one[0].partition("[")[0]
             if base in self.kinds:
-                self._keep(Datum(one[0], self.kinds[base], self._file, statement.line, one[1]))
+                kind, is_global = self.kinds[base], base in self._global
+                self._keep(Datum(one[0], kind, self._file, statement.line, one[1], is_global))
 
     def _keep(self, datum: Datum) -> None:
         if datum.name in self.data:

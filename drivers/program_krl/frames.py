@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from drivers.program_krl.data import DataList, aggregate
+from drivers.program_krl.data import POSE, DataList, aggregate, number
 from drivers.program_krl.tokens import KrlError, Statement, Token, closing, split, text_of
 
 SET_ONCE = {"$BASE": "base", "$TOOL": "tool"}
@@ -24,6 +24,7 @@ NEVER_SET = (
     "$WORLD",
     "$NULLFRAME",
 )
+WORLDS = ("$NULLFRAME", "$WORLD")
 BAS_SETS = {"#BASE": "base", "#TOOL": "tool"}
 BAS_RESETS = ("#INITMOV",)
 BAS_REFUSED = ("#EX_BASE",)
@@ -40,6 +41,7 @@ class FrameRule:
         self._set: dict[str, int] = {}
         self._form: tuple[str, int] | None = None  # frame data in force, and their line
         self._forms_used: tuple[str, int] | None = None
+        self.stated: tuple[int, list[float]] | None = None  # base by its numbers, and its line
         self._moved = 0
 
     def take(self, statement: Statement) -> None:
@@ -103,6 +105,8 @@ class FrameRule:
         elif name in SET_ONCE:
             _check_fixed(name, rest)
             self._set_once(SET_ONCE[name], line)
+            if name == "$BASE" and (values := _stated(rest[1:])) is not None:
+                self.stated = line, values
 
     def _set_once(self, what: str, line: int) -> None:
         if what in self._set:
@@ -139,6 +143,22 @@ def _plain_name(name: str, rest: Sequence[Token]) -> str:
     if len(rest) != 2 or rest[0].text != "=" or rest[1].kind != "word":
         raise KrlError(f"{name}{text_of(rest)} sets a base that is not in the .dat file")
     return rest[1].word
+
+
+def _stated(value: Sequence[Token]) -> list[float] | None:
+    """Return x, y, z, a, b, c of a base that is set by numbers, or to the controller's world."""
+    if value[0].word in WORLDS:
+        return [0.0] * len(POSE)
+    if value[0].text != "{":
+        return None
+    fields = aggregate(value)
+    missing = [name for name in POSE if name not in fields]
+    if missing:
+        raise KrlError(
+            f"$BASE leaves out {', '.join(missing)}, which keep their value from before; state all "
+            "of X Y Z A B C"
+        )
+    return [number(name, fields[name]).value for name in POSE]
 
 
 def _check_fixed(name: str, rest: Sequence[Token]) -> None:

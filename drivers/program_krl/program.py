@@ -14,6 +14,7 @@ import numpy as np
 from drivers.program_krl.data import POSE, Number
 from drivers.program_krl.tokens import statements
 from drivers.program_krl.turns import check_turns
+from hilcell.compensation.programs import StatedBase, Stroke
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
 
@@ -52,11 +53,16 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """Texts by file name, targets in the order of their first motion, and remarks on them."""
+    """Texts by file name, targets in the order of their first motion, and remarks on them.
+
+    ``strokes`` start at one of the targets, ``base`` is that which the program sets by numbers.
+    """
 
     texts: dict[str, str] = field(repr=False)
     targets: list[Target]
     notes: list[str]
+    strokes: list[Stroke] = field(default_factory=list)
+    base: StatedBase | None = None
     suffixes = (SOURCE, DATA)
 
     @property

@@ -10,11 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence, Set
 from functools import partial
 
-from drivers.program_krl.data import AXES, EXTERNAL, POINTS, DataList, Datum, declared
+import numpy as np
+
+from drivers.program_krl.data import AXES, EXTERNAL, POINTS, POSE, DataList, Datum, declared
 from drivers.program_krl.frames import FrameRule, assigned_at
 from drivers.program_krl.program import Program, Target
+from drivers.program_krl.strokes import STROKES, Relative, StrokeRule
 from drivers.program_krl.tokens import KrlError, Statement, Token, closing, statements, text_of
 from hilcell.cell.settings import SettingsError
+from hilcell.compensation.programs import StatedBase, Stroke
+from hilcell.geometry.frames import pose_from_zyx
 
 ABSOLUTE = ("PTP", "LIN", "SPTP", "SLIN")
 JOINTWISE = ("PTP", "SPTP")
@@ -24,6 +29,7 @@ EXTERNAL_AXES = ("ASYPTP",)
 APPROXIMATIONS = ("C_PTP", "C_DIS", "C_VEL", "C_ORI", "C_SPL")
 HOMES = ("HOME", "XHOME", *(f"XHOME{n}" for n in range(1, 6)))
 WHERE_IT_IS = "$AXIS_ACT"
+NAMED = 5
 HEADERS = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
 CONTROL = (
     "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
@@ -37,29 +43,39 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
     Raises `SettingsError` with everything that cannot be corrected safely, by file and line.
     """
     name, content = data or (source, "")
-    reader = _Reader(source, list(statements(text)), DataList(name, statements(content)))
+    found = DataList(name, statements(content)) if data else None
+    reader = _Reader(source, list(statements(text)), found)
     reader.read()
     if reader.problems:
         raise SettingsError(source, reader.problems)
     texts = {source: text} | ({name: content} if data else {})
-    return Program(texts, list(reader.targets.values()), reader.notes())
+    targets = list(reader.targets.values())
+    return Program(texts, targets, reader.notes(), reader.strokes(), reader.base())
 
 
 class _Reader:
     """Goes through the statements once for motions, and once more for other uses of points."""
 
-    def __init__(self, file: str, found: list[Statement], data: DataList) -> None:
+    def __init__(self, file: str, found: list[Statement], data: DataList | None) -> None:
         self.targets: dict[str, Target] = {}
-        self.problems = list(data.problems)
-        self._file, self._found, self._data = file, found, data
-        self._frames = FrameRule(data)
+        self._lacks_data = data is None
+        self._data = data or DataList(file, ())
+        self.problems = list(self._data.problems)
+        self._file, self._found = file, found
+        self._frames = FrameRule(self._data)
         self._own = {name for each in found for name in _defined(each)}
+        self._stands = StrokeRule(_moving(found, self._own))
+        self._relative: list[Relative] = []
+        self._missing: list[str] = []  # names that the data list beside it would have
         self._local = {name for each in found for name in _local(each)}
         self._places: set[int] = set()  # where the names of targets stand in motions
         self._left: dict[str, int] = {}  # homes and other files' programs, by their first line
 
     def read(self) -> None:
         self._each(self._take)
+        if self._missing:
+            self.problems = [self._no_data()]  # the others follow from it
+            return
         used = {target.name.partition("[")[0] for target in self.targets.values()}
         self._each(partial(self._check_uses, used))
         self._check_external()
@@ -73,12 +89,47 @@ class _Reader:
             except KrlError as error:
                 self.problems.append(f"{self._file} line {statement.line}: {error}")
 
+    def _no_data(self) -> str:
+        stem = self._file.rpartition(".")[0] or self._file
+        names = list(dict.fromkeys(self._missing))
+        more = ", ..." if len(names) > NAMED else ""
+        return (
+            f"{stem}.dat is missing beside it, wanted with the points {', '.join(names[:NAMED])}"
+            f"{more}; copy both files of the program into one folder"
+        )
+
+    def strokes(self) -> list[Stroke]:
+        """Return the strokes, each from a target that it may start at."""
+        keys = list(self.targets)
+        found = []
+        for each in self._relative:
+            target = self.targets[each.key]
+            R = pose_from_zyx(*(target.numbers[name].value for name in POSE))[:3, :3]
+            where = f"{each.word} ({self._file} line {each.line}) from {target.where}"
+            shift_mm = R @ np.array(each.shift_mm)
+            found.append(Stroke(where, keys.index(each.key), tuple(shift_mm.tolist())))
+        return found
+
+    def base(self) -> StatedBase | None:
+        """Return the base that the program sets by numbers."""
+        if self._frames.stated is None:
+            return None
+        line, values = self._frames.stated
+        return StatedBase(f"{self._file} line {line}", tuple(values))
+
     def notes(self) -> list[str]:
-        """Return the parts that were left as they are."""
+        """Return the parts that were left as they are, and those that reach further."""
         used = {target.name for target in self.targets.values()}
+        shared = [
+            name for name in used if name in self._data.data and self._data.data[name].is_global
+        ]
         unused = [d.name for d in self._data.data.values() if d.kind in POINTS]
         unused = [name for name in unused if name not in used]
         remarks = [f"{what} (line {line})" for what, line in self._left.items()]
+        remarks += [
+            f"{name} is GLOBAL: other programs that use it get its correction, too"
+            for name in sorted(shared)
+        ]
         return remarks + ([f"not used by a motion, left: {', '.join(unused)}"] if unused else [])
 
     # -- the first pass -----------------------------------------------------------------------
@@ -89,7 +140,11 @@ class _Reader:
             return
         if any(token.text in ('"', "'") for token in tokens):
             raise KrlError("a string does not end on its line")
+        if statement.head in STROKES:
+            self._relative += self._stands.take(statement)
+            return
         _refuse_motions(statement)
+        self._stands.pass_by(statement)
         labelled = len(tokens) == 2 and tokens[1].text == ":"
         if any(token.text == ":" for token in _outside_braces(tokens)) and not labelled:
             raise KrlError("the geometric operator ':' computes a frame at run time")
@@ -100,6 +155,7 @@ class _Reader:
             self._check_calls(statement)
 
     def _motion(self, statement: Statement) -> None:
+        self._stands.stands_at(())
         target, rest = _target(statement.tokens)
         clause = _clause(rest)
         name = text_of(target)
@@ -109,13 +165,16 @@ class _Reader:
                 raise KrlError(_JOINTS.format(f"{statement.head} {name}"))
             self._frames.move(statement.line, clause)
             self._add(f"{statement.line}", inline, by_joints=statement.head in JOINTWISE)
+            self._stands.stands_at([f"{statement.line}"])
             return
         self._places.add(target[0].start)
         if statement.head in JOINTWISE and self._stays(name, statement.line):
             return
         self._frames.move(statement.line, clause)
-        for each in self._meant(target):
+        meant = self._meant(target)
+        for each in meant:
             self._add(each.name, each, by_joints=statement.head in JOINTWISE)
+        self._stands.stands_at([each.name for each in meant])
 
     def _stays(self, name: str, line: int) -> bool:
         """Whether this is a home move, or one to where the robot is, which are left unchanged."""
@@ -137,6 +196,8 @@ class _Reader:
         names = [name] if name in self._data.data else []
         if len(target) > 1 and target[2].kind != "number":
             names = self._data.elements(base)
+        if not names and self._lacks_data:
+            self._missing.append(base)
         if not names:
             raise KrlError(f"{name} is not a point with numbers in the program's .dat file")
         found = [self._data.data[each] for each in names]
@@ -247,6 +308,18 @@ def _clause(rest: Sequence[Token]) -> Sequence[Token]:
     if rest and rest[0].word != "WITH":
         raise KrlError(f"{text_of(rest)} after the target makes it one that is computed")
     return rest[1:]
+
+
+def _moving(found: Sequence[Statement], own: Set[str]) -> set[str]:
+    """Return the own subprograms that move, or may: those that have a motion or call another."""
+    moving, current = set[str](), ""
+    for statement in found:
+        begun = _defined(statement)
+        current = begun[0] if begun else current
+        words = {token.word for token in statement.tokens} - set(begun)
+        if words & {*ABSOLUTE, *CIRCLES, *SPLINES, *STROKES, "PTP_REL", "CIRC_REL"} or words & own:
+            moving.add(current)
+    return moving
 
 
 def _outside_braces(tokens: Sequence[Token]) -> list[Token]:

@@ -13,6 +13,7 @@ from hilcell.clean import clean
 LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
 MOST_PORT = 65535
+STROKE_MM, MOST_STROKE_MM = 20.0, 200.0
 SIMULATED = ("rail", "robot", "tracker", "control")
 # For the help: headers of `hilcell.compensation.targets` and `hilcell.planning.holes`.
 TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
@@ -95,6 +96,16 @@ def days(text: str) -> float:
     value = _number(text)
     if not 0 <= value < math.inf:
         raise argparse.ArgumentTypeError(f"days, 0 or more, are wanted, found {text[:80]!r}")
+    return value
+
+
+def stroke(text: str) -> float:
+    """Return a length of strokes, mm."""
+    value = _number(text)
+    if not 0.0 < value <= MOST_STROKE_MM:
+        raise argparse.ArgumentTypeError(
+            f"a length above 0 up to {MOST_STROKE_MM:g} mm is wanted, found {text[:80]!r}"
+        )
     return value
 
 

@@ -362,6 +362,14 @@ def _add_files(commands: argparse._SubParsersAction[Parser]) -> None:
         help=f"nominal targets in {{W}}, header {arguments.TARGETS}; or a robot program of an "
         "installed format",
     )
+    compensate.add_argument(
+        "--allow-stroke",
+        type=arguments.stroke,
+        default=arguments.STROKE_MM,
+        metavar="MM",
+        help="how far a program's relative motions along the tool may lead from their point "
+        f"(default: {arguments.STROKE_MM:g})",
+    )
     compensate.add_argument("--station", required=True, metavar="S", help="where they are reached")
     compensate.add_argument(
         "-o", "--output", required=True, metavar="OUT", help="corrected targets, or program"

@@ -9,6 +9,7 @@ import numpy as np
 
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
+from hilcell.calibration.programs import check_base, check_strokes
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
@@ -34,9 +35,11 @@ def compensate(args: argparse.Namespace) -> int:
     inputs = [source, found.path, Path(args.cell or source)]
     program = load_program(source)
     names, targets = _listed(source) if program is None else (program.names, program.values())
+    if program is not None and args.station in calibration.stations:
+        check_base(calibration, args.station, program.base, targets)  # names a cause of the next
     command = compensate_targets(calibration, args.station, targets, names)
     if program is not None:
-        _check_program(calibration, args.station, program, command, source, cell)
+        _check_program(calibration, args, program, command, cell)
     drill_mm = drill_mm_of(cell)
     bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, drill_mm)
     if args.bounds:
@@ -102,17 +105,24 @@ def _listed(source: Path) -> tuple[list[str], Array]:
 
 def _check_program(
     calibration: Calibration,
-    station: str,
+    args: argparse.Namespace,
     program: Program,
     command: Array,
-    source: Path,
     cell: Cell | None,
 ) -> None:
+    """Refuse a program whose strokes or joints do not agree with its corrected targets."""
+    station, name, targets = args.station, Path(args.targets).name, program.values()
+    change_mm = check_strokes(calibration, station, targets, program.strokes, args.allow_stroke)
+    if program.strokes:
+        print_message(
+            f"{name}: strokes keep the correction of the point before them; the error changes by "
+            f"at most {change_mm:.3f} mm over them"
+        )
     if cell is not None:
         T_W_B = np.array(calibration.stations[station].T_W_B)
         program.check_joints(cell.robot.arm(), T_W_B, command)
     elif program.needs_arm:
-        print_message(f"{source.name}: {program.needs_arm} were not checked; --cell CELL does")
+        print_message(f"{name}: {program.needs_arm} were not checked; --cell CELL does")
 
 
 def _write(

@@ -100,6 +100,8 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
         "the training rows do not determine them; measure poses near them",
     )
     joints = reach.near(command, targets.joints_rad, targets.names) if as_joints else None
+    if program is not None:
+        _refuse_unchecked(program, job.source)
     if program is not None and program.needs_arm:
         _check_program(program, reach, command, job.source.name)
     inputs = job.inputs
@@ -136,6 +138,17 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
         "bound95_median_mm": float(np.median(bounds.radii_mm)),
         "bound95_max_mm": float(bounds.radii_mm.max()),
     }
+
+
+def _refuse_unchecked(program: Program, source: Path) -> None:
+    """Refuse what only a calibration can judge: strokes, and a base that is not the root."""
+    problems = [
+        f"{each.where}: strokes are corrected by `compensate` alone" for each in program.strokes
+    ]
+    if program.base is not None and any(program.base.values):
+        problems.append(f"{program.base.where}: the base set there is not {ROOT}")
+    if problems:
+        raise SettingsError(str(source), problems)
 
 
 def _check_program(program: Program, reach: Reach, command: Array, name: str) -> None:

@@ -12,13 +12,32 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from hilcell.cell.devices import load_entry
 from hilcell.compensation.stamp import Stamp, refuse_corrected
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
 from hilcell.writing import NotWritten, is_stream, write_together
+
+
+class Stroke(NamedTuple):
+    """A relative motion that keeps the correction of a target, an index into the program's.
+
+    ``shift_mm`` leads from that target to the motion's end, in the targets' frame; ``where`` names
+    it for messages.
+    """
+
+    where: str
+    target: int
+    shift_mm: tuple[float, ...]
+
+
+class StatedBase(NamedTuple):
+    """A base that a program sets by numbers: x, y, z in mm, Z-Y-X angles a, b, c in deg."""
+
+    where: str
+    values: tuple[float, ...]
 
 
 class Program(Protocol):
@@ -43,6 +62,14 @@ class Program(Protocol):
     @property
     def remarks(self) -> Sequence[str]:
         """Return the comments in the files, where a stamp may be."""
+
+    @property
+    def strokes(self) -> Sequence[Stroke]:
+        """Return the relative motions in the files, each from every target it may start at."""
+
+    @property
+    def base(self) -> StatedBase | None:
+        """Return the base that the program sets by numbers; None where it sets none so."""
 
     def values(self) -> Array:
         """Return the targets (N, 6): x, y, z in mm, Z-Y-X angles a, b, c in deg."""

@@ -312,6 +312,8 @@ class Program:
     notes = ("comments are left",)
     needs_arm = "wrists"
     remarks = ()
+    strokes = ()
+    base = None
 
     @property
     def names(self):

@@ -1,0 +1,211 @@
+"""Drill strokes keep the correction of their point, and are refused where that is not known."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.program_krl.files import load_program
+from drivers.program_krl.reader import read_program
+from hilcell.cell.settings import SettingsError
+from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
+from hilcell.ports import Array
+from tests.drivers.program_krl.test_compensate import Workplace
+from tests.hilcell.calibration.calibrations import T_W_B, calibration
+
+DAT = """DEFDAT DRILL
+DECL E6POS XP1={X 0.0,Y 0.0,Z 1200.0,A 1.0,B 75.0,C 0.5,S 6,T 19}
+DECL E6POS XP2={X 0.0,Y 50.0,Z 1200.0,A 0.0,B 75.0,C 0.0,S 6,T 19}
+FRAME HOLE[2]
+HOLE[1]={X 0.0,Y 0.0,Z 1200.0,A 0.0,B 75.0,C 0.0}
+HOLE[2]={X 0.0,Y 50.0,Z 1200.0,A 0.0,B 75.0,C 0.0}
+ENDDAT
+"""
+DRILL = "LIN_REL {X 20} #TOOL\nLIN_REL {X -20.0} C_DIS #TOOL"
+
+
+def strokes(body: str) -> list[tuple[int, tuple[float, ...]]]:
+    """Return target and shift of each stroke of a program whose body begins on line 2."""
+    read = read_program("drill.src", f"DEF drill()\n{body}\nEND\n", ("drill.dat", DAT))
+    return [(each.target, each.shift_mm) for each in read.strokes]
+
+
+def test_a_stroke_leads_from_its_point_along_the_tool() -> None:
+    there, back = strokes(f"PTP XP2\nLIN XP1\n{DRILL}\nLIN XP2")
+    along = pose_from_zyx(0, 0, 0, 1, 75, 0.5)[:3, :3] @ [20.0, 0.0, 0.0]
+    assert (there[0], back[0]) == (1, 1)
+    np.testing.assert_allclose(there[1], along)
+    np.testing.assert_allclose(back[1], 0.0, atol=1e-9)
+
+
+def test_a_stroke_after_any_element_of_an_array_starts_at_each() -> None:
+    found = strokes(f"FOR I=1 TO 2\nLIN HOLE[I]\nWAIT SEC 0.1\nSPINDLE(TRUE)\n{DRILL}\nENDFOR")
+    assert [target for target, _ in found] == [0, 1, 0, 1]
+
+
+def test_own_subprograms_that_do_not_move_leave_the_robot_where_it_is() -> None:
+    assert len(strokes(f"LIN XP1\nON()\n{DRILL}\nEND\nDEF ON()\n$OUT[1]=TRUE")) == 2
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        DRILL,
+        f"PTP HOME\n{DRILL}\nLIN XP1",
+        f"LIN XP1\nIF $IN[1] THEN\n{DRILL}\nENDIF",
+        f"LIN XP1\nIF $IN[1] THEN\nLIN XP2\nENDIF\n{DRILL}",
+        f"LIN XP1\nAGAIN:\n{DRILL}\nGOTO AGAIN",
+        f"LIN XP1\nGO()\n{DRILL}\nEND\nDEF GO()\nLIN XP2",
+        f"LIN XP1\nGO()\n{DRILL}\nEND\nDEF GO()\nON()\nEND\nDEF ON()\nLIN XP2",
+        f"LIN XP1\nEND\nDEF STROKE()\n{DRILL}",
+        f"LIN XP1\nPTP $AXIS_ACT\n{DRILL}",
+    ],
+)
+def test_where_a_stroke_starts_must_be_known(body: str) -> None:
+    with pytest.raises(SettingsError, match="LIN_REL is a relative motion, and the point before"):
+        strokes(body)
+
+
+@pytest.mark.parametrize(
+    ("stroke", "part"),
+    [
+        ("LIN_REL {Z 20}", "a relative motion in the base: only strokes along the tool"),
+        ("LIN_REL {X 20} #BASE", "a relative motion in the base"),
+        ("LIN_REL {X 20,A 5} #TOOL", "changes A"),
+        ("LIN_REL {E1 20} #TOOL", "changes E1"),
+        ("LIN_REL {X DEPTH} #TOOL", "X DEPTH is not a number"),
+        ("LIN_REL XP2 #TOOL", "by what is no structure of numbers"),
+        ("LIN_REL {X 20} #TOOL #TOOL", "which is not understood"),
+        ("LIN_REL {X 20} #TOOL WITH $VEL=1", "which is not understood"),
+        ("LIN_REL", "by what is no structure of numbers"),
+        ("PTP_REL {X 20} #TOOL", "PTP_REL is a relative motion"),
+    ],
+)
+def test_other_relative_motions_are_refused_with_their_line(stroke: str, part: str) -> None:
+    with pytest.raises(SettingsError) as raised:
+        strokes(f"LIN XP1\n{stroke}\nLIN XP2")
+    assert raised.value.problems[0].startswith("drill.src line 3: ")
+    assert part in raised.value.problems[0]
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Workplace:
+    return Workplace(tmp_path)
+
+
+def test_a_drill_stroke_stays_as_it_is_and_arrives(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    desk.program(f"DEF drill()\nLIN XP1\n{DRILL}\nEND\n", DAT)
+    assert desk.compensate() == 0
+    said = capsys.readouterr().err
+    assert "strokes keep the correction of the point before them" in said
+    assert DRILL in desk.out.read_text()
+    nominal, command = load_program(desk.source), load_program(desk.out)
+    ends = [read.values()[:1] + [*read.strokes[0].shift_mm, 0, 0, 0] for read in (nominal, command)]
+    wanted, sent = (inverse(T_W_B) @ poses_from_zyx(each) for each in ends)
+    arrived = sent[:, :3, 3] + calibration().error_model().predict(sent).error_mm
+    off_mm = float(np.linalg.norm(arrived - wanted[:, :3, 3]))
+    assert 0.002 < off_mm < 0.05
+    stated = re.search(r"the error changes by at most (\S+) mm over them", said)
+    assert stated is not None
+    assert float(stated[1]) == pytest.approx(off_mm, abs=0.0015)
+
+
+@pytest.mark.parametrize(
+    ("stroke", "words", "part"),
+    [
+        (
+            "LIN_REL {X 25} #TOOL",
+            (),
+            "1 of 1 strokes lead away from their point by more than 20 mm",
+        ),
+        ("LIN_REL {X 25} #TOOL", ("--allow-stroke", "25"), ""),
+        ("LIN_REL {X 199} #TOOL", ("--allow-stroke", "200"), "change the error by more than 0.05"),
+        ("LIN_REL {X 15} #TOOL\nLIN_REL {X 15} #TOOL", (), "(drill.src line 4) from XP1"),
+    ],
+)
+def test_a_stroke_as_far_as_it_is_declared(
+    desk: Workplace,
+    capsys: pytest.CaptureFixture[str],
+    stroke: str,
+    words: tuple[str, ...],
+    part: str,
+) -> None:
+    desk.program(f"DEF drill()\nLIN XP1\n{stroke}\nEND\n", DAT)
+    assert desk.compensate(*words) == (2 if part else 0)
+    assert part in capsys.readouterr().err
+    assert desk.out.exists() == (not part)
+
+
+def test_a_stroke_out_of_the_calibrated_volume_is_refused(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edge = apply(T_W_B, calibration().grid().far_mm[None])[0] - [2.0, 60.0, 60.0]
+    numbers = ",".join(f"{axis} {value:.3f}" for axis, value in zip("XYZ", edge, strict=True))
+    point = f"DECL E6POS XP1={{{numbers},A 0.0,B 75.0,C 0.0}}"
+    desk.program("DEF drill()\nLIN XP1\nLIN_REL {Z 20} #TOOL\nEND\n", point)
+    assert desk.compensate() == 2
+    said = capsys.readouterr().err
+    assert "strokes that end outside: 1 of 1 targets are outside the calibrated volume" in said
+    assert "LIN_REL (drill.src line 3) from XP1" in said
+
+
+@pytest.mark.parametrize("text", ["0", "-5", "201", "nan", "long"])
+def test_a_declared_stroke_is_a_length(
+    desk: Workplace, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        desk.compensate("--allow-stroke", text)
+    assert "a length above 0 up to 200 mm is wanted" in capsys.readouterr().err
+
+
+def base_of(frame: Array) -> str:
+    values = zyx_from_pose(frame[None])[0]
+    return ",".join(f"{axis} {value:.4f}" for axis, value in zip("XYZABC", values, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("base", "code"),
+    [
+        (f"{{{base_of(inverse(T_W_B))}}}", 0),
+        ("{X 0,Y 0,Z 0,A 0,B 0,C 0}", 2),
+        ("$NULLFRAME", 2),
+        (f"{{{base_of(inverse(T_W_B) @ pose_from_zyx(0.2, 0, 0, 0, 0, 0))}}}", 2),
+        ("BASE_DATA[3]", 0),
+    ],
+)
+def test_a_base_set_by_numbers_must_be_the_world(
+    desk: Workplace, capsys: pytest.CaptureFixture[str], base: str, code: int
+) -> None:
+    desk.program(f"DEF drill()\n$BASE={base}\nLIN XP1\nEND\n", DAT)
+    assert desk.compensate() == code
+    said = capsys.readouterr().err
+    assert ("drill.src line 2: the base set there is not the world frame" in said) == (code == 2)
+    assert (f"set {{{base_of(inverse(T_W_B))}}}, as calibrated" in said) == (code == 2)
+
+
+def test_a_base_that_leaves_out_components_is_refused() -> None:
+    with pytest.raises(SettingsError, match="leaves out A, B, C"):
+        strokes("$BASE={X 1,Y 2,Z 3}\nLIN XP1")
+
+
+def test_a_missing_data_list_is_named_once(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    desk.source.write_text("DEF drill()\nPTP XHOME\nLIN XP1\nLIN XP2\nEND\n")
+    desk.source.with_suffix(".dat").unlink()
+    assert desk.compensate() == 2
+    said = capsys.readouterr().err
+    assert "drill.dat is missing beside it, wanted with the points XP1, XP2; copy both" in said
+    assert said.count("\n") == 2
+
+
+def test_a_global_point_gets_a_note(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
+    shared = DAT.replace("DECL E6POS XP1", "DECL GLOBAL E6POS XP1")
+    desk.program("DEF drill()\nLIN XP1\nLIN XP2\nEND\n", shared)
+    assert desk.compensate() == 0
+    said = capsys.readouterr().err
+    assert "XP1 is GLOBAL: other programs that use it get its correction, too" in said
+    assert "XP2 is GLOBAL" not in said
