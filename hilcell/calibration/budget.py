@@ -65,7 +65,7 @@ def uncertainty_of(log: Log) -> Uncertainty:
             _drift(log),
             _world(log),
             _tracker(log),
-            _centring(stated.smr_centring_limit_mm),
+            _centring(stated.smr_centring_limit_mm, stated.smr_source or ASSUMED),
             _drill(log),
         ],
         {station.name: _placed(log, station) for station in log.cell.station},
@@ -154,21 +154,21 @@ def _tracker(log: Log) -> Influence:
     if turn:
         how += f", across the beam ±{stated.tracker_limit_um_m:g} µm/m besides"
     return Influence(
-        "Tracker, systematic", ASSUMED, how, "4.3.7", "world",
+        "Tracker, systematic", stated.tracker_source or ASSUMED, how, "4.3.7", "world",
         motion(rectangular_variance(stated.tracker_limit_mm), turn), (x_mm, y_mm, z_mm),
         counts="in use",
     )  # fmt: skip
 
 
-def _centring(limit_mm: float) -> Influence:
+def _centring(limit_mm: float, source: str) -> Influence:
     how = f"limit ±{limit_mm:g} mm of the optics against the sphere, on the flange"
-    return _limit("SMR centring", how, limit_mm)
+    return _limit("SMR centring", how, limit_mm, source)
 
 
-def _limit(name: str, how: str, limit_mm: float) -> Influence:
+def _limit(name: str, how: str, limit_mm: float, source: str = ASSUMED) -> Influence:
     """Return a limit of error in {B} that grid and validation share."""
     shift = motion(rectangular_variance(limit_mm))
-    return Influence(name, ASSUMED, how, "4.3.7", "base", shift, counts="in use")
+    return Influence(name, source, how, "4.3.7", "base", shift, counts="in use")
 
 
 def _drill(log: Log) -> Influence:

@@ -64,10 +64,11 @@ def budget_of(log: Log) -> Budget | None:
     stated = log.cell.uncertainty
     return Budget([
         _reading_noise(log),
-        Contribution("Tracker, systematic", stated.tracker_limit_mm, "rectangular", ASSUMED,
-                     "limit of error", "4.3.7"),
-        Contribution("SMR centring", stated.smr_centring_limit_mm, "rectangular", ASSUMED,
-                     "centre of the optics against the sphere", "4.3.7"),
+        Contribution("Tracker, systematic", stated.tracker_limit_mm, "rectangular",
+                     stated.tracker_source or ASSUMED, "limit of error", "4.3.7"),
+        Contribution("SMR centring", stated.smr_centring_limit_mm, "rectangular",
+                     stated.smr_source or ASSUMED, "centre of the optics against the sphere",
+                     "4.3.7"),
         *_world(log),
         _drift(log),
         _thermal(log),

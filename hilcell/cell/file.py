@@ -19,6 +19,7 @@ from unicodedata import normalize
 import msgspec
 from msgspec import Meta, field
 
+from hilcell.cell.certificate import CertificateTable
 from hilcell.cell.fixed import NO_RAIL, completed
 from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
 from hilcell.cell.layout import Layout, Nest
@@ -60,10 +61,11 @@ from hilcell.cell.tables import (
     Wait,
     refuse_descending,
 )
-from hilcell.cell.uncertainty import UncertaintyTable
+from hilcell.cell.uncertainty import UncertaintyTable, with_certificates
 
 __all__ = [
-    "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "EnvelopeTable", "Frozen",
+    "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "CertificateTable", "EnvelopeTable",
+    "Frozen",
     "GridTable", "Joint", "KeepOut", "Layout", "Nest", "PlanTable", "Pose", "RailTable",
     "RobotTable", "SettleTable", "SimulationTable", "Six", "Station", "SurveyTable",
     "SweepsTable", "TouchTable", "TrackerTable", "UncertaintyTable", "ValidationTable",
@@ -82,6 +84,7 @@ PACE = {
 # Work that is done with the cell, and statements about it: none moves a measured point.
 NOT_THE_CELL = (
     "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
+    "certificate",
 )  # fmt: skip
 LEAST_ARC_DEG = 10.0
 
@@ -259,6 +262,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     settle: SettleTable = field(default_factory=SettleTable)
     keep_out: list[KeepOut] = field(default_factory=list)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
+    certificate: CertificateTable = field(default_factory=CertificateTable)
     recheck: RecheckTable = field(default_factory=RecheckTable)
     campaign: CampaignTable | None = None
     targets: TargetsTable | None = None
@@ -438,7 +442,9 @@ def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
     for key, value in changed.items():
         override(values, key, value)
     try:
-        return convert(completed(values), Cell, where)
+        cell = convert(completed(values), Cell, where)
+        stated = with_certificates(cell.uncertainty, _folder(where))
+        return msgspec.structs.replace(cell, uncertainty=stated)
     except SettingsError as error:
         if where in built_in_cells():
             raise
@@ -464,6 +470,11 @@ def _read(where: str) -> str:
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise unreadable(where, error, "cell file") from error
+
+
+def _folder(where: str) -> Path:
+    """Return where the files lie that a cell file names."""
+    return Path() if where in built_in_cells() else Path(where).parent
 
 
 def _parsed(text: str, where: str) -> dict[str, Any]:

@@ -227,6 +227,7 @@ def _add_reports(commands: argparse._SubParsersAction[Parser]) -> None:
         ("csv", "the points"),
         ("xlsx", "a workbook: run, points, frames, results"),
         ("json", "everything"),
+        ("dcc", "a Digital Calibration Certificate (PTB, XML)"),
     ):
         forms.add_argument(f"--{form}", dest="form", action="store_const", const=form, help=text)
     export.add_argument("-o", "--output", required=True, metavar="FILE", help="where to write")

@@ -29,10 +29,11 @@ def report(args: argparse.Namespace) -> int:
 
 
 def export(args: argparse.Namespace) -> int:
-    """Write points as CSV, tables as a workbook, or everything as JSON."""
+    """Write points as CSV, tables as a workbook, the certificate as a DCC, or all as JSON."""
+    from hilcell.report.dcc import dcc_bytes
     from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 
-    forms = {"csv": csv_bytes, "xlsx": xlsx_bytes, "json": json_bytes}
+    forms = {"csv": csv_bytes, "xlsx": xlsx_bytes, "json": json_bytes, "dcc": dcc_bytes}
     folder, place = find_run(args.runs, args.run), Path(args.output)
     suffixes, what = _NAMED[args.form]
     check_output(place, suffixes, what, inputs=_files(folder))

@@ -33,10 +33,10 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
     measured_air = bool(facts.log.temperatures_c())
     return [
         Item("7.8.2.1 a", "Title", title(facts)),
-        Item("7.8.2.1 b, c", "Laboratory, place of the calibration"),
+        Item("7.8.2.1 b, c", "Laboratory, place of the calibration", cell.certificate.laboratory),
         Item("7.8.2.1 d", "Unique identification",
              f"{facts.run}, journal {facts.fingerprint[:16]}"),
-        Item("7.8.2.1 e", "Customer"),
+        Item("7.8.2.1 e", "Customer", cell.certificate.customer),
         Item("7.8.2.1 e", "Job", inputs.job),
         Item("7.8.2.1 f", "Method", procedure_words(facts)),
         Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "

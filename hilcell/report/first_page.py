@@ -5,10 +5,9 @@ It stands alone: nothing on it needs another page. Results are those of the jour
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from typing import NamedTuple
 
 import msgspec
@@ -25,6 +24,8 @@ from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
 
 K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
+BLANK = "…" * 12  # to fill in by hand
+NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
 MOST_PLACES = 4  # whose results stand on the page
 OUTCOMES = {"accepted": "pass", "undecided": "not shown", "rejected": "fail"}
 
@@ -70,10 +71,10 @@ RESULTS: tuple[Column[Result], ...] = (
 
 def results_sheet(facts: Facts) -> Sheet | None:
     """Return the table of results, nothing where nothing was judged."""
-    return sheet("Results", RESULTS, _results(facts), _left_out(facts))
+    return sheet("Results", RESULTS, shown_results(facts), _left_out(facts))
 
 
-def _judged(facts: Facts) -> dict[str, Judged]:
+def judged_places(facts: Facts) -> dict[str, Judged]:
     """Return the verdicts of single stations."""
     return {
         place: msgspec.convert(facts.log.verdicts[VALIDATION + place], Judged)
@@ -84,31 +85,33 @@ def _judged(facts: Facts) -> dict[str, Judged]:
 
 def _shown(facts: Facts) -> list[str]:
     """Return the stations on the page: those nearest to a limit, in the cell's order."""
-    found = _judged(facts)
+    found = judged_places(facts)
     nearest = sorted(found, key=lambda name: found[name].max_mm / found[name].max_tolerance_mm)
     kept = set(nearest[-MOST_PLACES:])
     return [name for name in found if name in kept]
 
 
+def shown_results(facts: Facts) -> list[Result]:
+    """Return the results on the page."""
+    return [result for name in _shown(facts) for result in results_at(facts, name)]
+
+
 def _left_out(facts: Facts) -> str:
-    left = len(_judged(facts)) - len(_shown(facts))
+    left = len(judged_places(facts)) - len(_shown(facts))
     return f"{left} stations further from their limits: see Verdicts." if left else ""
 
 
-def _results(facts: Facts) -> Iterator[Result]:
-    judged = _judged(facts)
-    for name in _shown(facts):
-        each, series = judged[name], validation(facts.log, [name])
-        before = series["before"].figures if "before" in series else None
-        count = len(series["chosen"]) if "chosen" in series else 0
-        yield Result(
-            f"Mean of {count} targets at {name}", each.mean_tolerance_mm,
-            before.mean if before else None, each.mean_mm, each.mean_U_mm,
-        )  # fmt: skip
-        yield Result(
-            f"Largest of {count} targets at {name}", each.max_tolerance_mm,
-            before.max if before else None, each.max_mm, each.max_U_mm,
-        )  # fmt: skip
+def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
+    """Return mean and largest error of a judged station."""
+    each, series = judged_places(facts)[name], validation(facts.log, [name])
+    before = series["before"].figures if "before" in series else None
+    count = len(series["chosen"]) if "chosen" in series else 0
+    return (
+        Result(f"Mean of {count} targets at {name}", each.mean_tolerance_mm,
+               before.mean if before else None, each.mean_mm, each.mean_U_mm),
+        Result(f"Largest of {count} targets at {name}", each.max_tolerance_mm,
+               before.max if before else None, each.max_mm, each.max_U_mm),
+    )  # fmt: skip
 
 
 def verdict_word(facts: Facts) -> str:
@@ -143,9 +146,10 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
     on = f"on a rail of {travel_m:g} m" if cell.has_rail else "on the floor, without a rail"
     names = ", ".join(station.name for station in cell.station[:MOST_PLACES])
     more = f" and {len(cell.station) - MOST_PLACES} more" if len(cell.station) > MOST_PLACES else ""
+    parties = cell.certificate
     return [
-        Fact("Laboratory"),
-        Fact("Customer"),
+        Fact("Laboratory", _party(parties.laboratory, parties.laboratory_address)),
+        Fact("Customer", _party(parties.customer, parties.customer_address)),
         Fact("Run", facts.run),
         Fact("Job", facts.inputs.job),
         Fact("Cell", f"{cell.name}, serial {cell.serial}"),
@@ -154,6 +158,10 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
         Fact("Measured", f"{measured} UTC"),
         Fact("Operator", facts.inputs.operator),
     ]
+
+
+def _party(name: str, address: str) -> str:
+    return f"{name}, {address}" if name and address else name or address
 
 
 def validity_facts(facts: Facts) -> list[Fact]:
@@ -198,45 +206,63 @@ def _expires(facts: Facts) -> str:
     return (ended + timedelta(days=MAX_AGE_DAYS)).date().isoformat()
 
 
-INSTRUMENTS: tuple[Column[tuple[str, str, str, str]], ...] = (
-    Column("instrument", itemgetter(0)),
-    Column("model", itemgetter(1)),
-    Column("serial", itemgetter(2)),
-    Column("certificate", itemgetter(3)),
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """A measuring instrument; serial number and certificate are "" where they are not stated."""
+
+    instrument: str
+    model: str
+    serial: str
+    certificate: str
+
+
+def instrument_rows(facts: Facts) -> list[Instrument]:
+    """Return what measured, with serial numbers and certificates; nothing without a tracker."""
+    stated, none = facts.cell.uncertainty, NO_CERTIFICATE if facts.inputs.simulated else ""
+    unknown = none and NOT_APPLICABLE
+    found = [
+        Instrument("Laser tracker", each.model, each.serial, none or stated.tracker_certificate)
+        for each in facts.log.assets
+        if each.kind == "tracker"
+    ]
+    if not found:
+        return []
+    found.append(Instrument("Reflector", facts.cell.tracker.reflector, unknown,
+                            none or stated.smr_certificate))  # fmt: skip
+    if facts.log.temperatures_c():
+        found.append(Instrument("Weather station", "of the tracker", unknown,
+                                none or stated.weather_certificate))  # fmt: skip
+    for each in facts.cell.layout.length:
+        name = f"{' to '.join(each.nests)}, {each.length_mm:g} mm, u {each.u_mm:g} mm"
+        found.append(Instrument("Known length", name, NOT_APPLICABLE, none or each.certificate))
+    return found
+
+
+INSTRUMENTS: tuple[Column[Instrument], ...] = (
+    Column("instrument", attrgetter("instrument")),
+    Column("model", attrgetter("model")),
+    Column("serial", lambda row: row.serial or BLANK),
+    Column("certificate", lambda row: row.certificate or BLANK),
 )
 
 
 def instruments(facts: Facts) -> Sheet | None:
-    """Return what measured, with serial numbers and certificates."""
-    stated, blank = facts.cell.uncertainty, "…" * 12
-    none = "none, simulated" if facts.inputs.simulated else ""
-    rows = [
-        ("Laser tracker", each.model, each.serial, none or stated.tracker_certificate or blank)
-        for each in facts.log.assets
-        if each.kind == "tracker"
-    ]
-    if not rows:
-        return None
-    rows.append(("Reflector", facts.cell.tracker.reflector, (none and "–") or blank,
-                 none or stated.smr_certificate or blank))  # fmt: skip
-    if facts.log.temperatures_c():
-        rows.append(("Weather station", "of the tracker", (none and "–") or blank,
-                     none or stated.weather_certificate or blank))  # fmt: skip
-    for each in facts.cell.layout.length:
-        name = f"{' to '.join(each.nests)}, {each.length_mm:g} mm, u {each.u_mm:g} mm"
-        rows.append(("Known length", name, "–", none or each.certificate or blank))
-    return sheet("Instruments and traceability", INSTRUMENTS, rows, _traceable(facts, rows, blank))
+    """Return the table of instruments."""
+    rows = instrument_rows(facts)
+    return sheet("Instruments and traceability", INSTRUMENTS, rows, traceability(facts))
 
 
-def _traceable(facts: Facts, rows: list[tuple[str, str, str, str]], blank: str) -> str:
+def traceability(facts: Facts) -> str:
+    """Return in words whether the results are traceable."""
     if facts.inputs.simulated:
         return "Not traceable: no instrument measured anything."
-    if any(row[3] == blank for row in rows):
+    if not certified(facts):
         return "Traceability is not shown: a certificate is missing."
     return "Traceable to the SI through these certificates."
 
 
 def certified(facts: Facts) -> bool:
-    """Whether the certificate of each instrument is named."""
-    found = instruments(facts)
-    return found is not None and found.note.startswith("Traceable")
+    """Whether real instruments measured, and the certificate of each is named."""
+    rows = instrument_rows(facts)
+    named = bool(rows) and all(each.certificate for each in rows)
+    return named and not facts.inputs.simulated

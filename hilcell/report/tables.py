@@ -37,7 +37,8 @@ class Validated:
     """Targets of one place sent in one way; ``before`` are the same without a correction."""
 
     place: str
-    how: str
+    way: str
+    how: str  # the way in words
     errors: Errors
     before: Errors | None
 
@@ -64,6 +65,7 @@ def validated_rows(facts: Facts) -> list[Validated]:
     return [
         Validated(
             "others together" if place == OTHERS else place,
+            how,
             series_name(how, facts),
             errors,
             series.get("before"),
@@ -194,6 +196,7 @@ class Condition:
     """One quantity of the air over all points (N,), shown with ``digits`` decimals."""
 
     name: str
+    unit: str
     values: Array
     digits: int
 
@@ -203,22 +206,26 @@ class Condition:
 
 
 AIR: tuple[Column[Condition], ...] = (
-    Column("quantity", attrgetter("name")),
+    Column("quantity", lambda row: f"{row.name} {row.unit}"),
     Column("least", lambda row: row.shown(row.values.min()), form="s"),
     Column("most", lambda row: row.shown(row.values.max()), form="s"),
     Column("mean", lambda row: row.shown(row.values.mean()), form="s"),
 )
 
 
-def conditions(facts: Facts) -> Sheet | None:
-    """Return the air at the tracker, smallest, largest and mean; nothing where not measured."""
+def air(facts: Facts) -> list[Condition]:
+    """Return the air at the tracker over all points; nothing where not measured."""
     measured = [point.air for point in facts.log.points.values() if point.air]
-    rows = [
-        Condition(f"{name} {unit}", np.array([getattr(air, field) for air in measured]), digits)
+    return [
+        Condition(name, unit, np.array([getattr(each, field) for each in measured]), digits)
         for name, field, unit, digits in CONDITIONS
         if measured
     ]
-    return sheet("Air at the tracker", AIR, rows)
+
+
+def conditions(facts: Facts) -> Sheet | None:
+    """Return the air at the tracker, smallest, largest and mean."""
+    return sheet("Air at the tracker", AIR, air(facts))
 
 
 DEVICES: tuple[Column[Asset], ...] = tuple(

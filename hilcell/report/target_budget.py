@@ -172,12 +172,10 @@ def _most_mm(found: Coverage) -> float:
     return float(found.bounds_mm.max())
 
 
-def target_sheets(budget: TargetBudget) -> list[Sheet]:
-    """Return the bounds by place, and the budget at the station where they are largest."""
-    if budget.missing:
-        return []
+def placed(budget: TargetBudget) -> list[Placed]:
+    """Return the bounds and what validation found of them, place by place."""
     names = [*budget.in_use, *(name for name in budget.coverage if name not in budget.in_use)]
-    rows = [
+    return [
         Placed(
             "others together" if name == OTHERS else name,
             budget.in_use.get(name),
@@ -185,13 +183,19 @@ def target_sheets(budget: TargetBudget) -> list[Sheet]:
         )
         for name in names
     ]
+
+
+def target_sheets(budget: TargetBudget) -> list[Sheet]:
+    """Return the bounds by place, and the budget at the station where they are largest."""
+    if budget.missing:
+        return []
     note = (
         "95 % of 3D errors should be inside. In use: any target of the cube, at any temperature "
         "that the check of validity allows. In validation: without what stays the same from grid "
         "to validation, at the temperatures of the run, with the tracker's reading."
     )
     return present(
-        sheet("95 % bounds of corrected targets", PLACES, rows, note),
+        sheet("95 % bounds of corrected targets", PLACES, placed(budget), note),
         sheet(f"A corrected target in use, {budget.worst}", LINES,
               lines(budget.in_use[budget.worst]), "u of one coordinate, root mean square over the "
               "cube; shares of the variance."),

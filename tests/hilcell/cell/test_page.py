@@ -39,6 +39,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[settle]": cell.SettleTable,
     "[[keep_out]]": cell.KeepOut,
     "[uncertainty]": cell.UncertaintyTable,
+    "[certificate]": cell.CertificateTable,
     "[recheck]": in_use.RecheckTable,
     "[targets]": in_use.TargetsTable,
     "[campaign]": cell.CampaignTable,

@@ -1,0 +1,293 @@
+"""A calibration as the PTB's Digital Calibration Certificate (DCC): the facts of the report as XML.
+
+Nothing is computed here: every figure comes from the functions that the report calls. Facts that
+hilcell cannot know are "not stated"; a simulated run is said to be one, traces to nothing and
+conforms to nothing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from hilcell import __version__
+from hilcell.calibration.decision import guard_of
+from hilcell.report import tables
+from hilcell.report.certificate import (
+    conditions_words,
+    conformity_words,
+    procedure_words,
+    title,
+)
+from hilcell.report.dcc_elements import (
+    CELSIUS,
+    DEGREE,
+    HECTOPASCAL,
+    LANGUAGE,
+    MM,
+    NOT_STATED,
+    ONE,
+    PERCENT,
+    ROOT,
+    contact,
+    dcc,
+    document,
+    identification,
+    quantity,
+    real,
+    text,
+)
+from hilcell.report.facts import Facts
+from hilcell.report.first_page import (
+    Result,
+    certified,
+    instrument_rows,
+    judged_places,
+    results_at,
+    traceability,
+    validity_facts,
+    verdict_word,
+)
+from hilcell.report.method import adjustment_words
+from hilcell.report.tables import Posed, Validated
+from hilcell.report.target_budget import TargetBudget, placed, target_budget
+from hilcell.writing import NotWritten
+
+UNKNOWN_COUNTRY = "ZZ"  # of ISO 3166-1's codes for the user's own use
+CONFORMITY = {"pass": "pass", "not shown": "noPass", "fail": "fail"}
+STATUS = {"before": "beforeAdjustment", "idw": "afterAdjustment", "chosen": "afterAdjustment"}
+AIR = {
+    "air temperature": ("basic_temperature", CELSIUS),
+    "air pressure": ("basic_pressure", HECTOPASCAL),
+    "relative humidity": ("basic_humidityRelative", PERCENT),
+}
+_RELEASE = re.compile(r"\d{1,3}(\.\d{1,3}){0,3}")
+
+
+def dcc_bytes(facts: Facts) -> bytes:
+    """Return the certificate; raises `NotWritten` where the run has judged no correction."""
+    if facts.log.calibration != "validated" or not judged_places(facts):
+        raise NotWritten(
+            f"run {facts.run}: no certificate, its calibration is "
+            f"{facts.log.calibration.replace('_', ' ')}; wanted one whose targets were measured "
+            "and judged; `hilcell report` shows what there is"
+        )
+    return document(dcc("digitalCalibrationCertificate", _administrative(facts),
+                        _results(facts), **ROOT))  # fmt: skip
+
+
+# -- administrative data ---------------------------------------------------------------------------
+
+
+def _administrative(facts: Facts) -> Element:
+    parties, operator = facts.cell.certificate, facts.inputs.operator
+    return dcc(
+        "administrativeData",
+        dcc("dccSoftware", _software("hilcell", __version__)),
+        _core(facts),
+        _items(facts),
+        dcc("calibrationLaboratory", contact(
+            "contact", parties.laboratory, parties.laboratory_email, parties.laboratory_address,
+            parties.country)),
+        dcc("respPersons", _person(operator, "measured by", "false"),
+            _person("", "authorised by", "true")),
+        contact("customer", parties.customer, parties.customer_email, parties.customer_address),
+        dcc("statements", *_statements(facts)),
+    )  # fmt: skip
+
+
+def _software(name: str, version: str) -> Element:
+    release = f"v{version}" if _RELEASE.fullmatch(version) else version
+    return dcc("software", text("name", name), dcc("release", release or NOT_STATED))
+
+
+def _core(facts: Facts) -> Element:
+    return dcc(
+        "coreData",
+        dcc("countryCodeISO3166_1", facts.cell.certificate.country or UNKNOWN_COUNTRY),
+        dcc("usedLangCodeISO639_1", LANGUAGE),
+        dcc("mandatoryLangCodeISO639_1", LANGUAGE),
+        dcc("uniqueIdentifier", f"{facts.run}-{facts.fingerprint[:16]}"),
+        dcc("identifications", *_numbers(facts)),
+        dcc("beginPerformanceDate", facts.records[0].t[:10]),
+        dcc("endPerformanceDate", facts.last.t[:10]),
+        dcc("performanceLocation", "customer"),
+    )
+
+
+def _numbers(facts: Facts) -> Iterator[Element]:
+    yield identification("calibrationLaboratory", facts.fingerprint,
+                         "SHA-256 of the run's journal")  # fmt: skip
+    yield identification("calibrationLaboratory", facts.inputs.digest, "SHA-256 of the cell")
+    if facts.file_digest:
+        yield identification("calibrationLaboratory", facts.file_digest,
+                             "SHA-256 of the calibration file")  # fmt: skip
+    if facts.inputs.job:
+        yield identification("customer", facts.inputs.job, "job")
+
+
+def _items(facts: Facts) -> Element:
+    cell = facts.cell
+    found = [asset for asset in facts.log.assets if asset.kind == "robot"]
+    serial, maker = (found[0].serial, found[0].maker) if found else ("", "")
+    model = found[0].model if found else cell.robot.name
+    return dcc("items", dcc(
+        "item", text("name", f"Robot {cell.robot.name} on a rail"),
+        dcc("manufacturer", text("name", maker)), dcc("model", model or cell.robot.name),
+        dcc("identifications", identification("manufacturer", serial, "serial number"),
+            identification("owner", f"{cell.name}, serial {cell.serial}", "cell")),
+    ))  # fmt: skip
+
+
+def _person(name: str, role: str, signs: str) -> Element:
+    return dcc("respPerson", dcc("person", text("name", name)), dcc("role", role),
+               dcc("mainSigner", signs))  # fmt: skip
+
+
+def _statements(facts: Facts) -> Iterator[Element]:
+    if facts.inputs.simulated:
+        yield _statement("Simulation. No machine moved and no instrument measured: every figure "
+                         "comes from a simulated cell, traces to nothing and calibrates nothing.",
+                         traceable="false", valid="false")  # fmt: skip
+    else:
+        yield _statement(traceability(facts),
+                         traceable="true" if certified(facts) else "false")  # fmt: skip
+    if facts.revoked:
+        yield _statement(f"Revoked: {facts.revoked}", valid="false")
+    valid = "; ".join(f"{each.name}: {each.words}" for each in validity_facts(facts))
+    yield _statement(f"Valid for: {valid}.")
+    yield _statement(f"Decision rule: {conformity_words(facts)}.", "ISO 14253-1",
+                     conformity=_overall(facts))  # fmt: skip
+    yield _statement(f"Before and after adjustment: {adjustment_words(facts)}.")
+    yield _statement("The results relate only to the item described and to its state when it was "
+                     "measured. No accreditation is claimed by the software.")  # fmt: skip
+
+
+def _statement(words: str, norm: str = "", **facts: str | None) -> Element:
+    """Return a statement; the schema gives the order: traceable, norm, words, valid, conformity."""
+    after = [dcc(name, facts.get(name)) for name in ("valid", "conformity") if facts.get(name)]
+    return dcc("statement", _given("traceable", facts.get("traceable")), _given("norm", norm),
+               text("declaration", words), *after)  # fmt: skip
+
+
+def _given(name: str, value: str | None) -> Element | None:
+    return dcc(name, value) if value else None
+
+
+def _overall(facts: Facts) -> str | None:
+    """Return whether the item conforms; a simulated one does to nothing."""
+    return {"PASS": "pass", "FAIL": "fail"}.get(verdict_word(facts))
+
+
+# -- results ---------------------------------------------------------------------------------------
+
+
+def _results(facts: Facts) -> Element:
+    budget = target_budget(facts.log, facts.run)
+    results = [
+        _result("3-D position error of the tool point", "hilcell_error", _errors(facts)),
+        _result("95 % bounds of corrected targets", "hilcell_bound", _bounds(budget)),
+        _result("Frames in {W}", "hilcell_frame", map(_frame, tables.posed(facts))),
+    ]
+    return dcc("measurementResults", dcc(
+        "measurementResult", text("name", title(facts)),
+        dcc("usedMethods", dcc("usedMethod", text("name", "hilcell " + facts.inputs.procedure),
+            text("description", procedure_words(facts)), dcc("norm", "JCGM 100:2008"))),
+        dcc("usedSoftware", *(_software(*each) for each in facts.inputs.versions.items())),
+        dcc("measuringEquipments", *_equipment(facts)),
+        dcc("influenceConditions", *_air(facts)),
+        dcc("results", *(each for each in results if each is not None)),
+    ))  # fmt: skip
+
+
+def _result(name: str, ref: str, lists: Iterable[Element]) -> Element | None:
+    found = list(lists)
+    return dcc("result", text("name", name), dcc("data", *found), refType=ref) if found else None
+
+
+def _equipment(facts: Facts) -> Iterator[Element]:
+    for each in instrument_rows(facts):
+        yield dcc("measuringEquipment", text("name", each.instrument), dcc("model", each.model),
+                  dcc("identifications",
+                      identification("manufacturer", each.serial, "serial number"),
+                      identification("other", each.certificate, "calibration certificate")),
+                  )  # fmt: skip
+
+
+def _air(facts: Facts) -> Iterator[Element]:
+    for each in tables.air(facts):
+        ref, unit = AIR[each.name]
+        ends = (("Min", "smallest", each.values.min()), ("Max", "largest", each.values.max()))
+        yield dcc("influenceCondition", text("name", each.name), dcc("data", *(
+            quantity(f"{words} at the tracker", real(float(value), unit), ref=ref + end)
+            for end, words, value in ends)), refType=ref)  # fmt: skip
+    if not tables.air(facts):
+        words = conditions_words(facts)
+        yield dcc("influenceCondition", text("name", "air"), dcc("data", text("text", words)))
+
+
+def _errors(facts: Facts) -> Iterator[Element]:
+    judged = judged_places(facts)
+    for row in tables.validated_rows(facts):
+        found = results_at(facts, row.place) if row.way == "chosen" and row.place in judged else ()
+        yield dcc("list", text("name", f"{row.place}, {row.how}"),
+                  *_figures(facts, row, *(_verdict(facts, each) for each in found)),
+                  dcc("influenceConditions", _adjustment(row.way, row.how)),
+                  refType=f"hilcell_{row.way}")  # fmt: skip
+
+
+def _figures(
+    facts: Facts, row: Validated, mean: Element | None = None, largest: Element | None = None
+) -> Iterator[Element]:
+    """Yield the figures of one series, the verdicts on its mean and its largest with them.
+
+    |e| of a target changes by no more than its position, so U of the largest is that of the 95 %
+    quantile, too.
+    """
+    found, guard = row.errors.figures, guard_of(facts.log, len(row.errors))
+    yield quantity("targets", real(len(row.errors), ONE), ref="hilcell_targets")
+    yield quantity("mean", real(found.mean, MM, guard.mean_mm), mean, ref="hilcell_mean")
+    yield quantity("95 % below", real(found.p95, MM, guard.max_mm), ref="hilcell_p95")
+    yield quantity("largest", real(found.max, MM, guard.max_mm), largest, ref="hilcell_largest")
+
+
+def _verdict(facts: Facts, result: Result) -> Element:
+    """Return a figure's limit, and whether it is kept; a simulated one only would be."""
+    limit = quantity("limit", real(result.limit_mm, MM), ref="hilcell_limit")
+    words, conforms = f"limit {result.limit_mm:g} mm: {result.verdict}", CONFORMITY[result.verdict]
+    real_one = not facts.inputs.simulated
+    return dcc("measurementMetaData", dcc(
+        "metaData", text("declaration", words if real_one else f"{words}, if it were real"),
+        _given("conformity", conforms if real_one else ""), dcc("data", limit),
+    ))  # fmt: skip
+
+
+def _adjustment(way: str, words: str) -> Element:
+    return dcc("influenceCondition", text("name", "adjustment"), dcc("status", STATUS[way]),
+               dcc("data", text("text", words)))  # fmt: skip
+
+
+def _bounds(budget: TargetBudget) -> Iterator[Element]:
+    """Yield the 95 % bounds of any target in use, and how many targets kept theirs."""
+    for place in placed(budget):
+        figures = (
+            ("bound in use, mean", place.use(np.mean), MM, "hilcell_boundMean"),
+            ("bound in use, largest", place.use(np.max), MM, "hilcell_boundLargest"),
+            ("targets within their own bound", place.validated(lambda each: 100 * each.share),
+             PERCENT, "hilcell_inside"),
+        )  # fmt: skip
+        yield dcc("list", text("name", place.name), *(
+            quantity(words, real(value, unit), ref=ref)
+            for words, value, unit, ref in figures if value is not None
+        ))  # fmt: skip
+
+
+def _frame(frame: Posed) -> Element:
+    units = (MM, MM, MM, DEGREE, DEGREE, DEGREE)
+    return dcc("list", text("name", frame.name), *(
+        quantity(name, real(float(value), unit), ref=f"hilcell_{name}")
+        for name, value, unit in zip("xyzABC", frame.zyx, units, strict=True)
+    ))  # fmt: skip

@@ -1,0 +1,160 @@
+"""The Digital Calibration Certificate has the schema's structure and the report's figures."""
+
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from dsi_unit import DsiUnit
+
+from hilcell.journal.point_id import PointId
+from hilcell.report.dcc import dcc_bytes
+from hilcell.report.dcc_elements import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, real
+from hilcell.report.facts import Facts
+from hilcell.report.first_page import results_at
+from hilcell.writing import NotWritten
+from tests.hilcell.report.dcc_structure import DCC, SI, faults
+from tests.hilcell.report.journals import DEVICES, plan_record, validated_run
+
+TRACKER = {"kind": "tracker", "device": "Tracker", "model": "AT901", "serial": "402871"}
+PARTIES = {
+    "laboratory": "Muster GmbH", "laboratory_address": "Messweg 4", "country": "DE",
+    "customer": "A & B <Aero>",
+}  # fmt: skip
+
+
+def run(folder: Path, simulated: bool = False, **stated: str) -> Facts:
+    cell = plan_record()["cell"] | {"certificate": PARTIES, "uncertainty": stated}
+    writer = validated_run(folder, simulated=simulated, cell=cell)
+    writer.journal.append("event", "", {"what": "connected", "devices": [*DEVICES, TRACKER]})
+    for name, mean_mm in (("S1100", 0.2), ("S300", 0.4)):
+        body = {
+            "holds": mean_mm < 0.3, "mean_mm": mean_mm, "mean_tolerance_mm": 0.35,
+            "max_mm": mean_mm + 0.1, "max_tolerance_mm": 0.6, "mean_U_mm": 0.03, "max_U_mm": 0.04,
+        }  # fmt: skip
+        writer.journal.append("verdict", f"validation.{name}", body)
+    writer.state("calibration", "validated")
+    return writer.facts()
+
+
+def parsed(facts: Facts) -> Any:
+    return ElementTree.fromstring(dcc_bytes(facts))
+
+
+def texts(root: Any, path: str) -> list[str]:
+    return ["".join(each.itertext()).strip() for each in root.iterfind(path.replace("dcc:", DCC))]
+
+
+def figures(root: Any, name: str, ref: str) -> list[tuple[str, ...]]:
+    """Return value, unit, U and k of a list's quantity."""
+    lists = [
+        each for each in root.iter(f"{DCC}list")
+        if "".join(each.find(f"{DCC}name").itertext()).strip() == name
+    ]  # fmt: skip
+    found = [q for q in lists[0].iter(f"{DCC}quantity") if q.get("refType") == ref]
+    names = ("value", "unit", "uncertainty", "coverageFactor")
+    return [tuple(q.findtext(f".//{SI}{each}", "") for each in names) for q in found]
+
+
+def test_the_schemas_order_holds_throughout(tmp_path: Path) -> None:
+    assert faults(parsed(run(tmp_path / "r"))) == []
+
+
+def test_the_rules_notice_what_they_are_for(tmp_path: Path) -> None:
+    root = parsed(run(tmp_path / "r"))
+    core = root.find(f"{DCC}administrativeData/{DCC}coreData")
+    core.remove(core.find(f"{DCC}endPerformanceDate"))
+    root.find(f".//{SI}unit").text = "mm"
+    for each in list(root.iter(f"{DCC}statement"))[:2]:
+        each.set("id", "one")
+    found = [fault.partition(":")[0] for fault in faults(root)]
+    assert found == ["coreData", "unit", "id one twice", "id one twice"]
+
+
+def test_figures_are_those_of_the_report_with_u_and_k(tmp_path: Path) -> None:
+    facts = run(tmp_path / "r")
+    root = parsed(facts)
+    mean, largest = results_at(facts, "S1100")
+    ((value, unit, U, k),) = figures(root, "S1100, after, chosen", "hilcell_mean")
+    assert (value, unit, k) == (f"{mean.after_mm:.4f}", "\\milli\\metre", "2")
+    assert float(U) > 0
+    assert figures(root, "S1100, before", "hilcell_largest")[0][0] == f"{largest.before_mm:.4f}"
+    assert figures(root, "S1100, before", "hilcell_targets")[0][:2] == ("4", "\\one")
+    verdicts = [each.verdict for name in ("S1100", "S300") for each in results_at(facts, name)]
+    assert verdicts == ["pass", "pass", "fail", "pass"]
+    conformity = ".//dcc:quantity/dcc:measurementMetaData//dcc:conformity"
+    assert texts(root, conformity) == verdicts
+
+
+def test_parties_item_instruments_and_air_are_named(tmp_path: Path) -> None:
+    facts = run(tmp_path / "r", tracker_certificate="TC-1", smr_certificate="SC-2")
+    root = parsed(facts)
+    admin = "dcc:administrativeData/"
+    assert texts(root, admin + "dcc:calibrationLaboratory/dcc:contact/dcc:name") == ["Muster GmbH"]
+    assert texts(root, admin + "dcc:customer/dcc:name") == ["A & B <Aero>"]
+    assert texts(root, admin + "dcc:coreData/dcc:countryCodeISO3166_1") == ["DE"]
+    assert "860112" in texts(root, admin + "dcc:items//dcc:value")
+    assert {"402871", "TC-1", "SC-2", "not stated", "–", "simulated"} == set(
+        texts(root, ".//dcc:measuringEquipment//dcc:value")
+    )
+    assert texts(root, ".//dcc:traceable") == ["false"], "the weather station's is missing"
+    assert texts(root, ".//dcc:influenceCondition/dcc:name")[:3] == [
+        "air temperature", "air pressure", "relative humidity",
+    ]  # fmt: skip
+
+
+def test_all_certificates_named_is_traceable(tmp_path: Path) -> None:
+    facts = run(tmp_path / "r", tracker_certificate="T-1", smr_certificate="S-1",
+                weather_certificate="W-1")  # fmt: skip
+    assert texts(parsed(facts), ".//dcc:traceable") == ["true"]
+
+
+def test_a_simulated_run_traces_to_nothing_and_conforms_to_nothing(tmp_path: Path) -> None:
+    root = parsed(run(tmp_path / "r", simulated=True, tracker_certificate="TC-1"))
+    assert faults(root) == []
+    assert texts(root, ".//dcc:conformity") == []
+    assert texts(root, ".//dcc:traceable") == ["false"]
+    first = texts(root, ".//dcc:statement/dcc:declaration")[0]
+    assert first.startswith("Simulation. No machine moved")
+    assert "TC-1" not in texts(root, ".//dcc:value")
+
+
+def test_the_same_journal_gives_the_same_bytes(tmp_path: Path) -> None:
+    facts = run(tmp_path / "r")
+    assert dcc_bytes(facts) == dcc_bytes(facts)
+
+
+def test_a_run_without_a_judged_calibration_has_no_certificate(tmp_path: Path) -> None:
+    with pytest.raises(NotWritten, match="its calibration is unknown; wanted one whose targets"):
+        dcc_bytes(validated_run(tmp_path / "r").facts())
+
+
+def test_no_figure_that_is_none_is_certified(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="states no nan"):
+        real(float("nan"), MM)
+
+
+def test_a_devices_control_characters_are_no_xml_and_are_replaced(tmp_path: Path) -> None:
+    facts = run(tmp_path / "r", tracker_certificate="T\x00C\ufffe")
+    assert "T\N{REPLACEMENT CHARACTER}C\N{REPLACEMENT CHARACTER}" in dcc_bytes(facts).decode()
+
+
+@pytest.mark.filterwarnings("ignore")  # its parser warns of "\\per" whatever it reads
+@pytest.mark.parametrize("unit", [MM, DEGREE, CELSIUS, HECTOPASCAL, PERCENT])
+def test_units_are_of_d_si(unit: str) -> None:
+    assert DsiUnit(unit).valid
+    assert re.fullmatch(r"\.\df", FORMS[unit])
+
+
+def test_a_larger_repeated_error_is_the_certificates(tmp_path: Path) -> None:
+    """The certificate has no figures of its own: what counts in the verdict stands in it."""
+    writer = validated_run(tmp_path / "r", simulated=False)
+    id = PointId("validate", station="S1100", how="chosen", number=0)
+    writer.point(id, (0.05, 0.0, 900.0), "S1100", nominal_mm=(0.0, 0.0, 900.0))
+    body = {"holds": True, "mean_mm": 0.2, "mean_tolerance_mm": 0.3, "max_mm": 0.3,
+            "max_tolerance_mm": 0.6}  # fmt: skip
+    writer.journal.append("verdict", "validation.S1100", body)
+    writer.state("calibration", "validated")
+    found = figures(parsed(writer.facts()), "S1100, after, chosen", "hilcell_mean")
+    assert found[0][0] == "0.2000"
