@@ -24,7 +24,7 @@ from hilcell.geometry.statistics import lengths_mm, rectangular_variance, rms
 from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
 from hilcell.ports import Array
 
-NOISE = "Tracker, reading noise"
+NOISE, WORLD = "Tracker, reading noise", "World frame"
 STEEL_EXPANSION_PER_K = 11.5e-6  # of what stands between {W} and the points
 
 
@@ -91,7 +91,7 @@ def _world(log: Log) -> list[Contribution]:
     variances_mm2 = np.einsum("nij,jk,nik->n", J, covariance, J) / 3
     u_mm = math.sqrt(float(variances_mm2.mean()))
     how = "noise and centring of the three floor nests, carried to the points"
-    return [Contribution("World frame", u_mm, "normal", f"{MEASURED}, and {ASSUMED}", how, "5.1.2")]
+    return [Contribution(WORLD, u_mm, "normal", f"{MEASURED}, and {ASSUMED}", how, "5.1.2")]
 
 
 def _reading_noise(log: Log) -> Contribution:

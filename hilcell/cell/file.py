@@ -22,6 +22,7 @@ from msgspec import Meta, field
 from hilcell.cell.certificate import CertificateTable
 from hilcell.cell.fixed import NO_RAIL, completed
 from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
+from hilcell.cell.iso9283 import Iso9283Table
 from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.lines import with_lines
 from hilcell.cell.plan import QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES, PlanTable
@@ -84,7 +85,7 @@ PACE = {
 # Work that is done with the cell, and statements about it: none moves a measured point.
 NOT_THE_CELL = (
     "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
-    "certificate",
+    "certificate", "iso9283",
 )  # fmt: skip
 LEAST_ARC_DEG = 10.0
 
@@ -264,6 +265,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
     certificate: CertificateTable = field(default_factory=CertificateTable)
     recheck: RecheckTable = field(default_factory=RecheckTable)
+    iso9283: Iso9283Table = field(default_factory=Iso9283Table)
     campaign: CampaignTable | None = None
     targets: TargetsTable | None = None
     simulation: SimulationTable | None = None

@@ -103,13 +103,13 @@ def run(args: argparse.Namespace) -> int:
     procedure: Procedure = load_entry("procedures", args.procedure)
     procedure.check(cell)
     accepted: list[str] = []
-    if procedure.uses:
+    if uses := procedure.used_in(cell):
         accepts = Accepts(args.accept_out_of_tolerance, args.accept_not_current)
-        cell, accepted, used = with_calibration(cell, procedure.uses, args.runs, accepts)
+        cell, accepted, used = with_calibration(cell, uses, args.runs, accepts)
         for words in (used, *(f"accepted although {reason}" for reason in accepted)):
             print_message(words)
         if args.machine_seed is None:  # the machine that was calibrated, not the seed's
-            args.machine_seed = calibrated_machine(cell, procedure.uses)
+            args.machine_seed = calibrated_machine(cell, uses)
     plan = procedure.plan(cell, args.seed)
     check_options(cell)
     if args.dry_run:
@@ -159,7 +159,7 @@ def resume(args: argparse.Namespace) -> int:
         asked = _open_retakes(log, folder, args.retake)
         changes = NONE
         if asked or log.retakes or log.state != "finished":  # else all is measured
-            found, somebody = changed_inputs(log, procedure.uses), asks(args)
+            found, somebody = changed_inputs(log, procedure.used_in(cell)), asks(args)
             askable = somebody or (args.screen and not args.unattended)
             changes = Changes(found, args.accept_changes, askable)
             changes.check(found)

@@ -148,7 +148,7 @@ def conformity_words(facts: Facts) -> str:
         rule = "simple acceptance: the measured figure against the limit, uncertainty not added"
     if "recheck" in facts.log.verdicts:
         return "chi-square tests of the errors against those that the calibration predicts"
-    if plan.quick and not facts.procedure.uses:
+    if plan.quick and not facts.procedure.used_in(facts.cell):
         rule = (
             f"sequential: that the mean of the volume is below its limit, and less than "
             f"{plan.share_above_max:.0%} of it above the maximum, is each shown at every station "

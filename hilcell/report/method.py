@@ -71,7 +71,7 @@ def adjustment_words(facts: Facts) -> str:
     if measured:
         how = "before" if "before" in measured else "after"
         return f"only “{how}” was measured"
-    if facts.procedure.uses:
+    if facts.procedure.used_in(facts.cell):
         return (
             "not both: targets were commanded with the correction of the calibration used, and "
             "measured as found"

@@ -20,7 +20,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import Array, Clock, RailReading, RobotReading, StripLost
 from hilcell.run.measuring import Ask, Measuring
-from hilcell.run.motion import Motion
+from hilcell.run.motion import Motion, Straight
 from hilcell.run.operator import Operator
 from hilcell.run.reflector_prompts import FLANGE
 from hilcell.run.retake import still_refused
@@ -143,10 +143,12 @@ class CellSession(RunContext):
         nominal_deg: Array | None = None,
         retake: bool = False,
         seats: bool = False,
+        straight: Straight | None = None,
     ) -> Point:
         """Send the reflector on the flange to joints (6,) and measure it, once in a run's life.
 
-        Every axis comes from below, or from above where the point's ``side`` is +1.
+        Every axis comes from below, or from above where the point's ``side`` is +1, or all come
+        ``straight`` from another pose.
         ``retake`` re-measures it; the later point supersedes, the earlier stays journalled.
         ``seats``: the other reflectors on the flange are measured there as well, each a point of
         its own. ``nominal_deg`` (3,) are A, B, C of the target in {W}, kept where they are.
@@ -161,7 +163,9 @@ class CellSession(RunContext):
             facts = {"nominal_mm": nominal_mm}
             if nominal_deg is not None and count > 1:
                 facts["nominal_deg"] = nominal_deg
-            self._flange_points(waiting, station, joints_rad, facts, retake=retake)
+            self._flange_points(
+                waiting, station, joints_rad, facts, retake=retake, straight=straight
+            )
         return self.log.point(id)
 
     def retake_waiting(self) -> bool:
@@ -200,6 +204,7 @@ class CellSession(RunContext):
         facts: Mapping[str, Any],
         *,
         retake: bool,
+        straight: Straight | None = None,
     ) -> None:
         """Go to joints (6,) and measure reflectors on the flange there; only of the tool point is a
         nominal target known.
@@ -207,7 +212,8 @@ class CellSession(RunContext):
         self.checkpoint()
         self._guard.prove_where_doubtful()
         self.flange_at(station)
-        robot = self._motion.robot_to(joints_rad, ids[0].key, above=ids[0].side > 0)
+        above, what = ids[0].side > 0, ids[0].key
+        robot = self._motion.robot_to(joints_rad, what, above=above, straight=straight)
         T_W_T = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
         seats_mm, samples = self.cell.robot.seats_mm, self.cell.tracker.samples
         for n, id in enumerate(ids):

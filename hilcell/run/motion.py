@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +23,16 @@ from hilcell.run.interlocks import (
 from hilcell.run.run_context import RunContext
 from hilcell.run.seen import seen, time_of
 from hilcell.run.strip_loop import approach_station
+
+SAME_RAD = 1e-4  # of joints read back: the robot stands at that pose
+
+
+@dataclass(frozen=True, slots=True)
+class Straight:
+    """An approach directly from another pose (6,), as in a test cycle, at a speed of its own."""
+
+    from_rad: Array
+    speed_percent: float
 
 
 class Motion:
@@ -127,7 +138,7 @@ class Motion:
         """
         safe_rad = np.radians(self._run.cell.robot.safe_deg)
         now = self._run.devices.robot.read()
-        if bool(np.all(np.abs(now.joints_rad - safe_rad) < 1e-4)):
+        if bool(np.all(np.abs(now.joints_rad - safe_rad) < SAME_RAD)):
             return now
         rail = self.check_held(self.held)
         self._last = now
@@ -136,18 +147,33 @@ class Motion:
         self._run.intend("", "robot.park", seen=seen(rail))
         return self._drive([safe_rad], self._run.cell.robot.speed_percent, rail, self.held, "park")
 
-    def robot_to(self, joints_rad: Array, what: str, *, above: bool = False) -> RobotReading:
-        """Go to joints (6,), every axis from below, or from ``above``, and settle.
+    def robot_to(
+        self,
+        joints_rad: Array,
+        what: str,
+        *,
+        above: bool = False,
+        straight: Straight | None = None,
+    ) -> RobotReading:
+        """Go to joints (6,), every axis from below, or from ``above``, or ``straight``, and settle.
 
-        Coming from one side on every axis takes the joints' backlash out of the error.
+        Coming from one side on every axis takes the joints' backlash out of the error. A speed that
+        is stated does not hold for a first pass.
         """
         check_joint_limits(self._run.cell, joints_rad, what)
         rail = self.check_held(self.held)
         speed_percent = self._first_pass.speed_percent(rail.strip_mm, joints_rad, what)
         rail = self.check_held(self.held, rail)  # the run may have paused
-        stops = self._stops(rail, joints_rad, what, above)
+        if straight is None:
+            stops = self._stops(rail, joints_rad, what, above)
+        else:
+            stops = self._straight_stops(rail, straight, joints_rad, what)
+            if speed_percent == self._run.cell.robot.speed_percent:
+                speed_percent = straight.speed_percent
         rail = self.check_held(self.held, rail)
         place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
+        if straight is not None:
+            place |= {"from_deg": np.degrees(straight.from_rad), "speed_percent": speed_percent}
         self._run.intend(what, "robot.move", **place, seen=seen(rail))
         reading = self._drive(stops, speed_percent, rail, self.held, what)
         self._run.clock.wait(self._run.cell.settle.robot_s)
@@ -176,6 +202,17 @@ class Motion:
         cell = self._run.cell
         now_rad = joints_rad if cell.surroundings is None else self._resting_rad()
         return stops_on_way(cell, rail.strip_mm, now_rad, joints_rad, what, above=above)
+
+    def _straight_stops(
+        self, rail: RailReading, straight: Straight, joints_rad: Array, what: str
+    ) -> list[Array]:
+        """Return where to go, in turn: to the pose to come from, unless the robot rests there."""
+        before_rad = straight.from_rad
+        there = bool(np.all(np.abs(self._resting_rad() - before_rad) < SAME_RAD))
+        if self._run.cell.surroundings is not None:
+            check_way(self._run.cell, rail.strip_mm, before_rad, joints_rad, what)
+        first = [] if there else self._stops(rail, before_rad, what, above=False)
+        return [*first, joints_rad]
 
     def _resting_rad(self) -> Array:
         """Return the joints (6,) where the robot rests, by a reading young enough to move by."""

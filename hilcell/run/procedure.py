@@ -96,7 +96,8 @@ class Procedure:
     """Acts in their order, found by name through the entry points ``hilcell.procedures``.
 
     ``words`` say the result in a sentence, if one can. ``uses`` is the cell's table that names the
-    calibration which the procedure starts from, if it does. ``of_rail``: it measures a rail, or
+    calibration which the procedure starts from, if it does; ``may_use`` the one that names it if
+    the operator wants one. ``of_rail``: it measures a rail, or
     what only a rail makes necessary.
     """
 
@@ -106,7 +107,13 @@ class Procedure:
     table: Callable[[dict[str, Any]], Table]
     words: Callable[[dict[str, Any]], str] = _no_words
     uses: str = ""
+    may_use: str = ""
     of_rail: bool = False
+
+    def used_in(self, cell: Cell) -> str:
+        """Return the cell's table that names the calibration to start from, "" for none."""
+        wanted = self.may_use and getattr(cell, self.may_use).calibration
+        return self.uses or (self.may_use if wanted else "")
 
     def check(self, cell: Cell) -> None:
         """Refuse a cell without the rail that this procedure is about; raises `HilcellError`."""

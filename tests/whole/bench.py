@@ -6,6 +6,7 @@ import json
 import math
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -229,3 +230,16 @@ def children(pid: int) -> list[int]:
             if int(stat[1]) == pid:
                 found.append(int(entry))
     return found
+
+
+def cut(whole: Path, folder: Path, seq: int) -> None:
+    """Copy a run's journal as it was when record ``seq`` had just become durable."""
+    folder.mkdir()
+    source = sqlite3.connect(whole / "journal.sqlite")
+    copy = sqlite3.connect(folder / "journal.sqlite")
+    source.backup(copy)
+    source.close()
+    copy.executescript("DROP TRIGGER record_is_never_deleted")
+    copy.execute("DELETE FROM record WHERE seq > ?", (seq,))
+    copy.commit()
+    copy.close()

@@ -1,7 +1,6 @@
 """kill -9 at any moment, then resume: nothing acknowledged is lost or measured twice."""
 
 import random
-import sqlite3
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from tests.whole.bench import (
     Simulation,
     children,
     command,
+    cut,
     end_of,
     events,
     sets,
@@ -58,19 +58,6 @@ def test_a_drive_that_has_latched_the_lost_heartbeat_starts_again(tmp_path: Path
                     pass
         last = command("resume", engine.run, "--runs", tmp_path, "--json")
     assert end_of(last)["state"] == "finished", last.stderr
-
-
-def cut(whole: Path, folder: Path, seq: int) -> None:
-    """Copy a run's journal as it was when record ``seq`` had just become durable."""
-    folder.mkdir()
-    source = sqlite3.connect(whole / "journal.sqlite")
-    copy = sqlite3.connect(folder / "journal.sqlite")
-    source.backup(copy)
-    source.close()
-    copy.executescript("DROP TRIGGER record_is_never_deleted")
-    copy.execute("DELETE FROM record WHERE seq > ?", (seq,))
-    copy.commit()
-    copy.close()
 
 
 def after_every_kind(printed: list[dict[str, Any]]) -> list[int]:

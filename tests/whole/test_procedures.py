@@ -21,7 +21,15 @@ SHORT = SMALL | {
     "survey.repeats": "6",
 }
 GOLDEN = {"calibrate": "small", "sign-check": "sign-check"}  # runs that other tests need, too
-OTHERS = (*GOLDEN, "campaign", "paper", "recheck", "targets", "touch")  # have runs of their own
+OTHERS = (
+    *GOLDEN,
+    "campaign",
+    "iso9283",
+    "paper",
+    "recheck",
+    "targets",
+    "touch",
+)  # have runs of their own
 NAMES = sorted(entry.name for entry in entry_points(group="hilcell.procedures"))
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from hilcell.cell import file as cell
 from hilcell.cell import in_use, layout
+from hilcell.cell.iso9283 import Iso9283Table
 from hilcell.cell.room import RoomTable
 from hilcell.cell.settings import range_text
 
@@ -41,6 +42,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[uncertainty]": cell.UncertaintyTable,
     "[certificate]": cell.CertificateTable,
     "[recheck]": in_use.RecheckTable,
+    "[iso9283]": Iso9283Table,
     "[targets]": in_use.TargetsTable,
     "[campaign]": cell.CampaignTable,
     "[simulation]": cell.SimulationTable,

@@ -11,6 +11,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, DeviceError, RailReading, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
+from hilcell.run.motion import Straight
 from tests.hilcell.run.bed import CELL, Bed, broken_beam
 from tests.hilcell.run.rig import Points, procedure
 
@@ -122,6 +123,37 @@ def test_every_axis_comes_from_below_or_where_asked_from_above(
     before_rad, there_rad = targets
     assert np.array_equal(there_rad, HOME_RAD)
     assert there_rad - before_rad == pytest.approx(sign * np.radians(CELL.robot.approach_deg))
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_pose_of_a_cycle_is_approached_directly_from_the_one_before_it(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch, there: bool
+) -> None:
+    """A robot that stands elsewhere, as after a stop, goes to the pose before it first."""
+    moves: list[tuple[list[float], float]] = []
+    move = bed.robot.move_to
+    before_rad = HOME_RAD + np.radians([3.0, 2.0, -2.0, 0.0, 1.0, 0.0])
+
+    def moved(joints_rad: Array, speed_percent: float) -> RobotReading:
+        moves.append((np.degrees(joints_rad).round(6).tolist(), speed_percent))
+        return move(joints_rad, speed_percent)
+
+    monkeypatch.setattr(bed.robot, "move_to", moved)
+
+    def straight(session: CellSession, number: int) -> None:
+        session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+        session.hold_station(S1100)
+        if there:
+            session.robot_to(before_rad, "before")
+        moves.clear()
+        how = Straight(before_rad, 80.0)
+        session.flange_point(PointId("flange", target="1"), S1100, HOME_RAD, straight=how)
+
+    assert fault_of(bed, straight) == ""
+    here, home = np.degrees(before_rad), np.degrees(HOME_RAD)
+    below = here - CELL.robot.approach_deg
+    wanted = [home] if there else [below, here, home]
+    assert [joints for joints, _ in moves] == [each.round(6).tolist() for each in wanted]
 
 
 @pytest.mark.parametrize(

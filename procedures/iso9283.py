@@ -1,0 +1,173 @@
+"""The pose test of ISO 9283:1998: accuracy and repeatability of poses and of a distance.
+
+The cycle P5, P4, P3, P2, P1 begins at P1, and every pose is approached directly from the one before
+it: the standard tests the robot as it works, not from one side as a calibration measures it. A
+visit that is missing after a stop is approached in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.in_use import calibration_in, calibration_named
+from hilcell.calibration.pose_test import (
+    ISO,
+    commanded_mm,
+    judgement,
+    pose_test,
+    velocity_percent,
+)
+from hilcell.cell.file import Cell
+from hilcell.compensation.correction import corrected
+from hilcell.geometry.frames import apply
+from hilcell.geometry.pose_test import CYCLE
+from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array
+from hilcell.run.cell_session import CellSession
+from hilcell.run.clear_ways import check_path
+from hilcell.run.motion import Straight
+from hilcell.run.procedure import Procedure, Span, Step, Table
+from procedures.base_frame import BaseFrame
+from procedures.durations import closing, measure_s, robot_moves_s, step
+from procedures.home import Home
+from procedures.plan import check_targets, poses_at
+from procedures.recheck import use
+from procedures.station import HoldStation
+from procedures.world_frame import WorldFrame
+
+WHAT = "ISO 9283 pose"
+
+
+class BaseOfTest:
+    """{B} by circles of axes 1 and 6, or that of the calibration which is tested."""
+
+    name = "base-of-test"
+    needs = "the world frame, the station held"
+    moves = "axis 1, then axis 6, each alone; nothing where a calibration is tested"
+    measures = "the flange reflector on two circles"
+    yields = "the robot base in {W}, in which poses are commanded"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse circles that cannot be driven."""
+        if cell.iso9283.calibration:
+            return Step(self.name, 0, 0.0, note="the base is the calibration's")
+        return BaseFrame().plan(cell, seed)
+
+    def perform(self, session: CellSession) -> None:
+        """Frame {B}, or take it from the calibration."""
+        if session.cell.iso9283.calibration:
+            use(session, ISO)
+        else:
+            BaseFrame().perform(session)
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the base where it was measured."""
+        return {} if log.cell.iso9283.calibration else BaseFrame().result(log)
+
+
+class PoseTest:
+    """Goes round the cycle and measures every pose."""
+
+    name = ISO
+    needs = "the base frame, the station held"
+    moves = "the robot from pose to pose of the cycle"
+    measures = "the flange reflector at five poses, cycle after cycle"
+    yields = "AP, RP, AD and RD of ISO 9283, positions only"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse poses out of reach, and ways of the cycle that are not clear."""
+        joints_rad = commands_rad(cell, cell.iso9283.calibration != "")
+        station = cell.station_named(cell.grid.station)
+        before_rad = np.roll(joints_rad, 1, axis=0)
+        check_path(cell, station, before_rad, joints_rad, "way of the ISO 9283 cycle")
+        percent = np.full(len(joints_rad), velocity_percent(cell))
+        moves_s = robot_moves_s(cell, before_rad, joints_rad, percent)
+        at_each_s = cell.settle.robot_s + measure_s(cell, cell.tracker.samples)
+        cycles, visits = cell.iso9283.cycles, cell.iso9283.cycles * len(CYCLE)
+        cycle_s = float(moves_s.sum()) + len(CYCLE) * at_each_s
+        spans = [Span("cycle", visits, cycles * cycle_s)]
+        return step(self.name, visits, [*spans, *closing(cell, carried=True, points=visits)])
+
+    def perform(self, session: CellSession) -> None:
+        """Measure every visit, prove the tracker, judge the limits that are stated."""
+        station = session.cell.station_named(session.cell.grid.station)
+        joints_rad = commands_rad(session.cell, calibration_in(session.log) is not None)
+        at_mm = np.array([commanded_mm(session.cell)[name] for name in CYCLE])
+        nominal_mm = apply(session.frames.base_in_world(station), at_mm)
+        percent = velocity_percent(session.cell)
+        for id, n in visits(session.cell):
+            straight = Straight(joints_rad[n - 1], percent)
+            session.flange_point(
+                id, station, joints_rad[n], nominal_mm=nominal_mm[n], straight=straight
+            )
+        session.close_step(carried=True)
+        if judged := judgement(pose_test(session.log)):
+            session.verdict(ISO, **judged)
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return the characteristics of every pose and of the distance."""
+        return {ISO: pose_test(log)}
+
+
+def visits(cell: Cell) -> Iterator[tuple[PointId, int]]:
+    """Yield the visits in their order: the point's identity, and the pose's place in the cycle."""
+    for cycle in range(cell.iso9283.cycles):
+        for n, name in enumerate(CYCLE):
+            yield PointId(ISO, pose=name, number=cycle), n
+
+
+def commands_rad(cell: Cell, calibrated: bool) -> Array:
+    """Return the joints (5, 6) of the cycle's poses, corrected where a calibration is tested.
+
+    Raises `HilcellError` for poses that cannot be reached or driven to.
+    """
+    poses = poses_at(cell, np.array([commanded_mm(cell)[name] for name in CYCLE]))
+    if calibrated:
+        calibration = calibration_named(cell, ISO)
+        poses[:, :3, 3] = corrected(calibration.grid(), poses, calibration.error_model())
+    return check_targets(cell, cell.station_named(cell.grid.station), poses, WHAT)
+
+
+def pose_table(result: dict[str, Any]) -> Table:
+    """Return the characteristics pose by pose, then those of the distance."""
+    found = result[ISO]
+    rows = [
+        [name, *(f"{value:.0f}" for value in each["commanded_mm"])]
+        + [f"{each[key]:.4f}" for key in _POSE_KEYS]
+        for name, each in found["poses"].items()
+    ]
+    headers = ["pose", "x mm", "y mm", "z mm", "AP_p mm", "AP_x mm", "AP_y mm", "AP_z mm",
+               "U(AP) mm", "RP_l mm", "U(RP) mm"]  # fmt: skip
+    return headers, rows
+
+
+_POSE_KEYS = ("ap_mm", "ap_x_mm", "ap_y_mm", "ap_z_mm", "ap_u95_mm", "rp_mm", "rp_u95_mm")
+
+
+def pose_words(result: dict[str, Any]) -> str:
+    """Return the worst poses, the distance, and the departures from the standard."""
+    found = result[ISO]
+    worst, way = found["worst"], found["distance"]
+    tested = (
+        f"with the correction of {found['corrected_by']}" if found["corrected_by"] else "as it is"
+    )
+    return (
+        f"The robot {tested}: AP_p {worst['ap_mm']:.3f} mm at worst ({worst['ap_pose']}), RP_l "
+        f"{worst['rp_mm']:.3f} mm ({worst['rp_pose']}); distance {way['from']}-{way['to']}: AD "
+        f"{way['ad_mm']:+.4f} mm (U {way['ad_u95_mm']:.4f}), RD ±{way['rd_mm']:.4f} mm. Departures "
+        f"from ISO 9283: {'; '.join(found['deviations'])}."
+    )
+
+
+ISO9283 = Procedure(
+    ISO,
+    "the pose test of ISO 9283: accuracy and repeatability of poses and a distance",
+    (Home(), WorldFrame(), HoldStation(), BaseOfTest(), PoseTest()),
+    pose_table,
+    words=pose_words,
+    may_use=ISO,
+)

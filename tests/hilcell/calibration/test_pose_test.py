@@ -1,0 +1,46 @@
+"""Limits of the pose test: a figure and its uncertainty keep them, or they are not kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.pose_test import judgement
+
+
+def result(ad_mm: float = -0.2, **limits: float) -> dict[str, Any]:
+    return {
+        "worst": {"ap_mm": 1.0, "ap_u95_mm": 0.1, "rp_mm": 0.05, "rp_u95_mm": 0.01},
+        "distance": {"ad_mm": ad_mm, "ad_u95_mm": 0.05, "rd_mm": 0.06, "rd_u95_mm": 0.01},
+        "limits": limits,
+    }
+
+
+@pytest.mark.parametrize(
+    ("limits", "holds"),
+    [
+        ({"ap_limit_mm": 1.11}, True),
+        ({"ap_limit_mm": 1.05}, False),  # AP keeps it, AP + U does not
+        ({"rp_limit_mm": 0.061}, True),
+        ({"rp_limit_mm": 0.059}, False),
+        ({"ad_limit_mm": 0.26}, True),  # of either sign
+        ({"ad_limit_mm": 0.24}, False),
+        ({"rd_limit_mm": 0.071}, True),
+        ({"rd_limit_mm": 0.069}, False),
+        ({"ap_limit_mm": 1.05, "rp_limit_mm": 0.061}, False),
+    ],
+)
+def test_a_limit_is_kept_with_the_uncertainty(limits: dict[str, float], holds: bool) -> None:
+    judged = judgement(result(**limits))
+    assert judged["holds"] is holds
+    assert limits.items() <= judged.items()
+
+
+def test_without_limits_there_is_no_verdict() -> None:
+    assert judgement(result()) == {}
+
+
+def test_a_figure_that_is_no_number_keeps_no_limit() -> None:
+    assert judgement(result(np.nan, ad_limit_mm=1.0))["holds"] is False

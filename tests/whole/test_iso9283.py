@@ -1,0 +1,110 @@
+"""The pose test of ISO 9283 as its users run it, on a robot without a rail."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.geometry.statistics import lengths_mm
+from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation
+from tests.whole.trace import judge
+
+CYCLES = 4
+SHORT = SMALL | {"base_frame.points": "5", "iso9283.cycles": str(CYCLES)}
+Ran = tuple[Path, list[dict[str, Any]], Simulation]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ran]:
+    """A run that was done, its folder and events, and its cell, which is still up."""
+    runs = tmp_path_factory.mktemp("iso9283")
+    with simulation(values=SHORT, name="fixed") as cell:
+        done = run(cell, runs, "whole")
+        assert end_of(done)["exit"] == 0, done.stderr
+        yield runs, events(done.stdout), cell
+
+
+def run(cell: Simulation, runs: Path, name: str, **more: str) -> Any:
+    words = sets(SHORT | {"simulation.address": cell.control} | more)
+    where = ("--cell", "fixed", "--runs", runs, "--name", name)
+    return command("run", "iso9283", "--json", "--unattended", *where, *words)
+
+
+def exported(runs: Path, name: str, file: Path) -> dict[str, Any]:
+    assert command("export", name, "--runs", runs, "--json", "-o", file).returncode == 0
+    found: dict[str, Any] = json.loads(file.read_text("utf-8"))
+    return found
+
+
+def test_invariants_hold_and_a_pose_is_approached_from_the_one_before_it(ran: Ran) -> None:
+    _, printed, _ = ran
+    assert judge(printed) == []
+    moves = [e for e in printed if e["kind"] == "intent" and e.get("key", "").startswith("iso")]
+    assert [move["key"].split("/")[1] for move in moves] == ["P5", "P4", "P3", "P2", "P1"] * CYCLES
+    for before, move in zip([moves[-1], *moves], moves, strict=False):
+        assert move["from_deg"] == before["joints_deg"]
+
+
+def test_its_figures_are_those_of_the_exported_points(ran: Ran, tmp_path: Path) -> None:
+    runs, printed, _ = ran
+    found = printed[-1]["result"]["iso9283"]
+    whole = exported(runs, "whole", tmp_path / "whole.json")
+    T = np.array(whole["frames"]["base"]["matrix"])
+    to_base = np.linalg.inv(T)
+    clouds: dict[str, Any] = {}
+    for point in whole["points"]:
+        if point["group"] == "iso9283":
+            at_mm = to_base @ [*(point[f"world_{axis}_mm"] for axis in "xyz"), 1.0]
+            clouds.setdefault(point["key"].split("/")[1], []).append(at_mm[:3])
+    assert {name: len(cloud) for name, cloud in clouds.items()} == dict.fromkeys(clouds, CYCLES)
+    for name, each in found["poses"].items():
+        cloud = np.array(clouds[name])
+        off = cloud.mean(axis=0) - each["commanded_mm"]
+        assert [each[f"ap_{axis}_mm"] for axis in "xyz"] == pytest.approx(off, abs=1e-8)
+        assert each["ap_mm"] == pytest.approx(np.linalg.norm(off), abs=1e-8)
+        l_mm = lengths_mm(cloud - cloud.mean(axis=0))
+        assert each["rp_mm"] == pytest.approx(l_mm.mean() + 3 * l_mm.std(ddof=1), abs=1e-8)
+    ways = lengths_mm(np.array(clouds["P2"]) - np.array(clouds["P4"]))
+    wanted = np.linalg.norm(
+        np.subtract(found["poses"]["P2"]["commanded_mm"], found["poses"]["P4"]["commanded_mm"])
+    )
+    assert found["distance"]["ad_mm"] == pytest.approx(ways.mean() - wanted, abs=1e-8)
+    assert found["distance"]["rd_mm"] == pytest.approx(3 * ways.std(ddof=1), abs=1e-8)
+    assert found["worst"]["ap_mm"] == max(each["ap_mm"] for each in found["poses"].values())
+
+
+def test_a_killed_test_measures_what_is_missing_and_comes_from_the_pose_before(
+    ran: Ran, tmp_path: Path
+) -> None:
+    runs, printed, _ = ran
+    last = next(e for e in printed if e["kind"] == "point" and e["key"] == "iso9283/P3/002")
+    cut(runs / "whole", tmp_path / "cut", last["seq"])
+    done = command("resume", "cut", "--runs", tmp_path, "--json", "--unattended")
+    assert end_of(done)["exit"] == 0, done.stderr
+    moves = [e for e in events(done.stdout) if e["kind"] == "intent" and "from_deg" in e]
+    assert [move["key"] for move in moves[:2]] == ["iso9283/P2/002", "iso9283/P1/002"]
+    assert len(moves) == 2 + 5  # of the third cycle, and the fourth
+    before = next(e for e in printed if e["kind"] == "intent" and e.get("key") == last["key"])
+    assert moves[0]["from_deg"] == before["joints_deg"]
+    again = end_of(done)["result"]["iso9283"]["poses"]
+    for name, each in printed[-1]["result"]["iso9283"]["poses"].items():
+        assert again[name]["ap_mm"] == pytest.approx(each["ap_mm"], abs=0.1)
+    checked = command("show", "cut", "--runs", tmp_path, "--check", "--json")
+    assert all(
+        rule["holds"] is not False for rule in json.loads(checked.stdout)["invariants"].values()
+    )
+
+
+def test_stated_limits_make_a_verdict(ran: Ran) -> None:
+    runs, _, cell = ran
+    done = run(cell, runs, "strict", **{"iso9283.rp_limit_mm": "0.01", "iso9283.cycles": "3"})
+    end = end_of(done)
+    assert (end["exit"], end["state"]) == (1, "finished")
+    assert end["result"]["iso9283"]["limits"] == {"rp_limit_mm": 0.01}
+    report = runs / "strict.html"
+    assert command("report", "strict", "--runs", runs, "-o", report).returncode == 0
