@@ -25,8 +25,11 @@ from procedures.world_frame import WorldFrame
 
 def validation_table(result: dict[str, Any]) -> Table:
     """Return the errors before and after, station by station, as the paper states them."""
-    names = Figures._fields
-    rows = []
+    names, rows = Figures._fields, []
+    oriented = any(
+        "orientation" in each.get("before", {}) for each in result["validation"].values()
+    )
+    angles = [f"{name}_deg" for name in names] if oriented else []
     for where, figures in result["validation"].items():
         for label in ("before", "idw", "chosen", "floor"):
             if label not in figures:
@@ -38,8 +41,24 @@ def validation_table(result: dict[str, Any]) -> Table:
             counts = figures.get("points_sent", {"before": figures["points"]})
             first = [where if label == "before" else "", str(counts.get(label, ""))]
             texts = [f"{each[figure]:.4f}" if figure in each else "" for figure in names]
+            turns = each.get("orientation", {})
+            texts += [f"{turns[key]:.4f}" if key in turns else "" for key in angles]
             rows.append([*first, name, *texts])
-    return ["station", "points", "error of", *(f"{figure} mm" for figure in names)], rows
+    headers = ["station", "points", "error of", *(f"{figure} mm" for figure in names)]
+    return [*headers, *(f"turn {key.replace('_', ' ')}" for key in angles)], rows
+
+
+def words(result: dict[str, Any]) -> str:
+    """Return in words what became of the tool's orientation, and what is suspected."""
+    lines = []
+    for where, figures in list(result.get("validation", {}).items())[:1]:
+        if all("orientation" in figures.get(how, {}) for how in ("before", "chosen")):
+            before, after = (figures[how]["orientation"] for how in ("before", "chosen"))
+            lines.append(
+                f"Orientation of the tool at {where}: {before['mean_deg']:.4f} deg off before, "
+                f"{after['mean_deg']:.4f} deg after (means); {result['fit']['orientation']}."
+            )
+    return "\n".join(filter(None, [*lines, suspicion_words(result)]))
 
 
 def station_table(result: dict[str, Any]) -> Table:
@@ -134,5 +153,5 @@ CALIBRATE = Procedure(
         Revisits(at_end=True),
     ),
     validation_table,
-    words=suspicion_words,
+    words=words,
 )

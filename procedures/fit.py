@@ -8,12 +8,14 @@ import msgspec
 
 from hilcell.calibration.frames import grid_of, measured_of, outlying_vertices
 from hilcell.cell.file import Cell
-from hilcell.compensation.choice import chosen
+from hilcell.compensation.choice import MODELS, chosen
 from hilcell.compensation.kinematic import curves_used
+from hilcell.compensation.measured import Measured
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
+from procedures.plan import poses_at
 
 
 class Fit:
@@ -55,4 +57,24 @@ class Fit:
             "curves": msgspec.to_builtins(curves_used(measured)),
             "outliers": outlying_vertices(log),
         }
+        if log.cell.robot.more_smr_mm:
+            fit["orientation"] = _orientation(log.cell, choice.model, measured)
         return {"method": choice.model, "fit": fit}
+
+
+def orients(log: Log) -> bool:
+    """Whether the chosen correction turns the tool as well."""
+    return _orients(log.cell, str(log.verdicts["fit"]["method"]), measured_of(log))
+
+
+def _orients(cell: Cell, name: str, measured: Measured) -> bool:
+    """Whether a model learnt from what was measured predicts orientation."""
+    vertex = poses_at(cell, measured.grid.grid.origin_mm[None])
+    return MODELS[name].learn(measured).predict(vertex).turn is not None
+
+
+def _orientation(cell: Cell, name: str, measured: Measured) -> str:
+    """Return in words what becomes of the tool's orientation."""
+    if _orients(cell, name, measured):
+        return f"corrected: {name} predicts it"
+    return f"left as it is: {name} predicts positions only"

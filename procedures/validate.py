@@ -9,13 +9,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration.bounds import Coverage, coverages
+from hilcell.calibration.bounds import coverages
 from hilcell.calibration.decision import check_limits, guard_of, judged, limits_of
 from hilcell.calibration.errors import validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.noticed import suspicions_of
+from hilcell.calibration.orientation import turn_coverages, validated_turns
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
@@ -28,6 +29,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures import enough_targets
 from procedures.durations import closing, flange_points, leg, step
+from procedures.fit import orients
 from procedures.plan import angles_deg, check_targets, drivable, poses_at, turned
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
@@ -136,12 +138,22 @@ class Validate:
             )
             facts = msgspec.to_builtins(found)
             session.verdict(f"validation.{where}", holds=facts.pop("holds"), **facts)
+        self._judge_orientation(session)
+
+    def _judge_orientation(self, session: CellSession) -> None:
+        """Journal whether a corrected orientation is better than the one before, where it is."""
+        stations = [station.name for station in session.cell.station]
+        turns = validated_turns(session.log, stations)
+        if {"before", "chosen"} <= turns.keys() and orients(session.log):
+            before, chosen = (turns[how].figures["mean_deg"] for how in ("before", "chosen"))
+            facts = {"before_mean_deg": before, "mean_deg": chosen}
+            session.verdict("orientation", holds=chosen < before, **facts)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors at the grid's station and at the others together, and their bounds."""
         figures = self._figures(log)
-        for where, found in _coverage(log, _places(log.cell)).items():
-            bounds = figures[where]["bounds"] = found.figures
+        for where, bounds in _coverage(log, _places(log.cell)).items():
+            figures[where]["bounds"] = bounds
             figures[where]["chosen"] |= {
                 "bound95_mean": bounds["mean_mm"],
                 "covered": bounds["coverage"],
@@ -174,15 +186,20 @@ def _places(cell: Cell) -> dict[str, list[str]]:
     return {reference: [reference]} | together | {name: [name] for name in others}
 
 
-def _coverage(log: Log, places: dict[str, list[str]]) -> dict[str, Coverage]:
+def _coverage(log: Log, places: dict[str, list[str]]) -> dict[str, dict[str, Any]]:
     """Return the bounds of the corrected targets, where the run allows any."""
     calibration = calibration_so_far(log, "")
     if calibration is None:
         return {}
     try:
-        return coverages(calibration, log, places)
+        found: dict[str, dict[str, Any]] = {
+            place: {**each.figures} for place, each in coverages(calibration, log, places).items()
+        }
+        for place, bounds in turn_coverages(calibration, log, places).items():
+            found[place]["orientation"] = bounds
     except NoBound:  # the report says why
         return {}
+    return found
 
 
 def command(
@@ -207,9 +224,14 @@ def command(
 
 
 def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
-    """Return mean, p95 and max of |e| before, by the paper's method and by the chosen one."""
+    """Return mean, p95 and max of |e| before, by the paper's method and by the chosen one.
+
+    With several reflectors on the flange, of the orientation's error as well.
+    """
     series = validation(log, stations)
-    figures = {how: errors.figures._asdict() for how, errors in series.items()}
+    figures: dict[str, Any] = {how: errors.figures._asdict() for how, errors in series.items()}
+    for how, turns in validated_turns(log, stations).items():
+        figures[how]["orientation"] = turns.figures
     counts = {how: len(errors) for how, errors in series.items()}
     return {"points": counts["chosen"], "points_sent": counts, **figures}
 

@@ -63,16 +63,18 @@ def target_bounds(
     ``temperature_c`` is the room's; None: any that the check of validity allows. Raises
     `NoBound` with the reason where the file states no budget, and `OutsideGrid`.
     """
-    stated = _stated(calibration)
-    lines = [
-        each
-        for each in (*stated.lines, *stated.stations[station])
-        if each.counts != "in validation"
-    ]
+    stated, lines = _stated(calibration), lines_in_use(calibration, station)
     air = temperature(
         stated.growth_per_k, calibration.validity.temperature_c, stated.air_range_k, temperature_c
     )
     return _bounds(calibration, station, poses, [*lines, air])
+
+
+def lines_in_use(calibration: Calibration, station: str) -> list[Influence]:
+    """Return the lines of the budget, but for the temperature's, that count for targets in use."""
+    stated = _stated(calibration)
+    lines = (*stated.lines, *stated.stations[station])
+    return [each for each in lines if each.counts != "in validation"]
 
 
 def cube_bounds(calibration: Calibration, station: str) -> Bounds:
@@ -99,14 +101,21 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
     found = errors_of(log, points)
     T_W_B = _base(calibration, station)
     in_base_mm = (found.nominal_mm - T_W_B[:3, 3]) @ T_W_B[:3, :3]
+    lines = lines_in_validation(calibration, log, station, points)
+    poses = driven_poses(calibration, log, points, in_base_mm)
+    bounds = _bounds(calibration, station, T_W_B @ poses, lines)
+    return Coverage(found.norms_mm, bounds.radii_mm)
+
+
+def lines_in_validation(
+    calibration: Calibration, log: Log, station: str, points: list[Point]
+) -> list[Influence]:
+    """Return the lines of the budget that count for validation points of a station."""
     stated, stop = _stated(calibration), log.cell.station_named(station)
     on_visit = touched(log, stop)
     placed = stated.stations[station] if on_visit is None else [on_visit]
     lines = [each for each in (*stated.lines, *placed) if each.counts != "in use"]
-    lines += in_validation(log, stop, points)
-    poses = driven_poses(calibration, log, points, in_base_mm)
-    bounds = _bounds(calibration, station, T_W_B @ poses, lines)
-    return Coverage(found.norms_mm, bounds.radii_mm)
+    return [*lines, *in_validation(log, stop, points)]
 
 
 def driven_poses(

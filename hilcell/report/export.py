@@ -17,10 +17,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hilcell.calibration.orientation import seats_of, turned_of
 from hilcell.clean import harmless
 from hilcell.geometry.frames import apply, zyx_from_pose
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Point
+from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
 from hilcell.report import tables
 from hilcell.report.columns import Column, T, Value
@@ -35,7 +36,7 @@ Row = list[Value]
 class Measured:
     """A point and the record that wrote it, and as far as they are known: its place and its error
     e = actual - nominal (3,) in {W}, the robot's pose as x, y, z, A, B, C (6,) in {B}, the
-    95 % bound of the error of a corrected target.
+    95 % bound of the error of a corrected target, by how much the tool was turned.
     """
 
     record: Record
@@ -44,6 +45,7 @@ class Measured:
     error_mm: Array | None
     zyx: Array | None
     bound_mm: float | None
+    turned_deg: float | None = None
 
     @property
     def settled_s(self) -> float | None:
@@ -110,6 +112,9 @@ POINTS: tuple[Column[Measured], ...] = (
     *_vector("nominal_", "xyz", "mm", "point.nominal_mm"),
     *_vector("error_", "xyz", "mm", "error_mm"),
     Column("error", attrgetter("norm_mm"), "mm"),
+    Column("seat", attrgetter("point.id.seat")),
+    *_vector("nominal_", "abc", "°", "point.nominal_deg"),
+    Column("orientation_error", attrgetter("turned_deg"), "°"),
     *_vector("smr_", "xyz", "mm", "point.smr_mm"),
     *_vector("commanded_", _AXES, "°", "point.commanded_deg"),
     *_vector("read_", _AXES, "°", "point.joints_deg"),
@@ -131,21 +136,36 @@ def points(facts: Facts) -> list[Measured]:
     wrote = {record.key: record for record in facts.records if record.kind == "point"}
     world = facts.log.matrix("world") if "world" in facts.log.frames else None
     bounds_mm = target_budget(facts.log, facts.run).points_mm
+    turns_deg = _turns_deg(facts.log)
     return [
-        _measured(wrote[key], point, world, bounds_mm.get(key))
+        _measured(wrote[key], point, world, bounds_mm.get(key), turns_deg.get(key))
         for key, point in facts.log.points.items()
     ]
 
 
+def _turns_deg(log: Log) -> dict[str, float]:
+    """Return by how much the tool was turned, by the keys of its points, where that is known."""
+    seats = seats_of(log)
+    if seats is None:
+        return {}
+    turned = turned_of(log, list(log.points.values()), seats)
+    keys = (point.key for point in turned.points)
+    return dict(zip(keys, turned.angles_deg.tolist(), strict=True))
+
+
 def _measured(
-    record: Record, point: Point, world: Array | None, bound_mm: float | None
+    record: Record,
+    point: Point,
+    world: Array | None,
+    bound_mm: float | None,
+    turned_deg: float | None,
 ) -> Measured:
     world_mm = None if world is None else apply(world, np.array([point.xyz_mm]))[0]
     known = world_mm is not None and point.nominal_mm is not None
     error_mm = world_mm - np.array(point.nominal_mm) if known else None
     said = record.body.get("pose")
     pose = None if said is None else zyx_from_pose(np.array(said))
-    return Measured(record, point, world_mm, error_mm, pose, bound_mm)
+    return Measured(record, point, world_mm, error_mm, pose, bound_mm, turned_deg)
 
 
 def _keys(columns: Sequence[Column[Any]]) -> list[str]:

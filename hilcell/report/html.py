@@ -71,6 +71,7 @@ def report_html(facts: Facts) -> str:
             certificate=certificate(facts, budget, targets),
             result_sheets=present(
                 tables.accuracy(facts),
+                tables.orientation(facts),
                 models(facts),
                 curves(facts),
                 tables.paper_rows(facts),

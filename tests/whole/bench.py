@@ -41,6 +41,9 @@ SMALL = {
     "validation.max_tolerance_mm": "1.0",
 }
 
+# Three reflectors on the flange: the tool's orientation is measured.
+SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
+
 
 def sets(values: dict[str, str]) -> list[str]:
     return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]

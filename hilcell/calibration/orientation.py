@@ -1,0 +1,189 @@
+"""Errors of the tool's orientation at measured targets, from the log alone, and their bounds.
+
+The pose of the tool is the rigid fit of its reflectors, where the calibration has found them on the
+flange. An error is a rotation vector in {W}: actual = exp(vector) nominal. Its bound has the parts
+that turn a corrected target: model and visit, the frames, and in a validation the readings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilcell.calibration.bounds import HOW, driven_poses, lines_in_use, lines_in_validation
+from hilcell.calibration.errors import HOWS
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.frames import measured_of
+from hilcell.calibration.influence import Influence, NoBound
+from hilcell.compensation.kinematic import seats_mm
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.orientation import orientations, turn_levers
+from hilcell.geometry.rotations import from_zyx, to_rotvec
+from hilcell.geometry.statistics import (
+    bounds95_mm,
+    effective_freedom,
+    figures_of,
+    lengths_mm,
+    trace_freedom,
+)
+from hilcell.identification.readings import IdentificationError
+from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
+from hilcell.ports import Array
+
+TURNS = slice(3, 6)  # of an influence's covariance
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """Tool points of N targets, their errors of orientation (N, 3) in rad, axes of {W}, and the
+    covariances (N, 3, 3) that the readings give them.
+    """
+
+    points: list[Point]
+    error_rad: Array
+    reading_rad2: Array
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def angles_deg(self) -> Array:
+        """Return by how much each target (N,) is turned."""
+        angles: Array = np.degrees(lengths_mm(self.error_rad))
+        return angles
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Return mean, p95 and maximum (deg)."""
+        found = figures_of(self.angles_deg)._asdict()
+        return {f"{name}_deg": value for name, value in found.items()}
+
+
+def seats_of(log: Log) -> Array | None:
+    """Return where the reflectors (K, 3) are on the flange; None where the run cannot tell."""
+    if not log.cell.robot.more_smr_mm or not {"world", "base"} <= log.frames.keys():
+        return None
+    try:
+        return seats_mm(measured_of(log))
+    except IdentificationError:
+        return None
+
+
+def turned_of(log: Log, points: Sequence[Point], seats: Array) -> Turned:
+    """Return the errors of tool points with a nominal orientation, all reflectors measured."""
+    numbers = range(1, len(seats) + 1)
+    known = [
+        point
+        for point in points
+        if point.nominal_deg is not None and all(log.find(point.id.at_seat(n)) for n in numbers)
+    ]
+    if not known:
+        return Turned([], np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    T_W_L = log.matrix("world")
+    every = [[log.point(point.id.at_seat(n)) for point in known] for n in numbers]
+    seen_mm = np.stack([apply(T_W_L, positions_mm(each)) for each in every], axis=1)
+    own_mm2 = np.stack([covariances_mm2(each, T_W_L[:3, :3]) for each in every], axis=1)
+    R = orientations(seats, seen_mm)
+    levers = turn_levers(seats, R)
+    nominal = from_zyx(np.array([point.nominal_deg for point in known], dtype=float))
+    reading_rad2 = np.sum(levers @ own_mm2 @ np.swapaxes(levers, -1, -2), axis=1)
+    return Turned(known, to_rotvec(R @ np.swapaxes(nominal, 1, 2)), reading_rad2)
+
+
+def validated_turns(log: Log, stations: Sequence[str]) -> dict[str, Turned]:
+    """Return the errors at ``stations`` by the way of sending, as far as they were measured."""
+    seats = seats_of(log)
+    if seats is None:
+        return {}
+    found = {}
+    for how in HOWS:
+        points = [p for name in stations for p in log.select("validate", name, how=how)]
+        turned = turned_of(log, points, seats)
+        if len(turned):
+            found[how] = turned
+    return found
+
+
+def turn_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Array | None:
+    """Return the 95 % bounds (N,) of orientation for corrected targets at poses (N, 4, 4) in {W}.
+
+    None where the calibration corrects positions only. Raises `NoBound` without a budget.
+    """
+    if not calibration.orients:
+        return None
+    lines = lines_in_use(calibration, station)
+    return _bounds_deg(calibration, station, poses, lines, np.zeros((len(poses), 3, 3)))
+
+
+def turn_coverages(
+    calibration: Calibration, log: Log, places: Mapping[str, Sequence[str]]
+) -> dict[str, dict[str, float]]:
+    """Return by place the share of corrected targets whose orientation keeps its bound, and mean
+    and largest bound; nothing where no orientation is corrected. Raises `NoBound`.
+    """
+    seats = seats_of(log) if calibration.orients else None
+    if seats is None:
+        return {}
+    names = {name for stations in places.values() for name in stations}
+    single = {name: _validated(calibration, log, name, seats) for name in names}
+    found = {}
+    for place, stations in places.items():
+        angles_deg, bounds_deg = (
+            np.concatenate([single[name][n] for name in stations]) for n in (0, 1)
+        )
+        if len(angles_deg):
+            found[place] = {
+                "coverage": float(np.mean(angles_deg <= bounds_deg)),
+                "mean_deg": float(bounds_deg.mean()),
+                "max_deg": float(bounds_deg.max()),
+            }
+    return found
+
+
+def _validated(
+    calibration: Calibration, log: Log, station: str, seats: Array
+) -> tuple[Array, Array]:
+    """Return the errors and bounds, (N,) each in deg, of a station's corrected targets."""
+    turned = turned_of(log, log.select("validate", station, how=HOW), seats)
+    if not len(turned):
+        return np.zeros(0), np.zeros(0)
+    T_W_B = np.array(calibration.stations[station].T_W_B)
+    nominal_mm = np.array([point.nominal_mm for point in turned.points], dtype=float)
+    in_base_mm = apply(inverse(T_W_B), nominal_mm)
+    poses = T_W_B @ driven_poses(calibration, log, turned.points, in_base_mm)
+    lines = lines_in_validation(calibration, log, station, turned.points)
+    bounds = _bounds_deg(calibration, station, poses, lines, turned.reading_rad2)
+    return turned.angles_deg, bounds
+
+
+def _bounds_deg(
+    calibration: Calibration,
+    station: str,
+    poses: Array,
+    lines: Sequence[Influence],
+    own_rad2: Array,
+) -> Array:
+    """Return the bounds (N,): model, frames of {W} and {B}, and what else (N, 3, 3) there is."""
+    T_W_B = np.array(calibration.stations[station].T_W_B)
+    turn = calibration.error_model().predict(inverse(T_W_B) @ poses).turn
+    if turn is None:
+        raise NoBound("its error model knows positions only")
+    R = T_W_B[:3, :3]
+    model_rad2 = R @ turn.covariance_rad2 @ R.T
+    axes = {"world": np.eye(3), "base": R}
+    frames_rad2 = np.zeros((3, 3))
+    for line in lines:
+        if line.frame in axes:  # the tool's is the stated limit of what is measured here
+            own = axes[line.frame]
+            frames_rad2 += own @ np.array(line.covariance)[TURNS, TURNS] @ own.T
+    stated = calibration.uncertainty
+    samples = None if stated is None else stated.model_samples
+    freedom = trace_freedom(model_rad2.mean(axis=0), samples) if samples else math.inf
+    rest_rad2 = frames_rad2 + own_rad2
+    traces = [np.trace(each, axis1=1, axis2=2) for each in (model_rad2, rest_rad2)]
+    whole = effective_freedom(traces, [freedom, math.inf])
+    bounds: Array = np.degrees(bounds95_mm(model_rad2 + rest_rad2, whole))
+    return bounds

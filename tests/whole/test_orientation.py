@@ -1,0 +1,81 @@
+"""Three reflectors on the flange: the tool's orientation is measured, corrected, and validated."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from hilcell.calibration.file import read_calibration
+from hilcell.journal.runs import read_log
+from tests.whole.bench import command
+from tests.whole.golden import GoldenRuns
+from tests.whole.trace import judge
+
+HOLE = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,{:.3f},{:.3f},{:.3f},{:.6f},{:.6f},{:.6f}\n"
+
+
+def test_the_orientation_is_corrected_as_measured(golden: GoldenRuns) -> None:
+    run = golden["seats"]
+    assert run.end["exit"] == 0, run.done.stderr
+    assert judge(run.events) == []
+    assert run.result["fit"]["orientation"] == "corrected: kinematic predicts it"
+    figures = run.result["validation"]["BASE"]
+    before, after = (figures[how]["orientation"] for how in ("before", "chosen"))
+    assert after["mean_deg"] < 0.5 * before["mean_deg"]
+    assert after.keys() == {"mean_deg", "p95_deg", "max_deg"}
+    assert figures["bounds"]["orientation"]["coverage"] >= 0.8  # 8 targets
+    assert "orientation" not in figures["idw"]  # positions only
+    points = run.result["points"]
+    assert points["grid_seats"] == 2 * points["grid"]
+    assert "validate_idw_seats" not in points
+    verdicts = {e["key"]: e for e in run.events if e["kind"] == "verdict"}
+    assert verdicts["orientation"]["holds"]
+
+
+def test_each_reading_stands_by_itself_in_the_journal(golden: GoldenRuns) -> None:
+    log = read_log(golden["seats"].folder)
+    first, second, third = (log.select("grid", seat=seat) for seat in (None, 2, 3))
+    assert len(first) == len(second) == len(third) == 27
+    assert all(point.nominal_deg for point in first)
+    apart_mm = [
+        np.linalg.norm(np.array(a.xyz_mm) - b.xyz_mm) for a, b in zip(first, second, strict=True)
+    ]
+    assert np.ptp(apart_mm) < 0.1  # they ride on one flange
+    done = command("export", "seats", "--runs", golden["seats"].runs, "--csv", "-o", "-")
+    rows = [*csv.DictReader(io.StringIO(done.stdout))]
+    (row,) = [row for row in rows if row["key"] == "grid/0-0-0"]
+    assert float(row["orientation_error_deg"]) > 0.0
+    (row,) = [row for row in rows if row["key"] == "grid/0-0-0/seat2"]
+    assert (row["seat"], row["orientation_error_deg"]) == ("2", "")
+
+
+def test_targets_are_turned_and_their_bounds_stated(golden: GoldenRuns, tmp_path: Path) -> None:
+    folder = golden["seats"].copied_to(tmp_path / "runs")
+    made = read_calibration(folder / "calibration.json")
+    assert made.orients
+    log = read_log(folder)
+    point = log.select("validate", how="chosen")[0]
+    nominal = [*(point.nominal_mm or ()), *(point.nominal_deg or ())]
+    holes, out, bounds = (tmp_path / name for name in ("holes.csv", "out.csv", "bounds.csv"))
+    holes.write_text(HOLE.format(*nominal))
+    words = ("compensate", "seats", holes, "--station", "BASE", "-o", out, "--bounds", bounds)
+    done = command(*words, "--runs", tmp_path / "runs")
+    assert done.returncode == 0, done.stderr
+    assert "of their orientation: median 0.0" in done.stderr
+    (corrected,) = csv.DictReader(io.StringIO(out.read_text()))
+    turned_deg = np.array([float(corrected[f"{name}_deg"]) for name in "abc"]) - nominal[3:]
+    assert 0.001 < np.abs(turned_deg).max() < 1.0
+    (bound,) = csv.DictReader(io.StringIO(bounds.read_text()))
+    assert 0.001 < float(bound["bound95_deg"]) < 0.1
+
+
+def test_the_report_shows_both(golden: GoldenRuns, tmp_path: Path) -> None:
+    out = tmp_path / "report.html"
+    done = command("report", "seats", "--runs", golden["seats"].runs, "-o", out)
+    assert done.returncode == 0, done.stderr
+    text = out.read_text("utf-8")
+    assert "<h3>Orientation</h3>" in text or "Orientation</" in text
+    assert "Orientation corrected: kinematic predicts it." in text
