@@ -90,15 +90,15 @@ class Program:
         lines = [line for text in self.texts.values() for line in text.splitlines()]
         return [remark for _, sign, remark in (line.partition(";") for line in lines) if sign]
 
-    def with_positions(self, positions_mm: Array, remark: str = "") -> dict[str, bytes]:
-        """Return the files by name, with other X, Y, Z (N, 3) and a remark below their headers;
-        nothing else differs.
+    def with_positions(self, positions: Array, remark: str = "") -> dict[str, bytes]:
+        """Return the files by name, with other X, Y, Z (N, 3), or with A, B, C besides (N, 6), and
+        a remark below their headers; nothing else differs.
         """
         edits: dict[str, list[Edit]] = {name: [] for name in self.texts}
-        for target, position in zip(self.targets, positions_mm, strict=True):
-            for name, value_mm in zip(POSE[:3], position, strict=True):
+        for target, position in zip(self.targets, positions, strict=True):
+            for name, value in zip(POSE[: len(position)], position, strict=True):
                 number = target.numbers[name]
-                text = formatted(float(value_mm), number.text)
+                text = formatted(float(value), number.text)
                 edits[target.file].append(Edit(number.start, number.end, text))
         for name, text in self.texts.items():
             edits[name] += [_remark(text, remark)] if remark and text else []

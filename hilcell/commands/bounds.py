@@ -13,6 +13,7 @@ from hilcell.calibration.bounds import target_bounds
 from hilcell.calibration.budget import with_drill
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, NoBound
+from hilcell.calibration.orientation import turn_bounds_deg
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.compensation.targets import write_rows
 from hilcell.geometry.frames import poses_from_zyx
@@ -20,6 +21,8 @@ from hilcell.ports import Array
 from hilcell.writing import NotWritten
 
 HEADER = ["name", "bound95_mm", "u_x_mm", "u_y_mm", "u_z_mm"]
+
+TURN = "bound95_deg"  # where the calibration corrects orientation
 
 Found = Bounds | NoBound  # the reason where no bound can be stated
 
@@ -45,22 +48,47 @@ def bounds_of_targets(
         return reason
 
 
-def summary(found: Found, names: Sequence[str]) -> str:
-    """Return median and largest bound in one line, or why there are none."""
+def turns_of_targets(calibration: Calibration, station: str, targets: Array) -> Array | None:
+    """Return the bounds (N,) of orientation, in deg, of corrected targets (N, 6) in {W}.
+
+    None where the calibration corrects positions only, or where no bounds can be stated.
+    """
+    try:
+        return turn_bounds_deg(calibration, station, poses_from_zyx(targets))
+    except NoBound:
+        return None
+
+
+def summary(found: Found, names: Sequence[str], turns_deg: Array | None = None) -> str:
+    """Return median and largest bound in one line, or why there are none.
+
+    ``turns_deg`` (N,) are the bounds of orientation, where it is corrected.
+    """
     if isinstance(found, NoBound):
         return str(found)
     radii_mm = found.radii_mm
     worst = int(np.argmax(radii_mm))
-    return (
+    words = (
         f"95 % bounds of the corrected targets: median {np.median(radii_mm):.3f} mm, largest "
         f"{radii_mm[worst]:.3f} mm at {names[worst]}"
     )
+    if turns_deg is None:
+        return words
+    middle_deg = float(np.median(turns_deg))
+    return f"{words}; of their orientation: {middle_deg:.4f} and {turns_deg.max():.4f} deg"
 
 
 def write_bounds(
-    path: Path, found: Found, names: Sequence[str], out: Path, *, inputs: Iterable[Path]
+    path: Path,
+    found: Found,
+    names: Sequence[str],
+    out: Path,
+    *,
+    inputs: Iterable[Path],
+    turns_deg: Array | None = None,
 ) -> None:
-    """Write a row a target: its bound, and u of its coordinates in {W}.
+    """Write a row a target: its bound, u of its coordinates in {W}, and the bound (N,) of its
+    orientation where that is corrected.
 
     ``out`` is where the targets are written. Raises `NoBound`, and `NotWritten` as `write_whole`
     does.
@@ -72,8 +100,12 @@ def write_bounds(
     read = list(inputs)
     check_output(path, CSV, "a list", inputs=read)
     u_mm = np.sqrt(np.diagonal(found.covariance_mm2, axis1=1, axis2=2))
-    rows = (
+    rows = [
         [name, f"{bound:.4f}", *(f"{each:.4f}" for each in u)]
         for name, bound, u in zip(names, found.radii_mm, u_mm, strict=True)
-    )
-    write_rows(path, HEADER, rows, inputs=read)
+    ]
+    if turns_deg is None:
+        write_rows(path, HEADER, rows, inputs=read)
+        return
+    turned = [[*row, f"{deg:.5f}"] for row, deg in zip(rows, turns_deg, strict=True)]
+    write_rows(path, [*HEADER, TURN], turned, inputs=read)

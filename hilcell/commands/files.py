@@ -12,7 +12,7 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.programs import check_base, check_strokes
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.commands.bounds import bounds_of_targets, summary, write_bounds
+from hilcell.commands.bounds import bounds_of_targets, summary, turns_of_targets, write_bounds
 from hilcell.commands.output import print_json, print_message
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.commands.released import released
@@ -42,11 +42,14 @@ def compensate(args: argparse.Namespace) -> int:
         _check_program(calibration, args, program, command, cell)
     drill_mm = drill_mm_of(cell)
     bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, drill_mm)
+    turns_deg = turns_of_targets(calibration, args.station, targets)
     if args.bounds:
-        write_bounds(Path(args.bounds), bounds, names, out, inputs=inputs)
+        where = Path(args.bounds)
+        write_bounds(where, bounds, names, out, inputs=inputs, turns_deg=turns_deg)
         inputs.append(Path(args.bounds))
     stamp = found.stamp(args.station)
-    written = _write(program, names, command, source, out, stamp, inputs)
+    turned = calibration.orients
+    written = _write(program, names, command, source, out, stamp, inputs, turned=turned)
     if args.json:
         print_json(
             {
@@ -59,7 +62,7 @@ def compensate(args: argparse.Namespace) -> int:
             }
         )
     print_message(f"{len(names)} targets corrected for {args.station} into {written}")
-    print_message(summary(bounds, names))
+    print_message(summary(bounds, names, turns_deg))
     if drill_mm is not None:
         at_mm = " ".join(f"{each:g}" for each in drill_mm)
         print_message(f"they hold at the drill, ({at_mm}) mm from the reflector in {{T}}")
@@ -133,6 +136,8 @@ def _write(
     out: Path,
     stamp: Stamp,
     inputs: list[Path],
+    *,
+    turned: bool,
 ) -> str:
     """Write the list or the program, print its notes, and return in words where it was written."""
     if program is None:
@@ -140,7 +145,8 @@ def _write(
         write_targets(out, names, command, stamp=stamp, inputs=inputs)
         return str(out)
     check_output(out, tuple(program.suffixes), "a program", inputs=inputs)
-    written = write_program(program, command[:, :3], source, out, stamp=stamp, inputs=inputs)
+    numbers = command if turned else command[:, :3]
+    written = write_program(program, numbers, source, out, stamp=stamp, inputs=inputs)
     for note in notes_of(program, "{W}"):
         print_message(f"{source.name}: {note}")
     return " and ".join(map(str, written))

@@ -15,7 +15,7 @@ from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, load_cell
-from hilcell.commands.bounds import Found, bounds_of_targets, summary
+from hilcell.commands.bounds import Found, bounds_of_targets, summary, turns_of_targets
 from hilcell.commands.files import check_settings, drill_mm_of
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.released import Released, released
@@ -31,12 +31,16 @@ SUMMARY = "summary.json"
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """The holes of one station: its plan, commands (N, 6) in {W}, bounds, and their stamp."""
+    """The holes of one station: its plan, commands (N, 6) in {W}, bounds, and their stamp.
+
+    ``turns_deg`` (N,) are the bounds of orientation, where it is corrected.
+    """
 
     plan: StationPlan
     command: Array
     bounds: Found
     stamp: Stamp
+    turns_deg: Array | None
 
     @property
     def file(self) -> str:
@@ -52,6 +56,8 @@ class Prepared:
     def facts(self) -> dict[str, object]:
         """Return its part of the summary; bounds are None where none can be stated."""
         radii_mm = None if isinstance(self.bounds, NoBound) else self.bounds.radii_mm
+        turns_deg = self.turns_deg
+        turned = {} if turns_deg is None else {"bound95_max_deg": float(turns_deg.max())}
         return {
             "name": self.plan.station.name,
             "rail_mm": self.plan.station.rail_mm,
@@ -62,6 +68,7 @@ class Prepared:
             "travel_mm": self.plan.travel_mm,
             "bound95_median_mm": None if radii_mm is None else float(np.median(radii_mm)),
             "bound95_max_mm": None if radii_mm is None else float(radii_mm.max()),
+            **turned,
         }
 
 
@@ -82,7 +89,9 @@ def prepare(args: argparse.Namespace) -> int:
     else:
         _print(stations)
     for each in stations:
-        print_message(f"{each.plan.station.name}: {summary(each.bounds, each.plan.holes)}")
+        print_message(
+            f"{each.plan.station.name}: {summary(each.bounds, each.plan.holes, each.turns_deg)}"
+        )
     print_message(f"{len(stations)} files of corrected targets and {SUMMARY} in {folder}")
     for note in found.notes():
         print_message(note)
@@ -93,7 +102,8 @@ def _prepared(args: argparse.Namespace, cell: Cell, found: Released, each: Stati
     name, calibration = each.station.name, found.calibration
     command = compensate_targets(calibration, name, each.poses, each.holes)
     bounds = bounds_of_targets(calibration, name, each.poses, args.temperature, drill_mm_of(cell))
-    return Prepared(each, command, bounds, found.stamp(name))
+    turns_deg = turns_of_targets(calibration, name, each.poses)
+    return Prepared(each, command, bounds, found.stamp(name), turns_deg)
 
 
 def _summary(

@@ -77,9 +77,10 @@ class Program(Protocol):
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
         """Raise `HilcellError` where ``command`` (N, 6) would mean other turns of the joints."""
 
-    def with_positions(self, positions_mm: Array, remark: str = "") -> Mapping[str, bytes]:
-        """Return the files by name, with other x, y, z (N, 3), and a remark as a comment in each
-        where it is not empty; nothing else differs.
+    def with_positions(self, positions: Array, remark: str = "") -> Mapping[str, bytes]:
+        """Return the files by name, with other x, y, z (N, 3), or with a, b, c besides (N, 6).
+
+        A remark that is not empty stands as a comment in each; nothing else differs.
         """
 
 
@@ -108,14 +109,15 @@ def notes_of(program: Program, frame: str) -> list[str]:
 
 def write_program(
     program: Program,
-    positions_mm: Array,
+    positions: Array,
     source: Path,
     out: Path,
     *,
     stamp: Stamp,
     inputs: Iterable[Path] = (),
 ) -> list[Path]:
-    """Write the program at ``source`` with other positions under another stem; return the paths.
+    """Write the program at ``source`` with other positions (N, 3), or poses (N, 6), under another
+    stem; return the paths.
 
     Each file carries the stamp as a comment.
 
@@ -126,7 +128,7 @@ def write_program(
         raise NotWritten(f"{out} is a folder; name a program in it")
     if is_stream(out):
         raise NotWritten(f"{out} is no file, and a program is one of several; name a file")
-    files = program.with_positions(positions_mm, stamp.text)
+    files = program.with_positions(positions, stamp.text)
     stem = out.stem if out.suffix.lower() in program.suffixes else out.name
     contents = {out.with_name(stem + Path(name).suffix): data for name, data in files.items()}
     write_together(contents, inputs=[source, *map(source.with_name, files), *inputs])

@@ -35,7 +35,7 @@ def test_the_orientation_is_corrected_as_measured(golden: GoldenRuns) -> None:
     assert verdicts["orientation"]["holds"]
 
 
-def test_each_reading_stands_by_itself_in_the_journal(golden: GoldenRuns) -> None:
+def test_each_reading_stands_by_itself_in_the_journal(golden: GoldenRuns, tmp_path: Path) -> None:
     log = read_log(golden["seats"].folder)
     first, second, third = (log.select("grid", seat=seat) for seat in (None, 2, 3))
     assert len(first) == len(second) == len(third) == 27
@@ -44,8 +44,10 @@ def test_each_reading_stands_by_itself_in_the_journal(golden: GoldenRuns) -> Non
         np.linalg.norm(np.array(a.xyz_mm) - b.xyz_mm) for a, b in zip(first, second, strict=True)
     ]
     assert np.ptp(apart_mm) < 0.1  # they ride on one flange
-    done = command("export", "seats", "--runs", golden["seats"].runs, "--csv", "-o", "-")
-    rows = [*csv.DictReader(io.StringIO(done.stdout))]
+    out = tmp_path / "points.csv"
+    done = command("export", "seats", "--runs", golden["seats"].runs, "--csv", "-o", out)
+    assert done.returncode == 0, done.stderr
+    rows = [*csv.DictReader(io.StringIO(out.read_text()))]
     (row,) = [row for row in rows if row["key"] == "grid/0-0-0"]
     assert float(row["orientation_error_deg"]) > 0.0
     (row,) = [row for row in rows if row["key"] == "grid/0-0-0/seat2"]
@@ -64,7 +66,7 @@ def test_targets_are_turned_and_their_bounds_stated(golden: GoldenRuns, tmp_path
     words = ("compensate", "seats", holes, "--station", "BASE", "-o", out, "--bounds", bounds)
     done = command(*words, "--runs", tmp_path / "runs")
     assert done.returncode == 0, done.stderr
-    assert "of their orientation: median 0.0" in done.stderr
+    assert "of their orientation: 0.0" in done.stderr
     (corrected,) = csv.DictReader(io.StringIO(out.read_text()))
     turned_deg = np.array([float(corrected[f"{name}_deg"]) for name in "abc"]) - nominal[3:]
     assert 0.001 < np.abs(turned_deg).max() < 1.0
@@ -77,5 +79,4 @@ def test_the_report_shows_both(golden: GoldenRuns, tmp_path: Path) -> None:
     done = command("report", "seats", "--runs", golden["seats"].runs, "-o", out)
     assert done.returncode == 0, done.stderr
     text = out.read_text("utf-8")
-    assert "<h3>Orientation</h3>" in text or "Orientation</" in text
     assert "Orientation corrected: kinematic predicts it." in text

@@ -345,3 +345,10 @@ def test_any_text_is_read_or_refused(text: str) -> None:
     except SettingsError:
         return
     assert read.targets
+
+
+def test_angles_change_where_they_were_corrected() -> None:
+    read = one("LIN XP1", P1)
+    files = read.with_positions(np.array([[1.5, 2.5, 3.5, -0.012345, 75.0321, 0.0]]))
+    text = files["drill.dat"].decode(ENCODING)
+    assert "XP1={X 1.500,Y 2.500,Z 3.500,A -0.012,B 75.032,C 0.000,S 6,T 19,E1 0.0}" in text
