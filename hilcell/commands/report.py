@@ -47,6 +47,7 @@ _NAMED = {
     "csv": (CSV, "CSV"),
     "xlsx": ((".xlsx",), "a workbook"),
     "json": ((".json",), "JSON"),
+    "dcc": ((".xml",), "a DCC"),
 }
 
 

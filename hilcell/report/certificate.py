@@ -12,9 +12,11 @@ from hilcell.calibration.decision import RULE
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.cell.file import Cell
 from hilcell.journal.calibration_facts import VALIDATION
+from hilcell.report import pose_test
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import certified
 from hilcell.report.method import adjustment_words, method_words
+from hilcell.report.pose_test import tests_poses
 from hilcell.report.target_budget import TargetBudget
 
 
@@ -73,6 +75,8 @@ def _stands(cell: Cell) -> str:
 
 def title(facts: Facts) -> str:
     """Return the kind of this report: without a validated correction nothing is calibrated."""
+    if tests_poses(facts):
+        return "Pose test after ISO 9283"
     if not _calibrated(facts):
         return "Measurement report"
     if facts.inputs.simulated:
@@ -88,6 +92,8 @@ def procedure_words(facts: Facts) -> str:
     """Return the method in words."""
     if _calibrated(facts):
         return method_words(facts)
+    if tests_poses(facts):
+        return pose_test.method_words(facts)
     return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
 
 
@@ -141,6 +147,8 @@ def _revoked(facts: Facts) -> str:
 
 def conformity_words(facts: Facts) -> str:
     """Return limits and decision rule."""
+    if tests_poses(facts):
+        return pose_test.conformity_words(facts)
     limits, plan = facts.cell.validation, facts.cell.plan
     judged = [v for key, v in facts.log.verdicts.items() if key.startswith(VALIDATION)]
     rule = RULE

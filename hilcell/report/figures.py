@@ -16,6 +16,7 @@ from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
 from hilcell.report.curves import fig_curves
 from hilcell.report.facts import Facts
+from hilcell.report.pose_test import fig_attained, fig_poses
 from hilcell.report.svg import INK, MUTED, axes_sheet, house_style, svg_of
 
 if TYPE_CHECKING:
@@ -58,6 +59,8 @@ def drawings(facts: Facts) -> list[Drawing]:
             "Error at each target, other stations" + _of_paper(facts, " (Fig 13)"),
             fig_13,
         ),
+        ("poses", "Pose accuracy and repeatability (ISO 9283)", fig_poses),
+        ("attained", "Attained positions of each pose", fig_attained),
         ("sorted", "Errors sorted", fig_sorted),
         ("volume", "Error vectors in the volume, from three sides", fig_volume),
         ("similarity", "Similarity of errors" + _of_paper(facts, " (eq 8)"), fig_similarity),

@@ -17,11 +17,14 @@ from hilcell.calibration.decision import Judged, outcome_of
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import Budget
+from hilcell.calibration.pose_test import ISO
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.journal.calibration_facts import VALIDATION
+from hilcell.report import pose_test
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
+from hilcell.report.pose_test import tests_poses
 
 K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
 BLANK = "…" * 12  # to fill in by hand
@@ -71,6 +74,8 @@ RESULTS: tuple[Column[Result], ...] = (
 
 def results_sheet(facts: Facts) -> Sheet | None:
     """Return the table of results, nothing where nothing was judged."""
+    if tests_poses(facts):
+        return pose_test.results_sheet(facts)
     return sheet("Results", RESULTS, shown_results(facts), _left_out(facts))
 
 
@@ -116,7 +121,7 @@ def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
 
 def verdict_word(facts: Facts) -> str:
     """Return the verdict in one or two words, "NO VERDICT" where there is none."""
-    judged = [v for key, v in facts.log.verdicts.items() if key.startswith(VALIDATION)]
+    judged = [v for key, v in facts.log.verdicts.items() if key.startswith((VALIDATION, ISO))]
     if facts.revoked:
         return "REVOKED"
     if not facts.finished or not judged or facts.log.end is None:
@@ -128,6 +133,8 @@ def verdict_word(facts: Facts) -> str:
 
 def uncertainty_words(facts: Facts, budget: Budget | None) -> str:
     """Return U with its coverage factors, of one coordinate and of a 3-D position."""
+    if tests_poses(facts):
+        return pose_test.uncertainty_words()
     if budget is None:
         return ""
     return (

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 from hilcell import __version__
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.measurement_budget import budget_of
+from hilcell.calibration.pose_test import ISO
 from hilcell.clean import harmless
 from hilcell.ports import Array
-from hilcell.report import tables
+from hilcell.report import pose_test, tables
 from hilcell.report.certificate import (
     certificate,
     conditions_words,
@@ -33,6 +34,7 @@ from hilcell.report.first_page import (
 )
 from hilcell.report.method import models
 from hilcell.report.plan_view import plan_view
+from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
 from hilcell.report.target_budget import target_budget, target_sheets
 
@@ -69,7 +71,8 @@ def report_html(facts: Facts) -> str:
             method=procedure_words(facts),
             plan=plan_view(facts.cell, tracker_mm(facts)),
             certificate=certificate(facts, budget, targets),
-            result_sheets=present(
+            result_sheets=pose_test.sheets(facts)
+            + present(
                 tables.accuracy(facts),
                 tables.orientation(facts),
                 models(facts),
@@ -77,7 +80,7 @@ def report_html(facts: Facts) -> str:
                 tables.paper_rows(facts),
                 tables.verdicts(facts),
             ),
-            own_sheet=None if validation_of(facts) else tables.own_table(facts),
+            own_sheet=None if has_tables(facts) else tables.own_table(facts),
             drawings=drawings(facts),
             frame_sheets=present(
                 tables.stations(facts),
@@ -101,9 +104,11 @@ def report_html(facts: Facts) -> str:
     )
 
 
-def validation_of(facts: Facts) -> bool:
-    """Whether targets were validated, so that the report has its own table of them."""
-    return any(validation(facts.log, stations) for stations in places(facts.cell).values())
+def has_tables(facts: Facts) -> bool:
+    """Whether targets were validated or poses tested: the report has its own tables of them."""
+    return tests_poses(facts) or any(
+        validation(facts.log, stations) for stations in places(facts.cell).values()
+    )
 
 
 def standing(facts: Facts) -> tuple[str, str]:
@@ -113,7 +118,8 @@ def standing(facts: Facts) -> tuple[str, str]:
         return "bad", f"its calibration is revoked: {facts.revoked}"
     if facts.finished and end is not None:
         if end["exit"] == 0:
-            return "good", "in tolerance" if facts.log.verdicts else "finished"
+            judged = facts.result[ISO]["limits"] if tests_poses(facts) else facts.log.verdicts
+            return "good", "in tolerance" if judged else "finished"
         return "bad", "out of tolerance"
     if end is None and state not in ("aborted", "faulted"):
         return "open", f"not finished: the journal ends while the run is {state}"
@@ -130,6 +136,8 @@ def lead(facts: Facts) -> str:
 
 def sentence(facts: Facts) -> str:
     """Return the verdict as a sentence."""
+    if tests_poses(facts):
+        return pose_test.sentence(facts)
     word = verdict_word(facts)
     if word.endswith("PASS"):
         return "After correction the robot keeps its limits, the uncertainty taken into account."

@@ -106,7 +106,8 @@ class _Plan:
             x, y = self._at(at)
             if bold:
                 yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="1.6" fill="#fff" stroke="{INK}"/>'
-            right = max(self._at(at + across)[0], self._at(at - across)[0])
+            beside = self._rail_corners() if not self._cell.has_rail else (at + across, at - across)
+            right = max(self._at(corner)[0] for corner in beside)
             yield _text(right + 0.8, y + 0.9, station.name, bold=bold)
 
     def _volumes(self) -> Iterator[str]:

@@ -106,5 +106,42 @@ def test_stated_limits_make_a_verdict(ran: Ran) -> None:
     end = end_of(done)
     assert (end["exit"], end["state"]) == (1, "finished")
     assert end["result"]["iso9283"]["limits"] == {"rp_limit_mm": 0.01}
-    report = runs / "strict.html"
-    assert command("report", "strict", "--runs", runs, "-o", report).returncode == 0
+    page = report_of(runs, "strict")
+    assert "WOULD FAIL" in page
+    assert "guard band" in page
+    assert "out of tolerance" in page
+
+
+def report_of(runs: Path, name: str) -> str:
+    page = runs / f"{name}.html"
+    done = command("report", name, "--runs", runs, "-o", page)
+    assert done.returncode == 0, done.stderr
+    return page.read_text("utf-8")
+
+
+def test_its_report_is_in_the_standard_s_terms(ran: Ran) -> None:
+    runs, printed, _ = ran
+    found, page = printed[-1]["result"]["iso9283"], report_of(runs, "whole")
+    assert "<h1>Pose test after ISO 9283</h1>" in page
+    assert 'No limits are stated to judge it by. Run: <strong class="good">finished' in page
+    for title in ("Test conditions", "Pose accuracy and repeatability", "Departures from the"):
+        assert title in page
+    for figure in ("figure-poses", "figure-attained"):
+        assert f'id="{figure}"' in page
+    for each in found["deviations"]:
+        assert each in page
+    assert {
+        "4 cycles, the standard has 30",
+        "the warm-up is not stated (iso9283.warm_up_min)",
+    } < set(found["deviations"])
+    assert f"{found['worst']['ap_mm']:.3f} mm (AP)" in page
+    assert f"{found['distance']['commanded_mm']:.3f}" in page
+    assert f"{0.8 * 3**0.5 * 900:.3f}" in page  # P2 to P4: 80 % of the diagonal
+
+
+def test_a_calibration_is_tested_by_its_corrected_poses(ran: Ran, tmp_path: Path) -> None:
+    runs, _, cell = ran
+    words = ("--set", "iso9283.calibration=nothing", "--cell", "fixed", "--runs", runs)
+    done = command("run", "iso9283", *words, "--set", f"simulation.address={cell.control}")
+    assert done.returncode == 2
+    assert "nothing" in done.stderr
