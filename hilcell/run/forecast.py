@@ -33,6 +33,16 @@ class _Span:
         return self.duration_s / max(1, self.measured)
 
 
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """A part of one step that is still to come: measurements alike, or a way, and its time."""
+
+    step: int  # its number, from 1
+    kind: str
+    measured: int
+    takes_s: float
+
+
 class _Step:
     """One step of the plan and how far it got."""
 
@@ -157,6 +167,22 @@ class Forecast:
         """Return how long it will have worked in the end, or None while that is unknown."""
         remaining_s = self.remaining_s(now)
         return None if remaining_s is None else self.elapsed_s(now) + remaining_s
+
+    def ahead(self, now: datetime) -> list[Ahead]:
+        """Return what is to come, part by part, in real seconds; nothing while that is unknown."""
+        if not self._steps or not self._pace.known:
+            return []
+        passed_s = self._under_way_s(now)
+        found = []
+        for number, step in enumerate(self._steps, start=1):
+            if step.done:
+                continue
+            gone_s = step.since_s + (passed_s if step is self._step else 0.0)
+            for span, count in step.left():
+                takes_s = self._pace.each_s(span) * (count if span.measured else 1)
+                found.append(Ahead(number, span.kind, count, max(takes_s - gone_s, 0.0)))
+                gone_s = max(gone_s - takes_s, 0.0)
+        return found
 
     # -- what happened ------------------------------------------------------------------------
 

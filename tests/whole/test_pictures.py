@@ -168,10 +168,10 @@ async def a_finished_run(tmp_path: Path) -> None:
         await until(pilot, "as measured")
         keep(app_of(pilot), "screen-done")
         await pilot.press("p")
-        await until(pilot, "xx chosen")
+        await until(pilot, "■ corrected")
         keep(app_of(pilot), "screen-plots")
     async with screen(tmp_path, "last", (160, 42)) as pilot:
-        await until(pilot, "newest records")
+        await until(pilot, "map: ")
         await pilot.pause(0.5)
         keep(app_of(pilot), "screen-wide")
 

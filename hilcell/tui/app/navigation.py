@@ -53,7 +53,7 @@ class OpeningScreen(BaseScreen):
 LATER = (
     "hilcell.tui.engine.session",
     "hilcell.journal.index",
-    *(f"hilcell.tui.screens.{name}" for name in ("run", "pages", "history", "start")),
+    *(f"hilcell.tui.screens.{name}" for name in ("run", "pages", "plots", "history", "start")),
 )
 
 
@@ -78,7 +78,7 @@ PAGES = ("alarms", "interlocks", "help", "log", "plots", "report", "history")
 
 def page_of(name: str, session: Session | None) -> BaseScreen:
     """Return the page of an action of `PAGES`; only help and history need no run."""
-    from hilcell.tui.screens import history, pages
+    from hilcell.tui.screens import history, pages, plots
 
     if name == "report" and session is not None:
         return pages.ReportPage(session.folder)
@@ -86,7 +86,7 @@ def page_of(name: str, session: Session | None) -> BaseScreen:
         "alarms": pages.AlarmPage,
         "interlocks": pages.InterlockPage,
         "log": pages.LogPage,
-        "plots": pages.PlotPage,
+        "plots": plots.PlotPage,
         "history": history.HistoryPage,
     }
     return found.get(name, pages.HelpPage)()

@@ -20,6 +20,7 @@ from hilcell.run.states import RUN
 if TYPE_CHECKING:
     from hilcell.alarms import Alarm
     from hilcell.journal.journal import Record
+    from hilcell.run.forecast import Ahead
 
 STALE_S = 2.0
 MOST_RECORDS = 2000
@@ -49,6 +50,7 @@ class RunView:
     now: datetime | None = None
     remaining_s: float | None = None
     elapsed_s: float = 0.0
+    ahead: list[Ahead] = field(default_factory=list)  # what is to come, while the run is live
     alarms: list[Alarm] = field(default_factory=list)
     records: list[Record] = field(default_factory=list)  # the newest, for the event log
     last: Point | None = None

@@ -108,6 +108,7 @@ class Session:
         at = now if view.live else last
         view.elapsed_s = self._forecast.elapsed_s(at)
         view.remaining_s = self._forecast.remaining_s(at)
+        view.ahead = self._forecast.ahead(at) if view.live else []
 
     def stop(self) -> bool:
         """Send a stop at once, from any thread; return whether an engine received it.

@@ -1,16 +1,13 @@
-"""Pages over a run: alarms, interlocks, help, one point, plots, report and event log."""
+"""Pages over a run: alarms, interlocks, help, one point, report and event log."""
 
 from __future__ import annotations
 
 import os
-import time
 import webbrowser
 from abc import abstractmethod
 from pathlib import Path
-from typing import ClassVar
 
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
 from textual.content import Content
 from textual.widgets import Input
@@ -21,7 +18,6 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.text.alarms import alarm_page, interlock_page
 from hilcell.tui.text.help import help_lines
-from hilcell.tui.text.plots import MOST_PLOTS, PLOTS, draw, plots_of
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.tables import COLUMNS, record_row
 from hilcell.tui.widgets import Row, Table, TextField, TextPanel
@@ -175,63 +171,6 @@ class LogPage(FilterScreen, Page):
         words = self.filter_text.lower().split()
         wanted = [row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)]
         self.query_one(Table).show_rows(wanted)
-
-
-REDRAW_S = 0.5
-
-
-class PlotPage(Page):
-    """Element 11. HasGlyphs twice a second at most: a drawing costs as much as twenty lines."""
-
-    footer = ("stop", "pause", "alarms", "quit")
-    fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("left right", "other plot"))
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("left", "turn(-1)", show=False),
-        Binding("right", "turn(1)", show=False),
-        *[Binding(str(n + 1), f"choose({n})", show=False) for n in range(MOST_PLOTS)],
-    ]
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._chosen = 0
-        self._drawn_s = -REDRAW_S
-        self._seen: tuple[object, ...] = ()
-
-    def body(self) -> ComposeResult:
-        """Build the plot's place."""
-        yield TextPanel("plot")
-
-    def show(self, view: RunView | None) -> None:
-        """Draw the chosen plot, if there is anything new to draw."""
-        super().show(view)
-        if view is None or view.log.plan is None:
-            return
-        now_s = time.monotonic()
-        state = (len(view.log.points), self._chosen, self.app.size, self.app.theme)
-        if state == self._seen or now_s - self._drawn_s < REDRAW_S:
-            return
-        self._seen, self._drawn_s = state, now_s
-        plots = plots_of(view.log)
-        plot = plots[self._chosen](view.log)
-        title = f"Plot {self._chosen + 1} of {len(plots)}: {plot.title}"
-        self.panel("title").show(Content.styled(title, "bold"))
-        height = max(self.app.size.height - 4, 6)
-        self.panel("plot").show(draw(plot, self.line_width, height))
-
-    def action_turn(self, step: int) -> None:
-        """Choose the next plot."""
-        self.action_choose((self._chosen + step) % self._count)
-
-    def action_choose(self, index: int) -> None:
-        """Choose a plot, if there is one of that number."""
-        if index < self._count:
-            self._chosen, self._drawn_s = index, -REDRAW_S
-            self.show(self.application.view)
-
-    @property
-    def _count(self) -> int:
-        view = self.application.view
-        return len(plots_of(view.log) if view is not None else PLOTS)
 
 
 FILE = "report.html"

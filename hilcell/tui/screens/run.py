@@ -8,17 +8,20 @@ from typing import ClassVar
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
+from textual.content import Content
 from textual.widgets import Input
 
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
+from hilcell.tui.plots.scale import Scale
 from hilcell.tui.screens.pages import FilterScreen
+from hilcell.tui.screens.plots import look_of
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import alarm_lines
 from hilcell.tui.text.deviation import deviation_lines, deviation_of
-from hilcell.tui.text.plots import side_lines
 from hilcell.tui.text.points import PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import prompt_lines
+from hilcell.tui.text.side import side_lines
 from hilcell.tui.widgets import Table, TextPanel
 
 WIDE = 120  # columns, as in the style sheet
@@ -53,6 +56,7 @@ class RunScreen(FilterScreen):
         self._table = PointRows()
         self._points_seen: tuple[object, ...] = ()
         self._side_seen: tuple[object, ...] = ()
+        self._side_scale: Scale | None = None
 
     def compose(self) -> ComposeResult:
         """Build the lines, the box of points and the panel beside it."""
@@ -170,7 +174,10 @@ class RunScreen(FilterScreen):
         if self.app.size.width < WIDE or not side.size.height or state == self._side_seen:
             return
         self._side_seen = state
-        side.show(side_lines(view, side.size.width, side.size.height))
+        lines, self._side_scale = side_lines(
+            view, self._table.rows(view.log), *side.size, look_of(self), self._side_scale
+        )
+        side.show(Content("\n").join(lines))
 
     def label(self, name: str) -> str:
         """Return what a key does now."""

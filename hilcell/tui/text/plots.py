@@ -1,165 +1,274 @@
-"""Plots as text: errors, sorted errors, repeatability, strip; drawn by plotext.
+"""The plots of a run: points and curves of the journal as series of `hilcell.tui.plots`.
 
-Series differ by letter and name, not by colour.
+A plot is chosen by its number, and turned by its pick: a station, or a swept axis.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
-import plotext
-from textual.content import Content
+import numpy as np
 
-from hilcell.calibration.errors import errors_of
+from hilcell.calibration.errors import HOWS, errors_of
 from hilcell.geometry.statistics import from_mean_mm
+from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
-from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.text.tables import record_words
+from hilcell.ports import Array
+from hilcell.tui.plots.canvas import Ink
+from hilcell.tui.plots.draw import Mark, Plot, Series
+from hilcell.tui.plots.scale import Scale, even_scale, log_scale, step_at_least
 
-HOWS = ("before", "idw", "chosen")
+NAMES = {"before": "as sent", "idw": "paper method", "chosen": "corrected"}
+AS_SENT = Ink("$label", "o", "$label")
+PAPER = Ink("$live 70%", "+", "$label")
+LIVE = Ink("$live", "x", "$live")
+OTHER = Ink("$foreground", "*", "$foreground")
+INKS = {"before": AS_SENT, "idw": PAPER, "chosen": LIVE}
+PLACES = (LIVE, AS_SENT, PAPER, OTHER)
+SHARES = (0, 25, 50, 75, 95)  # percent
+MOST_TICKS = 5
+MOST_PLACES = len(PLACES)
+STROKE = 80  # marks of a line from the bottom of a spectrum
+
+Target = tuple[str, int]  # station and number
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One series over 1, 2, 3 ..."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Errors3D:
+    """|e| of targets (N,) in mm by how they were sent; NaN where one was not measured."""
 
-    name: str
-    values: list[float]
+    targets: tuple[Target, ...]
+    by_how: dict[str, Array]
+    grid: bool = False  # of the grid's points: no target was validated yet
 
-
-@dataclass(frozen=True, slots=True)
-class Plot:
-    """One plot: title, labels, lines, and a limit to draw across."""
-
-    title: str
-    x_label: str
-    y_label: str
-    lines: list[Line]
-    limit: float | None = None
+    def at(self, station: str) -> Errors3D:
+        """Return those of a station; without a name, all."""
+        if not station:
+            return self
+        kept = [n for n, (name, _) in enumerate(self.targets) if name == station]
+        by_how = {how: values[kept] for how, values in self.by_how.items()}
+        some = {how: values for how, values in by_how.items() if np.isfinite(values).any()}
+        return Errors3D(tuple(self.targets[n] for n in kept), some, self.grid)
 
     @property
-    def y_limits(self) -> tuple[float, float]:
-        """Return limits that hold every value and the limit off the plot's edge."""
-        values = [value for line in self.lines for value in line.values if math.isfinite(value)]
-        values += [] if self.limit is None else [self.limit]
-        low, high = min([0.0, *values]), max([1e-6, *values])
-        return low * 1.08, high * 1.08
+    def stations(self) -> tuple[str, ...]:
+        """Return the stations in the order in which they were measured."""
+        return tuple(dict.fromkeys(name for name, _ in self.targets))
 
 
-def _norms(log: Log, kind: str, how: str = "") -> list[float]:
-    points = log.select(kind, how=how)
-    return errors_of(log, points).norms_mm.tolist() if "world" in log.frames else []
-
-
-def errors_plot(log: Log) -> Plot:
-    """Return |e| at the targets before and after correction, in their order."""
-    lines = [Line(how, _norms(log, "validate", how)) for how in HOWS]
-    lines = [line for line in lines if line.values]
-    if not lines:
-        lines = [Line("grid", _norms(log, "grid"))]
-    return Plot("|e| at each target", "target", "mm", lines)
-
-
-def sorted_plot(log: Log) -> Plot:
-    """Return the same errors in rising order."""
-    plot = errors_plot(log)
-    lines = [Line(line.name, sorted(line.values)) for line in plot.lines]
-    return Plot("|e| in rising order", "rank", "mm", lines)
-
-
-def repeat_plot(log: Log) -> Plot:
-    """Return how far repeated readings of a place lie from their mean."""
-    groups: dict[str, list[Point]] = {}
-    for point in log.points.values():
-        if point.id.kind in ("repeat", "repeatability"):
-            groups.setdefault(_place(point.id), []).append(point)
-    lines = [
-        Line(name, from_mean_mm(positions_mm(points)).tolist()) for name, points in groups.items()
+def errors_by_target(log: Log) -> Errors3D:
+    """Return |e| of every target, in the order in which each was first measured."""
+    if "world" not in log.frames:
+        return Errors3D((), {})
+    points = [*log.measured("validate")]
+    grid = not points
+    points = [*log.measured("grid")] if grid else points
+    points = [point for point in points if point.nominal_mm is not None]
+    norms_mm = errors_of(log, points).norms_mm
+    order: dict[Target, int] = {}
+    where = [
+        order.setdefault((point.station, n if grid else point.id.number or 0), len(order))
+        for n, point in enumerate(points)
     ]
-    merged = [value for line in lines for value in line.values]
-    if len(lines) > 3:
-        lines = [Line("repeat visits", merged)]
-    return Plot("repeatability: distance from the mean", "visit", "mm", lines)
+    hows = np.array([point.id.how or "before" for point in points])
+    by_how = {}
+    for how in HOWS:
+        if (mine := hows == how).any():
+            by_how[how] = np.full(len(order), np.nan)
+            by_how[how][np.array(where)[mine]] = norms_mm[mine]
+    return Errors3D(tuple(order), by_how, grid)
+
+
+class Measured:
+    """A journal as the plots see it: errors and residuals are computed once for each drawing."""
+
+    def __init__(self, log: Log) -> None:
+        self.log = log
+
+    @cached_property
+    def errors(self) -> Errors3D:
+        """Return |e| of every target."""
+        return errors_by_target(self.log)
+
+    @cached_property
+    def strip_mm(self) -> dict[str, Array]:
+        """Return the strip's readings less the stations' by station, at every point."""
+        wanted_mm = {each.name: each.strip_mm for each in self.log.cell.station}
+        found: dict[str, list[float]] = {}
+        for point in self.log.points.values():
+            if point.strip_mm is not None and point.station in wanted_mm:
+                off_mm = point.strip_mm - wanted_mm[point.station]
+                found.setdefault(point.station, []).append(off_mm)
+        return {name: np.array(values) for name, values in found.items()}
+
+    @cached_property
+    def visits_mm(self) -> dict[str, Array]:
+        """Return the distances of repeated readings from their mean, by place."""
+        groups: dict[str, list[Point]] = {}
+        for kind in ("repeat", "repeatability"):
+            for point in self.log.measured(kind):
+                groups.setdefault(_place(point.id), []).append(point)
+        return {name: from_mean_mm(positions_mm(points)) for name, points in groups.items()}
+
+    @property
+    def swept(self) -> tuple[str, ...]:
+        """Return the swept axes by name, A1 first."""
+        return tuple(f"A{axis}" for axis in sorted(self.log.curves))
 
 
 def _place(id: PointId) -> str:
-    return f"{id.how}/{id.way}" if id.kind == "repeat" else f"repeatability/{id.place}"
+    return f"{id.how} {id.way}" if id.kind == "repeat" else f"place {(id.place or 0) + 1}"
 
 
-def strip_plot(log: Log) -> Plot:
-    """Return the strip's reading less the station's value at every point."""
-    wanted = {station.name: station.strip_mm for station in log.cell.station}
-    values = [
-        point.strip_mm - wanted[point.station]
-        for point in log.points.values()
-        if point.strip_mm is not None and point.station in wanted
+def errors_plot(of: Measured, pick: str = "") -> Plot:
+    """Return |e| target by target."""
+    found = of.errors.at(pick)
+    return target_plot(found, *_limit(of.log, found))
+
+
+def target_plot(found: Errors3D, limits: tuple[float, ...], limit_name: str) -> Plot:
+    """Return |e| target by target."""
+    count = max(len(found.targets), 1)
+    x = (np.arange(len(found.targets)) + 0.5) / count
+    series = [Series(NAMES[how], INKS[how], x, y) for how, y in found.by_how.items()]
+    what = "grid point" if found.grid else "target"
+    title = f"|e| {what} by {what}, mm"
+    return Plot(title, what, _counted(count), tuple(series), limits, limit_name)
+
+
+def sorted_plot(of: Measured, pick: str = "") -> Plot:
+    """Return |e| in rising order, over the share of the targets that have less."""
+    found = of.errors.at(pick)
+    series = []
+    for how, y in found.by_how.items():
+        known = np.sort(y[np.isfinite(y)])
+        x = np.arange(len(known)) / max(len(known), 1)
+        series.append(Series(NAMES[how], INKS[how], x, known, joined=True))
+    what = "grid points" if found.grid else "targets"
+    ticks = tuple((share / 100, f"{share} %") for share in SHARES)
+    x_title = f"share of the {what} that have less than this error"
+    return Plot("|e| in rising order, mm", x_title, ticks, tuple(series), *_limit(of.log, found))
+
+
+def _limit(log: Log, found: Errors3D) -> tuple[tuple[float, ...], str]:
+    """Return the limit and its name; there is none before anything is corrected."""
+    limits = () if found.grid or not found.by_how else (log.cell.validation.max_tolerance_mm,)
+    return limits, "limit of each target"
+
+
+def repeat_plot(of: Measured, pick: str = "") -> Plot:
+    """Return how far repeated readings of a place lie from their mean."""
+    values = of.visits_mm
+    if len(values) > MOST_PLACES:
+        values = {"all visits": np.concatenate([*values.values()])}
+    count = max((len(each) for each in values.values()), default=1)
+    series = [
+        Series(name, ink, (np.arange(len(y)) + 0.5) / count, y)
+        for ink, (name, y) in zip(PLACES, values.items(), strict=False)
     ]
-    limit = log.cell.rail.held_within_mm
-    return Plot("strip: reading less station", "point", "mm", [Line("strip", values)], limit)
+    return Plot("distance from the mean of the visits, mm", "visit", _counted(count), tuple(series))
 
 
-def curves_plot(log: Log) -> Plot:
-    """Return each axis's short-wave error over its sweep."""
-    lines = [
-        Line(f"A{axis}", [measured for _, measured, _ in record.shown])
-        for axis, record in log.curves.items()
-    ]
-    return Plot("short-wave error of the swept axes", "0.1 deg", "urad", lines)
+def strip_plot(of: Measured, pick: str = "") -> Plot:
+    """Return the strip's reading less the station's value at every point, in its own scale."""
+    shown = [each for name, each in of.strip_mm.items() if pick in ("", name)]
+    values = np.concatenate([np.zeros(0), *shown])
+    x = (np.arange(len(values)) + 0.5) / max(len(values), 1)
+    within_mm = of.log.cell.rail.held_within_mm
+    series = (Series("strip", LIVE, x, values),) if len(values) else ()
+    return Plot("strip's reading less the station's, mm", "point", _counted(len(values)), series,
+                (within_mm, -within_mm))  # fmt: skip
 
 
-PLOTS: tuple[Callable[[Log], Plot], ...] = (errors_plot, sorted_plot, repeat_plot, strip_plot)
-OF_ROBOT = PLOTS[:-1]
-MOST_PLOTS = len(PLOTS) + 1
+def sweep_plot(of: Measured, pick: str = "") -> Plot:
+    """Return the spectrum of a swept axis, with the lines of its gears."""
+    axes = of.swept
+    title, x_title = "transmission error, µrad", "cycles per revolution of the joint"
+    if not axes:
+        return Plot(title, x_title, (), ())
+    record = of.log.curves[int((pick or axes[0])[1:])]
+    spectrum = np.array(record.spectrum).reshape(-1, 2)
+    most = 1.02 * float(spectrum[:, 0].max(initial=1.0))
+    step = step_at_least(most / MOST_TICKS)
+    ticks = [(n * step / most, f"{n * step:g}") for n in range(math.floor(most / step) + 1)]
+    series = [Series("spectrum", AS_SENT, spectrum[:, 0] / most, spectrum[:, 1], joined=True)]
+    lines = [*zip(record.cycles, (record.amplitudes_rad * URAD).tolist(), strict=True)]
+    if lines:
+        x = np.repeat([cycles / most for cycles, _ in lines], STROKE)
+        y = np.concatenate([np.linspace(0.0, size, STROKE) for _, size in lines])
+        series.append(Series("gear lines", LIVE, x, y))
+    marks = tuple(Mark(f"{cycles:.1f}", cycles / most, size) for cycles, size in lines)
+    used = "" if record.holds else f"; not used: {record.reason}"
+    return Plot(f"{title}: axis A{record.axis}{used}", x_title, tuple(ticks), tuple(series),
+                marks=marks)  # fmt: skip
 
 
-def plots_of(log: Log) -> tuple[Callable[[Log], Plot], ...]:
-    """Return the plots of a run: the strip's where there is a rail, the curves' after sweeps."""
-    plots = PLOTS if log.plan is None or log.cell.has_rail else OF_ROBOT
-    return (*plots, curves_plot) if log.curves else plots
+def _counted(count: int) -> tuple[tuple[float, str], ...]:
+    """Return ticks for things that are counted from 1."""
+    step = round(step_at_least(max(count / MOST_TICKS, 1.0)))
+    numbers = [1, *range(step, count + 1, step)]
+    return tuple(((n - 0.5) / max(count, 1), str(n)) for n in dict.fromkeys(numbers))
 
 
-MARKS = ("o", "+", "x", "*", "#", "@")
-TICKS = 5
+# -- the tabs --------------------------------------------------------------------------------------
 
 
-def draw(plot: Plot, width: int, height: int) -> Content:
-    """Return a plot of this size in columns and rows."""
-    shown = [line for line in plot.lines if any(map(math.isfinite, line.values))]
-    if not shown:
-        return Content.styled("nothing measured for this plot yet", "$label")
-    longest = max(len(line.values) for line in shown)
-    plotext.clear_figure()
-    plotext.theme("clear")
-    plotext.plotsize(width, height)
-    for mark, line in zip(MARKS, shown, strict=False):
-        numbers = [(at, y) for at, y in enumerate(line.values, start=1) if math.isfinite(y)]
-        plotext.scatter(*zip(*numbers, strict=True), marker=mark, label=line.name)
-    if plot.limit is not None:
-        plotext.hline(plot.limit)
-    plotext.ylim(*plot.y_limits)
-    plotext.xticks(sorted({1 + round(n * (longest - 1) / (TICKS - 1)) for n in range(TICKS)}))
-    plotext.xlabel(plot.x_label)
-    plotext.ylabel(plot.y_label)
-    return Content(plotext.uncolorize(plotext.build()))
+def _stations(of: Measured) -> tuple[str, ...]:
+    return "", *of.errors.stations
 
 
-LEAST_PLOT = 8
+def _stops(of: Measured) -> tuple[str, ...]:
+    return "", *of.strip_mm
 
 
-def side_lines(view: RunView, width: int, height: int) -> Content:
-    """Return a plot over the newest records, in a space of this size."""
-    plot_height = max(LEAST_PLOT, height // 2)
-    plot = sorted_plot(view.log)
-    lines = [Content.styled(plot.title, "bold"), draw(plot, width, plot_height)]
-    newest = view.records[-max(height - plot_height - 2, 1) :]
-    lines.append(Content.styled("newest records", "bold"))
-    lines += [
-        Content.assemble((f"{record.t[11:19]} ", "$label"), record_words(record)).truncate(
-            width, ellipsis=True
-        )
-        for record in newest
-    ]
-    return Content("\n").join(lines)
+def _no_picks(of: Measured) -> tuple[str, ...]:
+    return ("",)
+
+
+def _axes(of: Measured) -> tuple[str, ...]:
+    return of.swept
+
+
+@dataclass(frozen=True, slots=True)
+class Tab:
+    """One plot of the page: its name, its drawing, what it can be turned to, its first scale."""
+
+    name: str
+    make: Callable[[Measured, str], Plot]
+    picks: Callable[[Measured], Sequence[str]]
+    is_log: bool = False
+    may_be_log: bool = False
+
+
+TABS = (
+    Tab("each target", errors_plot, _stations, is_log=True, may_be_log=True),
+    Tab("sorted", sorted_plot, _stations, is_log=True, may_be_log=True),
+    Tab("repeatability", repeat_plot, _no_picks, may_be_log=True),
+    Tab("strip", strip_plot, _stops),
+)
+OF_ROBOT = TABS[:-1]
+SWEEPS = Tab("sweeps", sweep_plot, _axes)
+MOST_TABS = len(TABS) + 1
+
+
+def tabs_of(log: Log) -> tuple[Tab, ...]:
+    """Return the plots of a run: of the strip where there is a rail, of sweeps that were made."""
+    tabs = TABS if log.plan is None or log.cell.has_rail else OF_ROBOT
+    return (*tabs, SWEEPS) if log.curves else tabs
+
+
+def scale_of(plot: Plot, height: int, before: Scale | None, *, is_log: bool) -> Scale:
+    """Return a plot's scale, which holds all that the scale before held."""
+    if is_log:
+        return log_scale(plot.values, plot.limits, before)
+    return even_scale(plot.values, plot.limits, height, before)
+
+
+def mean_of(values: Array) -> float:
+    """Return the mean of the values (N,) that are numbers; NaN where there are none."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else math.nan

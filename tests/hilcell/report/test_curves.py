@@ -7,7 +7,7 @@ from pathlib import Path
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.report.curves import curves
 from hilcell.report.html import report_html
-from hilcell.tui.text.plots import PLOTS, curves_plot, draw, plots_of
+from hilcell.tui.text.plots import SWEEPS, TABS, Measured, sweep_plot, tabs_of
 from tests.hilcell.journal.test_curve_record import FOUND, body_of
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.report.pages import Page
@@ -29,11 +29,10 @@ def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> No
     assert "figure-curves" in page.ids
     assert "Transmission errors" in page.text
     assert "A2: 31.6 urad at 40.0" in page.text  # in the course of the run
-    plot = curves_plot(facts.log)
-    assert [line.name for line in plot.lines] == ["A2", "A5"]
-    assert "short-wave" in plot.title
-    assert plots_of(facts.log)[-1] is curves_plot
-    assert "A2" in draw(plot, 60, 12).plain
+    assert tabs_of(facts.log)[-1] is SWEEPS
+    plots = {name: sweep_plot(Measured(facts.log), name) for name in ("A2", "A5")}
+    assert [mark.text for mark in plots["A2"].marks] == ["40.0", "203.5"]
+    assert "A5; not used: upwards: 9 samples" in plots["A5"].title
 
 
 def test_a_run_without_sweeps_has_neither(tmp_path: Path) -> None:
@@ -42,4 +41,4 @@ def test_a_run_without_sweeps_has_neither(tmp_path: Path) -> None:
     facts = writer.facts()
     assert curves(facts) is None
     assert "figure-curves" not in Page(report_html(facts)).ids
-    assert plots_of(facts.log) == PLOTS
+    assert tabs_of(facts.log) == TABS

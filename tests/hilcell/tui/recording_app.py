@@ -32,9 +32,9 @@ from hilcell.tui.screens.pages import (
     HelpPage,
     InterlockPage,
     LogPage,
-    PlotPage,
     ReportPage,
 )
+from hilcell.tui.screens.plots import PlotPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE

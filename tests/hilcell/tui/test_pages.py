@@ -180,13 +180,33 @@ def test_pages_open_and_close() -> None:
 def test_plots_are_turned_by_arrows_and_numbers() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "p", "right")
-        assert "Plot 2 of 4" in text_of(app)
+        assert "in rising order" in text_of(app)
         await press(pilot, "left", "left")
-        assert "Plot 4 of 4" in text_of(app)
+        assert "strip's reading" in text_of(app)
         await press(pilot, "3")
-        assert "Plot 3 of 4" in text_of(app)
+        assert "nothing measured for this plot yet" in text_of(app)
+        await press(pilot, "5")
+        assert "nothing measured for this plot yet" in text_of(app)  # there were no sweeps
 
-    run_app(act, "done")
+    run_app(act, "done", size=(120, 36))
+
+
+def test_station_scale_and_series_of_a_plot_have_keys() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "p")
+        assert "S  all stations" in text_of(app)
+        assert "log scale" in text_of(app)
+        await press(pilot, "S", "g", "v")
+        text = text_of(app)
+        assert "S  all stations" not in text
+        assert "S  S1100" in text
+        assert "log scale" not in text
+        assert "■ as sent" in text
+        assert "■ paper" not in text
+        await press(pilot, "4", "g")
+        assert "even scale only" in text_of(app)
+
+    run_app(act, "done", size=(120, 36))
 
 
 def test_the_palette_does_what_it_names() -> None:

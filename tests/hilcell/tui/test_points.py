@@ -1,4 +1,4 @@
-"""Points, deviations and plots: the same figures as the report's, the worst first."""
+"""Points and deviations: the same figures as the report's, the worst first."""
 
 from __future__ import annotations
 
@@ -18,16 +18,6 @@ from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import read_log
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.text.deviation import deviation_of, row_of, state_of
-from hilcell.tui.text.plots import (
-    PLOTS,
-    Line,
-    Plot,
-    draw,
-    errors_plot,
-    repeat_plot,
-    sorted_plot,
-    strip_plot,
-)
 from hilcell.tui.text.points import WIDE, PointRows, columns_for, filtered, point_page, to_row
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
@@ -80,14 +70,6 @@ def test_deviations_are_the_reports(journal: Log, kind: str) -> None:
         assert found.norm_mm == pytest.approx(norm_mm, abs=1e-9)
         actual_mm = apply(journal.matrix("world"), positions_mm([point]))[0]
         np.testing.assert_allclose(found.actual_mm, actual_mm, atol=1e-9)
-
-
-def test_plots_show_the_reports_errors(journal: Log) -> None:
-    wanted = errors_of(journal, journal.select("validate")).norms_mm
-    (line,) = errors_plot(journal).lines
-    np.testing.assert_allclose(line.values, wanted, atol=1e-9)
-    (line,) = sorted_plot(journal).lines
-    np.testing.assert_allclose(line.values, np.sort(wanted), atol=1e-9)
 
 
 def test_only_corrected_points_have_a_limit(journal: Log) -> None:
@@ -231,75 +213,3 @@ def test_the_page_of_a_point_tells_everything() -> None:
         assert part in text
     assert "nominal" not in point_page(view, "world/F1").plain
     assert "no such point" in point_page(view, "grid/9-9-9").plain
-
-
-# -- plots -----------------------------------------------------------------------------------------
-
-
-def test_before_and_after_are_lines_of_their_own() -> None:
-    assert [line.name for line in errors_plot(log_of(validated())).lines] == [
-        "before",
-        "idw",
-        "chosen",
-    ]
-    assert [line.name for line in errors_plot(log_of(measuring())).lines] == ["grid"]
-
-
-def test_repeated_visits_scatter_about_their_mean() -> None:
-    story = measuring(0)
-    for place in range(2):
-        for visit, x in enumerate((0.0, 0.3)):
-            id = PointId("repeatability", place=place, number=visit)
-            story.point(id, off=(x + place, 0.0, 0.0))
-    lines = repeat_plot(log_of(story)).lines
-    assert len(lines) == 2
-    for line in lines:
-        assert line.values == pytest.approx([0.15, 0.15])
-
-
-def test_many_places_become_one_line() -> None:
-    story = measuring(0)
-    for place in range(5):
-        for visit in range(2):
-            story.point(PointId("repeatability", place=place, number=visit))
-    (line,) = repeat_plot(log_of(story)).lines
-    assert len(line.values) == 10
-
-
-def test_the_strip_is_shown_less_its_station() -> None:
-    log = log_of(measuring(2))
-    station = next(each for each in log.cell.station if each.name == "S1100")
-    changed(log, "grid/0-0-1", strip_mm=station.strip_mm + 0.02)
-    plot = strip_plot(log)
-    (line,) = plot.lines
-    assert line.values == pytest.approx([0.0, 0.02])
-    assert plot.limit == 2.0 * log.cell.rail.strip_tolerance_mm
-
-
-def test_limits_hold_every_value_and_the_limit() -> None:
-    low, high = Plot("t", "x", "y", [Line("a", [-1.0, 3.0])], limit=5.0).y_limits
-    assert low < -1.0
-    assert high > 5.0
-    low, high = Plot("t", "x", "y", []).y_limits
-    assert low < high
-
-
-def test_values_that_are_no_numbers_spoil_no_plot() -> None:
-    plot = Plot("t", "x", "y", [Line("a", [math.nan, 1.0, math.inf]), Line("b", [math.nan])])
-    low, high = plot.y_limits
-    assert math.isfinite(low)
-    assert math.isfinite(high)
-    assert "a" in draw(plot, 60, 12).plain
-
-
-@pytest.mark.parametrize("make", PLOTS)
-@pytest.mark.parametrize("size", [(20, 5), (30, 8), (80, 20), (200, 60)])
-def test_every_plot_is_drawn_at_any_size(make: Any, size: tuple[int, int]) -> None:
-    for story in (measuring(0), measuring(1), validated()):
-        text = draw(make(log_of(story)), *size).plain
-        assert "\x1b" not in text
-        assert all(len(line) <= size[0] for line in text.split("\n")) or "nothing" in text
-
-
-def test_an_empty_plot_says_so() -> None:
-    assert "nothing measured" in draw(Plot("t", "x", "y", []), 60, 12).plain

@@ -24,7 +24,7 @@ from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import alarm_lines, alarm_page
 from hilcell.tui.text.deviation import Deviation, deviation_lines, large_digits, tolerance_line
-from hilcell.tui.text.plots import plots_of, strip_plot
+from hilcell.tui.text.plots import strip_plot, tabs_of
 from hilcell.tui.text.prompt import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, tracker_text
 from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingSession
 from tests.hilcell.tui.sample_runs import BEGAN, PROMPT, fresh, measuring, sample_runs
@@ -142,7 +142,7 @@ def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
     assert "Rail" not in run_text.lamps(view, UNICODE, 80).plain
     assert "Robot" in run_text.lamps(view, UNICODE, 80).plain
     assert run_text.resume_text(view).startswith("The robot will move")
-    assert strip_plot not in plots_of(log)
+    assert strip_plot not in [tab.make for tab in tabs_of(log)]
 
 
 # -- lines -----------------------------------------------------------------------------------------

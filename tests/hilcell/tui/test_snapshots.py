@@ -107,7 +107,7 @@ def test_wider_terminals_add_panels(state: str) -> None:
     seen = seen_on(RecordingApp(options(RUNS), state), first_screen, WIDE)
     problems = differences(named(f"wide-{state}", seen), f"wide-{state}-")
     assert not problems, problems
-    assert "newest records" in seen["run"]
+    assert "map: |e|" in seen["run"]
 
 
 @pytest.mark.parametrize("state", STATES)

@@ -80,7 +80,8 @@ def _lab(colour: str, eyes: str) -> Array:
 __all__ = ["isolated"]
 
 LEAST = 4.5  # WCAG 2.2, success criterion 1.4.3
-FRAME = " ▔▁░"  # drawn, not read
+FRAME = " ▔▁░·"  # drawn, not read: frames, the empty part of a bar, a plot's dotted grid
+MARKS, LEAST_OF_MARKS = set(" ▀▄█■"), 3.0  # of a plot: success criterion 1.4.11
 APART = 14.0  # CIE76, of two fills; about 2 is just seen
 by_palette = pytest.mark.parametrize("palette", PALETTES, ids=lambda palette: palette.name)
 
@@ -160,17 +161,27 @@ def hard_to_read(app: RecordingApp) -> str:
         f"{segment.text!r}: {ratio:.2f}"
         for strip in painted(app)
         for segment in strip
-        if segment.text.strip(FRAME) and (ratio := contrast_of(segment)) < LEAST
+        if segment.text.strip(FRAME)
+        and (ratio := contrast_of(segment, app)) < (LEAST_OF_MARKS if is_mark(segment) else LEAST)
     ]
     return "\n".join(found)
 
 
-def contrast_of(segment: Segment) -> float:
+def is_mark(segment: Segment) -> bool:
+    return set(segment.text) <= MARKS
+
+
+def contrast_of(segment: Segment, app: RecordingApp) -> float:
+    """Return the contrast of letters against what is under them, of a plot's marks with the ground.
+
+    The other half of a mark's cell may be another series.
+    """
     style = segment.style
     assert style is not None
     assert style.color is not None
     assert style.bgcolor is not None
-    return contrast(style.color.get_truecolor().hex, style.bgcolor.get_truecolor().hex)
+    under = app.theme_variables["background"] if is_mark(segment) else None
+    return contrast(style.color.get_truecolor().hex, under or style.bgcolor.get_truecolor().hex)
 
 
 @pytest.mark.usefixtures("isolated")

@@ -1,0 +1,206 @@
+"""The figures beside a plot: a table of its series, of stations and of the worst, and words."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from textual.content import Content
+
+from hilcell.geometry.statistics import figures_of, repeatability_mm
+from hilcell.journal.curve_record import URAD
+from hilcell.journal.log import Log
+from hilcell.ports import Array
+from hilcell.tui.plots.canvas import Ink
+from hilcell.tui.plots.draw import Look, Plot
+from hilcell.tui.text.plots import (
+    NAMES,
+    PLACES,
+    Errors3D,
+    Measured,
+    mean_of,
+)
+
+WIDTH = 31
+NAME, NUMBER = 12, 6
+MOST_WORST = 5
+NEAR = 0.8  # of the limit
+SHORT = {"paper method": "paper"}
+Lines = list[Content]
+
+
+def section(title: str, width: int = WIDTH) -> Content:
+    """Return a heading on a rule of this width."""
+    return Content.assemble(
+        ("─ ", "$track"), (title, "bold $label"), (f" {'─' * (width - len(title) - 3)}", "$track")
+    )
+
+
+def row(name: str, values: Sequence[float | None], style: str = "", *, strong: int = -1) -> Content:
+    """Return a name and numbers in their columns; ``strong`` is the number of a bold one."""
+    parts = [(f"{name:<{NAME}}", style)]
+    for n, value in enumerate(values):
+        text = "" if value is None or not np.isfinite(value) else f"{round(value, 3) + 0.0:.3f}"
+        parts.append((f"{text:>{NUMBER}}"[-NUMBER:], f"bold {style}" if n == strong else style))
+    return Content.assemble(*parts)
+
+
+def key(plot: Plot, look: Look) -> Content:
+    """Return the names of a plot's series with their marks, in one line."""
+    parts: list[Content | tuple[str, str] | str] = []
+    for series in plot.series:
+        name = SHORT.get(series.name, series.name)
+        parts += ["  ", mark_of(look, series.ink), (f" {name}", "$label")]
+    return Content.assemble(*parts)
+
+
+def marked(look: Look, ink: Ink, line: Content) -> Content:
+    """Return a row with its series' mark in front of the name."""
+    return Content.assemble(mark_of(look, ink), " ", line[: NAME - 2], line[NAME:])
+
+
+def mark_of(look: Look, ink: Ink) -> Content:
+    """Return the mark of a series in a key."""
+    return (
+        Content.styled(ink.letter, ink.words) if look.letters else Content.styled("■", ink.colour)
+    )
+
+
+def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
+    """Return mean, 95 % and maximum of |e| by series and station, the worst, and words."""
+    log, found = of.log, of.errors.at(pick)
+    lines = [section("figures"), _heads("mean", "95 %", "max")]
+    for series in plot.series:
+        short = SHORT.get(series.name, series.name)
+        how = next(how for how, name in NAMES.items() if name == series.name)
+        numbers = row(short, _three(found.by_how[how]), strong=0 if how == "chosen" else -1)
+        lines.append(marked(look, series.ink, numbers))
+    floor = floor_mm(log)
+    if floor:
+        lines.append(row("  floor", (floor.get("mean"), floor.get("p95")), "$label"))
+    if plot.limits:
+        table = log.cell.validation
+        lines.append(row("  limit", (table.mean_tolerance_mm, None, table.max_tolerance_mm)))
+    if "chosen" in found.by_how:
+        lines += _by_station(of.errors) + _worst(found) + _words(log, found, floor)
+    return lines
+
+
+def floor_mm(log: Log) -> Mapping[str, float]:
+    """Return mean and p95 that robot and tracker leave by themselves, of a run that has ended."""
+    places = (log.end or {}).get("result", {}).get("validation", {})
+    place = places.get(log.cell.grid.station, {}) if isinstance(places, dict) else {}
+    floor = place.get("floor", {}) if isinstance(place, dict) else {}
+    return {name: each for name, each in floor.items() if isinstance(each, float)}
+
+
+def _heads(*names: str, unit: str = "mm") -> Content:
+    return Content.styled(f"{unit:<{NAME}}" + "".join(f"{n:>{NUMBER}}" for n in names), "$label")
+
+
+def _three(values: Array) -> tuple[float, ...]:
+    known = values[np.isfinite(values)]
+    return (*figures_of(known),) if len(known) else ()
+
+
+def _by_station(errors: Errors3D) -> Lines:
+    if len(errors.stations) < 2:
+        return []
+    lines = [Content(""), section("corrected, by station")]
+    by_station = {name: errors.at(name).by_how for name in errors.stations}
+    lines += [row(name, _three(by["chosen"])) for name, by in by_station.items() if "chosen" in by]
+    return lines
+
+
+def _worst(found: Errors3D) -> Lines:
+    errors = np.nan_to_num(found.by_how["chosen"], nan=-1.0)
+    lines = [Content(""), section("worst targets")]
+    for at in np.argsort(-errors, kind="stable")[:MOST_WORST].tolist():
+        if errors[at] >= 0:
+            station, number = found.targets[at]
+            name = f"target {number + 1}"
+            value = f"{errors[at]:>{NUMBER}.3f}"
+            lines.append(
+                Content.assemble(f"{name:<{NAME}}", (f"{station:<{NAME}}", "$label"), value)
+            )
+    return lines
+
+
+def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Lines:
+    """Return what the figures say."""
+    limit_mm = log.cell.validation.max_tolerance_mm
+    errors = found.by_how["chosen"][np.isfinite(found.by_how["chosen"])]
+    over = int(np.sum(~(errors <= limit_mm)))
+    near = int(np.sum(errors > NEAR * limit_mm)) - over
+    said = "Nothing near the limit."
+    if over or near:
+        said = f"{over} over the limit, {near} within {100 * (1 - NEAR):.0f} % of it."
+    sentences = [said]
+    mean_mm = mean_of(errors)
+    if "before" in found.by_how and mean_mm > 0:
+        same = found.by_how["before"][np.isfinite(found.by_how["chosen"])]
+        sentences.append(f"Mean {mean_of(same) / mean_mm:.1f} times smaller.")
+    if floor.get("mean", 0) > 0:
+        times = mean_mm / floor["mean"]
+        sentences.append(
+            f"Corrected is {times:.1f} times the floor that the robot and tracker leave by "
+            "themselves."
+        )
+    wrapped = [line for each in sentences for line in textwrap.wrap(each, WIDTH)]
+    tells = [Content.styled(line, "$label") for line in wrapped]
+    return [Content(""), section("what it tells"), *tells]
+
+
+def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
+    """Return mean, RP (ISO 9283) and maximum of the distances from the mean, by place."""
+    lines = [section("figures"), _heads("mean", "RP", "max")]
+    inks = {series.name: series.ink for series in plot.series}
+    for name, distances_mm in of.visits_mm.items():
+        rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else None
+        numbers = (float(distances_mm.mean()), rp_mm, float(distances_mm.max()))
+        lines.append(marked(look, inks.get(name, PLACES[0]), row(name, numbers)))
+    words = "RP: mean + 3 s of the distances from the mean (ISO 9283, 7.2.2)."
+    return [*lines, Content(""), *_grey(words)]
+
+
+def strip_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
+    """Return mean and largest of the strip's residual, by station, and its limit."""
+    lines = [section("figures"), _heads("mean", "", "max")]
+    for name, values in of.strip_mm.items():
+        lines.append(row(name, (float(values.mean()), None, float(np.abs(values).max()))))
+    lines.append(row("limit", (None, None, of.log.cell.rail.held_within_mm)))
+    words = "max: largest distance from the station, either way."
+    return [*lines, Content(""), *_grey(words)]
+
+
+def sweep_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
+    """Return the gear lines of every swept axis."""
+    lines = [section("gear lines"), Content.styled("axis   cycles/rev.   size µrad", "$label")]
+    for name in of.swept:
+        record = of.log.curves[int(name[1:])]
+        style = "bold" if name == (pick or of.swept[0]) else "$label"
+        sizes = (record.amplitudes_rad * URAD).tolist()
+        lines += [
+            Content.styled(f"{name:<4}{cycles:>14.1f}{size:>12.1f}", style)
+            for cycles, size in zip(record.cycles, sizes, strict=True)
+        ]
+        if not record.holds:
+            lines += _grey(f"{name} not used: {record.reason}")
+        elif not record.cycles:
+            lines.append(Content.styled(f"{name:<4}  none", style))
+    words = "A line is an error that comes back so often in one turn of the joint."
+    return [*lines, Content(""), *_grey(words)]
+
+
+def _grey(words: str) -> Lines:
+    return [Content.styled(line, "$label") for line in textwrap.wrap(words, WIDTH)]
+
+
+FIGURES = {
+    "each target": error_figures,
+    "sorted": error_figures,
+    "repeatability": repeat_figures,
+    "strip": strip_figures,
+    "sweeps": sweep_figures,
+}

@@ -1,0 +1,203 @@
+"""The plots of a run: the report's figures, drawn where they belong."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.calibration.errors import errors_of
+from hilcell.journal.log import Log, Point
+from hilcell.journal.point_id import PointId
+from hilcell.tui.plots.draw import Look
+from hilcell.tui.text.plot_figures import FIGURES
+from hilcell.tui.text.plot_page import BESIDE, Choice, plot_lines, tab_line
+from hilcell.tui.text.plots import (
+    TABS,
+    Measured,
+    errors_by_target,
+    errors_plot,
+    repeat_plot,
+    scale_of,
+    sorted_plot,
+    strip_plot,
+    tabs_of,
+)
+from tests.hilcell.report.journals import validated_run
+from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
+
+LETTERS = Look(letters=True, plain=True)
+
+
+def measured_of(story: SampleRun) -> Measured:
+    return Measured(Log(story.records))
+
+
+def changed(log: Log, key: str, **more: Any) -> Point:
+    log.points[key] = msgspec.structs.replace(log.points[key], **more)
+    return log.points[key]
+
+
+def test_plots_show_the_reports_errors(tmp_path: Path) -> None:
+    log = validated_run(tmp_path / "run").facts().log
+    for how in ("before", "idw", "chosen"):
+        points = log.select("validate", how=how)
+        if points:
+            wanted = errors_of(log, points).norms_mm
+            np.testing.assert_allclose(errors_by_target(log).by_how[how], wanted, atol=1e-9)
+
+
+def test_each_way_is_a_series_with_the_name_of_the_work() -> None:
+    of = measured_of(validated())
+    for make in (errors_plot, sorted_plot):
+        names = [series.name for series in make(of).series]
+        assert names == ["as sent", "paper method", "corrected"]
+        assert make(of).limits == (of.log.cell.validation.max_tolerance_mm,)
+    assert np.all(np.diff(sorted_plot(of).series[1].y) >= 0)
+
+
+def test_before_validation_the_grids_errors_have_no_limit() -> None:
+    plot = errors_plot(measured_of(measuring()))
+    assert [series.name for series in plot.series] == ["as sent"]
+    assert plot.limits == ()
+
+
+def test_a_target_that_was_not_measured_yet_keeps_its_place() -> None:
+    story = validated()
+    story.records = [r for r in story.records if r.key != "validate/S1100/chosen/000"]
+    found = errors_by_target(Log(story.records))
+    assert math.isnan(found.by_how["chosen"][0])
+    assert found.by_how["chosen"][1] == pytest.approx(np.hypot(0.1, 0.01))
+    assert np.isfinite(found.by_how["before"]).all()
+
+
+def test_a_station_has_its_own_targets() -> None:
+    story = validated()
+    other = PointId("validate", station="S300", how="before", number=0)
+    story.point(other, (1100.0, -300.0, 400.0), (0.0, 0.0, 3.0), station="S300")
+    of = measured_of(story)
+    assert of.errors.stations == ("S1100", "S300")
+    assert of.errors.at("S300").targets == (("S300", 0),)
+    assert list(of.errors.at("S300").by_how) == ["before"]
+    assert len(of.errors.at("").targets) == 3
+
+
+def test_repeated_visits_scatter_about_their_mean() -> None:
+    story = measuring(0)
+    for place in range(2):
+        for visit, x in enumerate((0.0, 0.3)):
+            id = PointId("repeatability", place=place, number=visit)
+            story.point(id, off=(x + place, 0.0, 0.0))
+    series = repeat_plot(measured_of(story)).series
+    assert [each.name for each in series] == ["place 1", "place 2"]
+    for each in series:
+        assert each.y == pytest.approx([0.15, 0.15])
+
+
+def test_many_places_become_one_series() -> None:
+    story = measuring(0)
+    for place in range(5):
+        for visit in range(2):
+            story.point(PointId("repeatability", place=place, number=visit))
+    (series,) = repeat_plot(measured_of(story)).series
+    assert len(series.y) == 10
+
+
+def test_the_strip_is_shown_less_its_station_between_its_limits() -> None:
+    of = measured_of(measuring(2))
+    station = next(each for each in of.log.cell.station if each.name == "S1100")
+    changed(of.log, "grid/0-0-1", strip_mm=station.strip_mm + 0.02)
+    plot = strip_plot(of)
+    assert plot.series[0].y == pytest.approx([0.0, 0.02])
+    within_mm = 2.0 * of.log.cell.rail.strip_tolerance_mm
+    assert plot.limits == (within_mm, -within_mm)
+
+
+@pytest.mark.parametrize("tab", TABS, ids=lambda tab: tab.name)
+@pytest.mark.parametrize("size", [(20, 8), (60, 15), (80, 20), (80, 40), (120, 30), (200, 60)])
+def test_every_plot_is_drawn_at_any_size(tab: Any, size: tuple[int, int]) -> None:
+    for story in (measuring(0), measuring(1), validated()):
+        of = measured_of(story)
+        for look in (Look(), LETTERS):
+            choice = Choice(tab=TABS.index(tab))
+            lines = [tab_line(of, choice, size[0], look), *plot_lines(of, choice, *size, look)]
+            assert len(lines) <= max(size[1], 9) + 1
+            assert "\x1b" not in "".join(line.plain for line in lines)
+
+
+def test_figures_stand_beside_the_plot_or_under_it_or_are_away() -> None:
+    of = measured_of(validated())
+
+    def at(width: int, height: int) -> list[str]:
+        return [line.plain for line in plot_lines(of, Choice(tab=1), width, height, Look())]
+
+    beside, under, away = at(BESIDE, 30), at(80, 40), at(80, 20)
+    assert any("┤" in line and "─ figures" in line for line in beside)
+    assert any(line.startswith("─ figures") for line in under)
+    assert not any("figures" in line for line in away)
+    assert "corrected" in away[0]  # the key, where no figures name the series
+
+
+def test_figures_say_mean_limit_and_the_worst() -> None:
+    of = measured_of(validated(worst_mm=1.2))
+    plot = errors_plot(of)
+    text = "\n".join(line.plain for line in FIGURES["sorted"](of, "", plot, Look()))
+    limit_mm = of.log.cell.validation.max_tolerance_mm
+    assert f"{limit_mm:.3f}" in text
+    assert "target 2    S1100        1.200" in text
+    assert "1 over the limit" in text
+    mean_mm = of.errors.by_how["chosen"].mean()
+    assert f"{1.2 / mean_mm:.1f} times smaller" in " ".join(text.split())
+
+
+def test_the_scale_of_a_live_run_only_grows() -> None:
+    choice = Choice(tab=0)
+    plot_lines(measured_of(validated(worst_mm=30.0)), choice, 120, 30, Look())
+    (before,) = choice.scales.values()
+    plot_lines(measured_of(validated()), choice, 120, 30, Look())
+    assert choice.scales == {("each target", True, ""): before}
+    assert before.high == 50.0
+
+
+def test_only_errors_above_zero_have_a_log_scale() -> None:
+    for tab in TABS:
+        choice = Choice(tab=TABS.index(tab))
+        choice.turn_scale()
+        assert choice.is_log(tab) == (tab.may_be_log and not tab.is_log)
+
+
+def test_series_are_shown_one_by_one_and_then_all() -> None:
+    choice = Choice()
+    seen = []
+    for _ in range(4):
+        seen.append(choice.series)
+        choice.turn_series(3)
+    assert seen == [0, 1, 2, 3]
+    assert choice.series == 0
+
+
+def test_a_redraw_of_150_targets_is_quick() -> None:
+    story = measuring(0)
+    chance = np.random.default_rng(1)
+    for how, size in (("before", 1.2), ("chosen", 0.1)):
+        for number in range(75):
+            id = PointId("validate", station="S1100", how=how, number=number)
+            story.point(id, (1000.0, 200.0, 300.0), tuple(chance.normal(0.0, size, 3).tolist()))
+    of = measured_of(story)
+    choice, best_s = Choice(tab=1), math.inf
+    for _ in range(5):
+        began_s = time.perf_counter()
+        plot_lines(Measured(of.log), choice, 120, 33, Look())
+        best_s = min(best_s, time.perf_counter() - began_s)
+    assert best_s < 0.060
+
+
+def test_a_robot_on_the_floor_has_no_strip(tmp_path: Path) -> None:
+    log = validated_run(tmp_path / "run").facts().log
+    assert strip_plot in [tab.make for tab in tabs_of(log)]
+    assert scale_of(strip_plot(Measured(log)), 20, None, is_log=False).step > 0
