@@ -51,6 +51,7 @@ class Alarm:
     passes: bool = False  # it shows a condition: raised again, it is new
     cause: Cause = "over"
     by: tuple[By, ...] = ()
+    goes_on: bool = False  # the last step is how work goes on
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +94,8 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
     steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
     if not entry.specific:
         steps.insert(0, (finding.advice, "you"))
-    if severity != "notice":
-        steps.append((_then(entry, run, go_on, over=over), "you"))
-    steps = [(step, by) for step, by in steps if step]
+    then = "" if severity == "notice" else _then(entry, run, go_on, over=over)
+    steps = [(step, by) for step, by in [*steps, (then, "you")] if step]
     return Alarm(
         entry.code,
         severity,
@@ -110,6 +110,7 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         entry.passes,
         moment.cause,
         tuple(by for _, by in steps),
+        bool(then),
     )
 
 

@@ -38,8 +38,10 @@ from hilcell.run.control import _Handler
 from hilcell.run.protocol import LONGEST_REQUEST, Status
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.keys import ACTIONS
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text import run as run_text
+from hilcell.tui.text.alarm_words import AlarmContext
 from hilcell.tui.text.alarms import alarm_page
 from hilcell.tui.text.tables import record_row
 from tests.drivers.program_krl.samples import DAT, SRC
@@ -47,6 +49,7 @@ from tests.hilcell.calibration.calibrations import calibration as made_calibrati
 from tests.hilcell.tui.sample_runs import fresh, status
 from tests.hilcell.tui.untrusted_text import NASTY, dangerous, poison
 
+CONTEXT = AlarmContext(None, {action.name: action.keys for action in ACTIONS}, UNICODE)
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 DRIVE = 5
 FEW = 4  # records of a screen
@@ -334,7 +337,7 @@ def screen(data: bytes) -> None:
         run_text.banner(view, UNICODE, 80).plain,
         run_text.lamps(view, UNICODE, 80).plain,
         run_text.interlocks(view, 80).plain,
-        alarm_page(view.alarms, Latch(), UNICODE).plain,
+        alarm_page(view.alarms, Latch(), CONTEXT, 80).plain,
         *(cell for record in view.records for cell in record_row(record).cells),
     ]
     for text in painted:

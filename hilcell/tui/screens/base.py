@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from hilcell.tui.engine.open_runs import OpenRuns
     from hilcell.tui.engine.run_view import RunView
     from hilcell.tui.engine.session import Session
+    from hilcell.tui.text.alarm_words import AlarmContext
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +83,9 @@ class Application(Protocol):
 
     def allowed(self, name: str) -> bool:
         """Whether an action does something now."""
+
+    def refusal(self, name: str) -> str:
+        """Return why an action does nothing now."""
 
     def label(self, name: str) -> str:
         """Return the current label of an action."""
@@ -211,6 +215,14 @@ class BaseScreen(Screen[None]):
             if line.cell_length + each.cell_length <= self.line_width + 2:
                 line = line.append(each)
         return line
+
+    def alarm_context(self) -> AlarmContext:
+        """Return what alarms are shown with now."""
+        from hilcell.tui.text.alarm_words import AlarmContext  # not for the first screen
+
+        app = self.application
+        now = app.view.now if app.view is not None else None
+        return AlarmContext(now, app.keymap, app.glyphs, app.refusal("pause"))
 
     def label(self, name: str) -> str:
         """Return the current label of an action."""

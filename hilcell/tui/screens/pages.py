@@ -53,7 +53,8 @@ class AlarmPage(TextPage):
         """Return the alarms, newest first."""
         if view is None:
             return Content("")
-        return alarm_page(view.alarms, self.application.latch, self.application.glyphs)
+        context = self.alarm_context()
+        return alarm_page(view.alarms, self.application.latch, context, self.line_width - 1)
 
 
 class InterlockPage(TextPage):

@@ -17,10 +17,11 @@ from hilcell.tui.plots.scale import Scale
 from hilcell.tui.screens.pages import FilterScreen
 from hilcell.tui.screens.plots import look_of
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.alarms import alarm_lines
+from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
+from hilcell.tui.text.alarm_words import alarm_line
 from hilcell.tui.text.deviation import deviation_lines, deviation_of
 from hilcell.tui.text.points import PointRows, columns_for, filtered
-from hilcell.tui.text.prompt import prompt_lines
+from hilcell.tui.text.prompt import prompt_box
 from hilcell.tui.text.side import side_lines
 from hilcell.tui.widgets import Table, TextPanel
 
@@ -120,22 +121,25 @@ class RunScreen(FilterScreen):
 
     def _show_boxes(self, view: RunView) -> None:
         alarm, prompt = self.panel("alarm"), self.panel("prompt")
-        asked = view.prompt
-        rows = 3 if asked is None else 1  # what is asked comes first
-        lines = alarm_lines(
+        asked, standing, context = (
+            view.prompt,
             self.application.latch.standing(),
-            self.application.keymap,
-            self.application.glyphs,
-            self.line_width,
-            rows,
+            self.alarm_context(),
         )
-        alarm.display = lines is not None
-        if lines is not None:
-            alarm.show(lines)
+        due, columns = panel_is_due(view, standing), self.line_width
+        lines = [alarm_line(standing, context, columns, skip=int(due))]
+        if due:
+            kept, rows = kept_words(view.log), min(14, max(self.app.size.height - 10, 5))
+            panel = alarm_panel(standing, kept, context, columns, rows)
+            lines = [*panel, *lines, newest_line(view, columns)]
+        alarm.display = bool(standing)
+        alarm.show(Content("\n").join(lines))
         prompt.display = asked is not None
-        self.panel("deviation").display = asked is None
+        self.panel("deviation").display = asked is None and not due
         if asked is not None:
-            prompt.show(prompt_lines(asked, view, self.application.glyphs, self.line_width - 4))
+            rows = min(15, max(self.app.size.height - 10, 5))
+            box = prompt_box(asked, view, self.application.glyphs, columns, rows)
+            prompt.show(Content("\n").join(box))
 
     @property
     def point_filter(self) -> PointFilter:

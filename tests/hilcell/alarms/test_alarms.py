@@ -141,6 +141,7 @@ def test_a_fault_says_code_place_words_and_steps() -> None:
         seq=6,
         cause="not watched",
         by=("you", "you", "you"),
+        goes_on=True,
     )
 
 

@@ -396,11 +396,11 @@ def asking(**more: object) -> RunUpdate:
 @pytest.mark.parametrize(
     ("update", "answered", "said"),
     [
-        (asking(), True, "press Enter"),
-        (asking(ready=False), False, "Enter waits"),
-        (asking(ready=False, seen_mm=None), False, "sees nothing there"),
-        (asking(ready=False, seen_mm=None, age_s=None), False, "has not looked yet"),
-        (asking(ready=False, check=False), True, "Enter when it is done"),
+        (asking(), True, "● tracker sees it"),
+        (asking(ready=False), False, "▲ tracker sees it"),
+        (asking(ready=False, seen_mm=None), False, "○ sees nothing"),
+        (asking(ready=False, seen_mm=None, age_s=None), False, "○ not looked yet"),
+        (asking(ready=False, check=False), True, "when it is done"),
     ],
     ids=["ready", "too far", "nothing", "not looked", "no check"],
 )

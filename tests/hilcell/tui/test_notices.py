@@ -25,7 +25,7 @@ def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
         assert "the run is over" in text_of(app)
         app.post_message(RunUpdated(app.recorded, RunUpdate([], calibrated=False)))
         await settle(pilot)
-        assert "HC-J11  Calibration without a file" in text_of(app)
+        assert "HC-J11 Calibration without a file" in text_of(app)
         assert "space resume" in text_of(app)
         await press(pilot, "space")
         assert "nothing moves" in text_of(app)

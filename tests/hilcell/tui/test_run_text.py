@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from textual.content import Content
 
-from hilcell.alarms import Latch
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
@@ -22,22 +18,13 @@ from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.alarms import alarm_lines, alarm_page
 from hilcell.tui.text.deviation import Deviation, deviation_lines, large_digits, tolerance_line
 from hilcell.tui.text.plots import strip_plot, tabs_of
-from hilcell.tui.text.prompt import MAP_HEIGHT, MAP_WIDTH, nest_map, prompt_lines, tracker_text
-from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingSession
-from tests.hilcell.tui.sample_runs import BEGAN, PROMPT, fresh, measuring, sample_runs
+from tests.hilcell.tui.sample_runs import measuring, sample_runs
+from tests.hilcell.tui.views import view_of
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 BOUNDS = {"coverage": 0.963, "mean_mm": 0.2171, "max_mm": 0.3}
-
-
-def view_of(name: str) -> RunView:
-    """Return the view of a made-up run."""
-    session = RecordingSession(Path("/runs/made-up"))
-    session.take(fresh(name), sample_runs()[name].now)
-    return session.view
 
 
 # -- durations and ages ----------------------------------------------------------------------------
@@ -379,55 +366,6 @@ def test_what_is_no_number_can_be_shown(text: str) -> None:
     assert len({len(row) for row in large_digits(text)}) == 1
 
 
-# -- prompts ---------------------------------------------------------------------------------------
-
-
-def test_the_prompt_shows_the_expected_and_the_actual_reading() -> None:
-    view = view_of("suspended")
-    text = prompt_lines(PROMPT, view, UNICODE, 76).plain
-    assert "expected reading: x 4007.5  y -238.7  z -480.3 mm" in text
-    assert "reflector 1.24 mm from there, limit 5.0 (0.3 s ago); press Enter" in text
-    assert ">P1<" in text
-
-
-def test_a_prompt_is_not_ready_when_the_engine_has_gone_silent() -> None:
-    view = view_of("suspended")
-    view.status_age_s = 60.0
-    assert "Enter does not work" in tracker_text(PROMPT, view).plain
-
-
-def test_a_place_that_is_no_nest_is_not_drawn() -> None:
-    assert nest_map(load_cell("paper", {}).layout, "nowhere", UNICODE) == []
-
-
-def test_every_nest_is_drawn_where_it_is() -> None:
-    layout = load_cell("paper", {}).layout
-    for where in (layout.floor, layout.slide):
-        for nest in where:
-            rows = [line.plain for line in nest_map(layout, nest.name, UNICODE)[1:]]
-            assert len(rows) == MAP_HEIGHT
-            assert all(len(row) == MAP_WIDTH for row in rows)
-            assert sum(row.count(f">{nest.name[:3]}<") for row in rows) == 1
-
-
-def test_right_is_right_and_up_is_up() -> None:
-    layout = load_cell("paper", {}).layout
-    found = {
-        nest.name: (nest.xyz_mm, _at(nest_map(layout, nest.name, UNICODE), nest.name))
-        for nest in layout.slide
-    }
-    for (x, y, _), (column, row) in found.values():
-        for (other_x, other_y, _), (other_column, other_row) in found.values():
-            assert x <= other_x or column >= other_column
-            assert y <= other_y or row <= other_row
-
-
-def _at(drawing: Sequence[Content], name: str) -> tuple[int, int]:
-    rows = [line.plain for line in drawing[1:]]
-    (row,) = [number for number, text in enumerate(rows) if f">{name[:3]}<" in text]
-    return rows[row].index(">"), row
-
-
 # -- ASCII -----------------------------------------------------------------------------------------
 
 
@@ -445,35 +383,6 @@ def test_deviations_are_values() -> None:
     assert replace(found, U_mm=0.1).outcome == "undecided"
     assert replace(found, U_mm=math.nan).outcome == "rejected"
     assert replace(found, error_mm=(math.nan, 0.0, 0.0)).outcome == "rejected"
-
-
-def test_what_stands_from_before_a_resume_is_on_the_page_of_alarms() -> None:
-    latch = Latch()
-    faulted = RecordingSession(Path("/runs/r"))
-    faulted.take(fresh("fault"), BEGAN)
-    (alarm,) = faulted.view.alarms
-    latch.take([alarm])
-    page = alarm_page([], latch, UNICODE).plain
-    assert alarm.code in page
-    assert "not acknowledged" in page
-    latch.take([], "t")
-    latch.acknowledge()
-    assert alarm_page([], latch, UNICODE).plain == "No alarm was raised in this run."
-
-
-def test_a_long_advice_takes_two_rows() -> None:
-    latch = Latch()
-    faulted = RecordingSession(Path("/runs/r"))
-    faulted.take(fresh("fault"), BEGAN)
-    (alarm,) = faulted.view.alarms
-    advice = "Look at every nest, measure the floor again, and start a new run where one has moved."
-    latch.take([replace(alarm, do=(advice,))])
-    lines = alarm_lines(latch.standing(), DEFAULT_KEYS, UNICODE, 80)
-    assert lines is not None
-    assert advice in lines.plain
-    head = alarm_lines(latch.standing(), DEFAULT_KEYS, UNICODE, 80, 1)
-    assert head is not None
-    assert len(head.plain.splitlines()) == 1
 
 
 def test_a_start_that_was_refused_has_lost_no_engine() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from rich.cells import cell_len
 from textual.events import Paste
 from textual.widgets import Input
 
@@ -109,8 +110,11 @@ def test_what_a_prompt_needs_stays_in_sight(text: str) -> None:
             return text_of(app)
 
     shown = asyncio.run(run_app())
-    assert "expected reading: x 4007.5" in shown, shown
-    assert "press Enter" in shown
+    assert "off its place, mm" in shown, shown
+    assert "● tracker sees it" in shown
+    assert " Enter  go on" in shown
+    box = [line for line in shown.splitlines() if line.startswith(("┌", "│", "└"))]
+    assert [cell_len(line) for line in box] == [SIZE[0]] * len(box)
     assert "? ASKS YOU" in shown.splitlines()[0]
     assert "Esc STOP" in shown.splitlines()[-1]
 

@@ -1,0 +1,162 @@
+"""The panel of the alarm that has ended a run, its words, its steps and who checks them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+from textual.content import Content
+
+from hilcell.alarms import Alarm, Latch, Latched
+from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
+from hilcell.tui.text.alarm_words import AlarmContext, alarm_line, cause_words, present_step
+from hilcell.tui.text.alarms import alarm_page
+from tests.hilcell.alarms.journals import BEGUN, event, log_of
+from tests.hilcell.tui.recording_app import DEFAULT_KEYS
+from tests.hilcell.tui.views import view_of
+
+T = "2026-03-04T08:00:23.000+00:00"
+NOW = datetime(2026, 3, 4, 8, 2, 37, tzinfo=UTC)
+CONTEXT = AlarmContext(NOW, DEFAULT_KEYS, UNICODE)
+STOP = Alarm(
+    "HC-B10", "fault", "Robot emergency stop", "Robot: move", "$ALARM_STOP is FALSE, wanted TRUE",
+    "An emergency stop of the robot is pressed.",
+    ("Find out why it was pressed.", "Release it at the panel.", "Continue: space."), T, 7,
+    cause="watched", by=("you", "controller", "you"), goes_on=True,
+)  # fmt: skip
+THERE = Latched(STOP, "fault", 1)
+GONE = replace(THERE, gone="2026-03-04T08:02:31.000+00:00")
+UNWATCHED = replace(THERE, alarm=replace(STOP, cause="not watched"))
+NOTICE = Latched(
+    replace(STOP, code="HC-V05", title="Point measured again", severity="notice", cause="over",
+            do=("Look at the beam's way.",), by=("you",), goes_on=False), "notice", 1,
+)  # fmt: skip
+
+
+def panel(latched: Latched, columns: int = 79, rows: int = 14, refused: str = "") -> list[str]:
+    found = alarm_panel([latched], "kept", replace(CONTEXT, refused=refused), columns, rows)
+    return [line.plain for line in found]
+
+
+@pytest.mark.parametrize(
+    ("latched", "words"),
+    [
+        (THERE, "■ STILL THERE"),
+        (GONE, "□ gone at 08:02:31 UTC"),
+        (UNWATCHED, "○ not watched"),
+        (replace(UNWATCHED, gone=GONE.gone), "gone at"),
+        (NOTICE, "□ over"),
+    ],
+)
+def test_the_cause_is_gone_only_where_that_is_known(latched: Latched, words: str) -> None:
+    assert words in cause_words(latched, UNICODE).plain
+
+
+def test_the_panel_says_since_when_where_and_what() -> None:
+    text = "\n".join(panel(THERE))
+    for words in (
+        "HC-B10  Robot emergency stop", "alarm 1 of 1", "since 08:00:23 UTC (2:14 ago)",
+        "not acknowledged", "Where  Robot: move", "Found  $ALARM_STOP is FALSE", "Kept   kept",
+        "step 1 of 3", "checked by", "space  then  Enter",
+    ):  # fmt: skip
+        assert words in text, words
+
+
+@pytest.mark.parametrize(
+    ("latched", "present"),
+    [
+        (THERE, 0),
+        (GONE, 0),
+        (replace(THERE, acknowledged=True), 1),
+        (replace(GONE, acknowledged=True), 2),
+        (UNWATCHED, 0),
+        (replace(UNWATCHED, acknowledged=True), 2),
+        (NOTICE, 0),
+    ],
+)
+def test_the_present_step_is_the_first_that_is_not_done(latched: Latched, present: int) -> None:
+    assert present_step(latched) == present
+
+
+def test_steps_are_ticked_by_who_checks_them() -> None:
+    ticked = [line for line in panel(replace(GONE, acknowledged=True)) if "√" in line]
+    assert [line.split()[2] for line in ticked] == ["1", "2"]
+    assert ticked[1].rstrip("║ ").endswith("controller")
+    assert not any("√" in line for line in panel(replace(UNWATCHED))), "nobody knows yet"
+    (controller,) = [line for line in panel(GONE) if "controller" in line]
+    assert "√ 2" in controller
+
+
+@pytest.mark.parametrize("columns", [56, 60, 79, 80, 140])
+def test_the_panel_fits_and_keeps_the_present_step(columns: int) -> None:
+    long = replace(THERE, alarm=replace(STOP, means="word " * 48, found="found " * 40))
+    for latched in (THERE, long, replace(GONE, acknowledged=True)):
+        for rows in range(5, 20):
+            lines = panel(latched, columns, rows)
+            assert len(lines) == rows
+            assert {Content(line).cell_length for line in lines} == {columns}
+            assert any("►" in line for line in lines)
+            assert any("cause" in line for line in lines)
+
+
+def _style(line: Content, word: str) -> str:
+    at = line.plain.index(word)
+    return " ".join(str(span.style) for span in line.spans if span.start <= at < span.end)
+
+
+def test_the_key_that_goes_on_is_grey_until_it_would_work() -> None:
+    for refused, style in (("", "$foreground"), ("a run is live", "$stale")):
+        lines = alarm_panel([THERE], "kept", replace(CONTEXT, refused=refused), 79, 14)
+        (line,) = [each for each in lines if "Go on:" in each.plain]
+        assert style in _style(line, "space")
+        assert any(refused in each.plain for each in lines)
+    ended = replace(THERE, alarm=replace(STOP, ended=True))
+    assert any("Start a new run:  n " in line for line in panel(ended))
+
+
+def test_one_line_names_the_next_alarm_and_the_key_of_all() -> None:
+    both = [THERE, NOTICE]
+    line = alarm_line(both, CONTEXT, 79, skip=1).plain
+    assert line.startswith("○ HC-V05 Point measured again  notice, 08:00:23 UTC")
+    assert line.endswith("e  both alarms")
+    assert alarm_line(both, CONTEXT, 79).plain.startswith("× HC-B10 ")
+    assert alarm_line([], CONTEXT, 79).plain.startswith("○ no alarms")
+    assert "acknowledged" in alarm_line([replace(THERE, acknowledged=True)], CONTEXT, 79).plain
+
+
+def test_the_page_has_those_that_stand_and_those_that_are_over() -> None:
+    latch = Latch()
+    assert alarm_page([], latch, CONTEXT, 79).plain == "No alarm was raised in this run."
+    latch.take([STOP])
+    for alarms in ([STOP], []):  # of this session, and of one before
+        page = alarm_page(alarms, latch, CONTEXT, 79).plain
+        assert page.count("HC-B10") == 1
+        assert "not acknowledged" in page
+    latch.acknowledge()
+    latch.take([], "t")
+    assert "not acknowledged" not in alarm_page([STOP], latch, CONTEXT, 79).plain
+
+
+def test_what_is_kept_is_what_the_journal_says() -> None:
+    stopped = event("safe stop", problems={})
+    closed = event("closed", problems={})
+    assert kept_words(log_of(*BEGUN)).endswith("how the devices were left is not recorded")
+    assert kept_words(log_of(*BEGUN, stopped, closed)).endswith("nothing moves")
+    failed = event("safe stop", problems={"robot": "no answer"})
+    assert "look at robot" in kept_words(log_of(*BEGUN, failed, closed))
+
+
+def test_the_panel_is_of_runs_that_have_ended_by_a_fault() -> None:
+    assert panel_is_due(view_of("fault"), [THERE])
+    assert panel_is_due(view_of("gone"), [THERE])
+    assert not panel_is_due(view_of("fault"), [NOTICE])
+    assert not panel_is_due(view_of("running"), [THERE])
+
+
+def test_the_newest_point_is_named_with_its_age() -> None:
+    line = newest_line(view_of("fault"), 79).plain
+    assert "|e| 1.170 mm" in line
+    assert line.endswith(" ago")
+    assert newest_line(view_of("checking"), 79).plain.startswith("no point is measured yet")
