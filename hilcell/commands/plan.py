@@ -12,7 +12,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.commands.released import released
-from hilcell.compensation.targets import write_rows
+from hilcell.compensation.targets import as_listed, write_rows
 from hilcell.planning.holes import read_holes
 from hilcell.planning.plan import HolePlan, StationPlan, ratio
 from hilcell.planning.plan import plan as plan_holes
@@ -67,7 +67,7 @@ def _station_facts(each: StationPlan) -> dict[str, object]:
         "name": each.station.name,
         "rail_mm": each.station.rail_mm,
         "holes": each.holes,
-        "targets": each.poses.round(6).tolist(),  # x, y, z, a, b, c in {W}, in the same order
+        "targets": as_listed(each.poses).tolist(),  # x, y, z, a, b, c in {W}, in the same order
         **_travel(each.travel_mm, each.bound_mm),
     }
 

@@ -1,75 +1,29 @@
-"""``prepare``: holes in; a file of corrected targets for each station out, in order of visit."""
+"""``prepare``: holes in; for each station a list and a program out, and a sheet for all of them."""
 
 from __future__ import annotations
 
 import argparse
 import os
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
-from hilcell.calibration.file import compensate_targets
-from hilcell.calibration.influence import NoBound
 from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, load_cell
-from hilcell.commands.bounds import Found, bounds_of_targets, summary, turns_of_targets
-from hilcell.commands.files import check_settings, drill_mm_of
+from hilcell.commands.bounds import summary
+from hilcell.commands.files import check_settings
 from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.prepare_sheet import SHEET, sheet_of
+from hilcell.commands.prepared import Prepared, prepared
 from hilcell.commands.released import Released, released
-from hilcell.compensation.stamp import Stamp
-from hilcell.compensation.targets import HEADER, csv_of, target_rows
 from hilcell.planning.holes import read_holes
-from hilcell.planning.plan import HolePlan, StationPlan, plan
-from hilcell.ports import Array
+from hilcell.planning.plan import HolePlan, plan
+from hilcell.report.sheet import sheet_html
 from hilcell.writing import NotWritten, write_together
 
 SUMMARY = "summary.json"
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """The holes of one station: its plan, commands (N, 6) in {W}, bounds, and their stamp.
-
-    ``turns_deg`` (N,) are the bounds of orientation, where it is corrected.
-    """
-
-    plan: StationPlan
-    command: Array
-    bounds: Found
-    stamp: Stamp
-    turns_deg: Array | None
-
-    @property
-    def file(self) -> str:
-        """Return the name of its file."""
-        return f"{self.plan.station.name}.csv"
-
-    @property
-    def content(self) -> bytes:
-        """Return its file: corrected targets in the order of visit, each with the stamp."""
-        return csv_of(HEADER, target_rows(self.plan.holes, self.command), self.stamp)
-
-    @property
-    def facts(self) -> dict[str, object]:
-        """Return its part of the summary; bounds are None where none can be stated."""
-        radii_mm = None if isinstance(self.bounds, NoBound) else self.bounds.radii_mm
-        turns_deg = self.turns_deg
-        turned = {} if turns_deg is None else {"bound95_max_deg": float(turns_deg.max())}
-        return {
-            "name": self.plan.station.name,
-            "rail_mm": self.plan.station.rail_mm,
-            "strip_mm": self.plan.station.strip_mm,
-            "file": self.file,
-            "stamp": self.stamp.text,
-            "holes": self.plan.holes,
-            "travel_mm": self.plan.travel_mm,
-            "bound95_median_mm": None if radii_mm is None else float(np.median(radii_mm)),
-            "bound95_max_mm": None if radii_mm is None else float(radii_mm.max()),
-            **turned,
-        }
 
 
 def prepare(args: argparse.Namespace) -> int:
@@ -78,32 +32,30 @@ def prepare(args: argparse.Namespace) -> int:
     cell = load_cell(args.cell, dict(args.set))
     found, source, folder = released(args, cell), Path(args.holes), Path(args.output)
     whole = plan(cell, read_holes(source), calibrated=Volume(found.calibration))
-    stations = [_prepared(args, cell, found, each) for each in whole.stations]
+    stations = [prepared(args, cell, found, each) for each in whole.stations]
     facts = _summary(found, source, whole, stations)
+    contents = {SUMMARY: msgspec.json.format(msgspec.json.encode(facts), indent=1) + b"\n"}
+    sheet = sheet_of(found, cell, source.name, args.max_age, args.temperature, stations)
+    contents[SHEET] = sheet_html(sheet).encode()
+    for each in stations:
+        contents |= {each.file: each.content, **each.program}
+    _check_names(stations)
     _make(folder)
-    contents = {folder / each.file: each.content for each in stations}
-    contents[folder / SUMMARY] = msgspec.json.format(msgspec.json.encode(facts), indent=1) + b"\n"
-    write_together(contents, inputs=[source, found.path, Path(args.cell)])
+    write_together(
+        {folder / name: content for name, content in contents.items()},
+        inputs=[source, found.path, Path(args.cell)],
+    )
     if args.json:
         print_json(facts)
     else:
         _print(stations)
     for each in stations:
-        print_message(
-            f"{each.plan.station.name}: {summary(each.bounds, each.plan.holes, each.turns_deg)}"
-        )
-    print_message(f"{len(stations)} files of corrected targets and {SUMMARY} in {folder}")
+        words = summary(each.bounds, each.plan.holes, each.turns_deg)
+        print_message(f"{each.plan.station.name}: {words}")
+    _print_written(cell, stations, folder)
     for note in found.notes():
         print_message(note)
     return 0
-
-
-def _prepared(args: argparse.Namespace, cell: Cell, found: Released, each: StationPlan) -> Prepared:
-    name, calibration = each.station.name, found.calibration
-    command = compensate_targets(calibration, name, each.poses, each.holes)
-    bounds = bounds_of_targets(calibration, name, each.poses, args.temperature, drill_mm_of(cell))
-    turns_deg = turns_of_targets(calibration, name, each.poses)
-    return Prepared(each, command, bounds, found.stamp(name), turns_deg)
 
 
 def _summary(
@@ -118,10 +70,22 @@ def _summary(
         "standing": found.stands,
         "holes": source.name,
         "notes": list(found.notes()),
+        "sheet": SHEET,
         "stations": [each.facts for each in stations],
         "travel_mm": whole.travel_mm,
         "bound_mm": whole.bound_mm,
     }
+
+
+def _check_names(stations: list[Prepared]) -> None:
+    """Refuse stations whose files would have one name: controllers and PCs may ignore case."""
+    files = (name for each in stations for name in (each.file, *each.program))
+    twice = [name for name, count in Counter(map(str.lower, files)).items() if count > 1]
+    if twice:
+        raise NotWritten(
+            f"two stations would both write {', '.join(twice)}: name them apart, by letters, "
+            "digits and underscores in the first 24 characters"
+        )
 
 
 def _make(folder: Path) -> None:
@@ -137,10 +101,26 @@ def _make(folder: Path) -> None:
 
 
 def _print(stations: list[Prepared]) -> None:
-    print_table((["station", "rail mm", "holes", "file"], list(_rows(stations))))
+    headers = ["station", "rail mm", "holes", "bound95 max mm", "file", "program"]
+    print_table((headers, list(_rows(stations))))
 
 
 def _rows(stations: list[Prepared]) -> Iterator[list[str]]:
     for each in stations:
-        station = each.plan.station
-        yield [station.name, f"{station.rail_mm:.2f}", str(len(each.plan.holes)), each.file]
+        station, bounds_mm = each.plan.station, each.bounds95_mm
+        largest = "" if bounds_mm is None else f"{max(bounds_mm):.3f}"
+        place = [station.name, f"{station.rail_mm:.2f}", str(len(each.plan.holes))]
+        yield [*place, largest, each.file, " ".join(each.program)]
+
+
+def _print_written(cell: Cell, stations: list[Prepared], folder: Path) -> None:
+    print_message(
+        f"files of corrected targets for {len(stations)} stations, {SUMMARY} and {SHEET} for the "
+        f"shop floor in {folder}"
+    )
+    if any(each.program for each in stations):
+        print_message(
+            "one program a station, in the order of the sheet; each holds for its station only"
+        )
+    else:
+        print_message(f"no programs: no writer is installed for robots of {cell.robot.driver}")

@@ -26,6 +26,8 @@ from hilcell.writing import write_whole
 
 MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
 SHOWN = 40  # characters of a bad field
+BOUND = "bound95_mm"
+MM_DECIMALS, DEG_DECIMALS = 4, 6
 HEADER = ["name", "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"]
 
 
@@ -144,7 +146,13 @@ def write_targets(
 def target_rows(names: Iterable[str], values: Array) -> Iterator[list[str]]:
     """Yield the rows of targets (N, 6)."""
     for name, row in zip(names, values, strict=True):
-        yield [name, *(f"{each:.4f}" for each in row[:3]), *(f"{each:.6f}" for each in row[3:])]
+        places_mm = (f"{each:.{MM_DECIMALS}f}" for each in row[:3])
+        yield [name, *places_mm, *(f"{each:.{DEG_DECIMALS}f}" for each in row[3:])]
+
+
+def as_listed(values: Array) -> Array:
+    """Return targets (N, 6) as a reader of a list gets them, with its decimals."""
+    return np.hstack([values[:, :3].round(MM_DECIMALS), values[:, 3:].round(DEG_DECIMALS)])
 
 
 def write_rows(

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 from hilcell import __version__
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.calibration.pose_test import ISO
-from hilcell.clean import harmless
 from hilcell.ports import Array
 from hilcell.report import pose_test, tables
 from hilcell.report.certificate import (
@@ -37,9 +35,7 @@ from hilcell.report.plan_view import plan_view
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
 from hilcell.report.target_budget import target_budget, target_sheets
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
+from hilcell.report.templates import environment
 
 
 def report_html(facts: Facts) -> str:
@@ -47,7 +43,7 @@ def report_html(facts: Facts) -> str:
     budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
     kind, words = standing(facts)
     return (
-        _environment()
+        environment()
         .get_template("report.html.j2")
         .render(
             facts=facts,
@@ -158,22 +154,3 @@ def measured(facts: Facts) -> str:
     first, last = facts.records[0].t, facts.last.t
     begin, end = first[:19].replace("T", " "), last[:19].replace("T", " ")
     return f"{begin} to {end[11:] if end[:10] == begin[:10] else end}"
-
-
-def _environment() -> Environment:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
-
-    def finalize(value: object) -> object:
-        return harmless(value) if type(value) is str else value
-
-    environment = Environment(
-        loader=PackageLoader("hilcell.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=finalize,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["trusted"] = Markup  # for hilcell's own SVG only
-    return environment

@@ -22,6 +22,7 @@ from tests.hilcell.commands.workplace import read_corrected
 
 DIGEST = load_cell("paper").digest
 INSIDE = [(0.0, 0.0, 1200.0), (0.0, 50.0, 1250.0), (50.0, -50.0, 1100.0)]
+FILES = ["S1100.csv", "S1100.dat", "S1100.src", "sheet.html", "summary.json"]
 OUTSIDE = (0.0, 600.0, 1200.0)  # reached from S1100 all the same
 
 
@@ -106,7 +107,7 @@ def test_from_holes_to_files_of_corrected_targets(
     assert prepare(tmp_path, path, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     out = tmp_path / "out"
-    assert sorted(each.name for each in out.iterdir()) == ["S1100.csv", "summary.json"]
+    assert sorted(each.name for each in out.iterdir()) == FILES
     assert json.loads((out / "summary.json").read_text()) == facts
     names, command, (stamp,) = read_corrected(out / "S1100.csv")
     assert facts["stations"][0]["holes"] == names

@@ -16,7 +16,7 @@ from tests.hilcell.calibration.calibrations import calibration
 def read_corrected(path: Path) -> tuple[list[str], Any, set[str]]:
     """Return names, values (N, 6) and the stamps of a corrected list."""
     _, *rows = csv.reader(path.read_text().splitlines())
-    values = np.array([[float(each) for each in row[1:-1]] for row in rows])
+    values = np.array([[float(each) for each in row[1:7]] for row in rows])
     return [row[0] for row in rows], values, {row[-1] for row in rows}
 
 

@@ -1,0 +1,107 @@
+"""The holes of one station, as ``prepare`` corrects them: list, bounds, program."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hilcell.calibration.file import compensate_targets
+from hilcell.calibration.influence import NoBound
+from hilcell.calibration.prepared import station_program
+from hilcell.cell.file import Cell
+from hilcell.commands.bounds import TURN, Found, bounds_of_targets, turns_of_targets
+from hilcell.commands.files import drill_mm_of
+from hilcell.commands.released import Released
+from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.station_program import writer_of
+from hilcell.compensation.targets import BOUND, HEADER, as_listed, csv_of, target_rows
+from hilcell.planning.plan import StationPlan
+from hilcell.ports import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """The holes of one station: its plan, commands (N, 6) in {W}, bounds, stamp, program files.
+
+    ``turns_deg`` (N,) are the bounds of orientation, where it is corrected.
+    """
+
+    plan: StationPlan
+    command: Array
+    bounds: Found
+    stamp: Stamp
+    program: Mapping[str, bytes]
+    turns_deg: Array | None
+
+    @property
+    def file(self) -> str:
+        """Return the name of its list."""
+        return f"{self.plan.station.name}.csv"
+
+    @cached_property
+    def bounds95_mm(self) -> list[float] | None:
+        """Return the 95 % bound of each hole, None where none can be stated."""
+        return None if isinstance(self.bounds, NoBound) else self.bounds.radii_mm.tolist()
+
+    @property
+    def content(self) -> bytes:
+        """Return its list: corrected targets in the order of visit, each with bound and stamp."""
+        header, rows = [*HEADER], list(target_rows(self.plan.holes, self.command))
+        if self.bounds95_mm is not None:
+            header.append(BOUND)
+            for row, bound_mm in zip(rows, self.bounds95_mm, strict=True):
+                row.append(f"{bound_mm:.4f}")
+        if self.turns_deg is not None:
+            header.append(TURN)
+            for row, bound_deg in zip(rows, self.turns_deg, strict=True):
+                row.append(f"{bound_deg:.5f}")
+        return csv_of(header, rows, self.stamp)
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """Return its part of the summary; bounds are None where none can be stated."""
+        bounds_mm, turns_deg = self.bounds95_mm, self.turns_deg
+        turned = {} if turns_deg is None else {"bound95_max_deg": float(turns_deg.max())}
+        return {
+            "name": self.plan.station.name,
+            "rail_mm": self.plan.station.rail_mm,
+            "strip_mm": self.plan.station.strip_mm,
+            "file": self.file,
+            "program": list(self.program),
+            "stamp": self.stamp.text,
+            "holes": self.plan.holes,
+            "bound95_mm": bounds_mm,
+            "travel_mm": self.plan.travel_mm,
+            "bound95_median_mm": None if bounds_mm is None else float(np.median(bounds_mm)),
+            "bound95_max_mm": None if bounds_mm is None else max(bounds_mm),
+            **turned,
+        }
+
+
+def prepared(args: argparse.Namespace, cell: Cell, found: Released, each: StationPlan) -> Prepared:
+    """Return a station's holes, corrected; raises `HilcellError` where one must not be."""
+    name, calibration = each.station.name, found.calibration
+    nominal = as_listed(each.poses)  # as `plan` states them, and `compensate` reads them
+    command = as_listed(compensate_targets(calibration, name, nominal, each.holes))
+    bounds = bounds_of_targets(calibration, name, nominal, args.temperature, drill_mm_of(cell))
+    stamp, writer = found.stamp(name), writer_of(cell.robot.driver)
+    program: Mapping[str, bytes] = {}
+    if writer is not None:
+        remarks = [_place(cell, each)] + ["SIMULATED: not for a machine"] * stamp.simulated
+        program = writer(
+            station_program(calibration, cell, name, each.holes, command, remarks), stamp
+        )
+    turns_deg = turns_of_targets(calibration, name, nominal)
+    return Prepared(each, command, bounds, stamp, program, turns_deg)
+
+
+def _place(cell: Cell, each: StationPlan) -> str:
+    """Return in words where the robot must stand for a program."""
+    count = f"{len(each.holes)} holes at station {each.station.name}"
+    if not cell.has_rail:
+        return count
+    return f"{count}: the strip must read {each.station.strip_mm:.2f} mm, the slide held"

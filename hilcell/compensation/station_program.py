@@ -1,0 +1,61 @@
+"""Corrected targets of one station, as a writer of a robot's language needs them.
+
+A writer is a function from a `StationProgram` and a stamp to files by name. The entry point group
+``hilcell.program_writers`` names it by the robot's driver: ``my-robot = "package.module:write"``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any
+
+from hilcell.cell.devices import load_entry
+from hilcell.compensation.stamp import Stamp
+from hilcell.geometry.inverse import Ints
+from hilcell.ports import Array
+
+GROUP = "program_writers"
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """N poses of {T} in {W}, ``values`` (N, 6): x, y, z in mm, Z-Y-X angles in deg; and how the
+    nominal arm stands there: ``joints_rad`` (N, 6), ``status`` (N,).
+    """
+
+    values: Array
+    joints_rad: Array
+    status: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class StationProgram:
+    """N targets in order of visit, by ``names``: ``command`` is where each is sent.
+
+    ``approach`` lies below it on every axis, as the calibration came to its poses. ``base`` (6,)
+    is {W} in {B}. The program begins and ends at ``safe_deg`` (6,). ``options`` are those of the
+    robot's driver, ``remarks`` comments for its head.
+    """
+
+    station: str
+    names: Sequence[str]
+    command: Places
+    approach: Places
+    base: Array
+    safe_deg: Sequence[float]
+    speed_percent: float
+    options: Mapping[str, Any]
+    remarks: Sequence[str]
+
+
+Writer = Callable[[StationProgram, Stamp], Mapping[str, bytes]]
+
+
+def writer_of(driver: str) -> Writer | None:
+    """Return the writer for a robot's driver, None where none is installed."""
+    if driver not in entry_points(group=f"hilcell.{GROUP}").names:
+        return None
+    writer: Writer = load_entry(GROUP, driver)
+    return writer

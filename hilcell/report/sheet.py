@@ -1,0 +1,69 @@
+"""The sheet for the shop floor: which station, which program, which holes, under which conditions.
+
+One HTML file that opens offline, needs no script and prints on A4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hilcell import __version__
+from hilcell.report.templates import environment
+
+
+@dataclass(frozen=True, slots=True)
+class SheetHole:
+    """A hole: nominal place (mm, {W}), how far its command is from it, its 95 % bound or None."""
+
+    name: str
+    place_mm: tuple[float, float, float]
+    correction_mm: float
+    bound95_mm: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class SheetStation:
+    """A station: where the slide is held, by the strip, and the holes there in order of visit.
+
+    ``program`` is what is chosen on the controller, or the list where there is none.
+    """
+
+    name: str
+    rail_mm: float
+    strip_mm: float
+    strip_tolerance_mm: float
+    program: str
+    files: Sequence[str]
+    holes: Sequence[SheetHole]
+
+    @property
+    def largest_mm(self) -> float | None:
+        """Return the largest bound, None where none can be stated."""
+        bounds = [hole.bound95_mm for hole in self.holes]
+        stated = [bound for bound in bounds if bound is not None]
+        return max(stated) if stated and len(stated) == len(bounds) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """All that the sheet says; ``facts``, ``checks`` and ``invalid`` are words for it, in order.
+
+    ``no_bounds`` says why no bounds are stated, "" where they are.
+    """
+
+    title: str
+    simulated: bool
+    has_rail: bool
+    facts: Sequence[tuple[str, str]]
+    checks: Sequence[str]
+    stations: Sequence[SheetStation]
+    no_bounds: str
+    warnings: Sequence[str]
+    invalid: Sequence[str]
+
+
+def sheet_html(sheet: Sheet) -> str:
+    """Return the page."""
+    page = environment().get_template("sheet.html.j2")
+    return page.render(sheet=sheet, version=__version__)

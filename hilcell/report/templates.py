@@ -1,0 +1,30 @@
+"""The templates of pages, filled in so that no text of a journal or a file acts in a browser."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hilcell.clean import harmless
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+def environment() -> Environment:
+    """Return jinja2's environment: every value is escaped, none may be missing."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def finalize(value: object) -> object:
+        return harmless(value) if type(value) is str else value
+
+    made = Environment(
+        loader=PackageLoader("hilcell.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=finalize,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters["trusted"] = Markup  # for hilcell's own SVG only
+    return made

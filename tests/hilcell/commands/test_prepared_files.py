@@ -1,0 +1,218 @@
+"""What `prepare` writes for one station agrees: list, bounds, program, sheet, `compensate`."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from drivers.program_krl.reader import read_program
+from hilcell.cell.file import load_cell
+from hilcell.commands.cli import main
+from hilcell.compensation.targets import write_targets
+from hilcell.geometry.frames import inverse, pose_from_zyx, poses_from_zyx
+from hilcell.geometry.inverse import inverse_kinematics
+from hilcell.planning.holes import NORMALS
+from tests.hilcell.calibration.calibrations import T_W_B, calibration
+from tests.hilcell.commands.test_prepare import FILES, INSIDE, holes, made, planned, prepare
+from tests.hilcell.report.browser import browse
+
+CELL = load_cell("paper")
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """Return the folder that three holes were prepared into."""
+    made(tmp_path)
+    assert prepare(tmp_path, holes(tmp_path, *INSIDE, lean=0.02)) == 0
+    return tmp_path / "out"
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def test_plan_and_compensate_agree_with_prepare_digit_for_digit(
+    out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    file = str(tmp_path / "calibration.json")
+    (station,) = planned(capsys, tmp_path / "holes.csv", "--calibration", file)
+    nominal, again, bounds = (tmp_path / name for name in ("n.csv", "again.csv", "bounds.csv"))
+    write_targets(nominal, station["holes"], np.array(station["targets"]))
+    words = ["--station", "S1100", "-o", str(again), "--bounds", str(bounds), "--cell", "paper"]
+    assert main(["compensate", file, str(nominal), *words]) == 0
+    listed = rows(out / "S1100.csv")
+    common = [name for name in listed[0] if name not in ("bound95_mm", "corrected_by")]
+    assert [[row[name] for name in common] for row in listed] == [
+        [row[name] for name in common] for row in rows(again)
+    ]
+    assert [row["bound95_mm"] for row in listed] == [row["bound95_mm"] for row in rows(bounds)]
+    facts = json.loads((out / "summary.json").read_text())["stations"][0]
+    assert [f"{each:.4f}" for each in facts["bound95_mm"]] == [row["bound95_mm"] for row in listed]
+
+
+def test_the_program_has_the_points_of_the_list_in_the_order_of_visit(out: Path) -> None:
+    src, dat = ((out / name).read_text("latin-1") for name in ("S1100.src", "S1100.dat"))
+    read = read_program("S1100.src", src, ("S1100.dat", dat))
+    assert [target.name for target in read.targets] == ["XA1", "XP1", "XA2", "XP2", "XA3", "XP3"]
+    listed = rows(out / "S1100.csv")
+    for target, row in zip(read.targets[1::2], listed, strict=True):
+        numbers = [number.text for number in target.numbers.values()]
+        assert numbers == list(row.values())[1:7]
+    assert [line for line in src.splitlines() if line.startswith("; 1 of 3")] == [
+        f"; 1 of 3: {listed[0]['name']}"
+    ]
+    assert src.index("PTP XHOME") < src.index("HALT") < src.index("PTP XA1") < src.index("PTP XP1")
+    assert "the strip must read 1100.00 mm" in src
+
+
+def test_every_axis_rises_to_its_point_as_in_the_calibration(out: Path) -> None:
+    dat = (out / "S1100.dat").read_text("latin-1")
+    src = (out / "S1100.src").read_text("latin-1")
+    read = read_program("S1100.src", src, ("S1100.dat", dat))
+    assert read.base is not None
+    T_B_W = pose_from_zyx(*read.base.values)
+    np.testing.assert_allclose(T_B_W, inverse(T_W_B), atol=1e-4)
+    poses = T_B_W @ poses_from_zyx(read.values())
+    joints_deg = np.degrees(inverse_kinematics(CELL.robot.arm(), poses, CELL.robot.status))
+    rise_deg = (joints_deg[1::2] - joints_deg[::2] + 180.0) % 360.0 - 180.0
+    np.testing.assert_allclose(rise_deg, CELL.robot.approach_deg, atol=2e-4)
+    assert all(target.posture == CELL.robot.status for target in read.targets)
+
+
+@pytest.mark.parametrize("name", ["S1100.src", "S1100.csv"])
+def test_nothing_of_it_is_corrected_again(
+    out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    file = str(tmp_path / "calibration.json")
+    words = ["--station", "S1100", "-o", str(tmp_path / "again")]
+    assert main(["compensate", file, str(out / name), *words]) == 2
+    assert "was corrected before (hilcell: corrected by 20261101-120000" in capsys.readouterr().err
+
+
+def test_the_sheet_has_stations_holes_bounds_and_conditions(out: Path) -> None:
+    page = (out / "sheet.html").read_text("utf-8")
+    listed = rows(out / "S1100.csv")
+    places = [page.index(f'<td class="words">{row["name"]}</td>') for row in listed]
+    assert places == sorted(places)
+    for row in listed:
+        assert f"<td>{float(row['bound95_mm']):.3f}</td>" in page
+    for words in (
+        "1. Station S1100", "1100.00 ± 0.01", "20.0 to 25.0 °C", "180 days after it was written",
+        "released by, date", "a collision", "hilcell run recheck", "S1100.src, S1100.dat",
+    ):  # fmt: skip
+        assert words in page
+    assert "SIMULATED" not in page
+    assert "<script" not in page
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_a_simulated_calibration_marks_sheet_and_programs(tmp_path: Path) -> None:
+    made(tmp_path, provenance=calibration(digest=CELL.digest, simulated=True).provenance)
+    assert prepare(tmp_path, holes(tmp_path, *INSIDE)) == 0
+    assert (tmp_path / "out" / "sheet.html").read_text("utf-8").count("SIMULATED") >= 3
+    assert "; SIMULATED: not for a machine" in (tmp_path / "out" / "S1100.src").read_text()
+    assert "SIMULATION" in (tmp_path / "out" / "S1100.dat").read_text()
+
+
+def test_names_of_holes_act_nowhere(tmp_path: Path) -> None:
+    made(tmp_path)
+    path = holes(tmp_path, *INSIDE)
+    nasty = '"<b>H1</b>;=1+1 {W} é€"'
+    path.write_text(path.read_text().replace("H1,", f"{nasty},"), "utf-8")
+    assert prepare(tmp_path, path) == 0
+    page = (tmp_path / "out" / "sheet.html").read_text("utf-8")
+    assert "&lt;b&gt;H1&lt;/b&gt;" in page
+    assert "<b>H1" not in page
+    src, dat = ((tmp_path / "out" / f"S1100.{e}").read_text("latin-1") for e in ("src", "dat"))
+    assert len(read_program("S1100.src", src, ("S1100.dat", dat)).targets) == 6
+
+
+def test_each_station_has_a_program_of_its_own(tmp_path: Path) -> None:
+    one = calibration(digest=CELL.digest)
+    beside = pose_from_zyx(0.0, 800.0, 0.0, 0.0, 0.0, 0.0)
+    other = msgspec.structs.replace(
+        one.stations["S1100"], T_W_B=(beside @ T_W_B).tolist(), strip_mm=1900.0
+    )
+    stated = one.uncertainty
+    assert stated is not None
+    made(
+        tmp_path,
+        stations={"S1100": one.stations["S1100"], "S1900": other},
+        uncertainty=msgspec.structs.replace(stated, stations={"S1100": [], "S1900": []}),
+    )
+    far = [(x, y + 1100.0, z) for x, y, z in INSIDE]
+    assert prepare(tmp_path, holes(tmp_path, *far, *INSIDE)) == 0
+    src = {name: (tmp_path / "out" / f"{name}.src").read_text() for name in ("S1100", "S1900")}
+    assert "; 1 of 3: H" in src["S1100"]
+    assert "the strip must read 1900.00 mm" in src["S1900"]
+    page = (tmp_path / "out" / "sheet.html").read_text("utf-8")
+    assert page.index("1. Station S1100") < page.index("2. Station S1900")
+    assert {row["name"] for row in rows(tmp_path / "out" / "S1900.csv")} == {"H1", "H2", "H3"}
+
+
+def test_without_bounds_the_list_has_no_column_and_the_sheet_says_why(tmp_path: Path) -> None:
+    made(tmp_path, uncertainty=None)
+    assert prepare(tmp_path, holes(tmp_path, *INSIDE)) == 0
+    assert "bound95_mm" not in (tmp_path / "out" / "S1100.csv").read_text()
+    assert "No bounds are stated: the calibration of run 2026" in (
+        (tmp_path / "out" / "sheet.html").read_text("utf-8")
+    )
+
+
+def test_a_robot_without_a_writer_gets_lists_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made(tmp_path)
+    monkeypatch.setattr("hilcell.commands.prepared.writer_of", lambda driver: None)
+    assert prepare(tmp_path, holes(tmp_path, *INSIDE)) == 0
+    assert "no programs: no writer is installed for robots of kuka-c3" in capsys.readouterr().err
+    written = sorted(each.name for each in (tmp_path / "out").iterdir())
+    assert written == [name for name in FILES if not name.endswith((".src", ".dat"))]
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("", "header must be"),
+        (f"{','.join(NORMALS)}\n", "no holes"),
+        (f"{';'.join(NORMALS)}\nH1;1,234;2;3;0;0;1\n", "'1,234' may be 1.234, or 1234"),
+        (f"{','.join(NORMALS)}\nH1,0,0,1200,0,0,0\n", "has no length"),
+        ("name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,0,0,9000,0,75,0\n", "cannot be drilled"),
+    ],
+)
+def test_bad_lists_write_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, part: str
+) -> None:
+    made(tmp_path)
+    path = tmp_path / "holes.csv"
+    path.write_text(text, "utf-8")
+    assert prepare(tmp_path, path) == 2
+    assert part in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_german_holes_are_prepared_like_others(out: Path, tmp_path: Path) -> None:
+    path = tmp_path / "holes.csv"
+    path.write_bytes(path.read_text().replace(",", ";").replace(".", ",").encode("cp1252"))
+    file = str(tmp_path / "calibration.json")
+    words = ["--calibration", file, "-o", str(tmp_path / "german")]
+    assert main(["prepare", str(path), *words]) == 0
+
+    def points(folder: Path) -> list[Any]:
+        return [list(row.values())[:8] for row in rows(folder / "S1100.csv")]
+
+    assert points(tmp_path / "german") == points(out)
+
+
+@pytest.mark.nightly
+def test_the_sheet_prints_on_a4(out: Path, tmp_path: Path) -> None:
+    paper = tmp_path / "sheet.pdf"
+    browse(out / "sheet.html", f"--print-to-pdf={paper}")
+    content = paper.read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert b"/MediaBox [0 0 594.95996 841.91998]" in content or b"/MediaBox [0 0 595" in content
