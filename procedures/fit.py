@@ -49,7 +49,7 @@ class Fit:
     def result(self, log: Log) -> dict[str, Any]:
         """Return the method, its cross-validation and the reasons."""
         measured = measured_of(log)
-        choice = chosen(measured, turned=log.cell.plan.tilt_deg > 0.0)
+        choice = chosen(measured, turned=log.cell.plan.turns)
         fit = {
             "loocv": choice.figures,
             "reason": choice.reason,

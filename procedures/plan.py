@@ -7,7 +7,7 @@ import numpy as np
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse, matrix, zyx_from_pose
 from hilcell.geometry.inverse import Bools, ReachError
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.ports import Array, HilcellError
 from hilcell.run.clear_ways import check_poses, clear_poses
 
@@ -20,6 +20,11 @@ def other_stations(cell: Cell) -> list[Station]:
 def poses_at(cell: Cell, points_mm: Array) -> Array:
     """Return poses (N, 4, 4) in {B} at ``points_mm`` (N, 3) with the grid's orientation."""
     return matrix(cell.grid.centre.matrix()[:3, :3], points_mm)
+
+
+def more_orientations(cell: Cell) -> Array:
+    """Return the orientations (N, 3, 3) in {B} of the tool on the grid besides the grid's own."""
+    return from_zyx(np.array(cell.plan.grid_orientations, dtype=float).reshape(-1, 3))
 
 
 def angles_deg(T_W_B: Array, poses: Array) -> Array:

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-from hilcell.calibration.frames import grid_of, outlying_vertices, vertex_ids
+import numpy as np
+
+from hilcell.calibration.frames import ORIENTED, grid_of, outlying_vertices, vertex_ids
 from hilcell.cell.file import Cell, Station
-from hilcell.geometry.frames import apply
+from hilcell.geometry.frames import apply, matrix
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import closing, flange_count, flange_points, step
-from procedures.plan import angles_deg, check_range, check_targets, joints_for, poses_at
+from procedures.plan import (
+    angles_deg,
+    check_range,
+    check_targets,
+    more_orientations,
+    poses_at,
+)
 
 # Identity, joints (6,) in rad, nominal position (3,) and angles (3,) in {W}.
 Vertex = tuple[PointId, Array, Array, Array]
@@ -39,8 +47,12 @@ class RobotGrid:
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
             check_range(cell, world_mm, f"grid at {station.name}")
-        points = flange_count(cell, len(vertices_mm))
-        measured = flange_points(cell, joints_rad, seats=True)
+        sent_rad = [joints_rad]
+        for R in more_orientations(cell):
+            what = "grid vertex in another orientation"
+            sent_rad.append(check_targets(cell, there, matrix(R, vertices_mm), what))
+        points = flange_count(cell, len(vertices_mm) * len(sent_rad))
+        measured = flange_points(cell, np.concatenate(sent_rad), seats=True)
         return step(self.name, points, [measured, *closing(cell, carried=True, points=points)])
 
     def perform(self, session: CellSession) -> None:
@@ -50,14 +62,16 @@ class RobotGrid:
         grid = grid_of(cell)
         vertices_mm = grid.serpentine_mm()
         T_W_B = session.frames.base_in_world(station)
-        world_mm = apply(T_W_B, vertices_mm)
-        world_deg = angles_deg(T_W_B, poses_at(cell, vertices_mm))
-        joints_rad = joints_for(cell, vertices_mm)
-        vertices = list(zip(vertex_ids(grid), joints_rad, world_mm, world_deg, strict=True))
+        ids = vertex_ids(grid)
+        vertices = _sent(cell, T_W_B, ids, poses_at(cell, vertices_mm))
         for each in vertices:
             self._measure(session, station, each)
         for each in self._doubtful(session, vertices):
             self._measure(session, station, each, retake=True)
+        for number, R in enumerate(more_orientations(cell), start=1):
+            turned = [PointId(ORIENTED, vertex=id.vertex, place=number) for id in ids]
+            for each in _sent(cell, T_W_B, turned, matrix(R, vertices_mm)):
+                self._measure(session, station, each)
         session.close_step(carried=True)
         session.reach("measure_grid")
 
@@ -81,3 +95,10 @@ class RobotGrid:
     def result(self, log: Log) -> dict[str, Any]:
         """Return nothing of its own: the errors are judged by fit and validation."""
         return {}
+
+
+def _sent(cell: Cell, T_W_B: Array, ids: list[PointId], poses: Array) -> list[Vertex]:
+    """Return what to measure at poses (N, 4, 4) in {B}."""
+    joints_rad = cell.robot.nominal().joints_for(poses)
+    world_mm, world_deg = apply(T_W_B, poses[:, :3, 3]), angles_deg(T_W_B, poses)
+    return list(zip(ids, joints_rad, world_mm, world_deg, strict=True))

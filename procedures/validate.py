@@ -30,7 +30,14 @@ from hilcell.run.procedure import Step
 from procedures import enough_targets
 from procedures.durations import closing, flange_points, leg, step
 from procedures.fit import orients
-from procedures.plan import angles_deg, check_targets, drivable, poses_at, turned
+from procedures.plan import (
+    angles_deg,
+    check_targets,
+    drivable,
+    more_orientations,
+    poses_at,
+    turned,
+)
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch import touch_once, touch_result, touch_spans
@@ -267,11 +274,27 @@ def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
     A target of which no drawn turn can be driven to keeps the grid's orientation.
     """
     found = {name: poses_at(cell, at_mm) for name, at_mm in targets(cell, seed).items()}
+    if cell.plan.grid_orientations:
+        for name, poses in found.items():
+            found[name] = _oriented(cell, cell.station_named(name), poses)
     if cell.plan.tilt_deg:
         rng = np.random.default_rng([seed, 2015])
         for name, poses in found.items():
             found[name] = _tilted(cell, cell.station_named(name), poses, rng)
     return found
+
+
+def _oriented(cell: Cell, station: Station, poses: Array) -> Array:
+    """Return poses (N, 4, 4) in the orientations of the grid, in turn, as far as they can be
+    driven to.
+    """
+    poses, others = poses.copy(), more_orientations(cell)
+    for number, R in enumerate(others, start=1):
+        rows = np.arange(number, len(poses), len(others) + 1)
+        tried = matrix(R, poses[rows, :3, 3])
+        driven = drivable(cell, station, tried)
+        poses[rows[driven]] = tried[driven]
+    return poses
 
 
 def _tilted(cell: Cell, station: Station, poses: Array, rng: np.random.Generator) -> Array:

@@ -64,6 +64,8 @@ def _validity(validity: Validity) -> Iterator[str]:
     for name, corner in (("low_mm", validity.low_mm), ("high_mm", validity.high_mm)):
         yield from _within(f"validity.{name}", corner, MOST_MM, "mm")
     yield from _rotation("validity.orientation", _array(validity.orientation))
+    for number, R in enumerate(validity.orientations):
+        yield from _rotation(f"validity.orientations.{number}", _array(R))
     tolerance_deg = validity.orientation_tolerance_deg
     if not 0 < tolerance_deg <= MOST_TURN_DEG:
         yield (

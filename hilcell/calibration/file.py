@@ -27,12 +27,12 @@ from hilcell.calibration.form import (
     written_now,
 )
 from hilcell.calibration.frames import Frames, measured_of
-from hilcell.calibration.volume import turned_deg
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
+from hilcell.geometry.rotations import from_zyx
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
@@ -67,6 +67,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
             cell.grid.centre.matrix()[:3, :3].tolist(),
             orientation_tolerance_deg(cell, method),
             (min(celsius), max(celsius)) if celsius else None,
+            _more_orientations(cell, method),
         ),
         "stations": {
             station.name: _entry(log, frames.base_in_world(station), station.name)
@@ -111,6 +112,13 @@ def orientation_tolerance_deg(cell: Cell, method: str) -> float:
     """Return by how much targets may turn away from the grid's orientation."""
     tilt_deg = cell.plan.tilt_deg if MODELS[method].turns else 0.0
     return max(ORIENTATION_TOLERANCE_DEG, tilt_deg)
+
+
+def _more_orientations(cell: Cell, method: str) -> list[list[list[float]]]:
+    """Return the orientations that hold besides the grid's: those of a model that knows them."""
+    if not MODELS[method].turns:
+        return []
+    return [from_zyx(angles).tolist() for angles in cell.plan.grid_orientations]
 
 
 def calibration_so_far(log: Log, run: str) -> Calibration | None:
@@ -227,7 +235,7 @@ def _beside(targets: Array, commands: Array) -> Array:
 
 
 def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> None:
-    found_deg = turned_deg(np.array(calibration.validity.orientation), poses)
+    found_deg = calibration.validity.turned_deg(poses)
     limit_deg = calibration.validity.orientation_tolerance_deg
     far = np.flatnonzero(~(found_deg <= limit_deg))
     if len(far):
@@ -235,5 +243,5 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
         raise HilcellError(
             f"{len(far)} of {len(names)} targets turned away from the calibrated orientation, "
             f"wanted <= {limit_deg} deg: {named}; calibrate with their orientation, or for more "
-            "than one with plan.tilt_deg"
+            "than one with plan.tilt_deg or plan.grid_orientations"
         )

@@ -21,6 +21,7 @@ from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import ErrorModel
 from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
 from hilcell.geometry.frames import matrix, poses_from_zyx
+from hilcell.geometry.rotations import turned_deg
 from hilcell.ports import Array
 
 
@@ -37,7 +38,8 @@ class StationEntry(msgspec.Struct, frozen=True):
 class Validity(msgspec.Struct, frozen=True):
     """Where the calibration holds: the cube in {B}, one orientation, the measured temperatures.
 
-    ``temperature_c`` is None where the tracker had no weather station.
+    ``temperature_c`` is None where the tracker had no weather station, ``orientations`` are those
+    that were measured besides.
     """
 
     low_mm: tuple[float, float, float]
@@ -45,6 +47,14 @@ class Validity(msgspec.Struct, frozen=True):
     orientation: list[list[float]]
     orientation_tolerance_deg: float
     temperature_c: tuple[float, float] | None
+    orientations: list[list[list[float]]] = []
+
+    def turned_deg(self, poses: Array) -> Array:
+        """Return by how much poses (N, 4, 4) in {B} are turned from the nearest of all (N,)."""
+        known = (self.orientation, *self.orientations)
+        angles_deg = [turned_deg(np.array(R), poses) for R in known]
+        nearest: Array = np.min(angles_deg, axis=0)
+        return nearest
 
 
 class Device(msgspec.Struct, frozen=True):

@@ -22,6 +22,8 @@ from hilcell.journal.point_id import PointId
 from hilcell.journal.set_ups import world_key
 from hilcell.ports import Array
 
+ORIENTED = "oriented"  # kind of a grid's vertex in another orientation than the grid's
+
 
 class Frames:
     """Frames of a cell: measured where the log has them, nominal before."""
@@ -141,7 +143,11 @@ def measured_grid(log: Log) -> MeasuredGrid:
 
 def static_poses(log: Log) -> StaticPoses:
     """Return the poses at which the robot's error was measured, as commanded: grid, and free."""
-    return _static(log, [*log.select("grid"), *log.select("pose")])
+    return _static(log, _static_points(log))
+
+
+def _static_points(log: Log) -> list[Point]:
+    return [*log.select("grid"), *log.select(ORIENTED), *log.select("pose")]
 
 
 def _static(log: Log, points: list[Point]) -> StaticPoses:
@@ -169,7 +175,7 @@ def other_reflectors(log: Log) -> OtherReflectors | None:
     if not len(places_mm):
         return None
     T_B_L = inverse(log.matrix("base")) @ log.matrix("world")
-    points = [*log.select("grid"), *log.select("pose")]
+    points = _static_points(log)
     shape = (len(points), len(places_mm), 3)
     at_mm, covariance_mm2 = np.full(shape, np.nan), np.full((*shape, 3), np.nan)
     for row, point in enumerate(points):

@@ -57,7 +57,8 @@ class Volume:
             return f"outside the calibrated volume by {outside_mm:.1f} mm at {at}"
         return (
             f"turned by {turned_deg:.2f} deg from the calibrated orientation at {at}, wanted <= "
-            f"{self._validity.orientation_tolerance_deg:g} deg; calibrate with plan.tilt_deg"
+            f"{self._validity.orientation_tolerance_deg:g} deg; calibrate with plan.tilt_deg or "
+            "plan.grid_orientations"
         )
 
     def _beyond(self, station: str, poses: Array) -> tuple[Array, Array]:
@@ -66,11 +67,4 @@ class Volume:
         places_mm = in_base[:, :3, 3]
         outside_mm = lengths_mm(places_mm - self._grid.clamped(places_mm))
         outside_mm[outside_mm <= ROUNDING_MM] = 0.0
-        return outside_mm, turned_deg(np.array(self._validity.orientation), in_base)
-
-
-def turned_deg(orientation: Array, poses: Array) -> Array:
-    """Return by how much poses (N, 4, 4) are turned from an orientation (3, 3), deg (N,)."""
-    cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], orientation) - 1.0) / 2.0
-    turned: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return turned
+        return outside_mm, self._validity.turned_deg(in_base)

@@ -6,16 +6,20 @@ import math
 from collections.abc import Sequence
 from typing import Annotated
 
-from msgspec import Meta
+from msgspec import Meta, field
 
-from hilcell.cell.tables import Frozen, Size
+from hilcell.cell.tables import Angle, Frozen, Size
 
 QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES = 5, 2
 Share = Annotated[float, Meta(ge=0.001, le=0.5)]
 
 
 class PlanTable(Frozen, frozen=True, kw_only=True):
-    """How `calibrate` spends the robot's time: in full, or as little as its verdict needs."""
+    """How `calibrate` spends the robot's time: in full, or as little as its verdict needs.
+
+    ``grid_orientations`` are others than the grid's, A, B, C in {B}: the vertices are measured in
+    each of them as well.
+    """
 
     quick: bool = False
     accept_risk: Share = 0.05
@@ -28,11 +32,17 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     tilt_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
     prove_every: Annotated[int, Meta(ge=10, le=1000)] = 100
     unattended_wait_s: Annotated[float, Meta(ge=0, le=86_400)] = 900.0
+    grid_orientations: list[tuple[Angle, Angle, Angle]] = field(default_factory=list)
     tilt_poses: Annotated[int, Meta(ge=4, le=100)] = 24
 
     def samples(self, full: int, quick: int) -> int:
         """Return how many readings are averaged: as many as in full, in a quick plan fewer."""
         return min(full, quick) if self.quick else full
+
+    @property
+    def turns(self) -> bool:
+        """Whether targets have other orientations than the grid's."""
+        return self.tilt_deg > 0.0 or bool(self.grid_orientations)
 
     @property
     def pose_counts(self) -> tuple[int, int]:

@@ -66,3 +66,10 @@ def to_rotvec(rotations: Array) -> Array:
     scale = np.divide(angle, sine, out=np.full_like(angle, 2.0), where=sine > 0.0)
     vector: Array = q[..., :3] * scale
     return vector
+
+
+def turned_deg(orientation: Array, poses: Array) -> Array:
+    """Return by how much poses (N, 4, 4) are turned from an orientation (3, 3), deg (N,)."""
+    cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], orientation) - 1.0) / 2.0
+    turned: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return turned

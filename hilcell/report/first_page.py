@@ -180,6 +180,8 @@ def validity_facts(facts: Facts) -> list[Fact]:
     turned = np.eye(4)
     turned[:3, :3] = validity.orientation
     a, b, c = zyx_from_pose(turned)[3:]
+    more = len(validity.orientations)
+    also = f" (as from {more} more)" if more else ""
     ranges = zip("xyz", validity.low_mm, validity.high_mm, strict=True)
     cube = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges)
     return [
@@ -187,7 +189,7 @@ def validity_facts(facts: Facts) -> list[Fact]:
         Fact(
             "Orientation",
             f"A {a:.1f}°, B {b:.1f}°, C {c:.1f}° of the flange in {{B}}, turned by at most "
-            f"{validity.orientation_tolerance_deg:g}°; every axis approached from below",
+            f"{validity.orientation_tolerance_deg:g}°{also}; every axis approached from below",
         ),
         Fact("Temperature", _temperature(validity.temperature_c)),
         Fact(

@@ -7,6 +7,7 @@ from operator import itemgetter
 from typing import Any
 
 from hilcell.calibration.errors import places, validation
+from hilcell.calibration.frames import ORIENTED
 from hilcell.geometry.statistics import Figures
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
@@ -25,9 +26,11 @@ def method_words(facts: Facts) -> str:
     log, here = facts.log, facts.cell.grid.station
     poses, touched = len(log.select("pose")), log.select("touch")
     measured = (
-        "Position errors of the flange reflector measured by laser tracker at "
+        f"{_measured(facts)} measured by laser tracker at "
         f"{len(log.select('grid'))} vertices of a grid at {here}"
     )
+    if turned := len(log.select(ORIENTED)):
+        measured += f", at {turned} in other orientations"
     if poses:
         measured += f" and at {poses} poses chosen by the errors found there"
     found = [measured]
@@ -40,6 +43,14 @@ def method_words(facts: Facts) -> str:
         stations = ", ".join(sorted({point.station for point in touched}))
         found.append(f"the base found again by touch poses on the visit of {stations}")
     return "; ".join([*found, "validated on targets sent and measured."])
+
+
+def _measured(facts: Facts) -> str:
+    """Return which errors of the tool were measured, and by how many reflectors."""
+    count = len(facts.cell.robot.seats_mm)
+    if count == 1:
+        return "Position errors of the flange reflector"
+    return f"Position and orientation errors of the tool, by {count} reflectors on the flange,"
 
 
 def _fit(facts: Facts) -> Mapping[str, Any]:

@@ -325,6 +325,7 @@ def _rests_on(log: Log, point: Point) -> str:
         "slide": f"station.{point.station}",
         "three": f"three_points.{point.station}",
         "grid": "fit",
+        "oriented": "fit",
         "pose": "fit",
         "repeatability": "fit",
     }.get(point.id.kind, "")

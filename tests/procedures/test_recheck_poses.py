@@ -4,9 +4,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.volume import turned_deg
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
+from hilcell.geometry.rotations import turned_deg
 from procedures.recheck import commands_rad
 from tests.hilcell.calibration.calibrations import calibration
 

@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG, orientation_tolerance_deg
+from hilcell.calibration.form import Validity
 from hilcell.cell.file import Cell, load_cell
+from hilcell.geometry.frames import matrix
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.rotations import to_rotvec
-from hilcell.ports import Array
+from hilcell.geometry.rotations import from_zyx, to_rotvec, turned_deg
+from hilcell.ports import Array, HilcellError
 from procedures.chosen_poses import ChosenPoses, judged_rad
 from procedures.plan import poses_at
+from procedures.robot_grid import RobotGrid
 from procedures.validate import target_poses, targets
 
 LEVEL = load_cell("paper")
+SEVERAL = load_cell("paper", {"plan.grid_orientations": "[[0.0, 100.0, 0.0], [20.0, 75.0, 0.0]]"})
 TILTED = load_cell("paper", {"plan.tilt_deg": "30.0"})
 
 
@@ -64,3 +68,29 @@ def test_the_file_states_the_orientations_that_were_calibrated(
     cell: Cell, method: str, wanted_deg: float
 ) -> None:
     assert orientation_tolerance_deg(cell, method) == wanted_deg
+
+
+def test_the_grid_is_measured_in_each_orientation() -> None:
+    one, three = RobotGrid().plan(LEVEL, 1), RobotGrid().plan(SEVERAL, 1)
+    assert three.points == 3 * one.points
+    far = load_cell("paper", {"plan.grid_orientations": "[[180.0, 75.0, 0.0]]"})
+    with pytest.raises(HilcellError, match="grid vertex in another orientation"):
+        RobotGrid().plan(far, 1)
+
+
+def test_targets_have_the_orientations_of_the_grid_in_turn() -> None:
+    wanted = from_zyx([[0.0, 75.0, 0.0], [0.0, 100.0, 0.0], [20.0, 75.0, 0.0]])
+    for name, poses in target_poses(SEVERAL, 5).items():
+        np.testing.assert_array_equal(poses[:, :3, 3], targets(LEVEL, 5)[name])
+        turned = [turned_deg(R, poses) < 1e-6 for R in wanted]
+        assert np.sum(turned, axis=0).tolist() == [1] * len(poses)
+        assert min(each.sum() for each in turned) > len(poses) // 4
+
+
+def test_a_calibration_holds_for_each_orientation_that_was_measured() -> None:
+    R = SEVERAL.grid.centre.matrix()[:3, :3].tolist()
+    more = [from_zyx(angles).tolist() for angles in SEVERAL.plan.grid_orientations]
+    validity = Validity((0.0,) * 3, (1.0,) * 3, R, 2.0, None, more)
+    angles = [[0.0, 101.5, 0.0], [20.0, 75.0, 1.0], [0.0, 85.0, 0.0]]
+    poses = matrix(from_zyx(angles), np.zeros((3, 3)))
+    np.testing.assert_allclose(validity.turned_deg(poses), [1.5, 1.0, 10.0], atol=1e-9)

@@ -41,8 +41,11 @@ SMALL = {
     "validation.max_tolerance_mm": "1.0",
 }
 
-# Three reflectors on the flange: the tool's orientation is measured.
-SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
+# Three reflectors on the flange: the tool's orientation is measured, and in two orientations.
+SEATS = {
+    "robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]",
+    "plan.grid_orientations": "[[20.0, 65.0, 0.0]]",
+}
 
 
 def sets(values: dict[str, str]) -> list[str]:

@@ -30,6 +30,7 @@ def test_the_orientation_is_corrected_as_measured(golden: GoldenRuns) -> None:
     assert "orientation" not in figures["idw"]  # positions only
     points = run.result["points"]
     assert points["grid_seats"] == 2 * points["grid"]
+    assert points["oriented_1_seats"] == 2 * points["oriented_1"] == 2 * points["grid"]
     assert "validate_idw_seats" not in points
     verdicts = {e["key"]: e for e in run.events if e["kind"] == "verdict"}
     assert verdicts["orientation"]["holds"]
@@ -58,6 +59,7 @@ def test_targets_are_turned_and_their_bounds_stated(golden: GoldenRuns, tmp_path
     folder = golden["seats"].copied_to(tmp_path / "runs")
     made = read_calibration(folder / "calibration.json")
     assert made.orients
+    assert len(made.validity.orientations) == 1
     log = read_log(folder)
     point = log.select("validate", how="chosen")[0]
     nominal = [*(point.nominal_mm or ()), *(point.nominal_deg or ())]

@@ -120,6 +120,7 @@ def put(path: str, value: Any) -> Callable[[Any], None]:
         ("validity.high_mm", (2300.0, 450.0, 1399.0), "do not fill the validity's 900 x 900 x 899"),
         ("validity.low_mm", (-1e9, 0.0, 0.0), "validity.low_mm: 1e+09 mm"),
         ("validity.orientation", [[1.0]], "validity.orientation: wanted 3 x 3"),
+        ("validity.orientations", [[[1.0]]], "validity.orientations.0: wanted 3 x 3"),
         ("validity.orientation.0.0", 5.0, "validity.orientation: is not rigid"),
         ("validity.orientation_tolerance_deg", 181.0, "tolerance_deg: 181, wanted above 0"),
         ("validity.orientation_tolerance_deg", 0.0, "tolerance_deg: 0, wanted above 0"),
