@@ -175,7 +175,7 @@ class Forecast:
         passed_s = self._under_way_s(now)
         found = []
         for number, step in enumerate(self._steps, start=1):
-            if step.done:
+            if step.done or number < self._number:
                 continue
             gone_s = step.since_s + (passed_s if step is self._step else 0.0)
             for span, count in step.left():

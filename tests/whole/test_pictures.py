@@ -34,6 +34,7 @@ PICTURES = (
     "screen-prompt",
     "screen-done",
     "screen-plots",
+    "screen-plots-light",
     "screen-wide",
 )
 BY_HAND = {"layout.reflectors": "by_hand"}
@@ -167,9 +168,14 @@ async def a_finished_run(tmp_path: Path) -> None:
         await pilot.press("w")
         await until(pilot, "as measured")
         keep(app_of(pilot), "screen-done")
-        await pilot.press("p")
-        await until(pilot, "■ corrected")
+    async with screen(tmp_path, "last", (120, 36)) as pilot:
+        await until(pilot, "● DONE")
+        await pilot.press("p", "2")
+        await until(pilot, "in rising order(.*\n)*.*■ corrected")
         keep(app_of(pilot), "screen-plots")
+        app_of(pilot).theme = "daylight"
+        await pilot.pause(1.0)  # twice a second at most it draws
+        keep(app_of(pilot), "screen-plots-light")
     async with screen(tmp_path, "last", (160, 42)) as pilot:
         await until(pilot, "map: ")
         await pilot.pause(0.5)

@@ -37,7 +37,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A word above a place of the area: its share of the width, and a value."""
+    """A word above a value at a share of the width."""
 
     text: str
     x: float
@@ -110,8 +110,9 @@ def draw(
     _x_axis(area, plot)
     lines = [_series(area, each) for each in plot.series]
     words = np.zeros((rows, area.width), bool)
+    taken = np.any([words, *lines], axis=0)
     for mark in plot.marks:
-        _mark(area, mark, words)
+        _mark(area, mark, taken, words)
     if named:
         _names(area, plot, lines, words)
     return canvas.lines()
@@ -192,13 +193,15 @@ def _spans(columns: Ints, halves: Ints, width: int, *, joined: bool) -> list[tup
     return found
 
 
-def _mark(area: _Area, mark: Mark, words: Bools) -> None:
-    """Write a word above its value; add its cells to ``words``."""
-    row = max(int(_halves(area, np.array([mark.y]))[0]) // 2 - 1, 0)
+def _mark(area: _Area, mark: Mark, taken: Bools, words: Bools) -> None:
+    """Write a word above its value, and above all that is ``taken`` there; add it to ``words``."""
     start = area.column(mark.x) - len(mark.text) // 2
     start = max(min(start, area.width - len(mark.text)), 0)
+    span = slice(start, start + len(mark.text))
+    filled = np.flatnonzero(taken[:, span].any(axis=1)).tolist()
+    row = max(min([int(_halves(area, np.array([mark.y]))[0]) // 2, *filled]) - 1, 0)
     area.canvas.text(row, area.left + start, mark.text, "bold $foreground")
-    words[row, start : start + len(mark.text)] = True
+    words[row, span] = True
 
 
 def _names(area: _Area, plot: Plot, lines: list[Bools], words: Bools) -> None:

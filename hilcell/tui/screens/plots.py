@@ -35,7 +35,7 @@ class PlotPage(Page):
     footer = ("stop", "pause", "alarms", "quit")
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
         ("◄ ►", "other plot"),
-        ("1-5", "choose"),
+        (f"1-{MOST_TABS}", "choose"),
         ("S", "station"),
         ("g", "log or even scale"),
         ("v", "series on or off"),

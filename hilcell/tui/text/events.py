@@ -10,7 +10,7 @@ from textual.content import Content
 from hilcell.clean import harmless
 from hilcell.journal.journal import Record
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.text.names import point_name
+from hilcell.tui.text.names import point_words
 from hilcell.tui.text.plot_figures import section
 from hilcell.tui.text.tables import record_words
 
@@ -56,7 +56,7 @@ def _measured(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> 
     error_mm = errors_mm.get(record.key)
     size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
     again = " again" if record.body.get("retaken") else ""
-    return f"measured {point_name(point.id, point.station)}{again}{size}"
+    return f"measured {point_words(point.id, point.station)}{again}{size}"
 
 
 def _sent(view: RunView, record: Record) -> str:
@@ -68,7 +68,7 @@ def _sent(view: RunView, record: Record) -> str:
     if action == "robot.sweep":
         return f"robot turns A{body.get('axis')} slowly: {record.key}"
     point = view.log.points.get(record.key)
-    name = record.key if point is None else point_name(point.id)
+    name = record.key if point is None else point_words(point.id)
     return f"robot sent to {name}" if action == "robot.move" else record_words(record)
 
 

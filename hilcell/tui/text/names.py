@@ -8,7 +8,7 @@ SENT = {"before": "as sent", "idw": "paper method", "chosen": "corrected"}
 STEPS = {"hold-station": "Hold station", "validate": "Validation"}
 
 
-def point_name(id: PointId, station: str = "") -> str:
+def point_words(id: PointId, station: str = "") -> str:
     """Return a point's name, targets from 1: ``corrected target 50 at S300``."""
     at = f" at {station}" if station else ""
     match id.kind:
@@ -27,6 +27,6 @@ def point_name(id: PointId, station: str = "") -> str:
     return f"{id.key}{at if station and station not in id.key else ''}"
 
 
-def step_name(name: str) -> str:
+def step_words(name: str) -> str:
     """Return a step's name: ``Robot grid`` of ``robot-grid``."""
     return STEPS.get(name) or name.replace("-", " ").capitalize()

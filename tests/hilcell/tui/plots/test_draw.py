@@ -117,6 +117,8 @@ def test_a_name_without_room_is_left_out_rather_than_put_at_another_line() -> No
 def test_a_mark_stands_over_its_value() -> None:
     lines = drawn(plot_of(line("a", [0.0] * 20), marks=(Mark("78.0", 0.5, 6.0),)))
     assert "78.0" in lines[7]
+    lines = drawn(plot_of(line("a", [8.0] * 20), marks=(Mark("78.0", 0.5, 6.0),)))
+    assert "78.0" in lines[3]  # not behind a higher series
 
 
 @pytest.mark.parametrize("size", [(20, 5), (12, 4), (80, 20), (200, 60)])

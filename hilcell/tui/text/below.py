@@ -1,0 +1,139 @@
+"""Rows that a tall terminal has under the points: interlocks with readings, next steps, events.
+
+Where rows are few the events go first, then the next steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import groupby
+from operator import attrgetter
+
+from textual.content import Content
+
+from hilcell.run.forecast import Ahead
+from hilcell.run.protocol import DeviceStatus, Interlock
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.text.events import event_lines
+from hilcell.tui.text.names import step_words
+from hilcell.tui.text.plot_figures import section
+from hilcell.tui.text.run import duration, justified
+
+SCREEN = 24  # rows, which everything above takes
+LEAST, MOST = 4, 17  # rows of the block
+MOST_STEPS, MOST_EVENTS = 5, 6
+SHORT_S = 30.0  # a part that takes less is not listed by itself
+NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
+PARTS = {
+    "flange": "{step}: {count} points",
+    "sweep": "{step}: {count} sweeps",
+    "leg": "Rail to the next station",
+    "park": "Robot to its safe pose",
+}
+Lines = list[Content]
+
+
+def block_rows(height: int, *, live: bool) -> int:
+    """Return how many rows the block has on a terminal of this height."""
+    spare = min(height - SCREEN, MOST if live else MOST_EVENTS + 1)
+    return spare if spare >= LEAST else 0
+
+
+def below_lines(
+    view: RunView, errors_mm: Mapping[str, float], glyphs: Glyphs, width: int, rows: int
+) -> Lines:
+    """Return the block in at most so many rows; a run that is over has events alone."""
+    lines: Lines = []
+    if view.live:
+        lines += interlock_lines(view, glyphs, width)[:rows]
+        if rows - len(lines) > 1:
+            lines += step_lines(view, glyphs, width, rows - len(lines))
+    if rows - len(lines) > 1:
+        lines += event_lines(view, errors_mm, width, min(rows - len(lines), MOST_EVENTS + 1))
+    return lines
+
+
+def interlock_lines(view: RunView, glyphs: Glyphs, width: int) -> Lines:
+    """Return each condition of motion with its whole reason, or with the reading that frees it."""
+    status = view.status
+    lines = [section("interlocks", width)]
+    if status is None or view.stale:
+        return [*lines, Content.styled(f" {glyphs.stale} no reading", "$stale")]
+    for each in status.interlocks:
+        shape, word, tone = _locked(each, glyphs)
+        reading = each.blocked or _reading(each.name, status.devices)
+        line = Content.assemble(
+            (f" {shape} ", tone), (f"{NAMES.get(each.name, each.name):<8}", "bold"),
+            f"{word:<7}", (reading, "$label"),
+        )  # fmt: skip
+        lines.append(line.truncate(width, ellipsis=True))
+    return lines
+
+
+def _locked(each: Interlock, glyphs: Glyphs) -> tuple[str, str, str]:
+    if not each.blocked:
+        return glyphs.moving, "free", "$live"
+    if each.name == "measurement":
+        return glyphs.stale, "waits", "$label"
+    return glyphs.locked, "locked", "$label"
+
+
+def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
+    """Return the last readings of the devices that a condition is about."""
+    text = {device: status.text for device, status in devices.items() if status.text}
+    if name == "robot move":
+        strip = f", strip {text['strip']}" if "strip" in text else ""
+        return f"slide {text['rail']}{strip}" if "rail" in text else ""
+    if name == "rail move":
+        return f"robot {text['robot']}" if "robot" in text else ""
+    return f"last reading {text['tracker']}" if "tracker" in text else ""
+
+
+def step_lines(view: RunView, glyphs: Glyphs, width: int, rows: int) -> Lines:
+    """Return the step under way and those after it, when each starts and how long it takes."""
+    head = justified(
+        section("next steps", max(width - 22, 1)),
+        Content.styled("starts in   takes ─", "$label"),
+        width,
+    )
+    lines = [head]
+    starts_s = 0.0
+    for n, (words, takes_s) in enumerate(_parts(view)[: min(rows - 1, MOST_STEPS)]):
+        start = "now" if n == 0 else duration(starts_s)
+        style = "$foreground" if n == 0 else "$label"
+        shape = glyphs.moving if n == 0 and not view.at_rest else " "
+        left = Content.assemble((f" {shape} ", "$live"), (words, style))
+        times = Content.styled(f"{start:>8}{duration(takes_s):>9}  ", style)
+        lines.append(justified(left.truncate(max(width - 20, 1), ellipsis=True), times, width))
+        starts_s += takes_s
+    if len(lines) == 1:
+        lines.append(Content.styled("   not known yet", "$label"))
+    return lines
+
+
+def _parts(view: RunView) -> list[tuple[str, float]]:
+    """Return the parts of the step under way, then one for each step after it, in words."""
+    plan = view.log.plan
+    if plan is None:
+        return []
+    found: list[tuple[str, float]] = []
+    for number, parts in groupby(view.ahead, key=attrgetter("step")):
+        step = step_words(str(plan.steps[number - 1]["name"]))
+        ahead = [*parts]
+        if found:
+            found.append((step, sum(part.takes_s for part in ahead)))
+            continue
+        for part in ahead:
+            words = _words(step, part)
+            if found and part.kind != "leg" and not part.takes_s >= SHORT_S:
+                before, takes_s = found[-1]
+                found[-1] = before, takes_s + part.takes_s
+            else:
+                found.append((words, part.takes_s))
+    return found
+
+
+def _words(step: str, part: Ahead) -> str:
+    form = PARTS.get(part.kind, "{step}: {count} readings" if part.measured else "{step}")
+    return form.format(step=step, count=part.measured)

@@ -1,0 +1,111 @@
+"""Rows under the points: interlocks with their readings, the next steps, events in words."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+
+import pytest
+
+from hilcell.journal.point_id import PointId
+from hilcell.run.forecast import Ahead, Forecast
+from hilcell.tui.engine.run_view import EngineState, RunView
+from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.text.below import below_lines, block_rows, interlock_lines, step_lines
+from hilcell.tui.text.events import event_words
+from tests.hilcell.tui.sample_runs import SampleRun, measuring, status, validated
+
+WIDTH = 79
+
+
+def view_of(story: SampleRun, state: str = "running") -> RunView:
+    view = RunView("r", engine=EngineState.ANSWERING, status=status(state))
+    for record in story.records:
+        view.take(record)
+    return view
+
+
+def test_events_go_first_then_steps() -> None:
+    view = view_of(measuring())
+    view.ahead = [Ahead(5, "flange", 3, 60.0), Ahead(6, "fit", 0, 1.0), Ahead(7, "flange", 6, 60.0)]
+    heads = ("interlocks", "next steps", "newest events")
+    seen = {}
+    for rows in (4, 7, 12, 17):
+        text = "\n".join(line.plain for line in below_lines(view, {}, UNICODE, WIDTH, rows))
+        assert len(text.splitlines()) <= rows
+        seen[rows] = tuple(head in text for head in heads)
+    assert seen[4] == (True, False, False)
+    assert seen[7] == (True, True, False)
+    assert seen[12] == seen[17] == (True, True, True)
+
+
+@pytest.mark.parametrize(
+    ("height", "rows"), [(15, 0), (24, 0), (27, 0), (28, 4), (36, 12), (45, 17)]
+)
+def test_rows_of_the_block(height: int, rows: int) -> None:
+    assert block_rows(height, live=True) == rows
+    assert block_rows(height, live=False) <= 7
+
+
+def test_an_interlock_has_its_whole_reason_or_the_reading_that_frees_it() -> None:
+    lines = [line.plain for line in interlock_lines(view_of(measuring()), UNICODE, WIDTH)]
+    assert lines[1].split()[:3] == ["■", "Rail", "locked"]
+    assert "robot not at safe pose, A2 -53.017 deg" in lines[1]
+    assert "Robot   free   slide 1100.20 mm, held, strip 1100.00 mm" in lines[2]
+    assert "Tracker free   last reading SMR 1.5in" in lines[3]
+
+
+def test_a_stale_status_frees_nothing() -> None:
+    view = view_of(measuring())
+    view.status_age_s = 60.0
+    text = "\n".join(line.plain for line in interlock_lines(view, UNICODE, WIDTH))
+    assert "free" not in text
+    assert "no reading" in text
+
+
+def test_steps_start_one_after_the_other() -> None:
+    view = view_of(measuring())
+    view.ahead = [
+        Ahead(5, "flange", 3, 80.0), Ahead(5, "10 readings", 3, 5.0), Ahead(5, "leg", 0, 14.0),
+        Ahead(6, "fit", 0, 0.0), Ahead(7, "flange", 6, 61.0),
+    ]  # fmt: skip
+    lines = [line.plain.split() for line in step_lines(view, UNICODE, WIDTH, 6)[1:]]
+    assert [line[-2:] for line in lines] == [
+        ["now", "1:25"], ["1:25", "0:14"], ["1:39", "0:00"], ["1:39", "1:01"],
+    ]  # fmt: skip
+    assert lines[0][:5] == ["►", "Robot", "grid:", "3", "points"]
+    assert lines[1][:5] == ["Rail", "to", "the", "next", "station"]
+
+
+def test_the_forecast_says_what_is_ahead() -> None:
+    """The step under way has what is left of it; none is of a step before."""
+    story, forecast = measuring(), Forecast()
+    for record in story.records:
+        forecast.take(record)
+    now = story.now + timedelta(seconds=1)
+    ahead = forecast.ahead(now)
+    later = forecast.ahead(now + timedelta(seconds=1))
+    assert ahead[0].takes_s == pytest.approx(later[0].takes_s + 1.0)
+    assert [part.takes_s for part in ahead[1:]] == [part.takes_s for part in later[1:]]
+    assert [part.step for part in ahead] == [5, 6, 7]
+    assert ahead[0].measured == 3
+
+
+def test_events_are_told_in_words() -> None:
+    story = validated()
+    view = view_of(story)
+    errors = {"validate/S1100/chosen/001": 0.1005}
+    words = [event_words(view, record, errors) for record in story.records]
+    assert words[-1] == "measured corrected target 2 at S1100: |e| 0.101 mm"
+    assert "rail held at S1100: 1100.00 mm by the strip, 2nd approach" in words
+    assert "robot sent to grid point 0-0-3" in words
+    assert "the run is running" in words
+    assert not any(text.startswith("plan") for text in words)
+
+
+def test_an_event_of_a_point_that_is_no_more_keeps_its_key() -> None:
+    story = measuring()
+    story.add("intent", "grid/9-9-9", action="robot.move")
+    view = view_of(story)
+    assert event_words(view, story.records[-1], {}) == "robot sent to grid/9-9-9"
+    story.point(PointId("grid", vertex=(8, 8, 8)))
+    assert event_words(view, story.records[-1], {}) == "measured grid/8-8-8"
