@@ -102,7 +102,7 @@ def _reading_noise(log: Log) -> Contribution:
 
 
 def _drift(log: Log) -> Contribution:
-    moved_mm = _moves_mm(log)
+    moved_mm = np.array([move for _, move in control_moves(log)])
     if not len(moved_mm):
         how, limit_mm = "floor nests were measured once only", log.cell.uncertainty.drift_limit_mm
         return Contribution("Drift", limit_mm, "rectangular", ASSUMED, how, "4.3.7")
@@ -110,8 +110,8 @@ def _drift(log: Log) -> Contribution:
     return Contribution("Drift", rms(moved_mm), "normal", MEASURED, how, "4.2.2")
 
 
-def _moves_mm(log: Log) -> Array:
-    """Return how far each control point (N, 3) was from the first of its nest at its set-up.
+def control_moves(log: Log) -> list[tuple[Point, Array]]:
+    """Return each control point and how far (3,) it was from the first of its nest and set-up, mm.
 
     Those that found the tracker moved are no measure of its drift.
     """
@@ -121,9 +121,10 @@ def _moves_mm(log: Log) -> Array:
         for key, point in log.points.items()
         if point.id.kind == "control" and key not in log.set_ups.refuted
     ]
-    places = [(point, (point.set_up, point.id.nest)) for point in again]
-    pairs = [(point, firsts[place]) for point, place in places if place in firsts]
-    return positions_mm(now for now, _ in pairs) - positions_mm(first for _, first in pairs)
+    pairs = [(point, firsts.get((point.set_up, point.id.nest))) for point in again]
+    return [
+        (now, np.subtract(now.xyz_mm, first.xyz_mm)) for now, first in pairs if first is not None
+    ]
 
 
 def _thermal(log: Log) -> Contribution:

@@ -14,14 +14,16 @@ from hilcell.writing import write_whole
 
 def report(args: argparse.Namespace) -> int:
     """Write one self-contained HTML file, or print it to a PDF where it is named so."""
-    from hilcell.report.html import report_html
-    from hilcell.report.pdf import find_browser, pdf_of
+    from hilcell.report.html import PARTS, report_html
+    from hilcell.report.pdf import find_browser, pages_of, pdf_of
 
     folder, place = find_run(args.runs, args.run), Path(args.output)
     check_output(place, (".html", ".htm", ".pdf"), "a report", inputs=_files(folder))
     browser = find_browser() if place.suffix.lower() == ".pdf" else ""
     facts = read_facts(folder)
     html = report_html(facts)
+    if browser:  # once to see on which page each part begins, once to say so
+        html = report_html(facts, pages_of(pdf_of(html, browser), PARTS))
     content = pdf_of(html, browser) if browser else html.encode()
     write_whole(place, content, inputs=_files(folder))
     print_message(f"report of run {facts.run} in {args.output}")

@@ -19,14 +19,20 @@ from hilcell.report.method import adjustment_words, method_words
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.target_budget import TargetBudget
 
+PAGE_1, STATIONS, UNCERTAINTY = "certificate", "stations", "uncertainty"
+
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One item: its clause, its name and its words; without words it is a blank to fill in."""
+    """One item: its clause, its name, its words, and the part of the report where it stands.
+
+    Without words it is a blank to fill in.
+    """
 
     clause: str
     name: str
     words: str = ""
+    part: str = PAGE_1
 
 
 def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> list[Item]:
@@ -40,7 +46,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
              f"{facts.run}, journal {facts.fingerprint[:16]}"),
         Item("7.8.2.1 e", "Customer", cell.certificate.customer),
         Item("7.8.2.1 e", "Job", inputs.job),
-        Item("7.8.2.1 f", "Method", procedure_words(facts)),
+        Item("7.8.2.1 f", "Method", procedure_words(facts), UNCERTAINTY),
         Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
              f"{cell.robot.name}{_robot_serial(facts)}; {_stands(cell)}"),
         Item("7.8.2.1 g, h", "Condition of the item, date of receipt"),
@@ -49,14 +55,15 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.5.1", "Measured by", inputs.operator),
         Item("7.8.2.1 o", "Authorised by (name, signature)"),
         Item("7.8.2.1 m", "Results and units", "the tables of this report; lengths mm, angles °"
-             + (", temperatures °C" if measured_air else "")),
+             + (", temperatures °C" if measured_air else ""), STATIONS),
         Item("7.8.2.1 n", "Deviations from the method", _deviations(facts)),
-        Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets)),
+        Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
+             UNCERTAINTY),
         Item("7.8.4.1 b", "Conditions", conditions_words(facts)),
         Item("7.8.4.1 c", "Measured with", _measured_with(facts)),
         Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
              + (", thermometer" if measured_air else "")),
-        Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts)),
+        Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts), STATIONS),
         Item("7.8.6.2", "Conformity, decision rule", conformity_words(facts)),
         Item("7.8.2.1 l", "Validity",
              _revoked(facts) + "the results relate only to the item calibrated, in the "

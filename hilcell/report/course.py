@@ -1,4 +1,4 @@
-"""The course of a run in words: its states, every start of an engine, and events on the way."""
+"""The course of a run in words: its steps, every start and stop of an engine, events on the way."""
 
 from __future__ import annotations
 
@@ -18,12 +18,37 @@ from hilcell.report.wording import facts_of
 
 # Routine, or in a table of its own: counted, not listed.
 ROUTINE = ("connected", "closed", "tracker proven", "slide proven", "stream", "link")
-Line = tuple[str, str, str]
+STEPS = {
+    "home": "Robot parked, rail referenced",
+    "world-frame": "World frame {W} from the floor nests",
+    "rail-survey": "Survey of the rail",
+    "hold-station": "Slide held at the station of the grid",
+    "station-repeatability": "Repeatability of a held station",
+    "base-frame": "Base frame {B} by turning axes 1 and 6",
+    "robot-grid": "Vertices of the grid",
+    "axis-sweeps": "Slow sweeps of the axes, both ways",
+    "chosen-poses": "Poses chosen by the errors found",
+    "repeatability": "Repeatability of the robot",
+    "revisits": "Vertices visited a second time",
+    "station-frames": "Frames of the other stations",
+    "frame-repeatability": "Repeatability of the frames",
+    "fit": "Models fitted, one chosen",
+    "sign-check": "Sign of the correction proved on a target",
+    "validate": "Targets before and after the correction",
+    "closing": "First poses and floor nests checked at the end",
+    "paper-rows": "Figures of the paper compared",
+}
+STATES = {
+    "paused": "Paused", "suspended": "Suspended", "stopping": "Stopping", "aborted": "Aborted",
+    "faulted": "Stopped by a fault", "finished": "Run finished",
+}  # fmt: skip
+AT_WORK = ("checking", "running")
+STOPS = ("Engine", "Stopped", "Aborted", "Paused", "Suspended")  # with which bold lines begin
+Line = tuple[str, str]
 
 COURSE: tuple[Column[Line], ...] = (
     Column("UTC", itemgetter(0)),
-    Column("what", itemgetter(1)),
-    Column("why, how", itemgetter(2)),
+    Column("course in words", itemgetter(1)),
 )
 
 
@@ -35,45 +60,95 @@ def course(facts: Facts) -> Sheet | None:
         f"listed: {counts['tracker proven']} proofs that the tracker stood still, "
         f"{counts['slide proven']} that the slide did."
     )
-    return sheet("Course of the run", COURSE, _lines(facts), note)
+    return sheet("Course of the run", COURSE, _dated(_lines(facts)), note)
 
 
-def _lines(facts: Facts) -> Iterator[Line]:
-    log, previous = Log(), ""
+def _dated(lines: Iterator[tuple[str, str]]) -> Iterator[Line]:
+    """Yield lines by the time of day; the date stands where it changes."""
+    date = ""
+    for time, words in lines:
+        yield (time[11:19] if time[:10] == date else time[:19].replace("T", " ")), words
+        date = time[:10]
+
+
+def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
+    """Yield time and words of each line; a step also says how many points it gave."""
+    log, last = Log(), ""
+    found: list[tuple[str, str]] = []
+    counts: Counter[int] = Counter()  # points by the number of their step's line
+    step = -1
     for record in facts.records:
-        time = record.t[:19].replace("T", " ")
-        if record.kind == "state":
-            body = record.body
-            if body["machine"] == "run" and body["to"] == "checking":
-                yield time, f"engine started, session {log.session + 1}", _before(log, previous)
-            else:
-                to = body["to"].replace("_", " ")
-                yield time, f"{body['machine']}: {to}", str(body.get("reason", ""))
-        elif record.kind == "event" and record.body["what"] not in ROUTINE:
-            yield time, *_happened(facts, record.body)
-        elif record.kind == "point":
-            previous = f"{record.key}, {time}"
+        starts = _starts(record.kind, record.body)
+        if starts and log.session and not log.over:
+            found.append((last, _cut_off(log)))
+        for words in _words(facts, log, record.kind, record.body):
+            found.append((record.t, words))
+            begins = record.kind == "event" and record.body["what"] == "step"
+            step = len(found) - 1 if begins else -1 if starts else step
+        counts[step] += record.kind == "point"
+        last = record.t
         log.take(record)
+    for n, (time, words) in enumerate(found):
+        yield time, f"{words}: {counts[n]} points." if counts[n] else words
 
 
-def _before(log: Log, previous: str) -> str:
-    """Return how the session before a start ended."""
+def _starts(kind: str, body: Mapping[str, Any]) -> bool:
+    return kind == "state" and body["machine"] == "run" and body["to"] == "checking"
+
+
+def _words(facts: Facts, log: Log, kind: str, body: Mapping[str, Any]) -> list[str]:
+    """Return a record as sentences; the state of the calibration follows from the steps."""
+    if _starts(kind, body):
+        return [_start(facts, log)]
+    if kind == "state" and body["machine"] == "run":
+        reason = f": {body['reason']}" if body.get("reason") else ""
+        if body["to"] in STATES:
+            return [f"{STATES[body['to']]}{reason}."]
+        return [f"Goes on{reason}."] if log.state not in ("idle", *AT_WORK) else []
+    if kind == "event" and body["what"] not in ROUTINE:
+        return [_happened(facts, body)]
+    return []
+
+
+def _start(facts: Facts, log: Log) -> str:
+    """Return how a session begins."""
+    operator = facts.inputs.operator or "The operator"
+    how = "unattended" if facts.inputs.unattended else "attended"
     if not log.session:
-        return ""
-    kept = f"{len(log.points)} points are kept"
-    if log.over:
-        return f"after the run was {log.state}; {kept}"
-    after = f" after {previous}" if previous else " before its first point"
+        job = f", job {facts.inputs.job}" if facts.inputs.job else ""
+        return f"{operator} starts the run{job}, {how}: session 1."
+    return f"Goes on in session {log.session + 1}, {len(log.points)} points are kept."
+
+
+def _cut_off(log: Log) -> str:
+    """Return how the session before ended, which did not end by itself."""
+    newest = [*log.points][-1:]
+    after = f" after {newest[0]}" if newest else " before its first point"
     return (
-        f"the engine before stopped without notice (killed, or power lost){after}, while the run "
-        f"was {log.state}; {kept}"
+        f"Engine stopped without notice (killed, or power lost){after}, while the run was "
+        f"{log.state}."
     )
 
 
-def _happened(facts: Facts, body: Mapping[str, Any]) -> tuple[str, str]:
-    """Return an event in words: what, and why or how."""
-    if body["what"] == "curve":
-        return "curve", msgspec.convert(body, CurveRecord).words
-    if body["what"] == "poses chosen":
-        return "poses chosen", chosen_poses_words(facts, body)
-    return body["what"], facts_of(body)
+def _happened(facts: Facts, body: Mapping[str, Any]) -> str:
+    """Return an event in words; one of no known kind by its name and its plain facts."""
+    match body["what"]:
+        case "step":
+            name = str(body["name"])
+            return STEPS.get(name, name.replace("-", " ").capitalize())
+        case "curve":
+            return f"Curve of {msgspec.convert(body, CurveRecord).words}."
+        case "poses chosen":
+            return f"Poses chosen: {chosen_poses_words(facts, body)}."
+        case "station held":
+            tries = f", after {body['tries']} approaches" if body["tries"] > 1 else ""
+            return f"Slide held at {body['station']}{tries}: strip {body['strip_mm']:.3f} mm."
+        case "retake asked":
+            return f"{body['key']} is to be measured again."
+        case "outlier measured again":
+            return f"{body['key']} stood out from the others and is measured again."
+        case "first pass":
+            return f"First pass of {body['key']} at {body['speed_percent']:g} % speed."
+    more = facts_of(body)
+    what = str(body["what"])
+    return f"{what[:1].upper()}{what[1:]}{': ' if more else ''}{more}."

@@ -1,22 +1,14 @@
-"""Transmission errors in the report: a table of the swept axes, each curve with its spectrum."""
+"""Transmission errors in the report: a table of the swept axes."""
 
 from __future__ import annotations
 
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hilcell.journal.curve_record import URAD, CurveRecord
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
-from hilcell.report.svg import INK, MUTED, axes_sheet
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-AXIS_IN = 1.5  # height of one axis's pictures
-MEASURED, CURVE = "#8796a5", "#12507b"
 
 
 def _lines(record: CurveRecord) -> str:
@@ -46,30 +38,3 @@ def curves(facts: Facts) -> Sheet | None:
         "Signal: share of the short-wave variance that the lines explain."
     )
     return sheet("Transmission errors", CURVES, facts.log.curves.values(), note)
-
-
-def fig_curves(facts: Facts) -> tuple[Figure, str] | None:
-    """Draw each axis's short-wave error along its sweep, and its spectrum."""
-    records = [record for record in facts.log.curves.values() if record.shown]
-    if not records:
-        return None
-    figure, axes = axes_sheet(AXIS_IN * len(records) + 0.5, len(records), 2, width_ratios=(3, 2))
-    figure.subplots_adjust(wspace=0.18)
-    for (along, across), record in zip(axes, records, strict=True):
-        joint, measured, by_curve = np.array(record.shown).T
-        along.plot(joint, measured, color=MEASURED, linewidth=0.7, label="measured")
-        if record.holds:
-            along.plot(joint, by_curve, color=CURVE, linewidth=0.9, label="curve")
-        along.set_title(f"A{record.axis}")
-        cycles, size = np.array(record.spectrum).T
-        across.plot(cycles, size, color=MUTED, linewidth=0.7)
-        across.plot(record.cycles, record.amplitudes_rad * URAD, "o", color=INK, markersize=3.0)
-        along.set_ylabel("error, µrad")
-        across.set_ylim(bottom=0.0)
-    along.set_xlabel("joint, °")
-    across.set_xlabel("cycles per revolution")
-    axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
-    return figure, (
-        "Left: short-wave error along the sweep, mean of both directions. Right: its amplitudes; "
-        "dots are the lines of the curve."
-    )

@@ -135,7 +135,7 @@ def _items(facts: Facts) -> Element:
     serial, maker = (found[0].serial, found[0].maker) if found else ("", "")
     model = found[0].model if found else cell.robot.name
     return dcc("items", dcc(
-        "item", text("name", f"Robot {cell.robot.name} on a rail"),
+        "item", text("name", f"Robot {cell.robot.name}{' on a rail' if cell.has_rail else ''}"),
         dcc("manufacturer", text("name", maker)), dcc("model", model or cell.robot.name),
         dcc("identifications", identification("manufacturer", serial, "serial number"),
             identification("owner", f"{cell.name}, serial {cell.serial}", "cell")),

@@ -1,4 +1,4 @@
-"""The paper's figures, redrawn from one run; a figure without data in it is left out."""
+"""The paper's figures, redrawn from one run; a figure without data is left out."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hilcell.calibration.errors import OTHERS, Errors, grid_errors, places, validation
+from hilcell.calibration.errors import OTHERS, Errors, places, validation
 from hilcell.calibration.frames import grid_pairs
+from hilcell.calibration.pose_test import ISO
 from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
-from hilcell.report.curves import fig_curves
 from hilcell.report.facts import Facts
 from hilcell.report.pose_test import fig_attained, fig_poses
-from hilcell.report.svg import INK, MUTED, axes_sheet, house_style, svg_of
+from hilcell.report.svg import MUTED, axes_sheet, house_style, svg_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,10 +25,9 @@ if TYPE_CHECKING:
 
 COLOURS = {"before": "#c26a2e", "idw": "#8796a5", "chosen": "#12507b"}
 MARKERS = {"before": "o", "idw": "^", "chosen": "o"}
-VIEWS = (("from above", 0, 1), ("from the side", 1, 2), ("from the front", 0, 2))
-AXES = ("x", "y", "z")
 PAIRS_DRAWN = 500  # each dot is an element of the page: a picture of them its policy would block
 TURNS = (("roll", "idw"), ("pitch", "before"), ("yaw", "chosen"))
+RESULTS = {"rail_survey", "frame_repeatability", ISO}
 WAYS = {"one_side": "from one side", "random": "from random sides"}
 HELD = {"plain": ("before", "drive alone"), "strip": ("chosen", "by the strip")}
 
@@ -61,10 +60,7 @@ def drawings(facts: Facts) -> list[Drawing]:
         ),
         ("poses", "Pose accuracy and repeatability (ISO 9283)", fig_poses),
         ("attained", "Attained positions of each pose", fig_attained),
-        ("sorted", "Errors sorted", fig_sorted),
-        ("volume", "Error vectors in the volume, from three sides", fig_volume),
         ("similarity", "Similarity of errors" + _of_paper(facts, " (eq 8)"), fig_similarity),
-        ("curves", "Transmission errors of the gears, and their spectra", fig_curves),
         ("rail", "Position error of the rail, both ways" + _of_paper(facts, " (Fig 1)"), fig_1),
         ("slide", "Roll, pitch and yaw of the slide", fig_slide),
         (
@@ -74,8 +70,9 @@ def drawings(facts: Facts) -> list[Drawing]:
         ),
         ("strip", "Repeatability of a station" + _of_paper(facts, " (Fig 10)"), fig_10),
     ]
-    if "world" not in facts.log.frames:
-        return []
+    shown = is_paper(facts) or RESULTS & facts.result.keys() or facts.log.select("repeat")
+    if "world" not in facts.log.frames or not shown:
+        return []  # and no library of figures is loaded
     drawn = []
     with house_style():
         for name, title, draw in found:
@@ -134,7 +131,7 @@ def fig_13(facts: Facts) -> Drawn | None:
 
 
 def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn | None:
-    if not series:
+    if not series or not is_paper(facts):
         return None
     figure, axes = axes_sheet(2.6)
     ax: Axes = axes[0, 0]
@@ -177,123 +174,6 @@ def _legend_above(ax: Axes) -> None:
         handletextpad=0.5,
         columnspacing=1.2,
     )
-
-
-def fig_sorted(facts: Facts) -> Drawn | None:
-    """Draw which share of the targets keeps which error."""
-    found = [
-        (name, series)
-        for name, stations in list(places(facts.cell).items())[:2]
-        for series in (validation(facts.log, stations),)
-        if series
-    ]
-    if not found:
-        return None
-    from matplotlib.ticker import LogFormatter
-
-    figure, axes = axes_sheet(2.5, 1, len(found), sharey=True)
-    for ax, (name, series) in zip(axes[0], found, strict=True):
-        for how, errors in series.items():
-            share = 100 * np.arange(1, len(errors) + 1) / len(errors)
-            style = "--" if how == "idw" else "-"
-            ax.plot(
-                share,
-                np.sort(errors.norms_mm),
-                style,
-                color=COLOURS[how],
-                label=series_name(how, facts),
-                drawstyle="steps-pre",
-            )
-        ax.set_yscale("log")
-        ax.yaxis.set_major_formatter("{x:g}")
-        ax.yaxis.set_minor_formatter(LogFormatter())  # plain words, where decades are few
-        ax.set_xlim(0, 100)
-        ax.set_xlabel("share of targets with at most this error, %")
-        ax.set_title("other stations" if name == OTHERS else f"station {name}")
-    axes[0, 0].set_ylabel("3D error, mm")
-    axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.02))
-    return figure, "Logarithmic scale: equal distances are equal ratios."
-
-
-# -- vectors --------------------------------------------------------------------------------------
-
-
-def fig_volume(facts: Facts) -> Drawn | None:
-    """Draw error vectors in {W} from above, the side and the front, before and after."""
-    rows = _vector_rows(facts)
-    if not rows:
-        return None
-    figure, axes = axes_sheet(2.32 * len(rows) + 0.3, len(rows), 3)
-    for (how, label, errors), line in zip(rows, axes, strict=True):
-        scale = _magnification(errors)
-        for ax, view in zip(line, VIEWS, strict=True):
-            _vectors(ax, errors, scale, view, COLOURS[how])
-        line[0].set_title(f"{label}, {scale:g} × enlarged")
-    return figure, (
-        "Each line leads from a nominal place, the dot, along its error in {W}, enlarged as the "
-        "title says. The bar in each panel is as long as the error it names."
-    )
-
-
-def _vector_rows(facts: Facts) -> list[tuple[str, str, Errors]]:
-    station = facts.cell.grid.station
-    series = validation(facts.log, [station])
-    rows: list[tuple[str, str, Errors]] = [
-        (how, f"{station}, {series_name(how, facts)}", series[how])
-        for how in ("before", "chosen")
-        if how in series
-    ]
-    grid = grid_errors(facts.log)
-    return rows or ([("before", f"{station}, grid", grid)] if grid is not None else [])
-
-
-def _magnification(errors: Errors) -> float:
-    """Return the 1, 2 or 5 times a power of ten that draws the errors large, yet apart."""
-    spread_mm = float(np.ptp(errors.nominal_mm, axis=0).max()) or 1000.0
-    return _round_down(0.2 * spread_mm / max(errors.figures.max, 1e-6))
-
-
-def _round_down(value: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that is not above ``value``."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
-
-
-def _vectors(
-    ax: Axes, errors: Errors, scale: float, view: tuple[str, int, int], colour: str
-) -> None:
-    seen, across, up = view
-    begin = errors.nominal_mm[:, (across, up)]
-    end = begin + scale * errors.error_mm[:, (across, up)]
-    gap = np.full_like(begin, np.nan)
-    lines = np.stack([begin, end, gap], axis=1).reshape(-1, 2)
-    ax.plot(lines[:, 0], lines[:, 1], color=colour, linewidth=0.8)
-    ax.plot(begin[:, 0], begin[:, 1], ".", color=INK, markersize=1.6)
-    ax.set_aspect("equal")
-    low, high = _cube(errors, scale)
-    ax.set_xlim(low[across], high[across])
-    ax.set_ylim(low[up], high[up])
-    ax.set_xlabel(f"{AXES[across]}, mm ({seen})")
-    ax.set_ylabel(f"{AXES[up]}, mm")
-    _scale_bar(ax, low[across], low[up], (high - low)[0], scale, errors)
-
-
-def _cube(errors: Errors, scale: float) -> tuple[Array, Array]:
-    """Return the low and high corners (3,) of the cube that holds every drawn line."""
-    ends = np.concatenate([errors.nominal_mm, errors.nominal_mm + scale * errors.error_mm])
-    middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
-    half = 0.58 * (float(np.ptp(ends, axis=0).max()) or 1.0)
-    return middle - half, middle + half
-
-
-def _scale_bar(
-    ax: Axes, left: float, bottom: float, span: float, scale: float, errors: Errors
-) -> None:
-    bar_mm = _round_down(max(errors.figures.max, 1e-6))
-    begin, height = left + 0.03 * span, bottom + 0.035 * span
-    end = begin + scale * bar_mm
-    ax.plot([begin, end], [height, height], "|-", color=INK, markersize=4, linewidth=1.0)
-    ax.text(end + 0.02 * span, height, f"{bar_mm:g} mm", va="center", fontsize=7, color=INK)
 
 
 # -- rail, frames, strip --------------------------------------------------------------------------

@@ -25,6 +25,7 @@ from hilcell.report import pose_test
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.pose_test import tests_poses
+from hilcell.report.target_budget import TargetBudget
 
 K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
 BLANK = "…" * 12  # to fill in by hand
@@ -99,6 +100,23 @@ def _shown(facts: Facts) -> list[str]:
 def shown_results(facts: Facts) -> list[Result]:
     """Return the results on the page."""
     return [result for name in _shown(facts) for result in results_at(facts, name)]
+
+
+def nearest_results(facts: Facts, targets: TargetBudget) -> list[tuple[str, Result]]:
+    """Return mean and largest error nearest to their limits, and the largest 95 % bound, named."""
+    pairs = {name: results_at(facts, name) for name in judged_places(facts)}
+    if not pairs:
+        return []
+    found = []
+    for n, word in enumerate(("Mean", "Largest")):
+        shares = {name: pair[n].after_mm / pair[n].limit_mm for name, pair in pairs.items()}
+        name = max(shares, key=shares.__getitem__)
+        found.append((f"{word}, {name}", pairs[name][n]))
+    if not targets.missing:
+        limit_mm = found[1][1].limit_mm
+        bound_mm = max(float(each.radii_mm.max()) for each in targets.in_use.values())
+        found.append(("95 % bound", Result("95 % bound", limit_mm, None, bound_mm, None)))
+    return found
 
 
 def _left_out(facts: Facts) -> str:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 from hilcell import __version__
 from hilcell.calibration.errors import places, validation
-from hilcell.calibration.measurement_budget import budget_of
+from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.calibration.pose_test import ISO
 from hilcell.ports import Array
 from hilcell.report import pose_test, tables
@@ -18,86 +19,132 @@ from hilcell.report.certificate import (
     title,
 )
 from hilcell.report.columns import present
-from hilcell.report.course import course
+from hilcell.report.course import STOPS, course
+from hilcell.report.curve_plots import curve_plots
 from hilcell.report.curves import curves
+from hilcell.report.error_plots import enlarged, in_order, over_bound
 from hilcell.report.facts import Facts
 from hilcell.report.figures import drawings, is_paper
 from hilcell.report.first_page import (
     instruments,
     item_facts,
+    nearest_results,
     results_sheet,
     uncertainty_words,
     validity_facts,
     verdict_word,
 )
 from hilcell.report.method import models
+from hilcell.report.over_time import air, floor_moves
 from hilcell.report.plan_view import plan_view
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
-from hilcell.report.target_budget import target_budget, target_sheets
+from hilcell.report.side_view import side_view
+from hilcell.report.strip import strip
+from hilcell.report.target_budget import TargetBudget, target_budget, target_sheets
 from hilcell.report.templates import environment
+from hilcell.report.variance import variance_bar
+from hilcell.report.vectors import vectors
+from hilcell.report.worst import worst
+
+PARTS = {
+    "certificate": "first page", "glance": "At a glance",
+    "stations": "Stations, worst targets, drift", "uncertainty": "Uncertainty and method",
+    "curves": "Transmission curves", "paper": "Figures of the paper", "record": "Record",
+    "items": "Where each required item stands",
+}  # fmt: skip
 
 
-def report_html(facts: Facts) -> str:
-    """Return the report of a run, the same from the same journal."""
+def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
+    """Return the report of a run, the same from the same journal.
+
+    ``pages`` says on which page each part begins, where that is known: on paper.
+    """
     budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
-    kind, words = standing(facts)
+    own = None if has_tables(facts) else tables.own_table(facts)
     return (
         environment()
         .get_template("report.html.j2")
         .render(
+            **_first_page(facts, budget, targets),
+            **_drawings(facts, targets),
             facts=facts,
             version=__version__,
-            title=title(facts),
-            measured=measured(facts),
-            kind=kind,
-            standing=words,
+            pages=pages or {},
+            parts=PARTS,
+            stops=STOPS,
             controls=len(facts.log.select("control")),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
-            lead=lead(facts),
-            word=verdict_word(facts),
-            sentence=sentence(facts),
-            conformity=conformity_words(facts),
-            results=results_sheet(facts),
-            uncertainty=uncertainty_words(facts, budget),
-            item=item_facts(facts, measured(facts)),
-            validity=validity_facts(facts),
-            instruments=instruments(facts),
-            conditions=conditions_words(facts),
-            method=procedure_words(facts),
-            plan=plan_view(facts.cell, tracker_mm(facts)),
             certificate=certificate(facts, budget, targets),
-            result_sheets=pose_test.sheets(facts)
-            + present(
-                tables.accuracy(facts),
-                tables.orientation(facts),
-                models(facts),
-                curves(facts),
-                tables.paper_rows(facts),
-                tables.verdicts(facts),
-            ),
-            own_sheet=None if has_tables(facts) else tables.own_table(facts),
-            drawings=drawings(facts),
-            frame_sheets=present(
-                tables.stations(facts),
-                tables.touches(facts),
-                tables.circles(facts),
-                tables.frames(facts),
-            ),
-            budget=budget,
-            budget_sheets=tables.budget_sheets(budget) if budget else [],
+            station_sheets=[
+                *pose_test.sheets(facts),
+                *present(
+                    tables.accuracy(facts),
+                    tables.orientation(facts),
+                    tables.stations(facts),
+                    tables.touches(facts),
+                    tables.frames(facts),
+                    tables.circles(facts),
+                    worst(facts, targets),
+                ),
+            ],
+            own_sheet=own,
+            empty=not present(own, tables.accuracy(facts), tables.verdicts(facts)),
+            curve_sheet=curves(facts),
+            paper_sheet=tables.paper_rows(facts),
+            budget_sheets=[*(tables.budget_sheets(budget) if budget else []),
+                           *target_sheets(targets)],
+            method_sheets=present(models(facts), tables.verdicts(facts)),
             targets=targets,
-            target_sheets=target_sheets(targets),
             record_sheets=present(
+                course(facts),
+                remeasured(facts),
                 tables.devices(facts),
                 tables.conditions(facts),
                 tables.groups(facts),
                 tables.software(facts),
-                remeasured(facts),
-                course(facts),
             ),
         )
-    )
+    )  # fmt: skip
+
+
+def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> dict[str, object]:
+    kind, words = standing(facts)
+    return {
+        "title": title(facts),
+        "measured": measured(facts),
+        "kind": kind,
+        "standing": words,
+        "lead": lead(facts),
+        "word": verdict_word(facts),
+        "sentence": sentence(facts),
+        "conformity": conformity_words(facts),
+        "results": results_sheet(facts),
+        "strip": strip(nearest_results(facts, targets), facts.inputs.simulated),
+        "uncertainty": uncertainty_words(facts, budget),
+        "item": item_facts(facts, measured(facts)),
+        "validity": validity_facts(facts),
+        "instruments": instruments(facts),
+        "conditions": conditions_words(facts),
+        "method": procedure_words(facts),
+    }
+
+
+def _drawings(facts: Facts, targets: TargetBudget) -> dict[str, object]:
+    simulated, at_mm = facts.inputs.simulated, tracker_mm(facts)
+    return {
+        "plan": plan_view(facts.cell, at_mm, simulated),
+        "side": side_view(facts.cell, at_mm, simulated),
+        "order": in_order(facts),
+        "enlarged": enlarged(facts, targets),
+        "vectors": vectors(facts),
+        "variance": variance_bar(targets, simulated),
+        "nests": floor_moves(facts),
+        "air": air(facts),
+        "histogram": over_bound(facts, targets),
+        "curve_plots": curve_plots(facts),
+        "drawings": drawings(facts),
+    }
 
 
 def has_tables(facts: Facts) -> bool:

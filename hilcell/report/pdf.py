@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,6 +22,8 @@ QUIET = (
     "--no-pdf-header-footer",
 )  # fmt: skip
 LIMIT_S = 60.0
+_PAGE = re.compile(rb"(\d+) 0 obj\s*<<\s*/Type\s*/Page\b")
+_TARGET = rb"/%s\s*\[\s*(\d+) 0 R"
 
 
 def find_browser() -> str:
@@ -65,3 +69,17 @@ def _print(browser: str, page: Path, paper: Path, profile: Path) -> str:
         process.communicate()
         return f"not within {LIMIT_S:g} s"
     return said.decode(errors="replace")
+
+
+def pages_of(pdf: bytes, names: Iterable[str]) -> dict[str, int]:
+    """Return on which page, from 1, each element begins that has one of these ids and is linked to.
+
+    The browser writes pages in their order, each as an object, and a table of linked ids.
+    """
+    pages = _PAGE.findall(pdf)
+    targets = {name: re.search(_TARGET % re.escape(name.encode()), pdf) for name in names}
+    return {
+        name: pages.index(target[1]) + 1
+        for name, target in targets.items()
+        if target is not None and target[1] in pages
+    }

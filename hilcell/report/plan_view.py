@@ -6,24 +6,22 @@ One scale both ways, x to the right and y up, as {W} has them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from html import escape
 
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply
 from hilcell.ports import Array
+from hilcell.report.drawing import AFTER, BAND, INK, MUTED, svg, text
 
-WIDTH_MM, MARGIN_MM = 88.0, 5.0  # on paper
-MOST_HEIGHT_MM = 50.0
+WIDTH_MM, MARGIN_MM = 118.0, 6.0  # on paper
+MOST_HEIGHT_MM = 52.0
 RAIL_WIDE_MM = 500.0  # drawn
-LABEL_MM = 2.5  # height of letters on paper
-INK, MUTED, BLUE = "#1b2430", "#4a5663", "#0b4a7d"
 
 
-def plan_view(cell: Cell, tracker_mm: Array) -> str:
-    """Return the drawing as SVG; ``tracker_mm`` (3,) is where the tracker stands in {W}."""
-    return _Plan(cell, tracker_mm).svg()
+def plan_view(cell: Cell, tracker_mm: Array, simulated: bool = False) -> str:
+    """Return the drawing; ``tracker_mm`` (3,) is where the tracker stands in {W}."""
+    return _Plan(cell, tracker_mm).svg(simulated)
 
 
 class _Plan:
@@ -46,17 +44,13 @@ class _Plan:
         self._scale = float((room / span_mm).min())
         self._height = float(span_mm[1]) * self._scale + 2 * MARGIN_MM
 
-    def svg(self) -> str:
+    def svg(self, simulated: bool) -> str:
         """Return the whole drawing."""
         parts = [
             *self._rail(), *self._volumes(), *self._nests(), *self._tracker(), *self._bar(),
         ]  # fmt: skip
-        return (
-            f'<svg viewBox="0 0 {WIDTH_MM:g} {self._height:.2f}" font-size="{LABEL_MM}" '
-            f'fill="{INK}" stroke-width="0.25">'
-            "<title>The cell in plan view: rail, stations, volumes, tracker</title>"
-            f"{''.join(parts)}</svg>"
-        )
+        title = "The cell in plan view: rail, stations, volumes, tracker"
+        return svg(WIDTH_MM, round(self._height, 2), title, parts, simulated)
 
     def _at(self, xy_mm: Array) -> tuple[float, float]:
         """Return a place of {W} on paper."""
@@ -108,20 +102,20 @@ class _Plan:
                 yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="1.6" fill="#fff" stroke="{INK}"/>'
             beside = self._rail_corners() if not self._cell.has_rail else (at + across, at - across)
             right = max(self._at(corner)[0] for corner in beside)
-            yield _text(right + 0.8, y + 0.9, station.name, bold=bold)
+            yield text(right + 0.8, y + 0.9, station.name, bold=bold)
 
     def _volumes(self) -> Iterator[str]:
         for station in self._cell.station:
             corners_mm = self._volume_mm(station)
             own = station.name == self._cell.grid.station
             dash = "" if own else ' stroke-dasharray="1.2 0.8"'
-            fill = "#d3e0ec" if own else "none"
-            style = f'fill="{fill}" fill-opacity="0.6" stroke="{BLUE}"{dash}'
+            fill = BAND if own else "none"
+            style = f'fill="{fill}" fill-opacity="0.6" stroke="{AFTER}"{dash}'
             yield self._polygon(corners_mm, style)
             right = max(self._at(corner)[0] for corner in corners_mm)
             top = min(self._at(corner)[1] for corner in corners_mm)
             y = top + 2.0 if own else self._at(corners_mm.mean(axis=0))[1] + 0.9
-            yield _text(right + 0.8, y, station.name, "start", BLUE, own)
+            yield text(right + 0.8, y, station.name, "start", AFTER, own)
         middle_mm = self._volume_mm(self._cell.station_named(self._cell.grid.station)).mean(axis=0)
         yield self._line(
             self._tracker_mm, middle_mm, f'stroke="{MUTED}" stroke-dasharray="0.5 0.8"'
@@ -131,7 +125,7 @@ class _Plan:
         for name, at_mm in self._floor:
             x, y = self._at(at_mm)
             yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="0.8" fill="#fff" stroke="{INK}"/>'
-            yield _text(x + 1.3, y - 0.8, name)
+            yield text(x + 1.3, y - 0.8, name)
         if not self._floor:
             return
         origin = self._floor[0][1]
@@ -139,7 +133,7 @@ class _Plan:
             end = origin + np.array(direction) * 5.5 / self._scale
             yield self._line(origin, end, f'stroke="{INK}" stroke-width="0.4"')
             x, y = self._at(end)
-            yield _text(x + 0.5, y + 2.6 * (axis == "x"), axis)
+            yield text(x + 0.5, y + 2.6 * (axis == "x"), axis)
 
     def _tracker(self) -> Iterator[str]:
         x, y = self._at(self._tracker_mm)
@@ -147,7 +141,7 @@ class _Plan:
             f'<path d="M{x:.2f} {y - 1.8:.2f}l1.7 3h-3.4z" fill="#fff" stroke="{INK}" '
             'stroke-width="0.4"/>'
         )
-        yield _text(x, y - 2.6, "tracker", "middle", bold=True)
+        yield text(x, y - 2.6, "tracker", "middle", bold=True)
 
     def _bar(self) -> Iterator[str]:
         y, begin = self._height - 1.5, WIDTH_MM - MARGIN_MM - 1000.0 * self._scale
@@ -155,7 +149,7 @@ class _Plan:
             f'<path d="M{begin:.2f} {y:.2f}H{WIDTH_MM - MARGIN_MM:.2f}" stroke="{INK}" '
             'stroke-width="0.6"/>'
         )
-        yield _text(begin - 1.0, y + 0.9, "1 m", "end")
+        yield text(begin - 1.0, y + 0.9, "1 m", "end")
 
     def _polygon(self, corners_mm: Array, style: str) -> str:
         points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(self._at, corners_mm))
@@ -168,13 +162,3 @@ class _Plan:
 
 def _ends(cell: Cell) -> tuple[float, float]:
     return cell.rail.travel_min_mm, cell.rail.travel_max_mm
-
-
-def _text(
-    x: float, y: float, words: str, anchor: str = "start", colour: str = INK, bold: bool = False
-) -> str:
-    weight = ' font-weight="bold"' if bold else ""
-    return (
-        f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}" fill="{colour}"{weight}>'
-        f"{escape(words)}</text>"
-    )

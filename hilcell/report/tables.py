@@ -18,6 +18,7 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.asset import Asset
+from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.ports import Array
 from hilcell.report.columns import Column, Sheet, Value, present, sheet
 from hilcell.report.facts import Facts
@@ -298,8 +299,22 @@ def groups(facts: Facts) -> Sheet | None:
     return sheet("Points", GROUPS, sorted(counts.items()))
 
 
+JUDGED = {
+    "fit": "choice of the correction", "sign": "target, sign turned",
+    "known-length": "known length",
+    "revisits": "vertices visited again", "revisits.closing": "first poses at the end",
+}  # fmt: skip
+
+
+def _judged(key: str) -> str:
+    """Return what a verdict is about, in words."""
+    place = key.removeprefix(VALIDATION)
+    found = "others together" if place == OTHERS else place
+    return f"targets at {found}" if place != key else JUDGED.get(key, key)
+
+
 VERDICTS: tuple[Column[tuple[str, Mapping[str, Any]]], ...] = (
-    Column("judged", itemgetter(0)),
+    Column("judged", lambda row: _judged(row[0])),
     Column("verdict", lambda row: "holds" if row[1]["holds"] else "does not hold"),
     Column("by", lambda row: facts_of(row[1])),
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.report.pdf import pdf_of
+from hilcell.report.pdf import pages_of, pdf_of
 from hilcell.writing import NotWritten
 from tests.hilcell.report.browser import browser
 from tests.hilcell.report.journals import validated_run
@@ -37,3 +37,13 @@ def test_a_browser_that_prints_nothing(tmp_path: Path) -> None:
     broken.chmod(0o755)
     with pytest.raises(NotWritten, match="printed no PDF: no display"):
         pdf_of("<p>x</p>", str(broken))
+
+
+def test_the_page_of_each_part_is_read_from_the_print() -> None:
+    print_ = b"""1 0 obj <</Type /Pages /Kids [2 0 R 7 0 R]>> endobj
+2 0 obj
+<</Type /Page /Parent 1 0 R>> endobj
+7 0 obj
+<</Type /Page /Parent 1 0 R>> endobj
+9 0 obj <</first [2 0 R /XYZ 0 841 0] /second [7 0 R /XYZ 0 1 0] /gone [5 0 R /XYZ 0 0 0]>>"""
+    assert pages_of(print_, ("first", "second", "gone", "none")) == {"first": 1, "second": 2}

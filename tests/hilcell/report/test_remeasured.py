@@ -115,11 +115,40 @@ def test_every_start_of_an_engine_stands_in_the_course(tmp_path: Path) -> None:
     writer.state("run", "checking")  # resumed
     found = course(read_facts(writer.left()))
     assert found is not None
-    starts = [row for row in found.rows if row[1].startswith("engine started")]
-    assert [row[1] for row in starts] == [f"engine started, session {n}" for n in (1, 2, 3)]
-    first, killed, resumed = (row[2] for row in starts)
-    assert first == ""
-    assert "stopped without notice (killed, or power lost) after validate/S1100/before/" in killed
-    assert "4 points are kept" in killed
-    assert resumed.startswith("after the run was faulted; 4 points are kept")
+    words = [row[1] for row in found.rows]
+    assert words[0] == "A. Technician starts the run, job J-17, unattended: session 1."
+    killed, goes_on = words[1:3]
+    assert killed.startswith("Engine stopped without notice (killed, or power lost) after valid")
+    assert goes_on == "Goes on in session 2, 4 points are kept."
+    assert words[3:] == ["Stopped by a fault: Rail: no answer.",
+                         "Goes on in session 3, 4 points are kept."]  # fmt: skip
     assert found.note.startswith("3 starts of an engine")
+
+
+def test_steps_and_events_are_sentences(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r").began()
+    events: list[dict[str, object]] = [
+        {"what": "step", "name": "robot-grid", "number": 1, "of": 2},
+        {"what": "station held", "station": "S300", "tries": 2, "strip_mm": 300.004},
+        {"what": "step", "name": "own-step", "number": 2, "of": 2},
+        {"what": "retake asked", "key": TARGET.key},
+        {"what": "screen lost", "after_s": 2.0},
+    ]
+    for event in events:
+        writer.journal.append("event", "", event)
+        if event["what"] == "station held":
+            writer.validated("S1100", "chosen", AFTER_MM[:2])
+    writer.state("run", "paused", reason="operator")
+    writer.state("run", "running")
+    found = course(writer.facts())
+    assert found is not None
+    assert [row[1] for row in found.rows[1:]] == [
+        "Vertices of the grid: 2 points.",
+        "Slide held at S300, after 2 approaches: strip 300.004 mm.",
+        "Own step",
+        f"{TARGET.key} is to be measured again.",
+        "Screen lost: after s 2.0000.",
+        "Paused: operator.",
+        "Goes on.",
+        "Run finished.",
+    ]

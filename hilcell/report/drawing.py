@@ -1,0 +1,180 @@
+"""Small vector drawings: shapes as SVG, places in mm on paper, and a frame with two scales.
+
+Every drawing has a title for screen readers; one of a simulated run says so behind everything.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from hilcell.ports import Array
+
+INK, MUTED, HAIR, HATCH = "#1b2430", "#4a5663", "#c9d0d8", "#9aa5b1"
+BEFORE, AFTER, BAND = "#b0561a", "#0b4a7d", "#d3e0ec"
+LABEL_MM = 2.9  # height of letters on paper, 8.2 pt
+NEAREST_MM = 3.4  # of two labels in a column
+
+
+def svg(width: float, height: float, title: str, parts: Iterable[str], simulated: bool) -> str:
+    """Return a drawing of this size."""
+    shown = escape(title)
+    mark = (
+        f'<text x="{width / 2:.1f}" y="{height / 2:.1f}" text-anchor="middle" fill="none" '
+        f'stroke="#cfd5db" stroke-width="0.3" font-size="{min(7.0, width / 9):.1f}" '
+        'font-weight="bold">SIMULATION</text>'
+    )
+    return (
+        f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{shown}" '
+        f'style="width:{width:g}mm" font-size="{LABEL_MM}" fill="{INK}" stroke-width="0.3">'
+        f"<title>{shown}</title>{mark if simulated else ''}{''.join(parts)}</svg>"
+    )
+
+
+def text(
+    x: float, y: float, words: str, anchor: str = "start", colour: str = INK, bold: bool = False
+) -> str:
+    """Return words on a base line."""
+    weight = ' font-weight="bold"' if bold else ""
+    return (
+        f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}" fill="{colour}"{weight}>'
+        f"{escape(words)}</text>"
+    )
+
+
+def path(
+    points: Array | Sequence[tuple[float, float]],
+    colour: str = INK,
+    wide: float = 0.3,
+    dash: str = "",
+    fill: str = "none",
+) -> str:
+    """Return a line through points (N, 2); NaN interrupts it."""
+    pieces, pen = [], "M"
+    for x, y in points:
+        known = math.isfinite(x) and math.isfinite(y)
+        if known:
+            pieces.append(f"{pen}{x:.2f} {y:.2f}")
+        pen = "L" if known else "M"
+    dashes = f' stroke-dasharray="{dash}"' if dash else ""
+    return (
+        f'<path d="{"".join(pieces)}" fill="{fill}" stroke="{colour}" stroke-width="{wide}"'
+        f"{dashes}/>"
+    )
+
+
+def rectangle(
+    x: float, y: float, width: float, height: float, fill: str, colour: str = "none"
+) -> str:
+    """Return a box from its upper left corner."""
+    return (
+        f'<rect x="{x:.2f}" y="{y:.2f}" width="{width:.2f}" height="{height:.2f}" fill="{fill}" '
+        f'stroke="{colour}"/>'
+    )
+
+
+def circle(x: float, y: float, r: float, fill: str, colour: str) -> str:
+    """Return a circle."""
+    return f'<circle cx="{x:.2f}" cy="{y:.2f}" r="{r}" fill="{fill}" stroke="{colour}"/>'
+
+
+def hatched(x: float, y: float, width: float, height: float) -> str:
+    """Return a hatched box: out of tolerance, or a time in which nothing ran."""
+    found: list[tuple[float, float]] = []
+    for c in np.arange(2.0, width + height, 2.0):
+        low, high = max(0.0, c - height), min(width, c)
+        found += [(x + low, y + c - low), (x + high, y + c - high), (math.nan, math.nan)]
+    return path(found, HATCH, 0.15)
+
+
+def apart(heights: Sequence[float]) -> list[float]:
+    """Return heights, in their order, moved so that labels at them do not overlap."""
+    order = sorted(range(len(heights)), key=lambda n: heights[n])
+    placed, last = list(heights), -math.inf
+    for n in order:
+        placed[n] = last = max(heights[n], last + NEAREST_MM)
+    return placed
+
+
+def round_up(value: float) -> float:
+    """Return the next 1, 2, 2.5 or 5 times a power of ten that is not below ``value``."""
+    power = 10.0 ** math.floor(math.log10(value))
+    steps = (step * power for step in (1, 2, 2.5, 5, 10))
+    return next(each for each in steps if each >= value * (1 - 1e-9))
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """A range of values on a stretch of paper; beyond its ends a value is drawn at the end."""
+
+    low: float
+    high: float
+    begin: float
+    end: float
+    logarithmic: bool = False
+
+    def at(self, values: Array | float) -> Array:
+        """Return where values are on paper."""
+        shown = np.clip(np.asarray(values, dtype=float), self.low, self.high)
+        low, high = self.low, self.high
+        if self.logarithmic:
+            shown, low, high = np.log(shown), math.log(low), math.log(high)
+        found: Array = self.begin + (shown - low) / (high - low) * (self.end - self.begin)
+        return found
+
+    def one(self, value: float) -> float:
+        """Return where one value is on paper."""
+        return float(self.at(value))
+
+    def ticks(self) -> list[float]:
+        """Return 1-2-5 values, at most seven of a linear scale."""
+        if self.logarithmic:
+            powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
+            found = [step * 10.0**n for n in powers for step in (1, 2, 5)]
+        else:
+            step = round_up((self.high - self.low) / 6)
+            first = math.ceil(self.low / step - 1e-9)
+            found = [step * n for n in range(first, math.floor(self.high / step + 1e-9) + 1)]
+        return [each for each in found if self.low * 0.999 <= each <= self.high * 1.001]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A plot's frame: a scale each way; y goes up."""
+
+    x: Scale
+    y: Scale
+
+    def at(self, x: Array, y: Array) -> Array:
+        """Return places (N, 2) on paper."""
+        return np.stack([self.x.at(x), self.y.at(y)], axis=1)
+
+    def level(self, y: float, colour: str = INK, wide: float = 0.3, dash: str = "") -> str:
+        """Return a line across at a value of y."""
+        at = self.y.one(y)
+        return path([(self.x.begin, at), (self.x.end, at)], colour, wide, dash)
+
+    def drawn(self, x_name: str, y_name: str, x_ticks: Sequence[tuple[float, str]] = ()) -> str:
+        """Return scales, ticks and names; the name of y stands above it."""
+        left, right, low, high = self.x.begin, self.x.end, self.y.begin, self.y.end
+        parts = [path([(left, low), (right, low)])]
+        for value in self.y.ticks():
+            parts.append(self.level(value, HAIR, 0.2))
+            parts.append(text(left - 1.2, self.y.one(value) + 1.0, f"{value:g}", "end", MUTED))
+        for value, name in x_ticks or [(each, f"{each:g}") for each in self.x.ticks()]:
+            at = self.x.one(value)
+            parts.append(path([(at, low), (at, low + 1.0)]))
+            parts.append(text(at, low + 4.2, name, "middle", MUTED))
+        parts.append(text((left + right) / 2, low + 8.0, x_name, "middle", MUTED))
+        parts.append(text(0.0, high - 2.2, y_name, colour=MUTED))
+        return "".join(parts)
+
+
+def labels(x: float, named: Sequence[tuple[float, str, str]]) -> Iterator[str]:
+    """Yield labels of (height, words, colour) in a column, none over another."""
+    for y, (_, words, colour) in zip(apart([each[0] for each in named]), named, strict=True):
+        yield text(x, y + 1.0, words, colour=colour, bold=True)

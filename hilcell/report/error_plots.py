@@ -1,0 +1,166 @@
+"""Errors of the targets: in order, all and enlarged, and each beside its own 95 % bound."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hilcell.calibration.decision import limits_of
+from hilcell.calibration.errors import validation
+from hilcell.ports import Array
+from hilcell.report.drawing import (
+    AFTER,
+    BAND,
+    BEFORE,
+    INK,
+    MUTED,
+    Frame,
+    Scale,
+    hatched,
+    labels,
+    path,
+    rectangle,
+    round_up,
+    svg,
+    text,
+)
+from hilcell.report.facts import Facts
+from hilcell.report.target_budget import TargetBudget
+
+WIDTH_MM, HEIGHT_MM, LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 88.0, 54.0, 10.0, 22.0, 6.0, 10.0
+DASHES = ("", "1.6 0.9", "0.4 0.8")  # of the stations
+MOST_LINES = len(DASHES)
+LEAST_MM = 0.005  # the logarithmic scale begins here
+BIN = 0.1  # of error over bound
+PERCENTS = [(each, f"{each:g}") for each in (0.0, 25.0, 50.0, 75.0, 100.0)]
+K_95 = 2.796  # bound over sigma: chi of three degrees of freedom
+
+
+def in_order(facts: Facts) -> str:
+    """Return all errors in rising order, before and after, against the limits; "" without any."""
+    series = validation(facts.log, [station.name for station in facts.cell.station])
+    shown = {how: series[how].norms_mm for how in ("before", "chosen") if how in series}
+    if not shown:
+        return ""
+    limits = limits_of(facts.cell)
+    largest = max(*(float(each.max()) for each in shown.values()), limits.max_mm)
+    frame = _frame(Scale(LEAST_MM, 1.5 * largest, HEIGHT_MM - BOTTOM_MM, TOP_MM, logarithmic=True))
+    at = frame.y.one(limits.max_mm)
+    parts = [hatched(frame.x.begin, TOP_MM, frame.x.end - frame.x.begin, at - TOP_MM),
+             frame.drawn("share of targets, %", "3-D error, mm", PERCENTS)]  # fmt: skip
+    parts += [frame.level(limits.max_mm, INK, 0.6), frame.level(limits.mean_mm, INK, 0.4, "1.4 1")]
+    named = [(at, f"limit {limits.max_mm:g}", INK),
+             (frame.y.one(limits.mean_mm), f"mean {limits.mean_mm:g}", INK)]  # fmt: skip
+    parts += labels(frame.x.end + 1.0, named)
+    parts += _floor(facts, frame)
+    for how, norms_mm in shown.items():
+        colour, name = (BEFORE, "before") if how == "before" else (AFTER, "after")
+        dash = "2 1" if how == "before" else ""
+        parts.append(_curve(frame, norms_mm, colour, dash))
+        # Left, where the curve after is low, and below that before.
+        y = frame.y.one(float(norms_mm.min() if how == "before" else norms_mm.max())) + 3.6
+        words = f"{name}: mean {norms_mm.mean():.3f}, largest {norms_mm.max():.3f}"
+        parts.append(text(frame.x.begin + 1.0, y, words, colour=colour, bold=True))
+    return svg(WIDTH_MM, HEIGHT_MM, "Errors in order, logarithmic", parts, facts.inputs.simulated)
+
+
+def enlarged(facts: Facts, budget: TargetBudget) -> str:
+    """Return the errors after correction by station, linear; "" without any."""
+    found = {
+        station.name: errors["chosen"].norms_mm
+        for station in facts.cell.station
+        for errors in (validation(facts.log, [station.name]),)
+        if "chosen" in errors
+    }
+    if not found:
+        return ""
+    nearest = sorted(found, key=lambda name: -float(found[name].max()))[:MOST_LINES]
+    bounds_mm = _bounds_mm(facts, budget)
+    largest = max(*(float(found[name].max()) for name in nearest), *bounds_mm, 0.01)
+    frame = _frame(Scale(0.0, round_up(1.05 * largest), HEIGHT_MM - BOTTOM_MM, TOP_MM))
+    parts = []
+    if len(bounds_mm):
+        top, low = frame.y.one(float(bounds_mm.max())), frame.y.one(float(bounds_mm.min()))
+        parts.append(rectangle(frame.x.begin, top, frame.x.end - frame.x.begin, low - top, BAND))
+        words = f"95 % bounds {bounds_mm.min():.3f} to {bounds_mm.max():.3f}"
+        parts.append(text(frame.x.begin + 2.0, top - 1.0, words))
+    parts.append(frame.drawn("share of targets, %", "3-D error after, mm", PERCENTS))
+    named = []
+    for name, dash in zip(nearest, DASHES, strict=False):
+        parts.append(_curve(frame, found[name], AFTER, dash))
+        high = float(found[name].max())
+        named.append((frame.y.one(high), f"{name} {high:.3f}", AFTER))
+    parts += labels(frame.x.end + 1.0, named)
+    return svg(WIDTH_MM, HEIGHT_MM, "Errors after correction, enlarged", parts,
+               facts.inputs.simulated)  # fmt: skip
+
+
+def over_bound(facts: Facts, budget: TargetBudget) -> str:
+    """Return how often the error was which share of its own bound; "" without bounds."""
+    ratios = _ratios(facts, budget)
+    if not len(ratios):
+        return ""
+    most = max(1.8, BIN * np.ceil(ratios.max() / BIN))
+    edges = np.arange(0.0, most + BIN / 2, BIN)
+    counts = np.histogram(ratios, edges)[0]
+    x = Scale(0.0, float(most), LEFT_MM, WIDTH_MM - 4.0)
+    y = Scale(0.0, round_up(1.05 * counts.max()), HEIGHT_MM - BOTTOM_MM, TOP_MM)
+    frame = Frame(x, y)
+    parts = [frame.drawn("error ÷ own 95 % bound", "targets")]
+    for edge, count in zip(edges, counts, strict=False):
+        left, top = x.one(edge), y.one(float(count))
+        fill = "#7fa6c9" if edge < 1.0 - BIN / 2 else "#fff"
+        parts.append(rectangle(left, top, x.one(edge + BIN) - left, y.begin - top, fill, AFTER))
+    middles = np.linspace(0.0, most, 61)
+    parts.append(path(frame.at(middles, len(ratios) * BIN * _maxwell(middles)), INK, 0.4, "1.4 1"))
+    at, beyond = x.one(1.0), int((ratios > 1.0).sum())
+    parts.append(path([(at, y.begin), (at, TOP_MM)], INK, 0.8))
+    share = f"({100 * beyond / len(ratios):.1f} %, 5 % expected)"
+    said = (f"{beyond} of {len(ratios)} beyond it", share, "dashed: predicted")
+    for n, words in enumerate(said):
+        parts.append(text(at + 1.5, TOP_MM + 3.0 + 4.0 * n, words, bold=n == 0))
+    return svg(WIDTH_MM, HEIGHT_MM, "Errors as shares of their own bounds", parts,
+               facts.inputs.simulated)  # fmt: skip
+
+
+def _frame(y: Scale) -> Frame:
+    return Frame(Scale(0.0, 100.0, LEFT_MM, WIDTH_MM - RIGHT_MM), y)
+
+
+def _curve(frame: Frame, norms_mm: Array, colour: str, dash: str) -> str:
+    shares = 100 * (np.arange(len(norms_mm)) + 0.5) / len(norms_mm)
+    return path(frame.at(shares, np.sort(norms_mm)), colour, 0.7, dash)
+
+
+def _floor(facts: Facts, frame: Frame) -> Iterator[str]:
+    """Yield the errors that repeatability and tracker noise alone would leave (Maxwell's law)."""
+    floor_mm = facts.result.get("repeatability", {}).get("floor_mm")
+    if floor_mm is None:
+        return
+    from scipy.special import chdtri
+
+    shares = np.linspace(0.5, 99.5, 100)
+    norms_mm = floor_mm / np.sqrt(8 / np.pi) * np.sqrt(chdtri(3, 1 - shares / 100))
+    yield path(frame.at(shares, norms_mm), MUTED, 0.4, "0.3 0.8")
+    words = f"dotted: floor by repeatability, {floor_mm:.3f}"
+    yield text(frame.x.end - 1.0, frame.y.begin - 1.5, words, "end", MUTED)
+
+
+def _ratios(facts: Facts, budget: TargetBudget) -> Array:
+    names = [each.name for each in facts.cell.station]
+    found = [budget.coverage[name] for name in names if name in budget.coverage]
+    return np.concatenate([each.errors_mm / each.bounds_mm for each in found] or [np.empty(0)])
+
+
+def _bounds_mm(facts: Facts, budget: TargetBudget) -> Array:
+    names = [each.name for each in facts.cell.station]
+    found = [budget.coverage[name].bounds_mm for name in names if name in budget.coverage]
+    return np.concatenate(found or [np.empty(0)])
+
+
+def _maxwell(ratios: Array) -> Array:
+    """Return the density of |e| over its 95 % bound for three equal normal coordinates."""
+    u = K_95 * ratios
+    found: Array = K_95 * np.sqrt(2 / np.pi) * u**2 * np.exp(-(u**2) / 2)
+    return found

@@ -1,0 +1,128 @@
+"""Did anything move meanwhile: the floor nests, and the air, over time; stops are hatched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import datetime
+
+import numpy as np
+
+from hilcell.calibration.file import calibration_so_far
+from hilcell.calibration.measurement_budget import control_moves
+from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
+from hilcell.ports import Array
+from hilcell.report.drawing import (
+    AFTER,
+    INK,
+    Frame,
+    Scale,
+    circle,
+    hatched,
+    path,
+    rectangle,
+    round_up,
+    svg,
+    text,
+)
+from hilcell.report.facts import Facts
+
+WIDTH_MM, HEIGHT_MM, LEFT_MM, TOP_MM, BOTTOM_MM = 88.0, 46.0, 12.0, 6.5, 10.0
+TICKS = 4
+SHORT_S = 600.0  # of a run so short seconds are shown
+
+
+def floor_moves(facts: Facts) -> str:
+    """Return how far each floor nest was from its first measurement; "" without any again."""
+    moves = control_moves(facts.log)
+    if not moves:
+        return ""
+    times = _times(facts)
+    at_s = np.array([times[point.key] for point, _ in moves])
+    size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
+    frame = _frame(facts, Scale(0.0, round_up(1.25 * size_mm.max()), HEIGHT_MM - BOTTOM_MM, TOP_MM))
+    parts = [
+        *_stops(facts, frame),
+        frame.drawn("time, UTC", "move since the first, mm", _ticks(facts)),
+    ]
+    parts += [circle(x, y, 0.7, AFTER, AFTER) for x, y in frame.at(at_s, size_mm)]
+    words = f"largest {size_mm.max():.4f} mm, {len(moves)} measurements"
+    parts.append(text(frame.x.end, TOP_MM + 2.6, words, "end", AFTER, bold=True))
+    return svg(WIDTH_MM, HEIGHT_MM, "Moves of the floor nests", parts, facts.inputs.simulated)
+
+
+def air(facts: Facts) -> str:
+    """Return the air's temperature at the tracker; "" without a weather station."""
+    times, points = _times(facts), facts.log.points.values()
+    found = sorted((times[p.key], p.temperature_c) for p in points if p.temperature_c is not None)
+    if not found:
+        return ""
+    at_s, celsius = np.array(found).T
+    valid = _valid(facts) or (float(celsius.min()), float(celsius.max()))
+    low, high = min(valid[0], celsius.min()) - 0.3, max(valid[1], celsius.max()) + 0.3
+    frame = _frame(facts, Scale(float(low), float(high), HEIGHT_MM - BOTTOM_MM, TOP_MM))
+    parts = []
+    if _valid(facts):
+        bottom, top = frame.y.one(valid[0]), frame.y.one(valid[1])
+        parts.append(
+            rectangle(frame.x.begin, top, frame.x.end - frame.x.begin, bottom - top, "#e6edf4")
+        )
+        for value, words in ((valid[1], "valid up to"), (valid[0], "valid from")):
+            parts.append(frame.level(value, INK, 0.4, "1.4 1"))
+            y = frame.y.one(value) + (3.2 if value == valid[1] else -1.0)
+            parts.append(text(frame.x.end - 1.0, y, f"{words} {value:.1f}", "end"))
+    parts += _stops(facts, frame)
+    parts.append(frame.drawn("time, UTC", "air at the tracker, °C", _ticks(facts)))
+    parts.append(path(_thinned(frame.at(at_s, celsius)), AFTER, 0.6))
+    words = f"{celsius.min():.1f} to {celsius.max():.1f} °C"
+    parts.append(text(frame.x.begin + 2.0, TOP_MM + 7.0, words, colour=AFTER, bold=True))
+    return svg(WIDTH_MM, HEIGHT_MM, "Air at the tracker", parts, facts.inputs.simulated)
+
+
+def _valid(facts: Facts) -> tuple[float, float] | None:
+    calibration = calibration_so_far(facts.log, facts.run)
+    range_c = calibration.validity.temperature_c if calibration is not None else None
+    if range_c is None:
+        return None
+    return range_c[0] - TEMPERATURE_MARGIN_K, range_c[1] + TEMPERATURE_MARGIN_K
+
+
+def _thinned(places: Array) -> Array:
+    """Return a line through at most some 300 of the points: more are no wider on paper."""
+    return places[:: max(1, len(places) // 300)]
+
+
+def _seconds(time: str) -> float:
+    return datetime.fromisoformat(time).timestamp()
+
+
+def _times(facts: Facts) -> dict[str, float]:
+    """Return when each point that counts was recorded, s."""
+    return {each.key: _seconds(each.t) for each in facts.records if each.kind == "point"}
+
+
+def _frame(facts: Facts, y: Scale) -> Frame:
+    begin, end = _seconds(facts.records[0].t), _seconds(facts.last.t)
+    return Frame(Scale(begin, max(end, begin + 1.0), LEFT_MM, WIDTH_MM - 7.0), y)
+
+
+def _ticks(facts: Facts) -> list[tuple[float, str]]:
+    begin, end = _seconds(facts.records[0].t), _seconds(facts.last.t)
+    form = "%H:%M:%S" if end - begin < SHORT_S else "%H:%M"
+    utc = datetime.fromisoformat(facts.records[0].t).tzinfo
+    return [
+        (float(each), datetime.fromtimestamp(each, tz=utc).strftime(form))
+        for each in np.linspace(begin, max(end, begin + 1.0), TICKS)
+    ]
+
+
+def _stops(facts: Facts, frame: Frame) -> Iterator[str]:
+    """Yield a hatched box for each time between two sessions."""
+    before = ""
+    for record in facts.records:
+        body = record.body
+        if record.kind == "state" and body["machine"] == "run" and body["to"] == "checking":
+            begin = _seconds(before or record.t)
+            left, right = frame.x.one(begin), frame.x.one(_seconds(record.t))
+            yield hatched(left, TOP_MM, right - left, frame.y.begin - TOP_MM)
+            before = record.t
+        before = before and record.t

@@ -1,0 +1,141 @@
+"""The report's drawings: places on paper, words that do not overlap, figures that are right."""
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.journal.point_id import PointId
+from hilcell.report.drawing import NEAREST_MM, Frame, Scale, apart, hatched, path, round_up
+from hilcell.report.error_plots import enlarged, in_order, over_bound
+from hilcell.report.facts import Facts, read_facts
+from hilcell.report.first_page import Result
+from hilcell.report.over_time import air, floor_moves
+from hilcell.report.strip import strip
+from hilcell.report.target_budget import TargetBudget, target_budget
+from hilcell.report.variance import variance_bar
+from hilcell.report.vectors import vectors
+from hilcell.report.worst import worst
+from tests.hilcell.report.journals import Writer, validated_run
+from tests.whole.golden import GoldenRuns
+
+LEFT_OUT_MM = 1.5  # a letter may stand so far outside
+
+
+@pytest.fixture(scope="module")
+def real(golden: GoldenRuns) -> tuple[Facts, TargetBudget]:
+    facts = read_facts(golden["small"].folder)
+    return facts, target_budget(facts.log, facts.run)
+
+
+def words(svg: str) -> list[str]:
+    return ["".join(each.itertext()) for each in ET.fromstring(svg).iter("text")]
+
+
+def test_a_scale_keeps_values_on_paper() -> None:
+    scale = Scale(0.01, 1.0, 10.0, 30.0, logarithmic=True)
+    assert scale.at(np.array([0.001, 0.1, 9.0])).tolist() == pytest.approx([10.0, 20.0, 30.0])
+    assert scale.ticks() == pytest.approx([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
+    assert Scale(0.0, 100.0, 0.0, 1.0).ticks() == pytest.approx([0, 20, 40, 60, 80, 100])
+
+
+@pytest.mark.parametrize(("value", "tick"), [(0.099, 0.1), (0.1, 0.1), (0.11, 0.2), (2.1, 2.5)])
+def test_rounded_up(value: float, tick: float) -> None:
+    assert round_up(value) == pytest.approx(tick)
+
+
+def test_labels_keep_their_order_and_distance() -> None:
+    found = apart([10.0, 3.0, 3.1, 3.2])
+    assert sorted(found) == [found[1], found[2], found[3], found[0]]
+    assert min(np.diff(sorted(found))) >= NEAREST_MM - 1e-9
+
+
+def test_a_gap_interrupts_a_line() -> None:
+    nan = float("nan")
+    assert 'd="M0.00 1.00L2.00 3.00M4.00 5.00"' in path([(0, 1), (2, 3), (nan, nan), (4, 5)])
+
+
+def test_hatching_stays_in_its_box() -> None:
+    places = re.findall(r"[ML](\S+) ([\d.]+)", hatched(5.0, 6.0, 7.0, 4.0))
+    for x, y in ((float(x), float(y)) for x, y in places):
+        assert 5.0 <= x <= 12.0
+        assert 6.0 <= y <= 10.0
+
+
+def test_the_strip_shows_limit_before_and_after_with_u() -> None:
+    result = Result("Mean", 0.15, 1.2, 0.035, 0.028)
+    drawn = strip([("Mean, S300", result)], simulated=False)
+    assert {"Mean, S300", "limit 0.15", "before 1.20", "after 0.035"} <= set(words(drawn))
+    assert strip([], simulated=False) == ""
+
+
+def test_a_frame_draws_larger_values_higher() -> None:
+    frame = Frame(Scale(0.0, 1.0, 0.0, 10.0), Scale(0.0, 1.0, 20.0, 5.0))
+    low, high = frame.at(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    assert (low.tolist(), high.tolist()) == ([0.0, 20.0], [10.0, 5.0])
+
+
+def test_every_drawing_of_a_run_keeps_its_words_inside(real: tuple[Facts, TargetBudget]) -> None:
+    facts, budget = real
+    drawings = [
+        in_order(facts), enlarged(facts, budget), over_bound(facts, budget), vectors(facts),
+        variance_bar(budget, simulated=True), floor_moves(facts), air(facts),
+    ]  # fmt: skip
+    for drawn in drawings:
+        shown = ET.fromstring(drawn)
+        _, _, width, height = map(float, shown.attrib["viewBox"].split())
+        for each in shown.iter("text"):
+            assert -LEFT_OUT_MM <= float(each.attrib["x"]) <= width + LEFT_OUT_MM
+            assert 0.0 <= float(each.attrib["y"]) <= height + LEFT_OUT_MM, each.text
+
+
+def test_the_shares_of_the_bar_are_the_whole(real: tuple[Facts, TargetBudget]) -> None:
+    said = [line for line in words(variance_bar(real[1], simulated=False)) if line.startswith("u ")]
+    assert 3 <= len(said) <= 6
+    shares = [float(line.rpartition(", ")[2].removesuffix(" %")) for line in said]
+    assert sum(shares) == pytest.approx(100.0, abs=0.3)
+    assert shares[:-1] == sorted(shares[:-1], reverse=True)
+
+
+def test_how_many_are_beyond_their_bound(real: tuple[Facts, TargetBudget]) -> None:
+    facts, budget = real
+    names = [station.name for station in facts.cell.station]
+    found = [budget.coverage[name] for name in names]
+    beyond, every = sum(len(each) - each.inside for each in found), sum(map(len, found))
+    assert f"{beyond} of {every} beyond it" in words(over_bound(facts, budget))
+
+
+def test_what_a_run_has_not_measured_is_not_drawn(tmp_path: Path) -> None:
+    facts = read_facts(Writer(tmp_path / "r").began().left())
+    none = target_budget(facts.log, "r")
+    for drawn in (in_order(facts), enlarged(facts, none), over_bound(facts, none), vectors(facts),
+                  variance_bar(none, simulated=False), floor_moves(facts), air(facts)):  # fmt: skip
+        assert drawn == ""
+    assert worst(facts, none) is None
+
+
+def test_a_stop_between_two_sessions_is_hatched(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r")
+    facts = read_facts(writer.left())
+    writer = validated_run(tmp_path / "s")
+    writer.state("run", "checking")
+    twice = writer.facts()
+    assert air(twice).count('stroke-width="0.15"') == air(facts).count('stroke-width="0.15"') + 1
+
+
+def test_the_worst_come_first_with_both_values(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r")
+    id = PointId("validate", station="S300", how="chosen", number=1)
+    nominal_mm = (100.0, 50.0, 970.0)
+    writer.point(id, (100.0, 50.0, 970.4), "S300", nominal_mm=nominal_mm)
+    facts = writer.facts()
+    found = worst(facts, target_budget(facts.log, "r"))
+    assert found is not None
+    first = dict(zip(found.headers, found.rows[0], strict=True))
+    wanted = {"rank": "1", "target": "S300/001", "z mm": "970", "before mm": "2.000",
+              "ez mm": "+0.400", "3-D mm": "0.400", "again mm": "0.200"}  # fmt: skip
+    assert first.items() >= wanted.items()
+    assert [row[1] for row in found.rows[1:3]] == ["S300/002", "S1100/002"]
+    assert found.title == "The worst targets"
