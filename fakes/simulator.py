@@ -51,6 +51,8 @@ class PaperCell:
         self.exercises: Sequence[Exercise] = exercises_of(cell)
         load_faults(faults)  # so that a wrong file is refused here, in full
         self._process: subprocess.Popen[bytes] | None = None
+        if "rail" in ports and not cell.has_rail:
+            raise SettingsError("--ports", [f"rail: cell {cell.name} has no rail"])
         attach = cell.simulation.address if cell.simulation is not None else ""
         if attach and ports:
             raise SettingsError(

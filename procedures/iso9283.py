@@ -141,11 +141,12 @@ def pose_table(result: dict[str, Any]) -> Table:
         for name, each in found["poses"].items()
     ]
     headers = ["pose", "x mm", "y mm", "z mm", "AP_p mm", "AP_x mm", "AP_y mm", "AP_z mm",
-               "U(AP) mm", "RP_l mm", "U(RP) mm"]  # fmt: skip
+               "U(AP) mm", "RP_l mm", "U(RP) mm", "robot's"]  # fmt: skip
     return headers, rows
 
 
-_POSE_KEYS = ("ap_mm", "ap_x_mm", "ap_y_mm", "ap_z_mm", "ap_u95_mm", "rp_mm", "rp_u95_mm")
+_POSE_KEYS = ("ap_mm", "ap_x_mm", "ap_y_mm", "ap_z_mm", "ap_u95_mm", "rp_mm", "rp_u95_mm",
+              "rp_robot_mm")  # fmt: skip
 
 
 def pose_words(result: dict[str, Any]) -> str:

@@ -31,7 +31,7 @@ from hilcell.geometry.pose_test import (
     pose_figures,
 )
 from hilcell.geometry.statistics import rms
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log, Point, variances_mm2
 from hilcell.ports import Array
 
 ISO = "iso9283"  # kind of the points, key of result and verdict
@@ -55,15 +55,20 @@ def velocity_percent(cell: Cell) -> float:
 
 def attained(log: Log) -> dict[str, Errors]:
     """Return what was attained at each pose, in {B} and in order of the cycles, so far."""
-    visits: dict[str, list[Point]] = {name: [] for name in sorted(CYCLE)}
-    for point in log.select(ISO):
-        visits[point.id.pose].append(point)
     T_B_W = inverse(log.matrix("base"))
-    found = {name: errors_of(log, points) for name, points in visits.items() if points}
+    found = {name: errors_of(log, points) for name, points in _visits(log).items() if points}
     return {
         name: Errors(apply(T_B_W, each.nominal_mm), each.error_mm @ T_B_W[:3, :3].T)
         for name, each in found.items()
     }
+
+
+def _visits(log: Log) -> dict[str, list[Point]]:
+    """Return the points of each pose."""
+    visits: dict[str, list[Point]] = {name: [] for name in sorted(CYCLE)}
+    for point in log.select(ISO):
+        visits[point.id.pose].append(point)
+    return visits
 
 
 def pose_test(log: Log) -> dict[str, Any]:
@@ -116,6 +121,9 @@ def _pose(log: Log, name: str, found: PoseFigures, *, corrected: bool) -> dict[s
         "ap_u95_mm": expanded_mm(found.along(known_mm2)),
         "rp_mm": found.rp_mm,
         "rp_u95_mm": expanded_mm(found.rp_u_mm),
+        "rp_robot_mm": found.rp_without_mm(
+            float(variances_mm2(_visits(log)[name]).sum(axis=1).mean())
+        ),
         "l_mean_mm": found.l_mean_mm,
         "s_l_mm": found.s_l_mm,
     }

@@ -61,6 +61,13 @@ class PoseFigures:
         n = self.count
         return self.s_l_mm * math.sqrt(1.0 / n + 9.0 / (2.0 * (n - 1)))
 
+    def rp_without_mm(self, noise_mm2: float) -> float:
+        """Return RP_l less the measurement's noise, the trace of its covariance; 0 where that
+        explains all. Mean squares subtract; distances keep the shape of their distribution.
+        """
+        share = 1.0 - noise_mm2 / float(np.trace(self.scatter_mm2))
+        return self.rp_mm * math.sqrt(max(0.0, share))
+
     def along(self, covariance_mm2: Array) -> float:
         """Return the standard deviation that a covariance (3, 3) has along AP."""
         e = self.ap_mm / self.ap_p_mm if self.ap_p_mm > 0.0 else np.eye(3)[0]

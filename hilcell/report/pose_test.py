@@ -190,10 +190,12 @@ POSES: tuple[Column[Pose], ...] = (
     Column("S_l", _of("s_l_mm"), form=".4f"),
     Column("RP_l", _of("rp_mm"), form=".3f"),
     Column("U(RP_l)", _of("rp_u95_mm"), form=".3f"),
+    Column("RP robot", _of("rp_robot_mm"), form=".3f"),
 )
 POSES_NOTE = (
     "All in mm; commanded positions and AP in {B}. AP: barycentre of the attained positions less "
-    "the commanded one. RP_l = mean of l + 3 S_l, l the distance from the barycentre."
+    "the commanded one. RP_l = mean of l + 3 S_l, l the distance from the barycentre; RP robot: "
+    "the tracker's noise taken off."
 )
 
 

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.cell.devices import build_devices, check_options
+from hilcell.cell.devices import build_devices, check_options, start_simulation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.clock import WallClock
@@ -106,3 +106,8 @@ def test_its_rail_has_no_wire_and_goes_nowhere() -> None:
     assert (reading.still, reading.powered, reading.strip_mm) == (True, False, 0.0)
     with pytest.raises(DeviceError, match=r"HC-R36|this cell has no rail"):
         rail.move_to(100.0)
+
+
+def test_a_port_for_the_rail_that_it_lacks_is_refused() -> None:
+    with pytest.raises(SettingsError, match="rail: cell fixed has no rail"):
+        start_simulation(FIXED, seed=1, speed=1.0, ports={"rail": 29536})

@@ -51,6 +51,16 @@ def test_accuracy_and_repeatability_of_a_pose() -> None:
     assert found.rp_mm == pytest.approx(l_mean + 3 * s_l)
 
 
+def test_the_measurement_s_noise_is_taken_off() -> None:
+    robot = RNG.normal(scale=0.02, size=(3000, 3))
+    seen = robot + RNG.normal(scale=0.01, size=(3000, 3))
+    wanted_mm = pose_figures(robot, np.zeros(3)).rp_mm
+    found = pose_figures(seen, np.zeros(3))
+    assert found.rp_mm > 1.08 * wanted_mm
+    assert found.rp_without_mm(3 * 0.01**2) == pytest.approx(wanted_mm, rel=0.03)
+    assert found.rp_without_mm(1.0) == 0.0
+
+
 def test_accuracy_and_repeatability_of_a_distance() -> None:
     wanted = np.array([[0.0, 0.0, 0.0], [300.0, -400.0, 1200.0]])
     ends = tuple(RNG.normal(end, 0.03, size=(30, 3)) for end in wanted * 1.001)
