@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hilcell.geometry.statistics import lengths_mm
+from hilcell.report.certificate import conformity_words
+from hilcell.report.facts import read_facts
+from hilcell.report.first_page import results_sheet, verdict_word
+from hilcell.report.html import standing
 from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation
 from tests.whole.trace import judge
 
 CYCLES = 4
 SHORT = SMALL | {"base_frame.points": "5", "iso9283.cycles": str(CYCLES)}
+Hear = Callable[[dict[str, Any]], object]
 Ran = tuple[Path, list[dict[str, Any]], Simulation]
 
 
@@ -29,10 +35,16 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ran]:
         yield runs, events(done.stdout), cell
 
 
-def run(cell: Simulation, runs: Path, name: str, **more: str) -> Any:
-    words = sets(SHORT | {"simulation.address": cell.control} | more)
+def run(
+    cell: Simulation,
+    runs: Path,
+    name: str,
+    more: Mapping[str, str] = MappingProxyType({}),
+    hear: Hear | None = None,
+) -> Any:
+    words = sets(SHORT | {"simulation.address": cell.control} | dict(more))
     where = ("--cell", "fixed", "--runs", runs, "--name", name)
-    return command("run", "iso9283", "--json", "--unattended", *where, *words)
+    return command("run", "iso9283", "--json", "--unattended", *where, *words, hear=hear)
 
 
 def exported(runs: Path, name: str, file: Path) -> dict[str, Any]:
@@ -102,14 +114,17 @@ def test_a_killed_test_measures_what_is_missing_and_comes_from_the_pose_before(
 
 def test_stated_limits_make_a_verdict(ran: Ran) -> None:
     runs, _, cell = ran
-    done = run(cell, runs, "strict", **{"iso9283.rp_limit_mm": "0.01", "iso9283.cycles": "3"})
+    done = run(cell, runs, "strict", {"iso9283.rp_limit_mm": "0.01", "iso9283.cycles": "3"})
     end = end_of(done)
     assert (end["exit"], end["state"]) == (1, "finished")
     assert end["result"]["iso9283"]["limits"] == {"rp_limit_mm": 0.01}
-    page = report_of(runs, "strict")
-    assert "WOULD FAIL" in page
-    assert "guard band" in page
-    assert "out of tolerance" in page
+    facts = read_facts(runs / "strict")
+    assert verdict_word(facts) == "WOULD FAIL"
+    assert standing(facts) == ("bad", "out of tolerance")
+    assert conformity_words(facts).startswith("guard band")
+    sheet = results_sheet(facts)
+    assert sheet is not None
+    assert [row[-1] for row in sheet.rows] == ["not judged", "out", "not judged", "not judged"]
 
 
 def report_of(runs: Path, name: str) -> str:
@@ -145,3 +160,28 @@ def test_a_calibration_is_tested_by_its_corrected_poses(ran: Ran, tmp_path: Path
     done = command("run", "iso9283", *words, "--set", f"simulation.address={cell.control}")
     assert done.returncode == 2
     assert "nothing" in done.stderr
+
+
+@pytest.mark.nightly
+def test_a_bumped_tracker_costs_the_cycles_since_its_proof(ran: Ran, tmp_path: Path) -> None:
+    _, printed, _ = ran
+    with simulation(values=SHORT, name="fixed") as cell:
+        bumped: list[str] = []
+
+        def hear(event: dict[str, Any]) -> None:
+            if event.get("key") == "iso9283/P3/001" and event["kind"] == "point" and not bumped:
+                bumped.append(event["key"])
+                assert cell.ask(do="fault", name="tracker.drift_step", value=0.5)["ok"]
+
+        done = run(cell, tmp_path, "bumped", hear=hear)
+    end = end_of(done)
+    assert end["exit"] == 0, done.stderr
+    assert end["result"]["tracker"]["moved"] == 1
+    assert judge(events(done.stdout)) == []
+    moves = [e for e in events(done.stdout) if e["kind"] == "intent" and "from_deg" in e]
+    assert len(moves) == 2 * 5 * CYCLES
+    again = end["result"]["iso9283"]["poses"]
+    for name, each in printed[-1]["result"]["iso9283"]["poses"].items():
+        assert again[name]["count"] == CYCLES
+        assert again[name]["ap_mm"] == pytest.approx(each["ap_mm"], abs=0.1)
+        assert again[name]["rp_mm"] < 0.2
