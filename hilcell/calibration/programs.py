@@ -13,7 +13,7 @@ from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zy
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 
-STROKE_CHANGE_MM = 0.05  # of the error between both ends of a stroke
+STROKE_CHANGE_MM = 0.05  # by which the end of a stroke may be missed
 BASE_MM = 0.05  # at the targets: numbers of a program are rounded
 NAMED = 5
 
@@ -61,27 +61,28 @@ def check_strokes(
     calibration: Calibration,
     station: str,
     targets: Array,
+    command: Array,
     strokes: Sequence[Stroke],
     longest_mm: float,
 ) -> float:
-    """Return by how much the error changes at most over a stroke, mm; 0 without strokes.
+    """Return by how far the end of a stroke is missed at most, mm; 0 without strokes.
 
-    A stroke keeps the correction of the target before it, so at its end the robot is off by as much
-    as the error there differs from that at the target. By the calibration's model, asked at both
-    nominal ends, that may be `STROKE_CHANGE_MM` (0.05 mm). ``targets`` (N, 6) are nominal, in {W}.
-    Raises `StrokeError` naming the strokes that are longer than ``longest_mm``, end outside of the
-    calibrated volume, or change the error more.
+    A stroke keeps the correction of the target before it, so its end is missed by as much as the
+    error there differs from that at the target, and where angles are corrected by as much as the
+    stroke is turned with them. By the calibration's model, asked at both nominal ends, that may be
+    `STROKE_CHANGE_MM` (0.05 mm). ``targets`` (N, 6) are nominal, ``command`` (N, 6) corrected, in
+    {W}. Raises `StrokeError` naming the strokes that are longer than ``longest_mm``, end outside of
+    the calibrated volume, or miss their end by more.
     """
     if not strokes:
         return 0.0
     shifts_mm = np.array([each.shift_mm for each in strokes])
-    names = [each.where for each in strokes]
-    far_mm = lengths_mm(shifts_mm)
+    names, at = [each.where for each in strokes], [each.target for each in strokes]
     _refuse(
-        far_mm, longest_mm + ROUNDING_MM, names, "lead away from their point",
+        lengths_mm(shifts_mm), longest_mm + ROUNDING_MM, names, "lead away from their point",
         "shorten them, or declare their length with --allow-stroke MM",
     )  # fmt: skip
-    starts = targets[[each.target for each in strokes]]
+    starts = targets[at]
     ends = starts.copy()
     ends[:, :3] += shifts_mm
     T_B_W = inverse(np.array(calibration.stations[station].T_W_B))
@@ -91,12 +92,17 @@ def check_strokes(
     except OutsideGrid as error:
         raise StrokeError(f"strokes that end outside: {error}") from error
     model = calibration.error_model()
-    change_mm = lengths_mm(model.predict(to_poses).error_mm - model.predict(from_poses).error_mm)
+    change_mm = model.predict(to_poses).error_mm - model.predict(from_poses).error_mm
+    wanted_mm = to_poses[:, :3, 3] - from_poses[:, :3, 3]
+    turned = (T_B_W @ poses_from_zyx(command[at]))[:, :3, :3]
+    along_mm = np.einsum("nji,nj->ni", from_poses[:, :3, :3], wanted_mm)  # in the tool's frame
+    sent_mm = np.einsum("nij,nj->ni", turned, along_mm)
+    missed_mm = lengths_mm(sent_mm + change_mm - wanted_mm)
     _refuse(
-        change_mm, STROKE_CHANGE_MM, names, "change the error",
+        missed_mm, STROKE_CHANGE_MM, names, "miss their end",
         "shorten them, or state their end as a point, which is corrected by itself",
     )  # fmt: skip
-    return float(change_mm.max())
+    return float(missed_mm.max())
 
 
 def _refuse(found_mm: Array, most_mm: float, names: Sequence[str], what: str, act: str) -> None:

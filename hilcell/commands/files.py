@@ -115,11 +115,13 @@ def _check_program(
 ) -> None:
     """Refuse a program whose strokes or joints do not agree with its corrected targets."""
     station, name, targets = args.station, Path(args.targets).name, program.values()
-    change_mm = check_strokes(calibration, station, targets, program.strokes, args.allow_stroke)
+    missed_mm = check_strokes(
+        calibration, station, targets, command, program.strokes, args.allow_stroke
+    )
     if program.strokes:
         print_message(
-            f"{name}: strokes keep the correction of the point before them; the error changes by "
-            f"at most {change_mm:.3f} mm over them"
+            f"{name}: strokes keep the correction of the point before them, and miss their end by "
+            f"at most {missed_mm:.3f} mm"
         )
     if cell is not None:
         T_W_B = np.array(calibration.stations[station].T_W_B)

@@ -15,6 +15,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.commands.bounds import summary
 from hilcell.commands.files import check_settings
 from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.output_place import KNOWN
 from hilcell.commands.prepare_sheet import SHEET, sheet_of
 from hilcell.commands.prepared import Prepared, prepared
 from hilcell.commands.released import Released, released
@@ -90,6 +91,8 @@ def _check_names(stations: list[Prepared]) -> None:
 
 def _make(folder: Path) -> None:
     """Make a folder, or take an empty one: files of another job in it would be taken for these."""
+    if folder.suffix.lower() in KNOWN and not folder.exists():
+        raise NotWritten(f"{folder} is a file by its name; name a folder, as {folder.stem}")
     if os.path.lexists(folder) and not os.path.isdir(folder):  # noqa: PTH112 - as in `released`
         raise NotWritten(f"{folder} is a file; name a folder")
     try:

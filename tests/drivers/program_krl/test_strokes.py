@@ -8,6 +8,7 @@ import pytest
 
 from drivers.program_krl.files import load_program
 from drivers.program_krl.reader import read_program
+from hilcell.calibration.programs import StrokeError, check_strokes
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
 from hilcell.ports import Array
@@ -108,7 +109,7 @@ def test_a_drill_stroke_stays_as_it_is_and_arrives(
     arrived = sent[:, :3, 3] + calibration().error_model().predict(sent).error_mm
     off_mm = float(np.linalg.norm(arrived - wanted[:, :3, 3]))
     assert 0.002 < off_mm < 0.05
-    stated = re.search(r"the error changes by at most (\S+) mm over them", said)
+    stated = re.search(r"miss their end by at most (\S+) mm", said)
     assert stated is not None
     assert float(stated[1]) == pytest.approx(off_mm, abs=0.0015)
 
@@ -122,7 +123,7 @@ def test_a_drill_stroke_stays_as_it_is_and_arrives(
             "1 of 1 strokes lead away from their point by more than 20 mm",
         ),
         ("LIN_REL {X 25} #TOOL", ("--allow-stroke", "25"), ""),
-        ("LIN_REL {X 199} #TOOL", ("--allow-stroke", "200"), "change the error by more than 0.05"),
+        ("LIN_REL {X 199} #TOOL", ("--allow-stroke", "200"), "miss their end by more than 0.05"),
         ("LIN_REL {X 15} #TOOL\nLIN_REL {X 15} #TOOL", (), "(drill.src line 4) from XP1"),
     ],
 )
@@ -159,6 +160,17 @@ def test_a_declared_stroke_is_a_length(
     with pytest.raises(SystemExit, match="2"):
         desk.compensate("--allow-stroke", text)
     assert "a length above 0 up to 200 mm is wanted" in capsys.readouterr().err
+
+
+def test_a_stroke_that_corrected_angles_turn_away_is_refused() -> None:
+    """A command turned by 5 mrad takes 20 mm of stroke 0.1 mm aside."""
+    made, read = calibration(), read_program("p.src", f"LIN XP1\n{DRILL}", ("p.dat", DAT))
+    values = read.values()
+    straight_mm = check_strokes(made, "S1100", values, values, read.strokes, 20.0)
+    assert straight_mm < 0.02
+    turned = values + [0, 0, 0, 0, np.degrees(5e-3), 0]
+    with pytest.raises(StrokeError, match="miss their end by more than"):
+        check_strokes(made, "S1100", values, turned, read.strokes, 20.0)
 
 
 def base_of(frame: Array) -> str:

@@ -175,6 +175,15 @@ def test_a_robot_without_a_writer_gets_lists_only(
     assert written == [name for name in FILES if not name.endswith((".src", ".dat"))]
 
 
+def test_a_folder_is_not_named_like_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made(tmp_path)
+    words = ["--calibration", str(tmp_path / "calibration.json"), "-o", str(tmp_path / "all.csv")]
+    assert main(["prepare", str(holes(tmp_path, *INSIDE)), *words]) == 2
+    assert "is a file by its name; name a folder, as all" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("text", "part"),
     [
