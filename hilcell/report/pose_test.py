@@ -124,12 +124,12 @@ def sheets(facts: Facts) -> list[Sheet]:
     if not tests_poses(facts):
         return []
     found = facts.result[ISO]
-    departures = [[each] for each in found["deviations"]]
+    departures = [[str(n), each] for n, each in enumerate(found["deviations"], start=1)]
     return present(
         sheet("Test conditions", CONDITIONS, _conditions(found)),
         sheet("Pose accuracy and repeatability", POSES, found["poses"].items(), POSES_NOTE),
         sheet("Distance accuracy and repeatability", DISTANCE, [found["distance"]], DISTANCE_NOTE),
-        Sheet("Departures from the standard", ["departure"], departures),
+        Sheet("Departures from the standard", ["", "departure"], departures, words=2),
     )
 
 
