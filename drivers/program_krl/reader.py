@@ -7,7 +7,7 @@ nobody has checked, so that such a program is refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from functools import partial
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from drivers.program_krl.data import AXES, EXTERNAL, POINTS, POSE, DataList, Datum, declared
 from drivers.program_krl.frames import FrameRule, assigned_at
 from drivers.program_krl.program import Program, Target
-from drivers.program_krl.strokes import STROKES, Relative, StrokeRule
+from drivers.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
 from drivers.program_krl.tokens import KrlError, Statement, Token, closing, statements, text_of
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedBase, Stroke
@@ -64,7 +64,8 @@ class _Reader:
         self._file, self._found = file, found
         self._frames = FrameRule(self._data)
         self._own = {name for each in found for name in _defined(each)}
-        self._stands = StrokeRule(_moving(found, self._own))
+        blocks = _blocks(found)
+        self._stands = StrokeRule(blocks, _moving(blocks))
         self._relative: list[Relative] = []
         self._missing: list[str] = []  # names that the data list beside it would have
         self._local = {name for each in found for name in _local(each)}
@@ -144,7 +145,7 @@ class _Reader:
             self._relative += self._stands.take(statement)
             return
         _refuse_motions(statement)
-        self._stands.pass_by(statement)
+        self._relative += self._stands.pass_by(statement)
         labelled = len(tokens) == 2 and tokens[1].text == ":"
         if any(token.text == ":" for token in _outside_braces(tokens)) and not labelled:
             raise KrlError("the geometric operator ':' computes a frame at run time")
@@ -310,16 +311,26 @@ def _clause(rest: Sequence[Token]) -> Sequence[Token]:
     return rest[1:]
 
 
-def _moving(found: Sequence[Statement], own: Set[str]) -> set[str]:
-    """Return the own subprograms that move, or may: those that have a motion or call another."""
-    moving, current = set[str](), ""
+def _blocks(found: Sequence[Statement]) -> dict[str, list[Statement]]:
+    """Return the statements of each own program and subprogram below its header."""
+    blocks: dict[str, list[Statement]] = {}
+    current = ""
     for statement in found:
         begun = _defined(statement)
         current = begun[0] if begun else current
-        words = {token.word for token in statement.tokens} - set(begun)
-        if words & {*ABSOLUTE, *CIRCLES, *SPLINES, *STROKES, "PTP_REL", "CIRC_REL"} or words & own:
-            moving.add(current)
-    return moving
+        if not begun:
+            blocks.setdefault(current, []).append(statement)
+    return blocks
+
+
+def _moving(blocks: Mapping[str, Sequence[Statement]]) -> set[str]:
+    """Return the own subprograms that move, or may: those that have a motion or call another."""
+    moves = {*MOTIONS, *STROKES, *blocks}
+    return {
+        name
+        for name, block in blocks.items()
+        if any(token.word in moves for statement in block for token in statement.tokens)
+    }
 
 
 def _outside_braces(tokens: Sequence[Token]) -> list[Token]:

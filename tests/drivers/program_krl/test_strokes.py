@@ -49,10 +49,22 @@ def test_own_subprograms_that_do_not_move_leave_the_robot_where_it_is() -> None:
     assert len(strokes(f"LIN XP1\nON()\n{DRILL}\nEND\nDEF ON()\n$OUT[1]=TRUE")) == 2
 
 
+def test_a_subprogram_of_strokes_is_read_at_its_calls() -> None:
+    body = f"LIN XP1\nGO( )\nLIN XP2\nGO( )\nGO( )\nEND\nDEF GO( )\n$OUT[1]=TRUE\n{DRILL}"
+    assert [target for target, _ in strokes(body)] == [0, 0, 1, 1, 1, 1]
+    forth = "LIN XP1\nGO( )\nGO( )\nEND\nDEF GO( )\nLIN_REL {X 5} #TOOL"
+    assert [round(np.linalg.norm(shift), 6) for _, shift in strokes(forth)] == [5.0, 10.0]
+
+
 @pytest.mark.parametrize(
     "body",
     [
         DRILL,
+        f"LIN XP1\nPTP HOME\nGO( )\nEND\nDEF GO( )\n{DRILL}",
+        f"LIN XP1\nTRIGGER WHEN DISTANCE=0 DELAY=0 DO GO( )\nEND\nDEF GO( )\n{DRILL}",
+        f"LIN XP1\nGO( )\nEND\nDEF GO( )\nIF $IN[1] THEN\n{DRILL}\nENDIF",
+        f"LIN XP1\nGO(5)\nEND\nDEF GO(N :IN)\n{DRILL}",
+        f"LIN XP1\nGO( )\n{DRILL}\nEND\nDEF GO( )\nLIN XP2\n{DRILL}",
         f"PTP HOME\n{DRILL}\nLIN XP1",
         f"LIN XP1\nIF $IN[1] THEN\n{DRILL}\nENDIF",
         f"LIN XP1\nIF $IN[1] THEN\nLIN XP2\nENDIF\n{DRILL}",
