@@ -16,7 +16,12 @@ from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.noticed import suspicions_of
-from hilcell.calibration.orientation import turn_coverages, validated_turns
+from hilcell.calibration.orientation import (
+    MOVED_MM,
+    moved_on_flange_mm,
+    turn_coverages,
+    validated_turns,
+)
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
@@ -148,13 +153,16 @@ class Validate:
         self._judge_orientation(session)
 
     def _judge_orientation(self, session: CellSession) -> None:
-        """Journal whether a corrected orientation is better than the one before, where it is."""
+        """Journal whether a corrected orientation is better than before, and reflectors stayed."""
         stations = [station.name for station in session.cell.station]
         turns = validated_turns(session.log, stations)
         if {"before", "chosen"} <= turns.keys() and orients(session.log):
             before, chosen = (turns[how].figures["mean_deg"] for how in ("before", "chosen"))
-            facts = {"before_mean_deg": before, "mean_deg": chosen}
-            session.verdict("orientation", holds=chosen < before, **facts)
+            moved_mm = moved_on_flange_mm(session.log)
+            session.verdict(
+                "orientation", holds=chosen < before and moved_mm <= MOVED_MM,
+                before_mean_deg=before, mean_deg=chosen, reflectors_moved_mm=moved_mm,
+            )  # fmt: skip
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors at the grid's station and at the others together, and their bounds."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
 from hilcell.ports import Array
 
 TURNS = slice(3, 6)  # of an influence's covariance
+MOVED_MM = 0.03  # of reflectors against each other: at 150 mm it turns the tool by 0.01 deg
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +107,37 @@ def validated_turns(log: Log, stations: Sequence[str]) -> dict[str, Turned]:
         if len(turned):
             found[how] = turned
     return found
+
+
+def moved_on_flange_mm(log: Log) -> float:
+    """Return by how much reflectors moved against each other between grid and validation, mm.
+
+    A reflector that was knocked turns the tool that is measured, and nothing else shows it. Medians
+    of distances: one bad reading is no motion. 0 where one of both was not measured.
+    """
+    before, after = _apart_mm(log, log.select("grid")), _apart_mm(log, log.select("validate"))
+    if not (len(before) and len(after)):
+        return 0.0
+    return float(np.abs(np.median(after, axis=0) - np.median(before, axis=0)).max())
+
+
+def _apart_mm(log: Log, points: Sequence[Point]) -> Array:
+    """Return the distances (N, D) between each two reflectors at poses where all were seen."""
+    numbers = range(1, len(log.cell.robot.seats_mm) + 1)
+    each = [[log.find(point.id.at_seat(n)) for n in numbers] for point in points]
+    seen_mm = np.array([positions_mm(seats) for seats in map(_all_seen, each) if seats])
+    pairs = [*combinations(range(len(numbers)), 2)]
+    if not len(seen_mm) or not pairs:
+        return np.zeros((0, len(pairs)))
+    one, other = np.array(pairs).T
+    apart_mm: Array = np.linalg.norm(seen_mm[:, one] - seen_mm[:, other], axis=-1)
+    return apart_mm
+
+
+def _all_seen(points: Sequence[Point | None]) -> list[Point]:
+    """Return the points of a pose, none where one is missing."""
+    seen = [point for point in points if point is not None]
+    return seen if len(seen) == len(points) else []
 
 
 def turn_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Array | None:

@@ -1,0 +1,82 @@
+"""What several reflectors on the flange tell of the tool, from a log alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.calibration.orientation import MOVED_MM, moved_on_flange_mm, seats_of, turned_of
+from hilcell.cell.file import load_cell
+from hilcell.geometry.frames import zyx_from_pose
+from hilcell.geometry.rotations import from_rotvec, from_zyx
+from hilcell.journal.journal import Kind, Record
+from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
+from hilcell.ports import Array
+from tests.hilcell.run.bed import PLAN
+
+CELL = load_cell("paper", {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"})
+SEATS_MM = CELL.robot.seats_mm
+ORIENTED = from_zyx([10.0, 70.0, 5.0])
+
+
+def logged(poses: list[tuple[PointId, Array]], seats_mm: dict[str, Array]) -> Log:
+    """Return a log of poses (3, 3); ``seats_mm`` (3, 3) are the reflectors by kind."""
+    plan = PLAN | {"cell": msgspec.to_builtins(CELL)}
+    records: list[tuple[Kind, str, dict[str, Any]]] = [
+        ("plan", "", plan),
+        ("frame", "world", {"matrix": np.eye(4).tolist()}),
+    ]
+    for number, (id, R) in enumerate(poses):
+        for seat, at_mm in enumerate(seats_mm[id.kind], start=1):
+            each = id.at_seat(seat)
+            body = {
+                "id": msgspec.to_builtins(each), "group": each.group, "station": "S1100",
+                "reflector": "SMR", "xyz_mm": (R @ at_mm + 100.0 * number).tolist(),
+                "std_mm": [0.01] * 3, "samples": 1, "session": 1, "frame": "tracker",
+                "nominal_deg": zyx_from_pose(_pose(ORIENTED))[3:].tolist() if seat == 1 else None,
+            }  # fmt: skip
+            records.append(("point", each.key, body))
+    return Log(Record(n, "", kind, key, body) for n, (kind, key, body) in enumerate(records, 1))
+
+
+def _pose(R: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3] = R
+    return T
+
+
+def ids(kind: str, count: int) -> list[PointId]:
+    return [PointId(kind, number=n) for n in range(count)]
+
+
+def test_errors_are_rotation_vectors_in_world_from_nominal_to_actual() -> None:
+    wanted_rad = np.array([3e-4, -2e-4, 5e-4])
+    actual = from_rotvec(wanted_rad) @ ORIENTED
+    log = logged([(ids("validate", 1)[0], actual)], {"validate": SEATS_MM})
+    turned = turned_of(log, log.select("validate"), SEATS_MM)
+    np.testing.assert_allclose(turned.error_rad, [wanted_rad], atol=1e-9)
+    assert turned.figures["mean_deg"] == pytest.approx(np.degrees(np.linalg.norm(wanted_rad)))
+    sigma_rad = np.sqrt(np.diagonal(turned.reading_rad2, axis1=1, axis2=2))
+    assert (sigma_rad > 0.01 / 250.0).all()
+    assert (sigma_rad < 0.01 / 80.0).all()
+
+
+def test_a_pose_whose_reflectors_were_not_all_seen_counts_not() -> None:
+    id = ids("validate", 1)[0]
+    log = logged([(id, ORIENTED)], {"validate": SEATS_MM[:2]})
+    assert len(turned_of(log, log.select("validate"), SEATS_MM)) == 0
+    assert seats_of(log) is None  # and nothing was framed or measured
+
+
+@pytest.mark.parametrize(("shift_mm", "moved"), [(0.0, False), (0.02, False), (0.05, True)])
+def test_a_reflector_that_was_knocked_is_seen(shift_mm: float, moved: bool) -> None:
+    knocked_mm = SEATS_MM + np.array([[0.0] * 3, [0.0] * 3, [0.0, -shift_mm, 0.0]])
+    poses = [(id, ORIENTED) for id in (*ids("grid", 5), *ids("validate", 5))]
+    log = logged(poses, {"grid": SEATS_MM, "validate": knocked_mm})
+    found_mm = moved_on_flange_mm(log)
+    assert found_mm == pytest.approx(shift_mm, abs=1e-6)
+    assert (found_mm > MOVED_MM) == moved
