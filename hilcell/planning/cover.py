@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from hilcell.geometry.kinematics import Array
 from hilcell.ports import HilcellError
@@ -22,6 +21,8 @@ def fewest(ok: NDArray[np.bool_], burden: Array) -> NDArray[np.int_]:
     ``burden`` (S,), 0..1 each, decides only between sets of equal number: its sum is made less
     than one station costs. Raises `CoverError` where a row is reached by none.
     """
+    from scipy.optimize import Bounds, LinearConstraint, milp  # slow to load, seldom needed
+
     rows = np.unique(ok, axis=0)
     if not rows.any(axis=1).all():
         raise CoverError("set cover: some holes are reached from no station")

@@ -145,7 +145,8 @@ def conditions_words(facts: Facts) -> str:
 
 
 def _deviations(facts: Facts) -> str:
-    return "; ".join(f"a calibration was used although {why}" for why in facts.inputs.accepted)
+    found = [f"a calibration was used although {why}" for why in facts.inputs.accepted]
+    return "; ".join(found) or "none recorded"
 
 
 def _revoked(facts: Facts) -> str:

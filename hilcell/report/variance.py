@@ -7,7 +7,7 @@ from hilcell.report.target_budget import Line, TargetBudget, lines
 
 SHADES = ("#0b4a7d", "#3f76a6", "#7fa6c9", "#b4cbe0", "#d9e4ee", "#eef3f8")
 WHITE_ON = 2  # so many shades are dark
-WIDTH_MM, HEIGHT_MM, BAR_MM = 56.0, 90.0, 12.0
+WIDTH_MM, HEIGHT_MM, BAR_MM = 55.0, 90.0, 12.0
 LEAST_MM = 5.0  # of a part that has its share written in it
 PITCH = 2.1  # of two-line labels, in labels
 

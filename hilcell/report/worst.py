@@ -69,7 +69,15 @@ def worst(facts: Facts, budget: TargetBudget) -> Sheet | None:
     found = [p for station in log.cell.station for p in targets(log, station.name, "chosen")]
     norms_mm = errors_of(log, found).norms_mm
     order = np.argsort(-norms_mm, kind="stable")[:MOST]
-    rows = [_row(log, rank, found[n], budget) for rank, n in enumerate(order, start=1)]
+    before = {
+        (p.station, p.id.number): p
+        for station in log.cell.station
+        for p in targets(log, station.name, "before")
+    }
+    rows = [
+        _row(log, rank, found[n], before.get((found[n].station, found[n].id.number)), budget)
+        for rank, n in enumerate(order, start=1)
+    ]
     note = (
         "Places and errors in {W}. After ÷ bound above 1: beyond the own bound, which 5 % of "
         "targets are expected to be. Where a target was measured again, the larger value counts."
@@ -78,17 +86,15 @@ def worst(facts: Facts, budget: TargetBudget) -> Sheet | None:
                  note)  # fmt: skip
 
 
-def _row(log: Log, rank: int, point: Point, budget: TargetBudget) -> Worst:
-    station, number = point.station, point.id.number
-    same = [p for p in targets(log, station, "before") if p.id.number == number]
+def _row(log: Log, rank: int, point: Point, before: Point | None, budget: TargetBudget) -> Worst:
     others = [p for p in (*log.repeated.get(point.key, ()), log.points[point.key])
               if p.xyz_mm != point.xyz_mm]  # fmt: skip
     found = errors_of(log, [point])
     return Worst(
         rank,
-        f"{station}/{number:03d}",
+        f"{point.station}/{point.id.number:03d}",
         found.nominal_mm[0],
-        float(errors_of(log, same).norms_mm[0]) if same else None,
+        float(errors_of(log, [before]).norms_mm[0]) if before is not None else None,
         found.error_mm[0],
         float(errors_of(log, others).norms_mm.max()) if others else None,
         budget.points_mm.get(point.key),
