@@ -58,7 +58,7 @@ def drawings(facts: Facts) -> list[Drawing]:
             "Error at each target, other stations" + _of_paper(facts, " (Fig 13)"),
             fig_13,
         ),
-        ("poses", "Pose accuracy and repeatability (ISO 9283)", fig_poses),
+        ("pose-test", "Pose accuracy and repeatability (ISO 9283)", fig_poses),
         ("attained", "Attained positions of each pose", fig_attained),
         ("similarity", "Similarity of errors" + _of_paper(facts, " (eq 8)"), fig_similarity),
         ("rail", "Position error of the rail, both ways" + _of_paper(facts, " (Fig 1)"), fig_1),

@@ -48,7 +48,7 @@ from hilcell.report.vectors import vectors
 from hilcell.report.worst import worst
 
 PARTS = {
-    "certificate": "first page", "glance": "At a glance",
+    "certificate": "first page", "glance": "At a glance", "poses": "Poses",
     "stations": "Stations, worst targets, drift", "uncertainty": "Uncertainty and method",
     "curves": "Transmission curves", "paper": "Figures of the paper", "record": "Record",
     "items": "Where each required item stands",
@@ -76,18 +76,16 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             controls=len(facts.log.select("control")),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             certificate=certificate(facts, budget, targets),
-            station_sheets=[
-                *pose_test.sheets(facts),
-                *present(
-                    tables.accuracy(facts),
-                    tables.orientation(facts),
-                    tables.stations(facts),
-                    tables.touches(facts),
-                    tables.frames(facts),
-                    tables.circles(facts),
-                    worst(facts, targets),
-                ),
-            ],
+            pose_sheets=pose_test.sheets(facts),
+            station_sheets=present(
+                tables.accuracy(facts),
+                tables.orientation(facts),
+                tables.stations(facts),
+                tables.touches(facts),
+                tables.frames(facts),
+                tables.circles(facts),
+                worst(facts, targets),
+            ),
             own_sheet=own,
             empty=not present(own, tables.accuracy(facts), tables.verdicts(facts)),
             curve_sheet=curves(facts),
@@ -131,7 +129,7 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
 
 
 def _drawings(facts: Facts, targets: TargetBudget) -> dict[str, object]:
-    simulated, at_mm = facts.inputs.simulated, tracker_mm(facts)
+    simulated, at_mm, drawn = facts.inputs.simulated, tracker_mm(facts), drawings(facts)
     return {
         "plan": plan_view(facts.cell, at_mm, simulated),
         "side": side_view(facts.cell, at_mm, simulated),
@@ -143,7 +141,8 @@ def _drawings(facts: Facts, targets: TargetBudget) -> dict[str, object]:
         "air": air(facts),
         "histogram": over_bound(facts, targets),
         "curve_plots": curve_plots(facts),
-        "drawings": drawings(facts),
+        "pose_drawings": [each for each in drawn if each.name in pose_test.FIGURES],
+        "drawings": [each for each in drawn if each.name not in pose_test.FIGURES],
     }
 
 

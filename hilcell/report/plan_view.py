@@ -24,6 +24,13 @@ def plan_view(cell: Cell, tracker_mm: Array, simulated: bool = False) -> str:
     return _Plan(cell, tracker_mm).svg(simulated)
 
 
+def along_of(cell: Cell) -> Array:
+    """Return the rail's direction (3,) in {W}; on the floor y of the base, x points to the work."""
+    layout = cell.layout
+    found: Array = np.array(layout.rail_direction if cell.has_rail else layout.base.matrix()[:3, 1])
+    return found
+
+
 class _Plan:
     def __init__(self, cell: Cell, tracker_mm: Array) -> None:
         self._cell, self._tracker_mm = cell, np.asarray(tracker_mm)[:2]
@@ -69,24 +76,16 @@ class _Plan:
         found: Array = apply(self._cell.layout.nominal_base(station.rail_mm), corners)[:, :2]
         return found
 
-    def _along(self) -> Array:
-        """Return the rail's direction (2,), or x of a base that stands on the floor."""
-        layout = self._cell.layout
-        found: Array = np.array(
-            layout.rail_direction if self._cell.has_rail else layout.nominal_base(0.0)[:3, 0]
-        )[:2]
-        return found
-
     def _across(self) -> Array:
         """Return half the rail's width (2,) as drawn, square to its direction."""
-        along = self._along()
+        along = along_of(self._cell)[:2]
         found: Array = np.array([-along[1], along[0]]) * RAIL_WIDE_MM / 2
         return found
 
     def _rail_corners(self) -> Array:
         (begin, end), across = self._rail_mm, self._across()
         if not self._cell.has_rail:  # a pedestal
-            half = self._along() * RAIL_WIDE_MM / 2
+            half = along_of(self._cell)[:2] * RAIL_WIDE_MM / 2
             begin, end = begin - half, end + half
         return np.array([begin + across, end + across, end - across, begin - across])
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Pose = tuple[str, Mapping[str, Any]]  # its name and its results
+FIGURES = ("pose-test", "attained")  # names of the figures below
 BLUE, ORANGE, PLANE_FILL = "#12507b", "#c26a2e", "#d3e0ec"
 AXONOMETRIC = np.array([[-0.45, 0.9, 0.0], [-0.4, -0.18, 0.9]])  # {B}'s x, y, z on paper
 EDGES = [(n, n % 4 + 1) for n in (1, 2, 3, 4)]  # of the top; others lie below and between

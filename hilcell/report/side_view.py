@@ -10,6 +10,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.ports import Array
 from hilcell.report.drawing import AFTER, BAND, INK, MUTED, circle, path, rectangle, svg, text
+from hilcell.report.plan_view import along_of
 
 WIDTH_MM, MARGIN_MM, MOST_HEIGHT_MM = 58.0, 4.0, 42.0
 FOOT_MM, SHOULDER_MM = 250.0, 700.0  # half the robot's foot, and its height, as drawn
@@ -17,7 +18,7 @@ FOOT_MM, SHOULDER_MM = 250.0, 700.0  # half the robot's foot, and its height, as
 
 def side_view(cell: Cell, tracker_mm: Array, simulated: bool) -> str:
     """Return the drawing; ``tracker_mm`` (3,) is where the tracker stands in {W}."""
-    along = np.array(cell.layout.rail_direction)
+    along = along_of(cell)
     across = np.array([along[1], -along[0], 0.0])
     station = cell.station_named(cell.grid.station)
     T = cell.layout.nominal_base(station.rail_mm)

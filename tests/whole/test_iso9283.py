@@ -141,7 +141,7 @@ def test_its_report_is_in_the_standard_s_terms(ran: Ran) -> None:
     assert 'No limits are stated to judge it by. Run: <strong class="good">finished' in page
     for title in ("Test conditions", "Pose accuracy and repeatability", "Departures from the"):
         assert title in page
-    for figure in ("figure-poses", "figure-attained"):
+    for figure in ("figure-pose-test", "figure-attained"):
         assert f'id="{figure}"' in page
     for each in found["deviations"]:
         assert each in page
