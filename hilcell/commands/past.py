@@ -28,7 +28,7 @@ def runs(args: argparse.Namespace) -> int:
         print_json({"runs": found})
         return 0
     if not found:
-        print_message(f"no runs in {args.runs}" + (" are of these" if rows else ""))
+        print_message(f"no {'such ' if rows else ''}runs in {args.runs}")
         return 0
     headers = ["run", "procedure", "cell", "operator", "state", "verdict", "points", "exit"]
     cells = [

@@ -20,8 +20,9 @@ from hilcell.cell.settings import SettingsError, unreadable
 
 POINT, COMMA = ".", ","
 OTHER_CODING = "cp1252"
-GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*")  # may be thousands
-FIGURES = re.compile(r"[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?")  # a number, by whatever sign
+GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*", re.ASCII)  # may be thousands
+FIGURES = re.compile(r"[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?", re.ASCII)  # by whatever sign
+LONGEST = 40  # characters of a number that is looked at
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -110,7 +111,7 @@ def _decimal(path: Path, figures: Iterable[tuple[int, str]]) -> str:
 
 
 def _signs(cell: str) -> Iterator[str]:
-    if FIGURES.fullmatch(cell):
+    if len(cell) <= LONGEST and FIGURES.fullmatch(cell):
         yield from (sign for sign in (POINT, COMMA) if sign in cell)
 
 

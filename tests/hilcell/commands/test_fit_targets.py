@@ -180,6 +180,22 @@ def test_a_program_is_corrected_in_place(
         np.testing.assert_allclose(numbers, wanted, atol=2e-4)
 
 
+def test_a_program_with_strokes_or_another_base_wants_a_calibration(
+    folder: Path, urdf: Urdf, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pose = zyx_from_pose(chain_forward(urdf.chain, drawn(2, 1)) @ pose_from_zyx(0, 0, 120, 0, 0, 0))
+    values = ",".join(f"{n} {v:.4f}" for n, v in zip("XYZABC", pose[0], strict=True))
+    base = "$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}"
+    lines = ["DEF p()", base, f"LIN {{{values}}}", "LIN_REL {X 20} #TOOL", "END", ""]
+    (tmp_path / "p.src").write_text("\n".join(lines))
+    words = ("--tool", "SMR1", "--correct", tmp_path / "p.src", "-o", tmp_path / "out.src")
+    assert fit(folder, *words) == 2
+    said = capsys.readouterr().err
+    assert "LIN_REL (p.src line 4)" in said
+    assert "p.src line 2: the base set there is not the robot's root frame" in said
+    assert not (tmp_path / "out.src").exists()
+
+
 def test_turns_that_cannot_be_checked_are_said(
     folder: Path, urdf: Urdf, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

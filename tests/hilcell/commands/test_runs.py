@@ -110,7 +110,7 @@ def test_those_that_were_asked_for(
 
 def test_none_of_these(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["runs", "--runs", str(runs), "--cell", "hard"]) == 0
-    assert capsys.readouterr().err == f"no runs in {runs} are of these\n"
+    assert capsys.readouterr().err == f"no such runs in {runs}\n"
 
 
 @pytest.mark.parametrize("text", ["soon", "22.11.2026", "0001-01-01", ""])

@@ -79,6 +79,11 @@ def test_one_number_proves_the_sign_of_all(tmp_path: Path) -> None:
     np.testing.assert_array_equal(values, [[1.234, 2.345, 3.0, 0.0, 0.0, 0.0]])
 
 
+def test_a_cell_of_any_length_is_refused_at_once(tmp_path: Path) -> None:
+    rows = f"H1;{100_000 * '1'}x;2,5;3;0;0;0\n"
+    assert "x_mm is '1111" in refusal(listed(tmp_path, rows))
+
+
 def test_other_codings_are_named(tmp_path: Path) -> None:
     assert "is UTF-16; save it as CSV in UTF-8" in refusal(listed(tmp_path, ROWS, coding="utf-16"))
     path = listed(tmp_path, ROWS)
