@@ -69,7 +69,7 @@ def test_three_views_share_their_axes() -> None:
 
 def test_a_cell_shows_its_worst_and_the_newest_is_marked() -> None:
     one = volume((0.01, 0.01))
-    worst = Volume(np.tile(one.targets_mm[:1], (2, 1)), np.array([0.01, 2.0]), one.low_mm,
+    worst = Volume(np.tile(one.targets_mm[:1], (2, 1)), np.array([2.0, 0.01]), one.low_mm,
                    one.high_mm, 1.0)  # fmt: skip
     assert "■" in "".join(line[:40] for line in shown(worst))
     assert "·" not in "".join(line[:40] for line in shown(worst))
