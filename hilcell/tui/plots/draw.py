@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +84,8 @@ class _Area:
     left: int
     width: int
     height: int
-    limit_rows: list[tuple[int, float]] = field(default_factory=list)
+    limit_rows: list[tuple[int, float]]
+    letters: bool
 
     def column(self, share: float) -> int:
         return int(min(share, 1.0 - 1e-9) * self.width)
@@ -105,7 +106,7 @@ def draw(
     labels = {row: _label(value, scale) for row, value in scale.ticks(rows)}
     bold = {row: _label(value, scale) for row, value in limit_rows}
     left = max((len(label) for label in (*labels.values(), *bold.values())), default=0) + 1
-    area = _Area(canvas, scale, left, max(width - left, 1), rows, limit_rows)
+    area = _Area(canvas, scale, left, max(width - left, 1), rows, limit_rows, look.letters)
     _frame(area, labels, bold, look)
     _x_axis(area, plot)
     lines = [_series(area, each) for each in plot.series]
@@ -155,13 +156,16 @@ def _x_axis(area: _Area, plot: Plot) -> None:
 
 
 def _halves(area: _Area, values: Array) -> Ints:
-    """Return the half (N,) of each value, on the right side of every limit's line."""
-    found = np.floor(2.0 * area.scale.rows(values, area.height)).astype(int)
-    halves: Ints = np.clip(found, 0, 2 * area.height - 1)
+    """Return the half (N,) of each value, on the right side of every limit's line.
+
+    A letter fills both halves: it stands in the row above or under the line.
+    """
+    halves: Ints = np.floor(2.0 * area.scale.rows(values, area.height)).astype(int)
     for row, limit in area.limit_rows:
-        within = values <= limit
-        halves = np.where(within, np.maximum(halves, 2 * row + 1), np.minimum(halves, 2 * row))
-    return halves
+        over, under = (2 * row - 1, 2 * row + 2) if area.letters else (2 * row, 2 * row + 1)
+        halves = np.where(values <= limit, np.maximum(halves, under), np.minimum(halves, over))
+    held: Ints = np.clip(halves, 0, 2 * area.height - 1)
+    return held
 
 
 def _series(area: _Area, series: Series) -> Bools:

@@ -81,6 +81,15 @@ def test_a_value_is_seen_on_its_side_of_the_limit(limit: float) -> None:
     assert "▄" not in over[at]
 
 
+def test_a_letter_never_stands_on_the_limits_line() -> None:
+    scale = log_scale(np.array([0.02]), [0.3])
+    for value in (0.2999, 0.3, 0.3001):
+        lines = drawn(plot_of(line("a", [value]), limits=(0.3,)), scale=scale, look=PLAIN)
+        at = next(n for n, text in enumerate(lines) if text.startswith("0.30┤"))
+        beside = lines[at - 1] if value > 0.3 else lines[at + 1]
+        assert "o" in beside
+
+
 def test_the_limit_has_a_tick_of_its_own_off_the_frame() -> None:
     lines = drawn(plot_of(line("a", [0.05]), limits=(0.3,)), scale=log_scale(np.zeros(1), [0.3]))
     (at,) = [n for n, text in enumerate(lines) if text.startswith("0.30┤─")]
