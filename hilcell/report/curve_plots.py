@@ -9,6 +9,7 @@ import numpy as np
 from hilcell.journal.curve_record import URAD, CurveRecord
 from hilcell.report.drawing import (
     AFTER,
+    ENDS,
     HATCH,
     INK,
     Frame,
@@ -34,7 +35,7 @@ def curve_plots(facts: Facts) -> str:
     parts = [
         part
         for n, record in enumerate(records)
-        for part in _row(record, n * ROW_MM, round_up(most))
+        for part in _row(record, n * ROW_MM, round_up(most, ENDS))
     ]
     title = "Transmission errors of the gears, and their spectra"
     return svg(WIDTH_MM, ROW_MM * len(records), title, parts, facts.inputs.simulated)

@@ -18,6 +18,9 @@ INK, MUTED, HAIR, HATCH = "#1b2430", "#4a5663", "#c9d0d8", "#9aa5b1"
 BEFORE, AFTER, BAND = "#b0561a", "#0b4a7d", "#d3e0ec"
 LABEL_MM = 2.9  # height of letters on paper, 8.2 pt
 NEAREST_MM = 3.4  # of two labels in a column
+LEAST = 1e-9  # range of a scale
+TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
+ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # of a scale
 
 
 def svg(width: float, height: float, title: str, parts: Iterable[str], simulated: bool) -> str:
@@ -100,11 +103,11 @@ def apart(heights: Sequence[float]) -> list[float]:
     return placed
 
 
-def round_up(value: float) -> float:
-    """Return the next 1, 2, 2.5 or 5 times a power of ten that is not below ``value``."""
+def round_up(value: float, steps: Sequence[float] = TICKS) -> float:
+    """Return the next of ``steps`` times a power of ten that is not below ``value``, nor nought."""
+    value = max(value, LEAST)
     power = 10.0 ** math.floor(math.log10(value))
-    steps = (step * power for step in (1, 2, 2.5, 5, 10))
-    return next(each for each in steps if each >= value * (1 - 1e-9))
+    return next(each for step in steps if (each := step * power) >= value * (1 - 1e-9))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from hilcell.report.drawing import (
     AFTER,
     BAND,
     BEFORE,
+    ENDS,
     INK,
     MUTED,
     Frame,
@@ -78,7 +79,7 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
     nearest = sorted(found, key=lambda name: -float(found[name].max()))[:MOST_LINES]
     bounds_mm = _bounds_mm(facts, budget)
     largest = max(*(float(found[name].max()) for name in nearest), *bounds_mm, 0.01)
-    frame = _frame(Scale(0.0, round_up(1.05 * largest), HEIGHT_MM - BOTTOM_MM, TOP_MM))
+    frame = _frame(Scale(0.0, round_up(1.05 * largest, ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM))
     parts = []
     if len(bounds_mm):
         top, low = frame.y.one(float(bounds_mm.max())), frame.y.one(float(bounds_mm.min()))
@@ -105,7 +106,7 @@ def over_bound(facts: Facts, budget: TargetBudget) -> str:
     edges = np.arange(0.0, most + BIN / 2, BIN)
     counts = np.histogram(ratios, edges)[0]
     x = Scale(0.0, float(most), LEFT_MM, WIDTH_MM - 4.0)
-    y = Scale(0.0, round_up(1.05 * counts.max()), HEIGHT_MM - BOTTOM_MM, TOP_MM)
+    y = Scale(0.0, round_up(1.05 * counts.max(), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM)
     frame = Frame(x, y)
     parts = [frame.drawn("error ÷ own 95 % bound", "targets")]
     for edge, count in zip(edges, counts, strict=False):

@@ -13,6 +13,7 @@ from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.ports import Array
 from hilcell.report.drawing import (
     AFTER,
+    ENDS,
     INK,
     Frame,
     Scale,
@@ -39,7 +40,9 @@ def floor_moves(facts: Facts) -> str:
     times = _times(facts)
     at_s = np.array([times[point.key] for point, _ in moves])
     size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
-    frame = _frame(facts, Scale(0.0, round_up(1.25 * size_mm.max()), HEIGHT_MM - BOTTOM_MM, TOP_MM))
+    frame = _frame(
+        facts, Scale(0.0, round_up(1.25 * size_mm.max(), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM)
+    )
     parts = [
         *_stops(facts, frame),
         frame.drawn("time, UTC", "move since the first, mm", _ticks(facts)),

@@ -7,6 +7,10 @@ from typing import Any
 
 from hilcell.calibration.recheck import in_words
 
+UNITS = {
+    "mm": " mm", "s": " s", "c": " °C", "k": " K", "deg": "°", "urad": " µrad", "percent": " %",
+}  # fmt: skip
+
 
 def facts_of(body: Mapping[str, Any]) -> str:
     """Return the plain facts of a verdict or an event."""
@@ -14,13 +18,14 @@ def facts_of(body: Mapping[str, Any]) -> str:
     return ", ".join(
         _with_unit(name, value)
         for name, value in in_words(body).items()
-        if name not in known and not isinstance(value, dict | list)
+        if name not in known and not isinstance(value, dict | list | None)
     )
 
 
 def _with_unit(name: str, value: object) -> str:
-    words = name.removesuffix("_mm").replace("_", " ")
-    return f"{words} {_text(value)}{' mm' if name.endswith('_mm') else ''}"
+    words, _, last = name.rpartition("_")
+    unit = UNITS.get(last, "") if words else ""
+    return f"{(words if unit else name).replace('_', ' ')} {_text(value)}{unit}"
 
 
 def _text(value: object) -> str:

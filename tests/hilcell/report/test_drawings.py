@@ -41,7 +41,9 @@ def test_a_scale_keeps_values_on_paper() -> None:
     assert Scale(0.0, 100.0, 0.0, 1.0).ticks() == pytest.approx([0, 20, 40, 60, 80, 100])
 
 
-@pytest.mark.parametrize(("value", "tick"), [(0.099, 0.1), (0.1, 0.1), (0.11, 0.2), (2.1, 2.5)])
+@pytest.mark.parametrize(
+    ("value", "tick"), [(0.099, 0.1), (0.1, 0.1), (0.11, 0.2), (2.1, 2.5), (0, 1e-9)]
+)
 def test_rounded_up(value: float, tick: float) -> None:
     assert round_up(value) == pytest.approx(tick)
 

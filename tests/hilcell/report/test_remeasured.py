@@ -147,7 +147,7 @@ def test_steps_and_events_are_sentences(tmp_path: Path) -> None:
         "Slide held at S300, after 2 approaches: strip 300.004 mm.",
         "Own step",
         f"{TARGET.key} is to be measured again.",
-        "Screen lost: after s 2.0000.",
+        "Screen lost: after 2.0000 s.",
         "Paused: operator.",
         "Goes on.",
         "Run finished.",
