@@ -7,7 +7,9 @@ from typing import Any, get_args
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
+from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.journal import Kind, Record
 from hilcell.tui.text.tables import (
     COLUMNS,
@@ -96,6 +98,13 @@ def test_the_history_fits_its_columns(width: int) -> None:
 def test_what_is_marked_is_seen() -> None:
     assert history_row(RUNS[0], [RUNS[0].name], 80).cells[0] == "*"
     assert history_row(RUNS[0], [RUNS[1].name], 80).cells[0] == ""
+
+
+def test_the_history_says_how_a_run_out_of_tolerance_came_out() -> None:
+    suspected = CalibrationFacts(verdict="suspected")
+    both = CalibrationFacts(verdict="out of tolerance; suspected")
+    runs = [replace(RUNS[1], facts=facts) for facts in (suspected, both)]
+    assert [history_row(run, (), 200).cells[3] for run in runs] == ["suspected", "out of tolerance"]
 
 
 def test_the_history_tells_how_a_run_ended() -> None:
