@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from hilcell.journal.runs import find_run, read_log
 from tests.whole.bench import SMALL, command, end_of, events, sets, simulation
 from tests.whole.trace import judge
@@ -31,3 +33,25 @@ def test_a_procedure_of_a_rail_is_refused(tmp_path: Path) -> None:
     done = command("run", "touch", "--cell", "fixed", "--runs", tmp_path)
     assert done.returncode == 2
     assert "touch refused before anything moves: cell fixed has no rail" in done.stderr
+
+
+@pytest.mark.nightly
+def test_a_robot_on_the_floor_is_calibrated_and_tested_with_its_correction(tmp_path: Path) -> None:
+    where = ("--json", "--unattended", "--cell", "fixed", "--runs", tmp_path)
+    quick = sets({"plan.quick": "true"})
+    made = end_of(command("run", *where, "--seed", "7", "--name", "made", *quick))
+    figures = made["result"]["validation"]
+    assert (made["exit"], list(figures)) == (0, ["BASE"])
+    assert figures["BASE"]["chosen"]["mean"] < 0.1 * figures["BASE"]["before"]["mean"]
+    worst = {}
+    for name, used in (("as it is", ()), ("corrected", sets({"iso9283.calibration": "made"}))):
+        seeds = ("--seed", "8", "--machine-seed", "7", *sets({"iso9283.cycles": "5"}))
+        found = end_of(command("run", "iso9283", *where, *seeds, *used))["result"]["iso9283"]
+        worst[name] = found["worst"]["ap_mm"]
+    assert found["corrected_by"] == "made"
+    assert worst["corrected"] < 0.2 * worst["as it is"]
+    holes = tmp_path / "holes.csv"
+    holes.write_text("name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,0,0,1250,0,75,0\n")
+    out = tmp_path / "out.csv"
+    words = ("made", holes, "--station", "BASE", "-o", out, "--runs", tmp_path)
+    assert command("compensate", *words).returncode == 0
