@@ -43,10 +43,12 @@ from hilcell.report.side_view import side_view
 from hilcell.report.strip import strip
 from hilcell.report.target_budget import TargetBudget, target_budget, target_sheets
 from hilcell.report.templates import environment
+from hilcell.report.turns import orientation, orientation_words
 from hilcell.report.variance import variance_bar
 from hilcell.report.vectors import vectors
 from hilcell.report.worst import worst
 
+POSITION_ERRORS = "position errors of the tool point"
 PARTS = {
     "certificate": "first page", "glance": "At a glance", "poses": "Poses",
     "stations": "Stations, worst targets, drift", "uncertainty": "Uncertainty and method",
@@ -79,7 +81,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             pose_sheets=pose_test.sheets(facts),
             station_sheets=present(
                 tables.accuracy(facts),
-                tables.orientation(facts),
+                orientation(facts),
                 tables.stations(facts),
                 tables.touches(facts),
                 tables.frames(facts),
@@ -123,6 +125,7 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
         "item": item_facts(facts, measured(facts)),
         "validity": validity_facts(facts),
         "instruments": instruments(facts),
+        "turns": orientation_words(facts),
         "conditions": conditions_words(facts),
         "method": procedure_words(facts),
     }
@@ -172,7 +175,9 @@ def lead(facts: Facts) -> str:
     """Return what the report is about, in a line."""
     if facts.log.calibration == "validated" and not is_paper(facts):
         robot = "Robot on a rail" if facts.cell.has_rail else "Robot"
-        return f"{robot}: position errors of the tool point and their correction"
+        turned = bool(facts.cell.robot.more_smr_mm)
+        errors = "position and orientation errors of the tool" if turned else POSITION_ERRORS
+        return f"{robot}: {errors} and their correction"
     return facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
 
 

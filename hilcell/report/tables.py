@@ -13,7 +13,6 @@ import numpy as np
 from hilcell.calibration.contribution import Contribution
 from hilcell.calibration.errors import OTHERS, Errors, places, reduction, validation
 from hilcell.calibration.measurement_budget import Budget
-from hilcell.calibration.orientation import validated_turns
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
@@ -92,39 +91,6 @@ def accuracy(facts: Facts) -> Sheet | None:
     if rp_robot is not None:
         note += f" RP of the robot (ISO 9283), tracker noise taken off: {rp_robot:.3f} mm."
     return sheet("Before and after", ACCURACY, rows, note)
-
-
-# A place, the way of sending, how many targets, their figures.
-Oriented = tuple[str, str, int, Mapping[str, float]]
-
-
-def _angle(figure: str) -> Callable[[Oriented], Value]:
-    return lambda row: row[3][f"{figure}_deg"]
-
-
-ORIENTATION: tuple[Column[Oriented], ...] = (
-    Column("station", itemgetter(0)),
-    Column("error", itemgetter(1)),
-    Column("targets", itemgetter(2), form="d"),
-    *(Column(name, _angle(name), "°", ".4f") for name in Figures._fields),
-)
-
-
-def orientation(facts: Facts) -> Sheet | None:
-    """Return by how much the tool was turned from its nominal orientation, before and after."""
-    rows, last = list[Oriented](), ""
-    for place, stations in places(facts.cell).items():
-        name = "others together" if place == OTHERS else place
-        for how, turned in validated_turns(facts.log, stations).items():
-            shown = "" if name == last else name
-            rows.append((shown, series_name(how, facts), len(turned), turned.figures))
-            last = name
-    note = (
-        "The tool's pose is the rigid fit of its reflectors, where they were found on the flange; "
-    )
-    note += "about axis 6 it counts from the controller's zero. Error: the angle of one rotation."
-    becomes = facts.log.verdicts.get("fit", {}).get("orientation")
-    return sheet("Orientation", ORIENTATION, rows, f"{note} Orientation {becomes}.")
 
 
 # A station, and its frame's record.

@@ -10,7 +10,7 @@ import numpy as np
 
 from hilcell.calibration.file import read_calibration
 from hilcell.journal.runs import read_log
-from tests.whole.bench import command
+from tests.whole.bench import command, cut, end_of, events
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
@@ -82,3 +82,20 @@ def test_the_report_shows_both(golden: GoldenRuns, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     text = out.read_text("utf-8")
     assert "Orientation corrected: kinematic predicts it." in text
+    assert "position and orientation errors of the tool and their correction" in text
+    assert "The tool was turned from its nominal orientation by 0.0" in text
+
+
+def test_a_run_killed_between_two_reflectors_measures_the_third_only(
+    golden: GoldenRuns, tmp_path: Path
+) -> None:
+    whole = golden["seats"]
+    last = [e for e in whole.events if e["kind"] == "point" and "validate/" in e["key"]][-1]
+    assert last["key"] == "validate/BASE/chosen/007/seat3"
+    cut(whole.folder, tmp_path / "cut", last["seq"] - 1)
+    done = command("resume", "cut", "--runs", tmp_path, "--json")
+    assert end_of(done)["state"] == "finished", done.stderr
+    points = [event["key"] for event in events(done.stdout) if event["kind"] == "point"]
+    assert [key for key in points if key.startswith("validate/")] == [last["key"]]
+    before = [event for event in whole.events if event["seq"] < last["seq"]]
+    assert judge([*before, *events(done.stdout)]) == []
