@@ -84,7 +84,8 @@ def _make_for_all(folder: Path) -> None:
 def locked(path: Path, what: str, run: str) -> Iterator[None]:
     """Hold the lock at ``path``; raises `CellLocked` with its holder, and `StorageError`."""
     kind = "runs" if path.suffix == ".lock" else "locks"
-    with _storage_errors(path.parent, kind):
+    act = "; name another with --runs DIR or HILCELL_RUNS" if kind == "runs" else ""
+    with _storage_errors(path.parent, kind, act):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         file = _opened(path)
     try:
@@ -132,9 +133,11 @@ def _opened(path: Path) -> int:
 
 
 @contextmanager
-def _storage_errors(folder: Path, kind: str) -> Iterator[None]:
-    """Raise `StorageError` where a folder cannot be used."""
+def _storage_errors(folder: Path, kind: str, act: str = "") -> Iterator[None]:
+    """Raise `StorageError` where a folder cannot be used; ``act`` is the next step."""
     try:
         yield
     except OSError as error:
-        raise StorageError(f"{kind} folder {folder} cannot be used: {error.strerror}") from error
+        raise StorageError(
+            f"{kind} folder {folder} cannot be used: {error.strerror}{act}"
+        ) from error
