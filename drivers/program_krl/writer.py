@@ -64,6 +64,7 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
         yield _comment(f"{number} of {len(program.names)}: {hole}")
         yield f"PTP XA{number}"
         yield f"PTP XP{number}"
+        yield _comment("drill here")
     yield "PTP XHOME"
     yield "END"
 

@@ -68,6 +68,7 @@ def test_the_program_has_the_points_of_the_list_in_the_order_of_visit(out: Path)
     ]
     assert src.index("PTP XHOME") < src.index("HALT") < src.index("PTP XA1") < src.index("PTP XP1")
     assert "the strip must read 1100.00 mm" in src
+    assert src.count("PTP XP1\n; drill here\n") == 1
 
 
 def test_every_axis_rises_to_its_point_as_in_the_calibration(out: Path) -> None:
