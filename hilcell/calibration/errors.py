@@ -53,8 +53,11 @@ def targets(log: Log, station: str, how: str) -> list[Point]:
 
     So a target that is measured again, whatever the reason, cannot make the figures smaller.
     """
-    found = log.select("validate", station, how=how)
-    return [counting(log, point) for point in found if point.nominal_mm is not None]
+    return _counting(log, log.select("validate", station, how=how))
+
+
+def _counting(log: Log, points: list[Point]) -> list[Point]:
+    return [counting(log, point) for point in points if point.nominal_mm is not None]
 
 
 def counting(log: Log, point: Point) -> Point:
@@ -67,11 +70,14 @@ def counting(log: Log, point: Point) -> Point:
 
 def validation(log: Log, stations: list[str]) -> dict[str, Errors]:
     """Return the errors before and after at ``stations``, as far as they were measured."""
+    sent: dict[tuple[str, str], list[Point]] = {}
+    for point in log.select("validate") if "world" in log.frames else ():
+        sent.setdefault((point.station, point.id.how), []).append(point)
     series: dict[str, Errors] = {}
-    for how in HOWS if "world" in log.frames else ():
-        errors = errors_of(log, [p for name in stations for p in targets(log, name, how)])
-        if len(errors):
-            series[how] = errors
+    for how in HOWS:
+        points = [p for name in stations for p in sent.get((name, how), ())]
+        if known := _counting(log, points):
+            series[how] = errors_of(log, known)
     return series
 
 

@@ -89,7 +89,12 @@ def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
         last = record.t
         log.take(record)
     for n, (time, words) in enumerate(found):
-        yield time, f"{words}: {counts[n]} points." if counts[n] else words
+        yield time, f"{words}{_points(counts[n])}"
+
+
+def _points(count: int) -> str:
+    """Return how many points a step gave, where it did."""
+    return f" {count} point{'s' if count > 1 else ''}." if count else ""
 
 
 def _starts(kind: str, body: Mapping[str, Any]) -> bool:
@@ -135,9 +140,10 @@ def _happened(facts: Facts, body: Mapping[str, Any]) -> str:
     match body["what"]:
         case "step":
             name = str(body["name"])
-            return STEPS.get(name, name.replace("-", " ").capitalize())
+            return STEPS.get(name, name.replace("-", " ").capitalize()) + "."
         case "curve":
-            return f"Curve of {msgspec.convert(body, CurveRecord).words}."
+            words = msgspec.convert(body, CurveRecord).words.replace("urad", "µrad")
+            return f"Curve of {words}."
         case "poses chosen":
             return f"Poses chosen: {chosen_poses_words(facts, body)}."
         case "station held":

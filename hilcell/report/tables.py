@@ -275,7 +275,7 @@ JUDGED = {
 def _judged(key: str) -> str:
     """Return what a verdict is about, in words."""
     place = key.removeprefix(VALIDATION)
-    found = "others together" if place == OTHERS else place
+    found = "the other stations" if place == OTHERS else place
     return f"targets at {found}" if place != key else JUDGED.get(key, key)
 
 

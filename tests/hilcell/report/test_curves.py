@@ -28,7 +28,7 @@ def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> No
     page = Page(report_html(facts))
     assert "figure-curves" in page.ids
     assert "Transmission errors" in page.text
-    assert "A2: 31.6 urad at 40.0" in page.text  # in the course of the run
+    assert "A2: 31.6 µrad at 40.0" in page.text  # in the course of the run
     assert tabs_of(facts.log)[-1] is SWEEPS
     plots = {name: sweep_plot(Measured(facts.log), name) for name in ("A2", "A5")}
     assert [mark.text for mark in plots["A2"].marks] == ["40.0", "203.5"]

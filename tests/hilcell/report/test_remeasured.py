@@ -143,9 +143,9 @@ def test_steps_and_events_are_sentences(tmp_path: Path) -> None:
     found = course(writer.facts())
     assert found is not None
     assert [row[1] for row in found.rows[1:]] == [
-        "Vertices of the grid: 2 points.",
+        "Vertices of the grid. 2 points.",
         "Slide held at S300, after 2 approaches: strip 300.004 mm.",
-        "Own step",
+        "Own step.",
         f"{TARGET.key} is to be measured again.",
         "Screen lost: after 2.0000 s.",
         "Paused: operator.",
