@@ -72,12 +72,20 @@ class CellScrollBar(ScrollBarRender):
     HORIZONTAL_BARS: ClassVar[list[str]] = [" "]
 
 
+MANY = 4  # words of a choice that need no count
+
+
 class Choice(TextPanel, can_focus=True):
-    """Shows the chosen word between arrows."""
+    """Shows the chosen word between arrows, and which of many it is; posts `Turned`."""
+
+    class Turned(Message):
+        """Another word was chosen."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("left", "turn(-1)", show=False, priority=True),  # in the order typed
         Binding("right,space", "turn(1)", show=False, priority=True),
+        Binding("home", "choose(0)", show=False, priority=True),
+        Binding("end", "choose(-1)", show=False, priority=True),
     ]
 
     def __init__(self, words: Sequence[str], id: str) -> None:
@@ -95,11 +103,21 @@ class Choice(TextPanel, can_focus=True):
 
     def action_turn(self, step: int) -> None:
         """Choose the next word."""
-        self.index = (self.index + step) % len(self.words)
+        self.choose(self.index + step)
+
+    def action_choose(self, index: int) -> None:
+        """Choose the first or the last word."""
+        self.choose(index)
+
+    def choose(self, index: int) -> None:
+        """Choose a word by its index."""
+        self.index = index % len(self.words)
         self._draw()
+        self.post_message(self.Turned())
 
     def _draw(self) -> None:
-        self.show(f"< {self.value} >")
+        count = f"  {self.index + 1} of {len(self.words)}" if len(self.words) > MANY else ""
+        self.show(f"< {self.value} >{count}")
 
 
 _KEYS = BindingsMap(Input.BINDINGS).key_to_bindings

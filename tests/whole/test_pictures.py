@@ -134,7 +134,7 @@ async def a_fault(tmp_path: Path) -> None:
         await until(pilot, r"/14 robot-grid: ([2-9]|\d\d)/")
         assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
         await until(pilot, "space resume")
-        await until(pilot, r"HC-B10(.*\n)*>")
+        await until(pilot, "What to do")
         keep(app_of(pilot), "screen-fault")
 
 
@@ -146,9 +146,9 @@ def test_a_prompt(tmp_path: Path) -> None:
 async def a_prompt(tmp_path: Path) -> None:
     words = ("world-frame", *sets(BY_HAND), *WORDS)
     async with cell_and_screen(tmp_path, BY_HAND, words) as (cell, pilot):
-        await until(pilot, "Enter waits")
+        await until(pilot, "sees nothing")
         assert cell.ask(do="seat", place="F1")["ok"]
-        await until(pilot, "press Enter")
+        await until(pilot, "tracker sees it")
         keep(app_of(pilot), "screen-prompt")
 
 

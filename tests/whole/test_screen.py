@@ -26,7 +26,7 @@ from tests.whole.trace import judge
 ESC = "\x1b"
 ENTER = "\r"
 PACED, SLOW = 100.0, 20.0
-UNHURRIED = "\x1b[Z\x1b[C\x1b[B"  # shift-tab to the speed, to 100, and back down
+UNHURRIED = "\x1b[Z\x1b[Z\x1b[C"  # shift-tab twice to the speed, to 100
 SOON_S = 5.0
 
 
@@ -50,7 +50,7 @@ def screen(runs: Path, *words: str, long: bool = False) -> Iterator[Terminal]:
 
 def start(terminal: Terminal, keys: str = ENTER) -> None:
     """Choose what the form offers, read the plan, start."""
-    terminal.shows("what it does")
+    terminal.shows("before you start")
     terminal.shows("validated before and after")
     terminal.press(keys)
     terminal.shows("The robot and the rail will move")
@@ -140,9 +140,9 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
             assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
             terminal.shows("× FAULT", LIMIT_S)
             terminal.shows("HC-B")
-            terminal.shows("do: ")
+            terminal.shows("What to do")
             terminal.press("e")
-            terminal.shows("means")
+            terminal.shows("What  ")
             terminal.shows("not acknowledged")
             terminal.press("q")
             assert cell.ask(do="clear")["ok"]
@@ -312,12 +312,12 @@ def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None
             start(terminal, "\x1b[F" + ENTER)  # the last procedure: world-frame
             for nest in ("F1", "F2", "F3", "B1", "B2"):
                 terminal.shows(f"Seat the reflector in {nest}", LIMIT_S)
-                terminal.shows(f">{nest}<")
-                terminal.shows("Enter waits")
+                terminal.shows("from above, to scale")
+                terminal.shows("sees nothing")
                 terminal.press(ENTER)
                 terminal.shows("Enter works when the tracker sees")
                 assert cell.ask(do="seat", place=nest)["ok"]
-                terminal.shows("press Enter")
+                terminal.shows("● tracker sees it")
                 terminal.answer(ENTER)
             terminal.shows("● DONE", LIMIT_S)
         assert judged(folder_of(tmp_path)) == []

@@ -1,139 +1,227 @@
-"""A new run: cell, procedure, operator and job; then the plan, and only then the start."""
+"""A new run: the fields, the plan that follows them, its checks, and the start.
+
+The plan is computed again after every change, by the command that would start it. Enter starts
+nothing by itself: it asks, and only for the plan of the fields as they stand.
+"""
 
 from __future__ import annotations
 
+import asyncio
+from contextlib import suppress
+from datetime import datetime
 from importlib.metadata import entry_points
 from typing import Any, ClassVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal
+from textual.containers import Horizontal, Vertical
 from textual.content import Content
 from textual.widgets import Input, Label
 
+from hilcell.cell.file import Cell, load_cell
 from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
-from hilcell.tui.text.run import NOT_E_STOP, duration, moves
-from hilcell.tui.widgets import Choice, Column, Row, Table, TextField, TextPanel
+from hilcell.tui.text import start as text
+from hilcell.tui.text.run import duration, moves
+from hilcell.tui.widgets import Choice, TextField, TextPanel
 
-FIELDS = (
-    ("cell", "paper", "a built-in cell, or a path to a TOML file"),
-    ("operator", "", "your name, kept in the journal"),
+BEFORE_PROCEDURE = (("cell", "paper", "a built-in cell, or a TOML file"),)
+AFTER_PROCEDURE = (
+    ("operator", "", "kept in the journal"),
     ("job", "", "kept in the journal"),
-    ("seed", "1", "of random targets; of a simulated cell's truth"),
+    ("seed", "1", "of random targets"),
 )
+FIELDS = (*BEFORE_PROCEDURE, *AFTER_PROCEDURE)
 WATCHED = ("yes, I am here", "no, unattended")
 SPEEDS = ("max", "100", "10", "1")
+FIRST = "calibrate"
+QUIET_S = 0.4  # without a change, before the plan is computed
+FIELDS_WIDTH, PLAN_FROM = 42, 76  # columns
+BEFORE_FROM = 22  # rows
 
 
 class StartScreen(BaseScreen):
-    """The form. Enter checks the plan; nothing moves before the plan was shown."""
+    """The fields on the left, the plan on the right; nothing moves before a yes."""
 
     footer = ("history", "help", "theme", "quit")
-    fixed = in_box = (("Enter", "check the plan"), ("Tab", "next field"))
+    fixed = in_box = (("Enter", "start"), ("Tab", "next field"), ("up down", "choose"))
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("down", "turn(1)", show=False, priority=True),  # in the request typed
+        Binding("down", "turn(1)", show=False, priority=True),  # in the order typed
         Binding("up", "turn(-1)", show=False, priority=True),
-        Binding("enter", "check", show=False),
+        Binding("enter", "enter", show=False),
     ]
-    _checking = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._names = sorted({entry.name for entry in entry_points(group="hilcell.procedures")})
+        self._summaries: dict[str, str] = {}
+        self._checked = text.Checked()
+        self._changes = 0  # a check of earlier fields is dropped
+        self._request: process.RunRequest | None = None  # of which `_checked` tells
+        self._asking = False
 
     def compose(self) -> ComposeResult:
-        """Build the form."""
-        yield TextPanel("title")
-        for name, value, hint in FIELDS:
-            with Horizontal(classes="field"):
-                yield Label(name)
-                start = self.application.options.cell if name == "cell" else value
-                yield TextField(start, placeholder=hint, id=name)
-        with Horizontal(classes="field"):
-            yield Label("attended")
-            yield Choice(WATCHED, id="attended")
-        with Horizontal(classes="field"):
-            yield Label("speed")
-            yield Choice(SPEEDS, id="speed")
-        yield Table(
-            [Column("procedure", 24), Column("what it does", 52)],
-            id="procedures",
-            empty="no procedures are installed",
-            plain=self.application.glyphs.plain,
-        )
+        """Build the page."""
+        yield TextPanel("banner")
+        with Horizontal(id="form"):
+            with Vertical(id="fields"):
+                yield TextPanel("who")
+                yield from self._fields(BEFORE_PROCEDURE)
+                yield from _choice("procedure", self._names or ("none is installed",))
+                yield from self._fields(AFTER_PROCEDURE)
+                yield from _choice("attended", WATCHED)
+                yield from _choice("speed", SPEEDS)
+                yield TextPanel("checks")
+            yield TextPanel("plan")
+        yield TextPanel("before")
+        yield TextPanel("start")
+        yield TextPanel("end")
+        yield TextPanel("summary")
         yield TextPanel("notice")
         yield TextPanel("keys")
 
+    def _fields(self, fields: tuple[tuple[str, str, str], ...]) -> ComposeResult:
+        for name, value, hint in fields:
+            with Horizontal(classes="field"):
+                yield Label(name)
+                begin = self.application.options.cell if name == "cell" else value
+                yield TextField(begin, placeholder=hint, id=name)
+
     def on_mount(self) -> None:
-        """List the procedures; their summaries come when they are loaded."""
+        """Choose the calibration, and compute its plan."""
         self.panel("notice").display = False
-        self.panel("title").show(
-            Content.assemble(("New run", "bold"), (f"   {NOT_E_STOP}", "$label"))
-        )
-        rows = self.query_one(Table)
-        names = sorted({entry.name for entry in entry_points(group="hilcell.procedures")})
-        rows.show_rows([Row(name, (name, "")) for name in names])
-        rows.action_to(names.index("calibrate") if "calibrate" in names else 0)
-        rows.focus()
+        procedure = self.query_one("#procedure", Choice)
+        if FIRST in self._names:
+            procedure.choose(self._names.index(FIRST))
+        procedure.focus()
         super().on_mount()
-        self.application.start_task(self._summaries(names))
+        self.application.start_task(self._read_summaries())
+        self._change()
 
     def show(self, view: RunView | None) -> None:
-        """Show the keys; there is no run yet."""
+        """Show what is known of the plan; there is no run yet."""
+        glyphs, wide, high = self.application.glyphs, self.line_width, self.app.size.height
+        planned = wide >= PLAN_FROM
+        left = FIELDS_WIDTH if planned else wide
+        attended = self.query_one("#attended", Choice).value == WATCHED[0]
+        before = text.before_lines(self._checked, wide, attended=attended)
+        before = before if high >= BEFORE_FROM else []
+        rows = high - len(before) - (6 if before else 4)
+        self.panel("banner").show(text.banner(self._checked, glyphs, wide))
+        self.panel("who").show(text.heading("what and who", "", left - 1))
+        checks = text.check_lines(self._checked, glyphs, left - 1, max(rows - len(FIELDS) - 4, 1))
+        self.panel("checks").show(_lines(checks))
+        self.query_one("#fields").styles.width = left
+        self.panel("plan").display = planned
+        if planned:
+            self.panel("plan").show(
+                _lines(text.plan_lines(self._checked, glyphs, wide - left - 1, rows))
+            )
+        self.panel("before").show(_lines(before))
+        self.panel("before").display = bool(before)
+        self.panel("start").show(text.start_line(self._checked, wide))
+        speed = self.query_one("#speed", Choice).value
+        self.panel("end").show(text.end_line(self._checked, speed))
+        summary = self._summaries.get(self.query_one("#procedure", Choice).value, "")
+        self.panel("summary").show(Content.styled(summary, "$label").truncate(wide, ellipsis=True))
+        self.panel("summary").display = bool(before)
         self.panel("keys").show(self.key_line())
 
-    async def _summaries(self, names: list[str]) -> None:
-        found = await run_in_thread(summaries, names)
-        if self.is_shown:
-            self.query_one(Table).show_rows([Row(name, (name, found[name])) for name in names])
+    async def _read_summaries(self) -> None:
+        self._summaries = await run_in_thread(summaries, self._names)
+        self.show_again()
+
+    # -- fields ---------------------------------------------------------------------------------
 
     def request(self) -> process.RunRequest:
-        """Return the entries of the form."""
-        text = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
+        """Return the entries of the fields."""
+        entries = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
         speed = self.query_one("#speed", Choice).value
         return process.RunRequest(
-            cell=text["cell"],
-            procedure=self.query_one(Table).key,
-            operator=text["operator"],
-            job=text["job"],
-            seed=text["seed"] or "1",
+            cell=entries["cell"],
+            procedure=self.query_one("#procedure", Choice).value,
+            operator=entries["operator"],
+            job=entries["job"],
+            seed=entries["seed"] or "1",
             speed="" if speed == SPEEDS[0] else speed,
             attended=self.query_one("#attended", Choice).value == WATCHED[0],
             settings=self.application.options.settings,
         )
 
-    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Leave up and down to the list of procedures."""
-        return action != "turn" or not isinstance(self.focused, Table)
-
     def action_turn(self, step: int) -> None:
-        """Go to the next field, or to the one before."""
-        self.focus_next() if step > 0 else self.focus_previous()
+        """Choose in a choice; from a text field go to the next one, or to the one before."""
+        if isinstance(self.focused, Choice):
+            self.focused.action_turn(step)
+        elif step > 0:
+            self.focus_next()
+        else:
+            self.focus_previous()
 
-    def on_table_row_selected(self) -> None:
-        """Check the plan."""
-        self.action_check()
+    def on_input_changed(self) -> None:
+        """Compute the plan again."""
+        self._change()
+
+    def on_choice_turned(self) -> None:
+        """Compute the plan again."""
+        self._change()
 
     def on_input_submitted(self) -> None:
-        """Check the plan."""
-        self.action_check()
+        """Ask whether to start."""
+        self.action_enter()
 
-    def action_check(self) -> None:
-        """Check the plan, once at a time: keys may be held down."""
-        if not self._checking:
-            self._checking = True
-            self.application.start_task(self._check())
+    def _change(self) -> None:
+        """Compute the plan of the new fields, once they have been left alone for a moment."""
+        if not self.is_shown or self._request == self.request():
+            return
+        self._changes += 1
+        self._request, self._checked = None, text.Checked()
+        self.show(None)
+        self.application.start_task(self._check_later(self._changes))
+
+    async def _check_later(self, change: int) -> None:
+        await asyncio.sleep(QUIET_S)
+        if change == self._changes and self.is_shown:
+            await self._check()
+
+    # -- the plan -------------------------------------------------------------------------------
 
     async def _check(self) -> None:
-        request = self.request()
-        self.show_notice("checking the plan; nothing is opened ...")
+        """Compute the plan of the fields as they stand."""
+        change, request = self._changes, self.request()
+        cell, plan, refused = None, None, ""
         try:
             plan = await process.dry_run(request)
+            cell = await run_in_thread(_cell_of, request)
+        except HilcellError as error:
+            refused = str(error) or "refused without a reason"
+        if change != self._changes or not self.is_shown:
+            return  # of earlier fields
+        self._request = request
+        self._checked = text.Checked(plan, refused, cell, now())
+        self.show(None)
+
+    def action_enter(self) -> None:
+        """Ask whether to start, once at a time: keys may be held down."""
+        if not self._asking:
+            self._asking = True
+            self.application.start_task(self._ask())
+
+    async def _ask(self) -> None:
+        try:
+            self._changes += 1  # no check is needed that still waits
+            while self._request != self.request():
+                await self._check()
         finally:
-            self._checking = False
-        if self.app.screen is not self:
+            self._asking = False
+        request, plan = self._request, self._checked.plan
+        if self.app.screen is not self or request is None:
             return  # left meanwhile
-        self.show_notice("")
+        if plan is None:
+            self.show_notice("nothing is started: the checks say why")
+            return
         self.app.push_screen(
             PlanSummary(request, plan),
             lambda yes: self.application.start_task(self._start(request)) if yes else None,
@@ -148,8 +236,31 @@ class StartScreen(BaseScreen):
         self.application.actions.start(runs / run, arguments)
 
 
+def _choice(name: str, words: Any) -> ComposeResult:
+    with Horizontal(classes="field"):
+        yield Label(name)
+        yield Choice(words, id=name)
+
+
+def _lines(lines: list[Content]) -> Content:
+    return Content("\n").join(lines)
+
+
+def _cell_of(request: process.RunRequest) -> Cell | None:
+    """Return the cell of a plan that stands; None where its file has gone meanwhile."""
+    pairs = (setting.partition("=") for setting in request.settings)
+    with suppress(HilcellError):
+        return load_cell(request.cell, {name: value for name, _, value in pairs})
+    return None
+
+
+def now() -> datetime:
+    """Return the time of day here."""
+    return datetime.now().astimezone()
+
+
 class PlanSummary(Dialog[bool]):
-    """The plan with its steps and its duration; Enter starts, q goes back."""
+    """The question before the start; Enter starts, q goes back."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter,y", "reply(True)", show=False, priority=True),
@@ -161,8 +272,8 @@ class PlanSummary(Dialog[bool]):
         self._order, self._plan = request, plan
 
     def on_mount(self) -> None:
-        """Show the plan."""
-        self.show_texts(plan_lines(self._order, self._plan), warning(self._plan))
+        """Show the plan in short."""
+        self.show_texts(plan_summary(self._order, self._plan), warning(self._plan))
 
     def action_reply(self, yes: bool) -> None:
         """Close with the answer."""
@@ -170,23 +281,19 @@ class PlanSummary(Dialog[bool]):
             self.dismiss(yes)
 
 
-def plan_lines(request: process.RunRequest, plan: dict[str, Any]) -> Content:
-    """Return a plan as a table, with what starts it."""
-    rows = [
-        f"{step['name']:<26}{step['points']:>7}  {duration(step['duration_s']):>9}"
-        for step in plan["steps"]
-    ]
-    rows += [f"  {step['note']}" for step in plan["steps"] if step.get("note")]
-    rows.append(f"{'all':<26}{plan['points']:>7}  {duration(plan['duration_s']):>9}")
+def plan_summary(request: process.RunRequest, plan: dict[str, Any]) -> Content:
+    """Return what is about to be started."""
     who = (
         "somebody is here to be asked" if request.attended else "unattended: a question is a fault"
     )
+    notes = [f"{step['name']}: {step['note']}\n" for step in plan["steps"] if step.get("note")]
     return Content.assemble(
-        (f"{plan['procedure']} on cell {plan['cell']}", "bold $ask"),
-        f"   job {request.job or '-'}, operator {request.operator or '-'}\n",
-        (f"{'step':<26}{'points':>7}  {'cell time':>9}\n", "$label"),
-        "\n".join(rows),
-        f"\n\n{who}.",
+        (f"Start {plan['procedure']} on cell {plan['cell']}?\n", "bold $ask"),
+        f"job {request.job or '-'}, operator {request.operator or '-'}\n",
+        f"{len(plan['steps'])} steps, {plan['points']} points, "
+        f"{duration(plan['duration_s'])} of the cell's time\n",
+        *notes,
+        f"{who}.\n",
     )
 
 

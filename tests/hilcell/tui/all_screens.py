@@ -17,7 +17,7 @@ from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from tests.hilcell.tui.recording_app import RecordingApp, paint_at_rest, press, settle, text_of
-from tests.hilcell.tui.sample_runs import RUN, STEPS
+from tests.hilcell.tui.sample_runs import BEGAN, RUN, STEPS
 
 PAGES = {
     "alarms": "e",
@@ -109,6 +109,8 @@ def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process, "start_engine", lambda *_: _Ended())
     monkeypatch.setattr("hilcell.journal.index.read_index", lambda _: RUNS)
     monkeypatch.setattr(start, "entry_points", lambda group: [_Entry(name) for name in PROCEDURES])
+    monkeypatch.setattr(start, "QUIET_S", 0.0)
+    monkeypatch.setattr(start, "now", lambda: BEGAN)
     monkeypatch.setattr(start, "summaries", lambda names: {n: PROCEDURES[n] for n in names})
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

@@ -1,0 +1,162 @@
+"""The page for a new run: a plan that follows the fields, its checks, and a start that asks."""
+
+from __future__ import annotations
+
+import asyncio
+from datetime import timedelta
+from typing import Any
+
+import msgspec
+import pytest
+from textual.pilot import Pilot
+
+from hilcell.cell.file import load_cell
+from hilcell.errors import HilcellError
+from hilcell.tui.engine import process
+from hilcell.tui.screens.start import PlanSummary, StartScreen
+from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.text import start as text
+from tests.hilcell.tui.all_screens import PLAN, isolated
+from tests.hilcell.tui.recording_app import (
+    RUNS,
+    RecordingApp,
+    options,
+    press,
+    run_app,
+    settle,
+    text_of,
+    type_ahead,
+)
+from tests.hilcell.tui.sample_runs import BEGAN
+
+__all__ = ["isolated"]
+
+pytestmark = pytest.mark.usefixtures("isolated")
+SIZE = (80, 24)
+
+
+def planned(monkeypatch: pytest.MonkeyPatch) -> list[process.RunRequest]:
+    """Return the requests whose plans are computed; the plan names its procedure."""
+    asked: list[process.RunRequest] = []
+
+    async def dry_run(request: process.RunRequest) -> dict[str, Any]:
+        asked.append(request)
+        return PLAN | {"procedure": request.procedure, "simulated": True}
+
+    monkeypatch.setattr(process, "dry_run", dry_run)
+    return asked
+
+
+def test_the_plan_follows_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = planned(monkeypatch)
+
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        assert [each.procedure for each in asked] == ["calibrate"]
+        await press(pilot, "down")
+        assert asked[-1].procedure == "home"
+        await press(pilot, "tab", "A", "n", "n")
+        assert asked[-1].operator == "Ann"
+        assert "start: the robot and the rail will move in simulation only" in text_of(app)
+
+    run_app(act, size=SIZE)
+
+
+def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: dict[str, asyncio.Event] = {}
+
+    async def dry_run(request: process.RunRequest) -> dict[str, Any]:
+        event = waits.setdefault(request.procedure, asyncio.Event())
+        await event.wait()
+        return PLAN | {"points": 7 if request.procedure == "home" else 999}
+
+    monkeypatch.setattr(process, "dry_run", dry_run)
+
+    async def run() -> None:
+        app = RecordingApp(options(RUNS))
+        async with app.run_test(size=SIZE) as pilot:
+            while "calibrate" not in waits:
+                await pilot.pause()
+            type_ahead(app, "down")
+            while "home" not in waits:
+                await pilot.pause()
+            waits["home"].set()
+            waits["calibrate"].set()  # late: its fields are no more
+            await settle(pilot)
+            (total,) = [line for line in text_of(app).splitlines() if " all " in line]
+            assert " 7 " in total
+
+    asyncio.run(run())
+
+
+def test_a_refused_plan_has_its_reasons_and_starts_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def refuse(_: process.RunRequest) -> dict[str, Any]:
+        raise HilcellError("refused before anything moves\nvalidate: 3 targets out of reach")
+
+    monkeypatch.setattr(process, "dry_run", refuse)
+
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        assert "▲ validate: 3 targets" in text_of(app)
+        assert "Enter  does nothing: the plan is refused" in text_of(app)
+        await press(pilot, "enter")
+        assert isinstance(app.screen, StartScreen)
+        assert "nothing is started: the checks say why" in text_of(app)
+
+    assert run_app(act, size=SIZE).actions.engines == []
+
+
+def test_enter_asks_and_only_a_yes_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    planned(monkeypatch)
+
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "enter")
+        assert isinstance(app.screen, PlanSummary)
+        assert app.actions.engines == []
+        await press(pilot, "q", "enter", "enter")
+
+    app = run_app(act, size=SIZE)
+    assert len(app.actions.engines) == 1
+
+
+# -- as text ---------------------------------------------------------------------------------------
+
+CHECKED = text.Checked(PLAN | {"simulated": True}, "", load_cell("paper"), BEGAN)
+
+
+@pytest.mark.parametrize("rows", [4, 6, 9, 20])
+def test_the_plan_fits_and_ends_with_the_sum(rows: int) -> None:
+    lines = text.plan_lines(CHECKED, UNICODE, 37, rows)
+    assert len(lines) <= rows
+    assert {line.cell_length for line in lines[:2]} == {37}
+    assert lines[-1].plain.split() == ["all", "21", "2:42"]
+    left_out = any("more steps" in line.plain for line in lines)
+    assert left_out == (rows < 8)  # six steps do something
+
+
+def test_what_to_see_to_names_the_nests() -> None:
+    said = "\n".join(line.plain for line in text.before_lines(CHECKED, 79, attended=True))
+    assert "Reflectors in F1 F2 F3, B1 B2, P1 to P8, clean; one on the tool." in said
+    by_hand = msgspec.structs.replace(load_cell("paper").layout, reflectors="by_hand")
+    cell = msgspec.structs.replace(load_cell("paper"), layout=by_hand)
+    found = text.before_lines(text.Checked(PLAN, "", cell, BEGAN), 79, attended=False)
+    said = "\n".join(line.plain for line in found)
+    assert "One reflector" in said
+    assert "Unattended: nobody answers" in said
+
+
+def test_the_end_is_a_time_of_day_where_time_is_real() -> None:
+    end = BEGAN + timedelta(seconds=PLAN["duration_s"])
+    assert f"{end:%H:%M}" in text.end_line(CHECKED, "1").plain
+    assert "takes 2:42 of the cell's time" in text.end_line(CHECKED, "100").plain
+    real = text.Checked(PLAN | {"simulated": False}, "", None, BEGAN)
+    assert "ends about" in text.end_line(real, "100").plain
+    assert text.end_line(text.Checked(), "1").plain == ""
+
+
+def test_a_real_cell_has_no_simulation_on_its_page() -> None:
+    real = text.Checked(PLAN | {"simulated": False, "rail": False}, "", None, BEGAN)
+    for line in (text.banner(real, UNICODE, 80), text.start_line(real, 80)):
+        assert "SIMULATION" not in line.plain
+    assert "start: the robot will move" in text.start_line(real, 80).plain
+    assert "SIMULATION" in text.banner(CHECKED, UNICODE, 80).plain
