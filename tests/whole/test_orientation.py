@@ -7,6 +7,7 @@ import io
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hilcell.calibration.file import read_calibration
 from hilcell.journal.runs import read_log
@@ -15,6 +16,7 @@ from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
 HOLE = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,{:.3f},{:.3f},{:.3f},{:.6f},{:.6f},{:.6f}\n"
+PROGRAM = "DEF drill()\nLIN {{X {:.3f},Y {:.3f},Z {:.3f},A {:.4f},B {:.4f},C {:.4f}}}\nEND\n"
 
 
 def test_the_orientation_is_corrected_as_measured(golden: GoldenRuns) -> None:
@@ -74,6 +76,19 @@ def test_targets_are_turned_and_their_bounds_stated(golden: GoldenRuns, tmp_path
     assert 0.001 < np.abs(turned_deg).max() < 1.0
     (bound,) = csv.DictReader(io.StringIO(bounds.read_text()))
     assert 0.001 < float(bound["bound95_deg"]) < 0.1
+    source, program = tmp_path / "drill.src", tmp_path / "program"
+    source.write_text(PROGRAM.format(*nominal))
+    of_program = ("compensate", "seats", source, "--station", "BASE", "-o", program)
+    done = command(*of_program, "--runs", tmp_path / "runs")
+    assert done.returncode == 0, done.stderr
+    (line,) = [
+        each for each in program.with_suffix(".src").read_text().splitlines() if "LIN" in each
+    ]
+    numbers = [float(each.split()[1]) for each in line[5:-1].split(",")]
+    wanted = [
+        float(corrected[name]) for name in ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
+    ]
+    assert numbers == pytest.approx(wanted, abs=1e-3)
 
 
 def test_the_report_shows_both(golden: GoldenRuns, tmp_path: Path) -> None:
