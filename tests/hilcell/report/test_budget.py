@@ -3,13 +3,15 @@
 import math
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from hilcell.calibration.contribution import Contribution
 from hilcell.calibration.influence import ASSUMED, MEASURED
 from hilcell.calibration.measurement_budget import Budget, budget_of
+from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
-from tests.hilcell.report.journals import Writer
+from tests.hilcell.report.journals import BEFORE_MM, Writer
 
 
 def by_name(budget: Budget | None) -> dict[str, Contribution]:
@@ -40,6 +42,16 @@ def test_what_is_not_measured_is_a_stated_assumption(tmp_path: Path) -> None:
     assert lines["Thermal expansion"].u_mm == 0.0  # one temperature only
     assert budget.U_mm == pytest.approx(2 * budget.u_mm)
     assert budget.u_mm == pytest.approx(math.sqrt(sum(each.u_mm**2 for each in budget.lines)))
+
+
+def test_a_limit_from_a_certificate_names_it(tmp_path: Path) -> None:
+    cell = msgspec.to_builtins(load_cell("paper"))
+    cell["uncertainty"] |= {"tracker_dcc": "t.xml#errors", "tracker_certificate": "TC-1"}
+    writer = Writer(tmp_path / "r", cell=cell).began()
+    writer.validated("S1100", "before", BEFORE_MM)
+    lines = by_name(budget_of(writer.facts().log))
+    assert lines["Tracker, systematic"].source == "certificate TC-1"
+    assert lines["SMR centring"].source == "stated assumption"
 
 
 def test_drift_is_what_the_floor_nests_moved(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from hilcell.report.facts import Facts, read_facts
 from hilcell.report.figures import drawings
 from hilcell.report.first_page import (
     instruments,
+    item_facts,
     results_sheet,
     uncertainty_words,
     validity_facts,
@@ -148,3 +149,13 @@ def test_only_the_paper_s_run_speaks_of_its_figures(
     words = " ".join(each.title + each.caption for each in drawings(replace(facts, result={})))
     assert ("Fig 12" in words) == speaks
     assert ("The paper" in words) == speaks
+
+
+def test_laboratory_and_customer_of_the_cell_file(tmp_path: Path) -> None:
+    named = {"laboratory": "Muster GmbH", "laboratory_address": "Messweg 4", "customer": "Aero"}
+    cell = msgspec.to_builtins(load_cell("paper")) | {"certificate": named}
+    found = item_facts(judged(tmp_path / "r", plan={"cell": cell}), "")
+    words = {each.name: each.words for each in found}
+    assert (words["Laboratory"], words["Customer"]) == ("Muster GmbH, Messweg 4", "Aero")
+    blank = {each.name: each.words for each in item_facts(judged(tmp_path / "s"), "")}
+    assert (blank["Laboratory"], blank["Customer"]) == ("", "")  # lines to fill in
