@@ -41,6 +41,7 @@ from hilcell.report.dcc_elements import (
     text,
 )
 from hilcell.report.facts import Facts
+from hilcell.report.figures import series_name
 from hilcell.report.first_page import (
     Result,
     certified,
@@ -54,6 +55,7 @@ from hilcell.report.first_page import (
 from hilcell.report.method import adjustment_words
 from hilcell.report.tables import Posed, Validated
 from hilcell.report.target_budget import TargetBudget, placed, target_budget
+from hilcell.report.turns import oriented
 from hilcell.writing import NotWritten
 
 UNKNOWN_COUNTRY = "ZZ"  # of ISO 3166-1's codes for the user's own use
@@ -189,6 +191,7 @@ def _results(facts: Facts) -> Element:
     budget = target_budget(facts.log, facts.run)
     results = [
         _result("3-D position error of the tool point", "hilcell_error", _errors(facts)),
+        _result("Orientation error of the tool", "hilcell_turn", _turns(facts)),
         _result("95 % bounds of corrected targets", "hilcell_bound", _bounds(budget)),
         _result("Frames in {W}", "hilcell_frame", map(_frame, tables.posed(facts))),
     ]
@@ -252,6 +255,20 @@ def _figures(
     yield quantity("mean", real(found.mean, MM, guard.mean_mm), mean, ref="hilcell_mean")
     yield quantity("95 % below", real(found.p95, MM, guard.max_mm), ref="hilcell_p95")
     yield quantity("largest", real(found.max, MM, guard.max_mm), largest, ref="hilcell_largest")
+
+
+def _turns(facts: Facts) -> Iterator[Element]:
+    """Yield the angle from the nominal orientation by series, where it was measured."""
+    names = (("mean", "mean", "mean"), ("95 % below", "p95", "p95"), ("largest", "max", "largest"))
+    for place, way, turned in oriented(facts):
+        words = series_name(way, facts)
+        yield dcc(
+            "list", text("name", f"{place}, {words}"),
+            quantity("targets", real(len(turned), ONE), ref="hilcell_targets"),
+            *(quantity(name, real(turned.figures[f"{key}_deg"], DEGREE), ref=f"hilcell_{ref}")
+              for name, key, ref in names),
+            dcc("influenceConditions", _adjustment(way, words)), refType=f"hilcell_{way}",
+        )  # fmt: skip
 
 
 def _verdict(facts: Facts, result: Result) -> Element:

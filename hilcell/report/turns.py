@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from operator import itemgetter
 
 from hilcell.calibration.errors import OTHERS, places
-from hilcell.calibration.orientation import validated_turns
+from hilcell.calibration.orientation import Turned, validated_turns
 from hilcell.geometry.statistics import Figures
 from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.facts import Facts
@@ -28,15 +28,21 @@ ORIENTATION: tuple[Column[Oriented], ...] = (
 )
 
 
-def orientation(facts: Facts) -> Sheet | None:
-    """Return by how much the tool was turned from its nominal orientation, before and after."""
-    rows, last = list[Oriented](), ""
+def oriented(facts: Facts) -> Iterator[tuple[str, str, Turned]]:
+    """Yield place, way of sending and errors of each series of targets that had an orientation."""
     for place, stations in places(facts.cell).items():
         name = "others together" if place == OTHERS else place
         for how, turned in validated_turns(facts.log, stations).items():
-            shown = "" if name == last else name
-            rows.append((shown, series_name(how, facts), len(turned), turned.figures))
-            last = name
+            yield name, how, turned
+
+
+def orientation(facts: Facts) -> Sheet | None:
+    """Return by how much the tool was turned from its nominal orientation, before and after."""
+    rows, last = list[Oriented](), ""
+    for name, how, turned in oriented(facts):
+        shown = "" if name == last else name
+        rows.append((shown, series_name(how, facts), len(turned), turned.figures))
+        last = name
     note = (
         "The tool's pose is the rigid fit of its reflectors, where they were found on the flange; "
     )

@@ -2,13 +2,14 @@
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from xml.etree import ElementTree
 
 import pytest
 from dsi_unit import DsiUnit
 
 from hilcell.journal.point_id import PointId
+from hilcell.report import dcc
 from hilcell.report.dcc import dcc_bytes
 from hilcell.report.dcc_elements import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, real
 from hilcell.report.facts import Facts
@@ -108,6 +109,26 @@ def test_all_certificates_named_is_traceable(tmp_path: Path) -> None:
     facts = run(tmp_path / "r", tracker_certificate="T-1", smr_certificate="S-1",
                 weather_certificate="W-1")  # fmt: skip
     assert texts(parsed(facts), ".//dcc:traceable") == ["true"]
+
+
+def test_orientations_where_they_were_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Turned:
+        figures: ClassVar = {"mean_deg": 0.0123, "p95_deg": 0.02, "max_deg": 0.03}
+
+        def __len__(self) -> int:
+            return 4
+
+    facts = run(tmp_path / "r")
+    names = ".//dcc:result/dcc:name"
+    assert "Orientation error of the tool" not in texts(parsed(facts), names)
+    monkeypatch.setattr(dcc, "oriented", lambda _: [("S300", "before", Turned())])
+    root = parsed(facts)
+    assert faults(root) == []
+    assert "Orientation error of the tool" in texts(root, names)
+    found = [q for q in root.iter(f"{DCC}quantity") if q.findtext(f".//{SI}unit") == "\\degree"]
+    assert "0.01230" in [q.findtext(f".//{SI}value") for q in found]
 
 
 def test_a_simulated_run_traces_to_nothing_and_conforms_to_nothing(tmp_path: Path) -> None:
