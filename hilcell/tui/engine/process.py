@@ -42,6 +42,7 @@ class RunRequest:
     speed: str = ""
     attended: bool = True
     settings: tuple[str, ...] = ()
+    runs: str = ""  # the folder of runs, where a calibration is looked for
 
     def arguments(self) -> list[str]:
         """Return the command line of `hilcell run`."""
@@ -50,6 +51,7 @@ class RunRequest:
             ("--operator", self.operator),
             ("--job", self.job),
             ("--speed", self.speed),
+            ("--runs", self.runs),
         ):
             arguments += [f"{option}={value}"] if value else []
         for setting in self.settings:

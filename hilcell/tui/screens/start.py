@@ -149,6 +149,7 @@ class StartScreen(BaseScreen):
             speed="" if speed == SPEEDS[0] else speed,
             attended=self.query_one("#attended", Choice).value == WATCHED[0],
             settings=self.application.options.settings,
+            runs=str(self.application.options.runs),
         )
 
     def action_turn(self, step: int) -> None:
@@ -232,8 +233,7 @@ class StartScreen(BaseScreen):
 
         runs = self.application.options.runs
         run = new_run(request.procedure)
-        arguments = [*request.arguments(), "--runs", str(runs), "--name", run]
-        self.application.actions.start(runs / run, arguments)
+        self.application.actions.start(runs / run, [*request.arguments(), "--name", run])
 
 
 def _choice(name: str, words: Any) -> ComposeResult:

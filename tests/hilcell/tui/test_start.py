@@ -52,6 +52,7 @@ def test_the_plan_follows_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
 
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         assert [each.procedure for each in asked] == ["calibrate"]
+        assert f"--runs={RUNS}" in asked[0].arguments()  # where it looks for a calibration
         await press(pilot, "down")
         assert asked[-1].procedure == "home"
         await press(pilot, "tab", "A", "n", "n")
