@@ -203,7 +203,7 @@ def _deviations(cell: Cell, *, corrected: bool) -> Iterator[str]:
     if corrected:
         yield "the commanded poses carry a correction: the robot with its calibration is tested"
     yield "distances are taken from the pose cycle, not from a cycle of their own"
-    yield "orientations were not measured: one reflector gives positions only"
+    yield "orientations were not measured: the test takes the position of one reflector"
 
 
 def judgement(result: Mapping[str, Any]) -> dict[str, Any]:
