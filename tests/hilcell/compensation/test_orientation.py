@@ -65,9 +65,9 @@ def seen_mm(arm: Arm, poses: Array) -> Array:
 
 
 def measured(seed: int = 3, noise_mm: float = NOISE_MM) -> Measured:
-    """Return the grid's 27 vertices and 40 more poses of a crooked arm, three reflectors each."""
+    """Return the grid's 27 vertices and 16 more poses of a crooked arm, three reflectors each."""
     vertices = GRID.vertices_mm()
-    points_mm = np.vstack([vertices.reshape(-1, 3), drawn_mm(1, 40)])
+    points_mm = np.vstack([vertices.reshape(-1, 3), drawn_mm(1, 16)])
     poses = poses_at(points_mm)
     at_mm = seen_mm(crooked(seed), poses)
     at_mm += noise_mm * np.random.default_rng(seed).standard_normal(at_mm.shape)
