@@ -38,6 +38,8 @@ FOLDS = 5  # each fifth pose is predicted by the others
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
 MOST_CYCLES = 1e4
 ASSUMED = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
+# Several: so little is assumed that a turn of all is theirs and not the last link's.
+ASSUMED_SEVERAL = Placed(2.0, 2e-3, 50.0)
 
 
 class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -245,7 +247,8 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
     readings, seats_mm = _readings(measured), arm.tool[None, :3, 3]
     if measured.others is not None:
         seats_mm = np.concatenate([seats_mm, measured.others.places_mm])
-    kinematics = Kinematics(arm, len(seats_mm), assumed=ASSUMED)
+    assumed = ASSUMED if measured.others is None else ASSUMED_SEVERAL
+    kinematics = Kinematics(arm, len(seats_mm), assumed=assumed)
     start, noise = kinematics.start(np.eye(4), seats_mm), Noise.of_joints(len(seats_mm))
     without = _better(identify(kinematics, readings, start, noise), replace(kinematics, tool=True))
     kinematics = without.kinematics

@@ -27,7 +27,7 @@ CELL = load_cell("paper", SEATS)
 ROBOT, NOMINAL_MM = CELL.robot.nominal(), CELL.robot.seats_mm
 ORIENTED = CELL.grid.centre.matrix()
 GRID = Grid(ORIENTED[:3, 3] - 400.0, 400.0, (3, 3, 3))
-MOUNTED_MM = NOMINAL_MM + np.array([[0.3, -0.2, 0.1], [0.5, 0.4, -0.3], [-0.4, 0.2, 0.5]])
+MOUNTED_MM = NOMINAL_MM + np.array([[0.3, -0.2, 0.1], [-6.0, 3.0, -5.0], [6.0, 2.0, 4.0]])
 NOISE_MM = 0.01
 seeds = st.integers(0, 2**32 - 1)
 
@@ -150,11 +150,14 @@ def test_unseen_poses_are_predicted_in_orientation_within_their_bounds(known: Kn
 
 
 def test_the_tool_s_orientation_is_that_of_the_flange(known: Known) -> None:
-    """By reflectors that are mounted 0.6 mm off, it would be 5 mrad off."""
+    """By the reflectors' nominal places, which are millimetres off, it would be 40 mrad off.
+
+    What is left are the last link's errors, which nothing tells from the mounting.
+    """
     found = known[1]
-    assert lengths_mm(found - MOUNTED_MM).max() < 0.5
+    assert np.linalg.norm(to_rotvec(orientations(NOMINAL_MM, MOUNTED_MM[None]))) > 0.04
     turn = to_rotvec(orientations(MOUNTED_MM, found[None]))[0]
-    assert np.linalg.norm(turn) < 1.5e-3
+    assert np.linalg.norm(turn) < 6e-4
 
 
 def test_a_reflector_that_was_not_seen_at_a_pose_is_left_out() -> None:
