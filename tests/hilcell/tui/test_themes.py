@@ -80,8 +80,8 @@ def _lab(colour: str, eyes: str) -> Array:
 __all__ = ["isolated"]
 
 LEAST = 4.5  # WCAG 2.2, success criterion 1.4.3
-FRAME = " ▔▁░·"  # drawn, not read: frames, the empty part of a bar, a plot's dotted grid
-MARKS, LEAST_OF_MARKS = set(" ▀▄█■"), 3.0  # of a plot: success criterion 1.4.11
+FRAME = " ▔▁░▒·"  # drawn, not read: frames, the empty part of a bar, a plot's dotted grid
+MARKS, LEAST_OF_MARKS = set(" ▀▄█▌■"), 3.0  # of a plot: success criterion 1.4.11
 APART = 14.0  # CIE76, of two fills; about 2 is just seen
 by_palette = pytest.mark.parametrize("palette", PALETTES, ids=lambda palette: palette.name)
 
@@ -172,7 +172,7 @@ def is_mark(segment: Segment) -> bool:
 
 
 def contrast_of(segment: Segment, app: RecordingApp) -> float:
-    """Return the contrast of letters against what is under them, of a plot's marks with the ground.
+    """Return the contrast with what is under it; of a plot's marks also that with the ground.
 
     The other half of a mark's cell may be another series.
     """
@@ -180,8 +180,9 @@ def contrast_of(segment: Segment, app: RecordingApp) -> float:
     assert style is not None
     assert style.color is not None
     assert style.bgcolor is not None
-    under = app.theme_variables["background"] if is_mark(segment) else None
-    return contrast(style.color.get_truecolor().hex, under or style.bgcolor.get_truecolor().hex)
+    ink, under = style.color.get_truecolor().hex, style.bgcolor.get_truecolor().hex
+    ground = app.theme_variables["background"] if is_mark(segment) else under
+    return max(contrast(ink, under), contrast(ink, ground))
 
 
 @pytest.mark.usefixtures("isolated")
