@@ -184,6 +184,15 @@ class Forecast:
                 gone_s = max(gone_s - takes_s, 0.0)
         return found
 
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """Return how many measurements of the part under way are taken, and of how many."""
+        step = self._step
+        if step is None or not step.counts_control:
+            return None
+        planned = step.spans[step.at].measured if step.at < len(step.spans) else 0
+        return (step.taken, planned) if planned else None
+
     # -- what happened ------------------------------------------------------------------------
 
     @property

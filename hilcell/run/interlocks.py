@@ -190,11 +190,11 @@ def overview(cell: Cell, sight: Sight) -> list[Interlock]:
                 "HC-B31", "Robot", MEASURE_BLOCKED, "the robot is moving", wanted="at rest"
             )
 
-    of_rail = [Interlock("rail move", _reason(parked))] if cell.has_rail else []
+    of_rail = [_judged("rail move", parked)] if cell.has_rail else []
     return [
         *of_rail,
-        Interlock("robot move", _reason(lambda: held(ROBOT_BLOCKED))),
-        Interlock("measurement", _reason(at_rest)),
+        _judged("robot move", lambda: held(ROBOT_BLOCKED)),
+        _judged("measurement", at_rest),
     ]
 
 
@@ -222,9 +222,10 @@ def _check_known(
         )
 
 
-def _reason(check: Callable[[], None]) -> str:
+def _judged(name: str, check: Callable[[], None]) -> Interlock:
     try:
         check()
     except Blocked as blocked:
-        return blocked.found + (f", wanted {blocked.wanted}" if blocked.wanted else "")
-    return ""
+        wanted = f", wanted {blocked.wanted}" if blocked.wanted else ""
+        return Interlock(name, blocked.found + wanted, blocked.code)
+    return Interlock(name)

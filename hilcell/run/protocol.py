@@ -68,10 +68,11 @@ class DeviceStatus(msgspec.Struct, frozen=True):
 
 
 class Interlock(msgspec.Struct, frozen=True):
-    """One condition of motion; ``blocked`` says why it does not hold."""
+    """One condition of motion; ``blocked`` says why it does not hold, ``code`` is its alarm's."""
 
     name: str
     blocked: str = ""
+    code: str = ""
 
 
 class PromptStatus(msgspec.Struct, frozen=True):

@@ -149,11 +149,15 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row: its key, its cells, and its tone (a theme's variable)."""
+    """One row: its key, its cells, and its tone (a theme's variable).
+
+    ``tones``: one for each cell, in place of the row's; ``*`` before it is bold.
+    """
 
     key: str
     cells: tuple[str, ...]
     tone: str = ""
+    tones: tuple[str, ...] = ()
 
 
 class Table(ScrollView, can_focus=True):
@@ -281,19 +285,38 @@ class Table(ScrollView, can_focus=True):
         style = base + Style(color=self._colour(row.tone)) if row.tone else base
         if index == self.cursor:
             style = self.get_component_rich_style("table--cursor")
+        if row.tones:
+            return self._styled_cells(row, style, cursor=index == self.cursor)
         return self._strip(self._line(row.cells, cursor=index == self.cursor), style, width)
+
+    def _styled_cells(self, row: Row, style: Style, *, cursor: bool) -> Strip:
+        """Draw a row whose cells have tones of their own."""
+        segments = [Segment(self._shown("►" if cursor else " "), style)]
+        for n, (text, tone) in enumerate(zip(self._cells(row.cells), row.tones, strict=True)):
+            name = tone.removeprefix("*")
+            own = Style(color=self._colour(name) if name else None, bold=tone != name or None)
+            segments += [Segment(" ", style)] * bool(n) + [Segment(text, style + own)]
+        return Strip(segments).adjust_cell_length(self.size.width, style).crop(0, self.size.width)
+
+    def _shown(self, text: str) -> str:
+        return to_ascii(text) if self.plain else text
 
     def _colour(self, tone: str) -> str:
         return self.app.theme_variables[tone]
 
     def _strip(self, text: str, style: Style, width: int) -> Strip:
-        shown = to_ascii(text) if self.plain else text
-        return Strip([Segment(shown, style)]).adjust_cell_length(width, style).crop(0, width)
+        return (
+            Strip([Segment(self._shown(text), style)])
+            .adjust_cell_length(width, style)
+            .crop(0, width)
+        )
 
     def _line(self, cells: Sequence[str], *, cursor: bool = False) -> str:
-        safe = [to_ascii(clean(cell)) if self.plain else clean(cell) for cell in cells]
-        parts = [_fit(text, column) for text, column in zip(safe, self.columns, strict=False)]
-        return (">" if cursor else " ") + " ".join(parts)
+        return ("►" if cursor else " ") + " ".join(self._cells(cells))
+
+    def _cells(self, cells: Sequence[str]) -> list[str]:
+        safe = [self._shown(clean(cell)) for cell in cells]
+        return [_fit(text, column) for text, column in zip(safe, self.columns, strict=False)]
 
 
 def _fit(text: str, column: Column) -> str:

@@ -40,6 +40,7 @@ from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarm_words import AlarmContext
 from hilcell.tui.text.alarms import alarm_page
@@ -335,8 +336,8 @@ def screen(data: bytes) -> None:
         run_text.identity(view, 80).plain,
         run_text.step(view, 80).plain,
         run_text.banner(view, UNICODE, 80).plain,
-        run_text.lamps(view, UNICODE, 80).plain,
-        run_text.interlocks(view, 80).plain,
+        devices.lamps(view, UNICODE, 80).plain,
+        devices.interlocks(view, UNICODE, 80).plain,
         alarm_page(view.alarms, Latch(), CONTEXT, 80).plain,
         *(cell for record in view.records for cell in record_row(record).cells),
     ]

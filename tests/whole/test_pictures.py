@@ -119,7 +119,7 @@ def test_a_live_run(tmp_path: Path) -> None:
 async def a_live_run(tmp_path: Path) -> None:
     with engine(tmp_path, "--speed", "60", *WORDS):
         async with screen(tmp_path, "last", (80, 24)) as pilot:
-            await until(pilot, r"/14 robot-grid: ([5-9]|\d\d)/")
+            await until(pilot, r"Robot grid +([5-9]|\d\d) of")
             assert "► RUNNING" in shown(app_of(pilot))
             keep(app_of(pilot), "screen-running")
 
@@ -131,9 +131,9 @@ def test_a_fault(tmp_path: Path) -> None:
 
 async def a_fault(tmp_path: Path) -> None:
     async with cell_and_screen(tmp_path, SIZE, WORDS) as (cell, pilot):
-        await until(pilot, r"/14 robot-grid: ([2-9]|\d\d)/")
+        await until(pilot, r"Robot grid +([2-9]|\d\d) of")
         assert cell.ask(do="fault", name="robot.e_stop", count=0)["ok"]
-        await until(pilot, "space resume")
+        await until(pilot, "space  resume")
         await until(pilot, "What to do")
         keep(app_of(pilot), "screen-fault")
 
@@ -165,8 +165,6 @@ def test_a_finished_run(tmp_path: Path, golden: GoldenRuns) -> None:
 async def a_finished_run(tmp_path: Path) -> None:
     async with screen(tmp_path, "last", (80, 24)) as pilot:
         await until(pilot, "● DONE")
-        await pilot.press("w")
-        await until(pilot, "as measured")
         keep(app_of(pilot), "screen-done")
     async with screen(tmp_path, "last", (120, 36)) as pilot:
         await until(pilot, "● DONE")

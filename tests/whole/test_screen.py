@@ -18,6 +18,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, read_log, run_folders
 from hilcell.run import client
 from hilcell.run.client import order
+from hilcell.tui.text.words import short_words
 from tests.whole.bench import LIMIT_S, SMALL, command, sets, simulation, sweep, wait_gone
 from tests.whole.golden import GoldenRuns
 from tests.whole.terminal import Terminal
@@ -99,10 +100,14 @@ def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the
         assert log.end is not None
         assert log.end["result"] == golden["small"].result  # a run by command, of the same seed
         terminal.press("w")
-        terminal.shows("as measured")
-        worst = next(line for line in terminal.text.splitlines() if line.startswith(">"))
-        key = worst[1:].split()[0]
-        assert key.startswith("validate/")
+        terminal.shows("w order")
+        worst = next(line for line in terminal.text.splitlines() if line.startswith("▌►"))
+        words = (worst[2:16].strip(), worst[17:24].strip())
+        (key,) = [
+            key
+            for key, each in log.points.items()
+            if (short_words(each.id), each.station) == words and each.id.how == "chosen"
+        ]
         terminal.press("r")
         terminal.shows("Open this run again")
         terminal.answer(ENTER)
@@ -130,7 +135,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
         words = ("--set", f"simulation.address={cell.control}")
         with screen(tmp_path, *words) as terminal:
             start(terminal, to_procedure("robot-grid") + ENTER)
-            terminal.shows("/5 robot-grid: ", LIMIT_S)
+            terminal.shows(r"Robot grid", LIMIT_S)
             terminal.press(" ")
             terminal.shows("▌▌ PAUSED", LIMIT_S)
             terminal.press(" ")
@@ -147,7 +152,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
             terminal.press("q")
             assert cell.ask(do="clear")["ok"]
             wait_for(lambda: live_engine(folder_of(tmp_path)) is None, "the engine ends")
-            terminal.shows("space resume")
+            terminal.shows("space  resume")
             terminal.press(" ")  # three keys: resume, yes, acknowledge
             terminal.shows("Resume this run?")
             terminal.answer(ENTER)
@@ -288,7 +293,7 @@ def test_an_engine_that_stands_still_is_silent_and_not_gone(
         finally:
             os.kill(engine.pid, signal.SIGCONT)
         wait_for(lambda: read_log(folder).end is not None, "the stop is heard")
-        terminal.shows("space resume")
+        terminal.shows("space  resume")
         assert "HC-J05" not in terminal.text
     assert judged(folder) == []
 

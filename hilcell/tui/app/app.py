@@ -61,7 +61,7 @@ class HilcellApp(App[int]):
     TITLE = "hilcell"
     CSS_PATH = Path(__file__).with_name("style.tcss")
     COMMANDS: ClassVar = {ActionProvider}
-    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - as Textual has it
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (138, "-wide")]  # noqa: RUF012 - as Textual has it
     BINDINGS: ClassVar[list[BindingType]] = [  # all act before widgets see them, in their order
         Binding("tab", "focus_next", show=False, priority=True),
         Binding("shift+tab", "focus_previous", show=False, priority=True),

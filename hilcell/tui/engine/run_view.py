@@ -6,6 +6,7 @@ A live run, a finished one and one left by a crash have the same view. A status 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import Enum
@@ -54,6 +55,9 @@ class RunView:
     alarms: list[Alarm] = field(default_factory=list)
     records: list[Record] = field(default_factory=list)  # the newest, for the event log
     last: Point | None = None
+    newest: Point | None = None  # that is no proof of nests; drawn large
+    newest_t: str = ""  # when its record was written
+    span: tuple[int, int] | None = None  # measured and planned of the part under way
     step: dict[str, Any] = field(default_factory=dict)
     measured: dict[int, set[str]] = field(default_factory=dict)  # keys of points by step
 
@@ -65,8 +69,10 @@ class RunView:
             del self.records[:-MOST_RECORDS]
         if record.kind == "point":
             self.last = self.log.points[record.key]
-            if self.step and self.last.id.group != CONTROL:
-                self.measured.setdefault(int(self.step["number"]), set()).add(record.key)
+            if self.last.id.group != CONTROL:
+                self.newest, self.newest_t = self.last, record.t
+                if self.step:
+                    self.measured.setdefault(int(self.step["number"]), set()).add(record.key)
         elif record.kind == "event" and record.body.get("what") == "step":
             self.step = record.body
 
@@ -76,12 +82,17 @@ class RunView:
         return self.log.plan is None or self.log.cell.has_rail
 
     @property
-    def newest_target(self) -> Point | None:
-        """Return the newest point with a nominal place, or None where there is none yet."""
-        if self.last is None or self.last.nominal_mm is not None:
-            return self.last
-        points = (self.log.points[key] for key in reversed([*self.log.points]))
-        return next((point for point in points if point.nominal_mm is not None), None)
+    def newest_is_old(self) -> bool:
+        """Whether the newest point is of a step before this one."""
+        key = self.newest.key if self.newest is not None else ""
+        return bool(self.step) and key not in self.measured.get(int(self.step["number"]), ())
+
+    @property
+    def newest_age_s(self) -> float:
+        """Return the age of the newest point; infinite where there is none."""
+        if not self.newest_t or self.now is None:
+            return math.inf
+        return max(0.0, (self.now - datetime.fromisoformat(self.newest_t)).total_seconds())
 
     @property
     def ended(self) -> bool:

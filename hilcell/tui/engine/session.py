@@ -109,6 +109,7 @@ class Session:
         view.elapsed_s = self._forecast.elapsed_s(at)
         view.remaining_s = self._forecast.remaining_s(at)
         view.ahead = self._forecast.ahead(at) if view.live else []
+        view.span = self._forecast.span
 
     def stop(self) -> bool:
         """Send a stop at once, from any thread; return whether an engine received it.

@@ -138,8 +138,8 @@ class BaseScreen(Screen[None]):
 
     @property
     def line_width(self) -> int:
-        """Return how many columns a line may take."""
-        return max(self.app.size.width, 20)
+        """Return how many columns a line may take, beside the edge of a simulated run."""
+        return max(self.app.size.width, 20) - 1
 
     def panel(self, name: str) -> TextPanel:
         """Return a panel by its name."""
@@ -176,6 +176,7 @@ class BaseScreen(Screen[None]):
         if view is not None and self.query("#banner"):
             from hilcell.tui.text import run as run_text  # reads journals: not for the first screen
 
+            self.set_class(run_text.is_simulated(view), "simulated")
             background = self.application.open_runs.background
             other = background.view if background is not None else None
             lines = run_text.banner(view, self.application.glyphs, self.line_width, other)

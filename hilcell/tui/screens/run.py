@@ -16,17 +16,27 @@ from hilcell.tui.keys import shown
 from hilcell.tui.plots.scale import Scale
 from hilcell.tui.screens.pages import FilterScreen
 from hilcell.tui.screens.plots import look_of
+from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
 from hilcell.tui.text.alarm_words import alarm_line
-from hilcell.tui.text.deviation import deviation_lines, deviation_of
+from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
+from hilcell.tui.text.footer import KeyOf, footer_lines
+from hilcell.tui.text.lines import justified
+from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines
 from hilcell.tui.text.points import PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import prompt_box
+from hilcell.tui.text.rows import rows_for
 from hilcell.tui.text.side import side_lines
+from hilcell.tui.text.verdict import verdict_lines, verdict_of
 from hilcell.tui.widgets import Table, TextPanel
 
-WIDE = 120  # columns, as in the style sheet
-LINES = ("banner", "identity", "step", "progress", "lamps", "interlock")
+WIDE = 138  # columns, as the application's break: the screen of 80, and a panel beside it
+LEFT = 79  # columns of the lines that are alike at every width, beside the simulation's edge
+LINES = ("identity", "step", "progress", "lamps", "interlock")
+HIDE_POINTS = ("verdict", "alarm")
+BOXES = ("deviation", "prompt", *HIDE_POINTS)  # of which one is shown
+MIDDLE, MIDDLE_LEAST = 16, 6  # rows 7 to 22, and where there are few
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +51,10 @@ class PointFilter:
 class RunScreen(FilterScreen):
     """One run, live or past."""
 
-    footer = (
-        "stop", "pause", "help", "acknowledge", "retake", "abort", "report", "sort", "plots",
-        "history", "detach", "new", "bad", "find", "log", "interlocks", "alarms", "quit",
-    )  # fmt: skip
+    footer = ("stop", "quit")  # while a filter is typed
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "enter", "answer", show=False),
-        Binding("q,backspace", "show_background_run", show=False, priority=True),
+        Binding("q,backspace", "back", show=False, priority=True),
     ]
 
     def __init__(self, point_filter: PointFilter | None = None) -> None:
@@ -58,16 +65,15 @@ class RunScreen(FilterScreen):
         self._points_seen: tuple[object, ...] = ()
         self._side_seen: tuple[object, ...] = ()
         self._side_scale: Scale | None = None
+        self.points_open = False  # over the verdict of a run that is done
 
     def compose(self) -> ComposeResult:
         """Build the lines, the box of points and the panel beside it."""
-        for name in LINES:
-            yield TextPanel(name)
-        yield TextPanel("deviation")
-        yield TextPanel("alarm")
-        yield TextPanel("prompt")
+        yield TextPanel("banner")
         with Horizontal(id="middle"):
-            with Vertical():
+            with Vertical(id="left"):
+                for name in (*LINES, *BOXES):
+                    yield TextPanel(name)
                 yield Table(
                     columns_for(80),
                     empty="no points yet",
@@ -75,13 +81,14 @@ class RunScreen(FilterScreen):
                     plain=self.application.glyphs.plain,
                 )
                 yield self.filter_box("filter: words of name, station or state")
+                yield TextPanel("status")
             yield TextPanel("side")
         yield TextPanel("notice")
         yield TextPanel("keys")
 
     def on_mount(self) -> None:
         """Hide the panels that are empty."""
-        for name in ("alarm", "prompt", "notice"):
+        for name in ("alarm", "prompt", "verdict", "notice"):
             self.panel(name).display = False
         rows = self.query_one(Table)
         rows.follow = True
@@ -93,53 +100,111 @@ class RunScreen(FilterScreen):
         super().show(view)
         if view is None:
             return
-        glyphs, width = self.application.glyphs, self.line_width
+        self.points_open &= not view.live
+        glyphs, width = self.application.glyphs, self.left_width
         self.panel("identity").show(run_text.identity(view, width))
         self.panel("step").show(run_text.step(view, width))
-        self.panel("progress").show(run_text.progress(view, glyphs, width))
-        self.panel("lamps").show(run_text.lamps(view, glyphs, width))
-        self.panel("interlock").show(run_text.interlocks(view, width))
-        self._show_boxes(view)
+        self.panel("progress").show(run_text.progress(view, width))
+        self.panel("lamps").show(devices.lamps(view, glyphs, width))
+        self.panel("interlock").show(devices.interlocks(view, glyphs, width))
         self._show_points(view)
         self._show_side(view)
-        self._show_deviation(view)
+        self._show_middle(view)
 
-    def _show_deviation(self, view: RunView) -> None:
-        """Show the newest point of a live run, the chosen one of a past run."""
-        key = self.query_one(Table).key
-        point = view.newest_target if view.live or not key else view.log.points.get(key)
-        found = None if point is None else deviation_of(view.log, point)
-        none = f"{key}: no nominal place, so no deviation" if key else "no point measured yet"
-        lines = deviation_lines(found, self.application.glyphs, self.line_width, none)
+    @property
+    def left_width(self) -> int:
+        """Return the columns of the lines that are alike at every width."""
+        return min(self.line_width, LEFT)
+
+    @property
+    def instead(self) -> str:
+        """Return which panel stands in the place of the points: prompt, verdict, alarm, or none."""
+        view = self.application.view
+        if view is None or view.prompt is not None:
+            return "prompt" if view is not None else ""
+        if self.points_open:
+            return ""
+        if panel_is_due(view, self.application.latch.standing()):
+            return "alarm"
+        return "verdict" if verdict_of(view) is not None else ""
+
+    def _show_middle(self, view: RunView) -> None:
+        """Show the newest point or what stands in its place, and the status under the points."""
+        instead, standing = self.instead, self.application.latch.standing()
+        rows = rows_for(self.app.size.height, self.left_width, alarm=bool(standing))
+        self.panel("identity").display = rows.identity
+        for name in BOXES:
+            self.panel(name).display = name == (instead or "deviation")
+        room = max(self.app.size.height - rows.fixed, MIDDLE_LEAST)
+        match instead:
+            case "prompt":
+                self._show_prompt(view, min(room - 1, MIDDLE - 1))
+            case "alarm":
+                self._show_alarm(view, min(room, MIDDLE))
+            case "verdict":
+                self._show_verdict(view, room - self._other_alarms(view))
+            case _:
+                self._show_deviation(view, rows.point)
+        said = instead == "alarm" or (instead == "verdict" and not self._other_alarms(view))
+        self.panel("status").display = rows.status and not said
+        self.panel("status").show(self._status(view))
+        # A table has a row at least, and would push the status out.
+        self.query_one(Table).styles.height = 0 if instead and room <= MIDDLE else "1fr"
+
+    def _other_alarms(self, view: RunView) -> bool:
+        """Whether alarms stand that a verdict does not show."""
+        return len(self.application.latch.standing()) > (view.state == "intolerant")
+
+    def _status(self, view: RunView) -> Content:
+        """Return the worst alarm, or that there is none and what comes next."""
+        standing, width = self.application.latch.standing(), self.left_width
+        line = alarm_line(standing, self.alarm_context(), width - 2 if standing else 0)
+        none = Content.styled(f"{self.application.glyphs.stale} no alarms", "$label")
+        left = Content(" ").append(line if standing else none)
+        return justified(left, run_text.following(view), width - 1) if not standing else left
+
+    def _show_deviation(self, view: RunView, rows: int) -> None:
+        """Show the newest point of a live run, or the one that was chosen."""
+        table = self.query_one(Table)
+        newest = not table.rows or (view.live and table.cursor == len(table.rows) - 1)
+        point = newest_shown(view) if newest else chosen_shown(view, table.key)
+        lines = point_lines(point, self.application.glyphs, self.left_width, rows)
         self.panel("deviation").show(lines)
+
+    def _show_verdict(self, view: RunView, rows: int) -> None:
+        found = verdict_of(view)
+        if found is not None:
+            lines = verdict_lines(view, found, self.application.glyphs, self.left_width, rows)
+            self.panel("verdict").show(lines)
+
+    def _show_alarm(self, view: RunView, rows: int) -> None:
+        standing, context, width = (
+            self.application.latch.standing(),
+            self.alarm_context(),
+            self.left_width,
+        )
+        lines = alarm_panel(standing, kept_words(view.log), context, width, rows - 2)
+        other = Content(" ").append(alarm_line(standing, context, width - 2, skip=1))
+        lines += [other, newest_line(view, width)]
+        self.panel("alarm").show(Content("\n").join(lines))
+
+    def _show_prompt(self, view: RunView, rows: int) -> None:
+        if view.prompt is not None:
+            box = prompt_box(view.prompt, view, self.application.glyphs, self.left_width, rows)
+            self.panel("prompt").show(Content("\n").join(box))
 
     def on_table_row_highlighted(self) -> None:
         """Show the point that is chosen now."""
         view = self.application.view
-        if view is not None:
-            self._show_deviation(view)
+        if self.instead in HIDE_POINTS:
+            self._open_points()
+        elif view is not None:
+            self._show_middle(view)
 
-    def _show_boxes(self, view: RunView) -> None:
-        alarm, prompt = self.panel("alarm"), self.panel("prompt")
-        asked, standing, context = (
-            view.prompt,
-            self.application.latch.standing(),
-            self.alarm_context(),
-        )
-        due, columns = panel_is_due(view, standing), self.line_width
-        lines = [alarm_line(standing, context, columns, skip=int(due))]
-        if due:
-            kept, rows = kept_words(view.log), min(14, max(self.app.size.height - 10, 5))
-            panel = alarm_panel(standing, kept, context, columns, rows)
-            lines = [*panel, *lines, newest_line(view, columns)]
-        alarm.display = bool(standing)
-        alarm.show(Content("\n").join(lines))
-        prompt.display = asked is not None
-        self.panel("deviation").display = asked is None and not due
-        if asked is not None:
-            rows = min(15, max(self.app.size.height - 10, 5))
-            box = prompt_box(asked, view, self.application.glyphs, columns, rows)
-            prompt.show(Content("\n").join(box))
+    def _open_points(self) -> None:
+        """Show the points in place of the verdict, or of the alarm."""
+        self.points_open = True
+        self.show(self.application.view)
 
     @property
     def point_filter(self) -> PointFilter:
@@ -191,6 +256,20 @@ class RunScreen(FilterScreen):
             return "all" if self.bad_only else "bad only"
         return super().label(name)
 
+    def key_line(self) -> Content:
+        """Return the footer: slots that keep their places; in a text box, its own keys."""
+        if isinstance(self.focused, Input):
+            return super().key_line()
+        return footer_lines(self.key_of, self.left_width)
+
+    def key_of(self, name: str) -> KeyOf:
+        """Return one slot of the footer as it is now."""
+        if name == "detach" and not self.application.allowed(name):
+            name = "new"
+        key = shown(self.application.keymap[name][0])
+        label = self.label(name)
+        return KeyOf(key, FOOTER_WORDS.get(label, label), self.application.allowed(name))
+
     def action_enter(self) -> None:
         """Answer the prompt, or open the chosen point."""
         self._enter(self.query_one(Table).key)
@@ -203,6 +282,8 @@ class RunScreen(FilterScreen):
         view = self.application.view
         if view is not None and view.prompt is not None:
             self.application.actions.answer()
+        elif self.instead in HIDE_POINTS:
+            self._open_points()
         elif key:
             from hilcell.tui.screens.pages import DetailPage
 
@@ -212,30 +293,40 @@ class RunScreen(FilterScreen):
 
     def do_bad(self) -> None:
         """Show bad points only, or all."""
-        self.bad_only = not self.bad_only
+        self.bad_only, self.points_open = not self.bad_only, True
         self.show(self.application.view)
 
     def do_sort(self) -> None:
-        """RunRequest by |e|, or as measured."""
-        self.worst_first = not self.worst_first
+        """Order by |e|, or as measured."""
+        self.worst_first, self.points_open = not self.worst_first, True
         self.show(self.application.view)
         if self.worst_first:
             self.query_one(Table).action_to(0)
+
+    def do_find(self) -> None:
+        """Open the filter over the points."""
+        self.points_open = True
+        self.show(self.application.view)
+        super().do_find()
 
     def filter_rows(self) -> None:
         """Show the points that match all words."""
         self.show(self.application.view)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Leave letters to the filter; go back only where a run is in the background."""
-        typing = isinstance(self.focused, Input)
-        return action != "show_background_run" or (
-            self.application.open_runs.background is not None and not typing
-        )
+        """Leave letters to the filter; go back only where there is something to go back to."""
+        if action != "back":
+            return True
+        behind = self.application.open_runs.background is not None
+        return (behind or self.points_open) and not isinstance(self.focused, Input)
 
-    def action_show_background_run(self) -> None:
-        """Show the background run again."""
-        self.application.show_background_run()
+    def action_back(self) -> None:
+        """Show the verdict or the alarm again, else the background run."""
+        if self.points_open:
+            self.points_open = False
+            self.show(self.application.view)
+        else:
+            self.application.show_background_run()
 
     def do_retake(self) -> None:
         """Re-measure the chosen point."""

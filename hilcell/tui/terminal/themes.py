@@ -63,6 +63,7 @@ class Palette:
         variables |= {f"on-{role}": self.on(role) for role in ROLES}
         variables |= {
             "stale": self.stale,
+            "sim-edge": self.sim_fill if self.dark else self.sim,
             "badge": self.badge,
             "track": self.track,
             "cursor-row": self.cursor,

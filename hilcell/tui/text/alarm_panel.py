@@ -6,8 +6,6 @@ first.
 
 from __future__ import annotations
 
-from datetime import datetime
-
 from textual.content import Content
 
 from hilcell.alarms import Latched
@@ -25,8 +23,9 @@ from hilcell.tui.text.alarm_words import (
     step_lines,
 )
 from hilcell.tui.text.deviation import deviation_of
+from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.frame import BORDERS, DOUBLE, ends, fitted, framed
-from hilcell.tui.text.run import short_age
+from hilcell.tui.text.words import point_words
 
 STATES = ("fault", "gone")  # of a run whose alarm takes the points' place
 MEANS, FOUND = 2, 2  # rows at most
@@ -115,15 +114,12 @@ def _left(log: Log) -> str:
 
 def newest_line(view: RunView, width: int) -> Content:
     """Return the newest point with its error and its age."""
-    point = view.newest_target
+    point = view.newest
     if point is None:
-        return fitted(Content.styled("no point is measured yet", "$label"), width)
+        return fitted(Content.styled(" no point is measured yet", "$label"), width)
     found = deviation_of(view.log, point)
     error = "" if found is None else f"|e| {found.norm_mm:.3f} mm"
-    seq = view.log.recorded(point)
-    taken = next((each.t for each in reversed(view.records) if each.seq == seq), "")
-    age = ""
-    if taken and view.now is not None:
-        age = f"{short_age((view.now - datetime.fromisoformat(taken)).total_seconds())} ago"
-    left = Content.styled(f"newest good point: {point.key}", "$label")
+    age = f"{short_age(view.newest_age_s)} ago"
+    name = point_words(point.id, point.station)
+    left = Content.styled(f" newest good point: {name}", "$label")
     return ends(left, Content.styled(", ".join(filter(None, (error, age))), "$stale"), width)

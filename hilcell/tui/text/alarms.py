@@ -18,8 +18,8 @@ from hilcell.tui.text.alarm_words import (
     state_line,
     step_lines,
 )
+from hilcell.tui.text.devices import lamp, lamps_of
 from hilcell.tui.text.frame import ends
-from hilcell.tui.text.run import lamp, lamps_of
 
 
 def alarm_page(alarms: Sequence[Alarm], latch: Latch, context: AlarmContext, width: int) -> Content:

@@ -1,14 +1,10 @@
-"""Deviations of points from their nominal targets, e = actual - nominal in {W}, mm; and their
-drawing in large_digits digits.
-"""
+"""Deviations of points from their nominal targets, e = actual - nominal in {W}, mm."""
 
 from __future__ import annotations
 
 import math
 from contextlib import suppress
 from dataclasses import dataclass
-
-from textual.content import Content
 
 from hilcell.calibration.decision import outcome_of
 from hilcell.calibration.errors import errors_of
@@ -17,16 +13,10 @@ from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
 from hilcell.ports import Array, HilcellError
-from hilcell.tui.terminal.capabilities import Glyphs
 
 JUDGED = "chosen"  # the paper's method is measured beside it, to be compared
 BAD_STATES = ("out", "unsure", "noisy")
 STATES: dict[Outcome, str] = {"rejected": "out", "undecided": "unsure"}
-SAID: dict[Outcome, tuple[str, str]] = {
-    "accepted": ("in", "$passed"),
-    "undecided": ("UNSURE", "bold $ask"),
-    "rejected": ("OUT OF", "bold $fault"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,72 +102,3 @@ def row_of(log: Log, point: Point, U_mm: float | None = None) -> PointRow:
     """Return one point's row; ``U_mm`` as in `deviation_of`."""
     deviation = deviation_of(log, point, U_mm)
     return PointRow(point, deviation, state_of(log, point, deviation))
-
-
-_SEGMENTS = {
-    "0": (" _ ", "| |", "|_|"),
-    "1": ("   ", "  |", "  |"),
-    "2": (" _ ", " _|", "|_ "),
-    "3": (" _ ", " _|", " _|"),
-    "4": ("   ", "|_|", "  |"),
-    "5": (" _ ", "|_ ", " _|"),
-    "6": (" _ ", "|_ ", "|_|"),
-    "7": (" _ ", "  |", "  |"),
-    "8": (" _ ", "|_|", "|_|"),
-    "9": (" _ ", "|_|", " _|"),
-    "-": ("  ", "__", "  "),
-    "+": ("   ", "_|_", " | "),
-    ".": (" ", " ", "."),
-    " ": ("  ", "  ", "  "),
-    "n": ("   ", " _ ", "| |"),  # nan and inf can be shown, too
-    "a": ("   ", " _|", "(_|"),
-    "i": (" ", ".", "|"),
-    "f": (" _", "|_", "| "),
-}
-
-
-def large_digits(text: str) -> tuple[str, str, str]:
-    """Return three rows of equal length; raises `KeyError` for what is no number."""
-    glyphs = [_SEGMENTS[letter] for letter in text]
-    top, middle, bottom = ("".join(glyph[row] for glyph in glyphs) for row in range(3))
-    return top, middle, bottom
-
-
-def deviation_lines(found: Deviation | None, glyphs: Glyphs, width: int, none: str = "") -> Content:
-    """Return element 6 in five rows: names, large_digits digits, and |e| against its limit.
-
-    ``none``: the text where there is no deviation.
-    """
-    if found is None:
-        return Content.styled("\n".join([f"deviation: {none}", "", "", "", ""]), "$label")
-    values = [
-        ("dx", f"{found.error_mm[0]:+.3f}"),
-        ("dy", f"{found.error_mm[1]:+.3f}"),
-        ("dz", f"{found.error_mm[2]:+.3f}"),
-        ("|e|", f"{found.norm_mm:.3f}"),
-    ]
-    columns = [large_digits(text) for _, text in values]
-    gap = "   "
-    head = gap.join(
-        f"{name} mm".ljust(len(rows[0])) for (name, _), rows in zip(values, columns, strict=True)
-    )
-    digits = "\n".join(gap.join(column[row] for column in columns) for row in range(3))
-    return Content.assemble(
-        (head, "$label"), "\n", (digits, "bold"), "\n", tolerance_line(found, glyphs, width)
-    )
-
-
-def tolerance_line(found: Deviation, glyphs: Glyphs, width: int) -> Content:
-    """Return |e| on a scale from 0 over the limit, the decision, U, and the point's name."""
-    if found.limit_mm is None:
-        return Content.styled(f"{found.key}: raw, not corrected; no limit", "$label")
-    room = 24
-    share = found.norm_mm / (1.5 * found.limit_mm)
-    at = math.floor(room * share) if share <= 1.0 else room  # NaN is beyond everything
-    edge = math.floor(room / 1.5)
-    cells = ["="] * at + [glyphs.rule] * (room + 1 - at)
-    cells[edge] = "|"
-    cells[min(at, room)] = glyphs.over_right if at >= room else glyphs.mark
-    verdict, tone = SAID[found.outcome]
-    text = f"[{''.join(cells)}] {verdict} {found.limit_mm:.3f} mm, U {found.U_mm:.3f}  {found.key}"
-    return Content.styled(text, tone).truncate(width, ellipsis=True)

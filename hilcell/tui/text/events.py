@@ -10,9 +10,9 @@ from textual.content import Content
 from hilcell.clean import harmless
 from hilcell.journal.journal import Record
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.text.names import point_words
 from hilcell.tui.text.plot_figures import section
 from hilcell.tui.text.tables import record_words
+from hilcell.tui.text.words import point_words
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
 HIDDEN = ("state", "plan", "frame")  # kinds that other lines tell

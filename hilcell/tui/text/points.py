@@ -4,40 +4,69 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import replace
 
 from textual.content import Content
 
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.text.deviation import BAD_STATES, PointRow, expanded_of, row_of
+from hilcell.tui.text.deviation import BAD_STATES, Deviation, PointRow, expanded_of, row_of
+from hilcell.tui.text.digits import figure
+from hilcell.tui.text.words import point_words, short_words
 from hilcell.tui.widgets import Column, Row
 
-WIDE = 112
-_NARROW_COLUMNS = (
-    Column("point", 26),
-    Column("dx mm", 7, right=True),
-    Column("dy mm", 7, right=True),
-    Column("dz mm", 7, right=True),
-    Column("|e| mm", 7, right=True),
-    Column("rms mm", 6, right=True),
-    Column("state", 8),
+WIDE, WIDE_WITH_BARS = 119, 128  # from here on, nominal and measured places too
+_NAME = 14
+_STATION = Column("station", 7)
+_FIGURES = (
+    Column("dx", 6, right=True),
+    Column("dy", 7, right=True),
+    Column("dz", 7, right=True),
 )
-_WIDE_COLUMNS = (
-    Column("point", 26),
-    Column("nominal x y z mm", 28, right=True),
-    Column("measured x y z mm", 31, right=True),
-    *_NARROW_COLUMNS[1:],
+_NORM = Column("|e| mm", 6, right=True)
+_BAR = Column("", 8)
+_RMS = Column("rms", 6, right=True)
+_GAP, _STATE = Column("", 0), Column("state", 7)
+_PLACES = (
+    Column("nominal x y z mm", 22, right=True),
+    Column("measured x y z mm", 26, right=True),
 )
-_TONES = {"out": "fault", "unsure": "ask", "noisy": "ask", "waits": "live", "again": "live"}
+BARS_FROM, RMS_FROM, STATIONS_FROM, FIGURES_FROM = 78, 69, 62, 54  # widths of the table
+_BESIDE_NAME, _BESIDE_NAME_ALONE = 40, 18  # where stations have no column
+_STATES = {  # by state: its word with its shape, and its tone
+    "in": ("● in", "passed"),
+    "out": ("▲ OUT", "*fault"),
+    "unsure": ("▲unsure", "ask"),
+    "noisy": ("▲ noisy", "ask"),
+    "waits": ("○ waits", "live"),
+    "again": ("○ again", "live"),
+    "ok": ("· ok", "label"),
+}
 
 
 def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
     """Return the columns that a table of this width shows; the first title names the filter."""
-    columns = _WIDE_COLUMNS if width >= WIDE + 40 else _NARROW_COLUMNS
-    which = " ".join(["bad only"] * bad_only + ["by |e|" if bad_only else "worst first"] * worst)
-    return (replace(columns[0], title=f"point: {which}"), *columns[1:]) if which else columns
+    title = ("bad by |e|" if worst else "bad points") if bad_only else "worst first"
+    found = [Column(title if bad_only or worst else "point", _name_width(width))]
+    found += [_STATION] if width >= STATIONS_FROM else []
+    found += _PLACES if width >= WIDE else ()
+    found += [*(_FIGURES if width >= FIGURES_FROM else ()), _NORM]
+    found += [_BAR] if has_bars(width) else []
+    found += [_RMS] if width >= RMS_FROM else []
+    return (*found, _GAP, _STATE)
+
+
+def _name_width(width: int) -> int:
+    """Return the room of a name: with its station, where that has no column of its own."""
+    if width >= STATIONS_FROM:
+        return _NAME
+    beside = _BESIDE_NAME if width >= FIGURES_FROM else _BESIDE_NAME_ALONE
+    return max(width - beside, 8)
+
+
+def has_bars(width: int) -> bool:
+    """Whether a table of this width shows |e| as a bar, too."""
+    return BARS_FROM <= width < WIDE or width >= WIDE_WITH_BARS
 
 
 class PointRows:
@@ -75,13 +104,17 @@ def filtered(
         row
         for row in points
         if (not bad_only or row.state in (*BAD_STATES, "again"))
-        and all(
-            word in f"{row.point.key} {row.point.station} {row.state}".lower() for word in words
-        )
+        and all(word in _searched(row) for word in words)
     ]
     if worst:
         rows.sort(key=_badness, reverse=True)
     return rows
+
+
+def _searched(row: PointRow) -> str:
+    """Return what a filter finds: the point's key, its name in words, its station, its state."""
+    point = row.point
+    return f"{point.key} {point_words(point.id)} {point.station} {row.state}".lower()
 
 
 def _badness(row: PointRow) -> tuple[bool, float]:
@@ -93,18 +126,39 @@ def _badness(row: PointRow) -> tuple[bool, float]:
 def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
     """Return the cells of one point; ``waiting`` names those that are to be re-measured."""
     point, deviation = found.point, found.deviation
+    judged = deviation is not None and deviation.limit_mm is not None
     state = "waits" if point.key in waiting else found.state
-    errors: tuple[str, ...] = ("", "", "", "")
-    if deviation is None:
-        actual = point.xyz_mm
-    else:
-        errors = (*(f"{each:+.3f}" for each in deviation.error_mm), f"{deviation.norm_mm:.3f}")
-        actual = deviation.actual_mm
-    narrow = (*errors, f"{rms(point.std_mm):.3f}", state)
-    if width < WIDE + 40:
-        return Row(point.key, (point.key, *narrow), _TONES.get(state, ""))
-    nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 2)
-    return Row(point.key, (point.key, nominal, _triple(actual, 3), *narrow), _TONES.get(state, ""))
+    said, tone = _STATES["in" if state == "ok" and judged else state]
+    stations, name = width >= STATIONS_FROM, short_words(point.id)
+    cells = [(name if stations else f"{name} {point.station}".rstrip(), "")]
+    cells += [(point.station, "label")] if stations else []
+    cells += _places(point, deviation) if width >= WIDE else []
+    errors = [""] * 3 if deviation is None else [_signed(each) for each in deviation.error_mm]
+    cells += [(each, "") for each in errors] if width >= FIGURES_FROM else []
+    cells += [("" if deviation is None else figure(deviation.norm_mm), "*")]
+    cells += [(_length(deviation), tone.removeprefix("*"))] if has_bars(width) else []
+    cells += [(f"{rms(point.std_mm):.3f}", "label")] if width >= RMS_FROM else []
+    texts, tones = zip(*cells, ("", ""), (said, tone), strict=True)
+    return Row(point.key, texts, tones=tones)
+
+
+def _signed(value_mm: float) -> str:
+    return f"{value_mm:+.3f}".replace("-", "−")
+
+
+def _length(found: Deviation | None) -> str:
+    """Return |e| as a bar; its whole width is the limit, nothing where there is none."""
+    if found is None or found.limit_mm is None:
+        return ""
+    share = found.norm_mm / found.limit_mm
+    cells = round(_BAR.width * share) if share <= 1.0 else _BAR.width
+    return "▄" * max(cells, 1)
+
+
+def _places(point: Point, found: Deviation | None) -> list[tuple[str, str]]:
+    nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 1)
+    measured = point.xyz_mm if found is None else found.actual_mm
+    return [(nominal, "label"), (_triple(measured, 3), "label")]
 
 
 def _triple(values: Sequence[float], digits: int) -> str:
@@ -117,7 +171,8 @@ def point_page(view: RunView, key: str) -> Content:
     if point is None:
         return Content(f"{key}: the journal holds no such point")
     row = row_of(view.log, point)
-    facts: list[tuple[str, str]] = [("point", key), ("state", row.state)]
+    facts: list[tuple[str, str]] = [("point", point_words(point.id, point.station))]
+    facts += [("key", key), ("state", row.state)]
     facts += [("group", point.group), ("station", point.station or "-")]
     if row.deviation is not None:
         found = row.deviation

@@ -1,4 +1,4 @@
-"""The lines of the run's screen, as pure functions of the view and a width."""
+"""Rows 1 to 4 of the run's screen: state, run, step and progress; pure functions of the view."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import msgspec
 from textual.content import Content
 
-from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.alarms.catalogue import SEVERITIES
-from hilcell.clean import harmless
-from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.text.devices import short_age
+from hilcell.tui.text.lines import bar, justified, placed
+from hilcell.tui.text.words import part_words, procedure_words, step_words
 
 STATES = {
     "looking": ("LOOKING", "label"),
@@ -33,8 +32,8 @@ STATES = {
     "unreadable": ("UNREADABLE", "fault"),
     "gone": ("ENGINE GONE", "fault"),
 }
-NOT_E_STOP = "software stop; not the E-stop"
-OF_RAIL = ("rail", "strip")  # lamps
+LOUD = ("ask", "fault")  # roles whose states fill the first row
+NOT_E_STOP = "software stop, not the E-stop"
 NO_PLAN_TEXTS = {  # where there is no plan in the journal
     EngineState.UNKNOWN: "reading ...",
     EngineState.NONE: "nothing was recorded",
@@ -43,12 +42,14 @@ NO_PLAN_TEXTS = {  # where there is no plan in the journal
     EngineState.SILENT: "nothing to see yet",
 }
 SHORT = 4
+GAP = 3  # between the parts of a row
+BAR, BESIDE_BAR = 43, 36
+ROOMY = 100  # columns for the badge beside a notice of the run behind
 MOST_OF_A_NAME = 20
-LAMPS = (*OF_RAIL, "robot", "tracker")
 
 
 def block(text: str, tone: str) -> Content:
-    """Return a block of a tone: dark on light or light on dark, as the theme has it."""
+    """Return a block of a role's fill."""
     return Content.styled(f" {text} ", f"bold $on-{tone} on ${tone}-fill")
 
 
@@ -57,45 +58,66 @@ def badge(text: str) -> Content:
     return Content.styled(f" {text} ", "bold $foreground on $badge")
 
 
+def simulation_block() -> Content:
+    """Return the mark of a simulated run, in a colour that nothing else has."""
+    edge = "$on-sim 60% on $sim-fill"
+    return Content.assemble(("▒", edge), (" SIMULATION ", "bold $on-sim on $sim-fill"), ("▒", edge))
+
+
+def role_of(view: RunView) -> str:
+    """Return the role of the state's colour; RUNNING is not bright where nothing is heard."""
+    role = STATES[view.state][1]
+    return "label" if role == "live" and view.stale else role
+
+
 def state_block(view: RunView, glyphs: Glyphs) -> Content:
-    """Return element 1: the state by word, shape and colour."""
-    word, tone = STATES[view.state]
-    return block(f"{glyphs.states[view.state]} {word}", tone)
+    """Return the state by word, shape and colour."""
+    return block(f"{glyphs.states[view.state]} {STATES[view.state][0]}", role_of(view))
 
 
 def banner(view: RunView, glyphs: Glyphs, width: int, background: RunView | None = None) -> Content:
-    """Return the first line: state, LIVE or HISTORIC, SIMULATION, and a notice.
+    """Return the first row: state, LIVE or HISTORIC, SIMULATION, and a notice; trouble fills it.
 
     ``background``: the live run that goes on while this one is shown.
     """
-    parts = [state_block(view, glyphs)]
-    if view.engine is not EngineState.UNKNOWN:
-        parts += [Content(" "), badge("LIVE" if view.live else "HISTORIC")]
-    if view.log.plan is not None and view.log.plan.simulated:
-        parts += [Content(" "), block("SIMULATION", "sim")]
-    left = Content("").join(parts)
-    room = width - left.cell_length - 1
-    return justified(
-        left,
-        _stop_notice(view, room) if background is None else _background_notice(background, room),
-        width,
-    )
+    tone = role_of(view)
+    ground = f"bold $on-{tone} on ${tone}-fill" if tone in LOUD else ""
+    gap = Content.styled(" ", ground)
+    left = state_block(view, glyphs)
+    if view.engine is not EngineState.UNKNOWN and (background is None or width > ROOMY):
+        left = Content("").join([left, gap, badge("LIVE" if view.live else "HISTORIC")])
+    if is_simulated(view):
+        left = Content("").join([left, gap, simulation_block()])
+    room = width - left.cell_length - 2
+    if background is None:
+        notice, style = _stop_notice(view, room)
+    else:
+        notice, style = _background_notice(background, room), "bold $ask"
+    rest = Content.styled(f"{notice:>{room}} ", ground or style) if room > 0 else Content("")
+    return Content("").join([left, gap, rest])
 
 
-def _stop_notice(view: RunView, room: int) -> Content:
+def is_simulated(view: RunView) -> bool:
+    """Whether the run's cell is a simulated one."""
+    return view.log.plan is not None and view.log.plan.simulated
+
+
+def _stop_notice(view: RunView, room: int) -> tuple[str, str]:
+    """Return the notice beside the state, and its style on a calm row."""
     if view.state == "silent":
         since = f" for {short_age(view.status_age_s)}" if view.status is not None else ""
-        return Content.styled(f"silent{since}: use the E-stop", "bold $fault")
-    return Content.styled(NOT_E_STOP if room >= len(NOT_E_STOP) else "", "$label")
+        return f"silent{since}: use the E-stop", "bold $fault"
+    live = view.live or view.state == "looking"
+    notice = NOT_E_STOP if live else "nothing is connected"
+    return notice if room >= len(notice) else "", "$label"
 
 
-def _background_notice(background: RunView, room: int) -> Content:
+def _background_notice(background: RunView, room: int) -> str:
     """Return the longest notice of the background run that fits."""
     word = STATES[background.state][0]
     stop = "use the E-stop" if background.state == "silent" else "Esc stops"
     notices = (f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind")
-    notice = next((each for each in notices if len(each) <= room), "")
-    return Content.styled(notice, "bold $ask")
+    return next((each for each in notices if len(each) <= room), "")
 
 
 def end_text(view: RunView) -> str:
@@ -105,27 +127,26 @@ def end_text(view: RunView) -> str:
     return f"the run behind, {view.run}, has ended: {STATES[view.state][0]}{why}"
 
 
-def justified(left: Content, right: Content, width: int) -> Content:
-    """Return a line with one text at each end; the right one yields where room is short."""
-    room = width - left.cell_length - right.cell_length
-    return left.append(" " * room).append(right) if room >= 1 else left
-
-
 def identity(view: RunView, width: int) -> Content:
-    """Return element 2: procedure, job, operator, run."""
+    """Return procedure, cell, job, operator and run, as many as there is room for."""
     plan = view.log.plan
     if plan is None:
         begun = NO_PLAN_TEXTS[view.engine]
-        return Content(f"run {view.run}: {view.trouble or begun}")
-    cell = str(plan.cell.get("name", "?"))
-    words = [plan.procedure, f"cell {cell}"]
-    words += [f"job {short(plan.job)}"] if plan.job else []
-    words += [f"operator {short(plan.operator)}"] if plan.operator else []
-    words += ["unattended" if plan.unattended else "attended"]
-    left = Content("  ".join(words))
-    fits = left.cell_length + len(view.run) < width
-    run = view.run if fits else f"run {view.run[-SHORT:]}"  # its last letters differ between runs
-    return justified(left, Content.styled(run, "$label"), width)
+        return Content(f" run {view.run}: {view.trouble or begun}").truncate(width, ellipsis=True)
+    run = _labelled("run", view.run[-SHORT:])  # its last letters differ between runs
+    parts = [_labelled("cell", short(str(plan.cell.get("name", "?"))))]
+    parts += [_labelled("job", short(plan.job))] if plan.job else []
+    parts += [_labelled("operator", short(plan.operator))] if plan.operator else []
+    parts += [Content.styled("unattended" if plan.unattended else "attended", "$label")]
+    line = Content.assemble(" ", (procedure_words(plan.procedure), "bold"))
+    for part in parts:
+        if line.cell_length + GAP + part.cell_length + GAP + run.cell_length < width:
+            line = line.append(" " * GAP).append(part)
+    return justified(line, run, width - 1)
+
+
+def _labelled(name: str, value: str) -> Content:
+    return Content.assemble((f"{name} ", "$label"), value)
 
 
 def short(name: str) -> str:
@@ -134,27 +155,40 @@ def short(name: str) -> str:
 
 
 def step(view: RunView, width: int) -> Content:
-    """Return element 3: the current step with its count, and the next; in the end the bounds."""
+    """Return the current step in words, and how many of its part are measured."""
     plan, now = view.log.plan, view.step
     if plan is None or not now:
-        return Content.styled("step: none yet", "$label")
+        return Content.styled(" no step yet", "$label")
     number, of = int(now["number"]), int(now["of"])
-    head = f"step {number}/{of} {now['name']}"
-    planned = plan.steps[number - 1]["points"] if number <= len(plan.steps) else 0
-    if planned:
-        head += f": {min(len(view.measured.get(number, ())), planned)}/{planned}"
-    elif sweeps := sweeps_of(plan.steps[number - 1 : number]):
-        head += f": {min(len(view.log.streams), sweeps)}/{sweeps} sweeps"
-    found = coverage(view)
-    if found.plain:
-        return justified(Content(head), found, width)
-    if view.last is not None:
-        place = f" at {view.last.station}" if view.last.station else ""
-        head += f", last {view.last.key}{place}"
+    head = Content.assemble(
+        (f" Step {number} of {of}  ", "$label"), (step_words(str(now["name"])), "bold")
+    )
     if view.state in ("done", "intolerant"):
-        return Content(head)
-    following = plan.steps[number]["name"] if number < len(plan.steps) else "the end"
-    return justified(Content(head), Content.styled(f"next: {following}", "$label"), width)
+        return justified(head.append(": finished"), _counted(_planned(view)), width - 1)
+    if view.last is not None and not (view.newest_is_old and view.last is view.newest):
+        words = part_words(view.last.id)
+        head = head.append(f": {words}" if words else "")
+    return justified(head.truncate(width), _counted(_of_step(view, number)), width - 1)
+
+
+def _counted(found: tuple[int, int]) -> Content:
+    return Content.styled(f"{found[0]} of {found[1]}" if found[1] else "", "bold")
+
+
+def _planned(view: RunView) -> tuple[int, int]:
+    planned = view.log.plan.points if view.log.plan is not None else 0
+    return min(sum(map(len, view.measured.values())), planned), planned
+
+
+def _of_step(view: RunView, number: int) -> tuple[int, int]:
+    """Return how many of the part under way are measured, and planned; of the step else."""
+    if view.span is not None:
+        return view.span
+    steps = view.log.plan.steps if view.log.plan is not None else []
+    planned = steps[number - 1]["points"] if number <= len(steps) else 0
+    if not planned and (sweeps := sweeps_of(steps[number - 1 : number])):
+        return min(len(view.log.streams), sweeps), sweeps
+    return min(len(view.measured.get(number, ())), planned), planned
 
 
 def sweeps_of(steps: Sequence[Mapping[str, Any]]) -> int:
@@ -163,17 +197,26 @@ def sweeps_of(steps: Sequence[Mapping[str, Any]]) -> int:
     return sum(span["measured"] for span in spans if span["kind"] == "sweep")
 
 
-def progress(view: RunView, glyphs: Glyphs, width: int) -> Content:
-    """Return element 4: bar, elapsed, remaining."""
-    share = share_done(view)
-    left_s = view.remaining_s if view.live and view.state != "checking" else None
-    left = "" if left_s is None else f"  left {duration(left_s)}"
-    tail = f" {math.floor(100 * share):3d} %  elapsed {duration(view.elapsed_s)}{left}"
-    room = max(width - len(tail), 1)
-    done = math.floor(room * share)
-    return Content.assemble(
-        (glyphs.full * done, "$live"), (glyphs.empty * (room - done), "$label"), tail
-    )
+def progress(view: RunView, width: int) -> Content:
+    """Return the bar in the state's colour, the time worked, and the time left or of the end."""
+    tone = role_of(view)
+    calm = not view.live and tone != "passed"
+    style = "$label" if calm else f"${tone}-fill"
+    worked = Content.styled(f"{duration(view.elapsed_s)} worked", "")
+    left = Content.styled(_left(view), "bold")
+    room = min(max(width - BESIDE_BAR, 8), BAR)
+    line = Content(" ").append(bar(share_done(view), room, style))
+    return justified(placed((0, line), (room + 18 - worked.cell_length, worked)), left, width - 1)
+
+
+def _left(view: RunView) -> str:
+    if not view.live:
+        end = view.records[-1].t[11:19] if view.records and view.log.end is not None else ""
+        return f"at {end} UTC" if end else ""
+    if view.state == "suspended":
+        return "stands still"
+    known = view.remaining_s is not None and view.state != "checking"
+    return f"{duration(view.remaining_s or 0.0)} left" if known else ""
 
 
 def share_done(view: RunView) -> float:
@@ -198,155 +241,17 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minute:02d}:{second:02d}" if hours else f"{minute}:{second:02d}"
 
 
-def lamps(view: RunView, glyphs: Glyphs, width: int) -> Content:
-    """Return element 5 with 16: the lamps with the age of their readings, and the air."""
-    devices = view.status.devices if view.status is not None and view.live else {}
-    parts = [
-        lamp(name, devices.get(name, DeviceStatus()), view, glyphs).append("  ")
-        for name in lamps_of(view)
-    ]
-    return justified(Content("").join(parts), air(view, glyphs), width)
-
-
-def lamps_of(view: RunView) -> tuple[str, ...]:
-    """Return which lamps the run's cell has."""
-    return LAMPS if view.has_rail else LAMPS[len(OF_RAIL) :]
-
-
-def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Content:
-    """Return one lamp; a stale reading is grey and shows its age."""
-    title = name.capitalize()
-    if device.age_s is None and device.state != "lost":
-        return Content.styled(f"{glyphs.stale} {title} -", "$label")
-    age_s = (device.age_s or 0.0) + view.status_age_s
-    if device.state == "lost":
-        return Content.styled(f"{glyphs.lost} {title} lost", "bold $fault")
-    if device.state == "moving" and not view.stale:
-        return Content.styled(f"{glyphs.moving} {title} moves", "$live")
-    if device.state not in ("fresh", "moving") or view.stale or not age_s <= STALE_AFTER_S:
-        return Content.styled(f"{glyphs.stale} {title} {short_age(age_s)}", "$label")
-    return Content.styled(f"{glyphs.fresh} {title} {short_age(age_s)}", "$passed")
-
-
-STALE_AFTER_S = 5.0
-
-
-def short_age(seconds: float) -> str:
-    """Return an age in at most five columns."""
-    if not seconds < math.inf:
-        return "?"
-    if seconds < 9.95:
-        return f"{seconds:.1f} s"
-    for size_s, unit in ((1, "s"), (60, "m"), (3600, "h")):
-        if seconds / size_s < 99.5:
-            return f"{seconds / size_s:.0f} {unit}"
-    return f"{seconds / 86400:.0f} d"
-
-
-def drift_k(view: RunView) -> float | None:
-    """Return how far the air is from the run's first point, K."""
-    celsius = view.log.temperatures_c()
-    if view.last is None or view.last.temperature_c is None or not celsius:
-        return None
-    return view.last.temperature_c - celsius[0]
-
-
-def air(view: RunView, glyphs: Glyphs) -> Content:
-    """Return element 16: temperature and its drift since the first point."""
-    drift = drift_k(view)
-    if view.last is None:
+def following(view: RunView) -> Content:
+    """Return the next step and when it begins; nothing once the run is over."""
+    plan, now = view.log.plan, view.step
+    if plan is None or not now or not view.live:
         return Content("")
-    if view.last.temperature_c is None or drift is None:
-        return Content("air not measured")
-    text = f"{view.last.temperature_c:.1f} C {glyphs.delta}{drift:+.1f} K"
-    within = abs(drift) <= DRIFT_LIMIT_K
-    return Content.styled(text if within else f"! {text}", "" if within else "bold $ask")
-
-
-class _Mean(msgspec.Struct):
-    mean: float
-
-
-class _Bounds(msgspec.Struct):
-    coverage: float
-    mean_mm: float
-
-
-class _Place(msgspec.Struct):
-    before: _Mean
-    chosen: _Mean
-    bounds: _Bounds | None = None
-
-
-def _validated(view: RunView) -> dict[str, _Place]:
-    """Return the places of a finished validation; nothing of another procedure's result."""
-    found = (view.log.end or {}).get("result", {}).get("validation", {})
-    try:
-        return msgspec.convert(found, dict[str, _Place])
-    except msgspec.ValidationError:
-        return {}
-
-
-def coverage(view: RunView) -> Content:
-    """Return the mean 95 % bound of corrected targets, and how many errors were inside theirs."""
-    for name, place in _validated(view).items():
-        if place.bounds is not None:
-            bound, share = place.bounds.mean_mm, 100 * place.bounds.coverage
-            return Content.styled(f"{name}: 95 % bound {bound:.3f} mm, {share:.0f} % in", "$label")
-    return Content("")
-
-
-def result(view: RunView, width: int) -> Content:
-    """Return a finished run's main figures in one line, mean |e| before and after.
-
-    Where it is out of tolerance, the worst place comes first.
-    """
-    places = _validated(view)
-    bad = view.state == "intolerant"
-    verdict = "out of tolerance" if bad else "in tolerance"
-    line = f"{verdict}: mean |e| mm" if places else ""
-    order = sorted(places, key=lambda name: -places[name].chosen.mean if bad else 0.0)
-    for name in order:
-        place = places[name]
-        part = f"  {name} {place.before.mean:.3f} -> {place.chosen.mean:.3f}"
-        if len(line) + len(part) <= width:  # the first places matter most
-            line += part
-    return Content(line or _judged(view)[:width])
-
-
-def _judged(view: RunView) -> str:
-    """Return a result that says itself in words; nothing of another procedure's."""
-    result = (view.log.end or {}).get("result", {})
-    found = result.get("recheck", result.get("targets"))
-    text = found.get("text") if isinstance(found, dict) else None
-    return harmless(text) if isinstance(text, str) else ""
-
-
-def interlocks(view: RunView, width: int) -> Content:
-    """Return element 15 in one line: the first thing that is blocked, and why."""
-    if not view.live:
-        return result(view, width)
-    found = view.status.interlocks if view.status is not None else []
-    blocked = [each for each in found if each.blocked]
-    if not found:
-        return Content.styled("interlocks: no reading", "$label")
-    if view.stale:
-        return Content.styled(
-            f"interlocks: last heard {short_age(view.status_age_s)} ago", "$label"
-        )
-    if not blocked:
-        return Content.styled(f"interlocks: {_free(view)}", "$label")
-    line = f"{blocked[0].name} blocked: {blocked[0].blocked}"
-    return Content(line).truncate(width, ellipsis=True)
-
-
-def _free(view: RunView) -> str:
-    """Return what may move while nothing is blocked; a person may stand in the cell."""
-    if view.prompt is not None:
-        return "nothing is blocked; nothing moves before the answer"
-    if view.at_rest:
-        return "nothing is blocked; nothing moves before one goes on"
-    return "rail and robot may move" if view.has_rail else "the robot may move"
+    number = int(now["number"])
+    words = step_words(plan.steps[number]["name"]) if number < len(plan.steps) else "the end"
+    known = bool(view.ahead) and view.state == "running" and not view.stale
+    left_s = sum(part.takes_s for part in view.ahead if part.step == number)
+    when = f", in {duration(left_s)}" if known else ""
+    return Content.styled(f"next: {words}{when}", "$label")
 
 
 def moves(*, has_rail: bool) -> str:

@@ -210,7 +210,7 @@ def status(name: str) -> Status:
             "tracker": DeviceStatus("fresh", 1.2, "SMR 1.5in"),
         },
         interlocks=[
-            Interlock("rail move", "robot not at safe pose, A2 -53.017 deg"),
+            Interlock("rail move", "robot not at safe pose, A2 -53.017 deg", "HC-B32"),
             Interlock("robot move"),
             Interlock("measurement"),
         ],

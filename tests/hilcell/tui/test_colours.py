@@ -28,8 +28,10 @@ def shown(runs: Path, *words: str, **environment: str) -> Iterator[Terminal]:
     (runs / NAME / CALIBRATION).write_text("{}", encoding="utf-8")
     order = ["tui", "last", "--runs", str(runs), *words]
     with Terminal(order, columns=80, rows=24, **environment) as terminal:
-        terminal.shows("worst first")
-        terminal.until(lambda text: "\n>" in text)
+        terminal.shows("w worst")
+        terminal.press("b")
+        terminal.press("b")
+        terminal.until(lambda text: "\n▌►" in text or "\n|>" in text)
         yield terminal
 
 
@@ -50,17 +52,17 @@ def is_bare(terminal: Terminal) -> bool:
 
 def test_without_colours_none_is_sent_and_reverse_video_marks(tmp_path: Path) -> None:
     with shown(tmp_path, "--colors", "none") as terminal:
-        chosen = next(row for row in terminal.text.split("\n") if row.startswith(">"))
+        chosen = next(row[1:] for row in terminal.text.split("\n") if row.startswith("▌►"))
         for words in (" ● DONE ", "HISTORIC", " SIMULATION ", chosen):
             assert marked(terminal, words) == words
-        for words in ("calibrate", "Rail", "validate/S1100/before/000"):
+        for words in ("Calibration", "Rail", "as sent 1"):
             assert marked(terminal, words) == ""
-        assert marked(terminal, "r re-measure  o report") == "ro"
+        assert marked(terminal, "r  re-measure") == "r"
         terminal.press("/x")
-        terminal.until(lambda text: "no such point" in text and "\nx" in text)
-        (box,) = (row for row in terminal.screen.buffer.values() if row[0].data == "x")
-        assert [box[x].underscore for x in range(4)] == [True, False, True, True]
-        assert [box[x].reverse for x in range(4)] == [False, True, False, False]
+        terminal.until(lambda text: "no such point" in text and "▌x" in text)
+        (box,) = (row for row in terminal.screen.buffer.values() if row[1].data == "x")
+        assert [box[x].underscore for x in range(1, 5)] == [True, False, True, True]
+        assert [box[x].reverse for x in range(1, 5)] == [False, True, False, False]
         assert is_bare(terminal)
 
 
@@ -77,7 +79,7 @@ def test_without_colours_the_command_that_is_chosen_is_reversed(tmp_path: Path) 
 def test_what_is_asked_for_outweighs_the_environment(tmp_path: Path) -> None:
     with shown(tmp_path, "--colors", "256", NO_COLOR="1", TERM="vt100") as terminal:
         assert colours_of(bytes(terminal.raw)) == {"256"}
-        red, green, blue = re.findall("..", terminal.screen.buffer[0][2].bg)
+        red, green, blue = re.findall("..", terminal.screen.buffer[0][3].bg)
         assert not red == green == blue  # the state's block
 
 

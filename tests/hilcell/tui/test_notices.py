@@ -26,7 +26,7 @@ def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
         app.post_message(RunUpdated(app.recorded, RunUpdate([], calibrated=False)))
         await settle(pilot)
         assert "HC-J11 Calibration without a file" in text_of(app)
-        assert "space resume" in text_of(app)
+        assert " space  resume " in text_of(app)
         await press(pilot, "space")
         assert "nothing moves" in text_of(app)
         assert app.actions.engines == []
@@ -96,8 +96,8 @@ def test_in_a_text_box_only_its_own_keys_are_shown() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "slash")
         keys = text_of(app).splitlines()[-1]
-        assert keys.split("  ") == ["Enter to the rows", "Esc STOP", "^q quit"]
+        assert keys.strip("▌ ").split("  ") == ["Enter to the rows", "Esc STOP", "^q quit"]
         await press(pilot, "tab")
-        assert "space pause" in text_of(app).splitlines()[-1]
+        assert " space  pause " in text_of(app).splitlines()[-2]
 
     run_app(act, "running")

@@ -138,15 +138,15 @@ def test_the_worst_and_the_bad_are_found_with_a_key() -> None:
         rows = app.screen.query_one(Table)
         await press(pilot, "w")
         assert rows.key == "validate/S1100/chosen/001"  # raw errors are larger, but meant to be
-        assert "as measured" in footer(app)
-        assert "point: worst first " in text_of(app)
+        assert "w order" in footer(app)
+        assert " worst first " in text_of(app)
         await press(pilot, "b")
         assert [row.key for row in rows.rows] == ["validate/S1100/chosen/001"]
-        assert "point: bad only by |e| " in text_of(app)
+        assert " bad by |e| " in text_of(app)
         await press(pilot, "slash", *"idw", "enter")
         assert "no such point is bad; b shows all" in text_of(app)
         await press(pilot, "slash", "ctrl+u", "enter", "b", "w")
-        assert "point: " not in text_of(app)
+        assert " point  " in text_of(app)
         assert rows.rows[0].key == "world/F1"
 
     run_app(act, "intolerant")
@@ -157,7 +157,8 @@ def test_an_alarm_whose_cause_nobody_watches_stands_though_it_is_acknowledged() 
         assert "beam broken" in text_of(app)
         await press(pilot, "k")
         assert "beam broken" in text_of(app)
-        assert "acknowledge" not in footer(app)
+        assert isinstance(app.screen, RunScreen)
+        assert not app.screen.key_of("acknowledge").works
         await press(pilot, "e")
         assert "beam broken" in text_of(app)
         assert "not acknowledged" not in text_of(app)
@@ -313,8 +314,8 @@ def test_keys_from_a_file_act_in_place_of_the_usual_ones(tmp_path: Path) -> None
     file.write_text('[keys]\nabort = "z"\npause = ["f8", "g"]\nstop = "s"\nquit = "Q"\n')
 
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        assert "z abort" in footer(app)
-        assert "f8 pause" in footer(app)
+        assert " z  abort " in text_of(app)
+        assert " f8  pause " in text_of(app)
         await press(pilot, "a", "space", "ctrl+q", "ctrl+c")
         assert isinstance(app.screen, RunScreen)
         assert app.recorded.asked == []

@@ -190,15 +190,55 @@ def test_a_row_tells_the_deviation_and_its_state() -> None:
     log = log_of(validated(worst_mm=1.2))
     point = log.points["validate/S1100/chosen/001"]
     row = to_row(row_of(log, point), (), 80)
-    assert row.cells == (point.key, "+0.000", "+1.200", "+0.010", "1.200", "0.010", "out")
-    assert row.tone == "fault"
-    assert to_row(row_of(log, point), [point.key], 80).cells[-1] == "waits"
+    bar = "▄" * 8  # the limit and all beyond it
+    figures = ("+0.000", "+1.200", "+0.010", "1.200", bar, "0.010")
+    assert row.cells == ("corrected 2", "S1100", *figures, "", "▲ OUT")
+    assert row.tones[-1] == "*fault"
+    assert to_row(row_of(log, point), [point.key], 80).cells[-1] == "○ waits"
 
 
 def test_a_point_without_nominal_has_no_errors() -> None:
     log = log_of(measuring())
     row = to_row(row_of(log, log.points["world/F1"]), (), 80)
-    assert row.cells == ("world/F1", "", "", "", "", "0.010", "ok")
+    assert row.cells == ("nest F1", "", "", "", "", "", "", "0.010", "", "· ok")
+
+
+WHOLE = (
+    "point", "station", "nominal x y z mm", "measured x y z mm", "dx", "dy", "dz", "|e| mm", "",
+    "rms", "", "state",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("width", "without"),
+    [
+        (200, []),
+        (119, [""]),
+        (79, ["nominal x y z mm", "measured x y z mm"]),
+        (70, ["nominal x y z mm", "measured x y z mm", ""]),
+        (64, ["nominal x y z mm", "measured x y z mm", "", "rms"]),
+        (59, ["nominal x y z mm", "measured x y z mm", "", "rms", "station"]),
+        (40, ["nominal x y z mm", "measured x y z mm", "", "rms", "station", "dx", "dy", "dz"]),
+    ],
+)
+def test_columns_go_in_their_order_and_never_the_error_or_the_state(
+    width: int, without: list[str]
+) -> None:
+    wanted = [title for title in WHOLE if title and title not in without]
+    columns = columns_for(width)
+    assert [column.title for column in columns if column.title] == wanted
+    assert sum(column.width for column in columns) + len(columns) <= width
+    log = log_of(validated(worst_mm=1.2))
+    for point in log.points.values():
+        row = to_row(row_of(log, point), (), width)
+        assert len(row.cells) == len(row.tones) == len(columns)
+        assert point.station in row.cells or row.cells[0].endswith(point.station)
+
+
+def test_nominal_and_measured_stand_side_by_side_in_a_wide_table() -> None:
+    log = log_of(validated())
+    row = to_row(row_of(log, log.points["validate/S1100/chosen/001"]), (), 119)
+    assert row.cells[2:4] == ("1100.0 301.0 400.0", "1100.000 301.100 400.010")
 
 
 # -- one point -------------------------------------------------------------------------------------

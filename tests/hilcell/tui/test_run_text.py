@@ -14,13 +14,15 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
-from hilcell.run.protocol import DeviceStatus
-from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
+from hilcell.run.protocol import DeviceStatus, Interlock
+from hilcell.tui.engine.run_view import EngineState, RunView
+from hilcell.tui.terminal.capabilities import UNICODE, to_ascii
+from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.deviation import Deviation, deviation_lines, large_digits, tolerance_line
+from hilcell.tui.text.deviation import Deviation
+from hilcell.tui.text.ended import end_remark
 from hilcell.tui.text.plots import strip_plot, tabs_of
-from tests.hilcell.tui.sample_runs import measuring, sample_runs
+from tests.hilcell.tui.sample_runs import measuring, sample_runs, validated
 from tests.hilcell.tui.views import view_of
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
@@ -51,12 +53,12 @@ def test_a_duration_that_is_no_number_is_shown_as_dashes(seconds: float) -> None
      (math.nan, "?"), (math.inf, "?")],
 )  # fmt: skip
 def test_ages(seconds: float, wanted: str) -> None:
-    assert run_text.short_age(seconds) == wanted
+    assert devices.short_age(seconds) == wanted
 
 
 @given(st.floats(0, 1e6))
 def test_ages_are_short(seconds: float) -> None:
-    assert len(run_text.short_age(seconds)) <= 5
+    assert len(devices.short_age(seconds)) <= 5
 
 
 def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
@@ -69,7 +71,7 @@ def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
     steps = [dict(each) for each in view.log.plan.steps]
     steps[number] |= {"points": 0, "spans": spans}
     view.log.plan = msgspec.structs.replace(view.log.plan, steps=steps)
-    assert ": 0/8 sweeps" in run_text.step(view, 120).plain
+    assert run_text.step(view, 79).plain.endswith(" 0 of 8")
 
 
 # -- lamps -----------------------------------------------------------------------------------------
@@ -81,7 +83,7 @@ def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
         (DeviceStatus("fresh", 0.2), "● Rail 0.2 s", True),
         (DeviceStatus("fresh", 5.1), "○ Rail 5.1 s", False),
         (DeviceStatus("fresh", math.nan), "○ Rail ?", False),
-        (DeviceStatus("moving", 0.2), "► Rail moves", False),
+        (DeviceStatus("moving", 0.2), "► Rail 0.2 s", False),
         (DeviceStatus("lost", 3.0, reason="no heartbeat"), "× Rail lost", False),
         (DeviceStatus("lost", None), "× Rail lost", False),
         (DeviceStatus("unknown", None), "○ Rail -", False),
@@ -90,7 +92,7 @@ def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
     ],
 )
 def test_lamps(device: DeviceStatus, wanted: str, good: bool) -> None:
-    lamp = run_text.lamp("rail", device, view_of("running"), UNICODE)
+    lamp = devices.lamp("rail", device, view_of("running"), UNICODE)
     assert lamp.plain == wanted
     assert any("passed" in str(span.style) for span in lamp.spans) == good
 
@@ -99,7 +101,7 @@ def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
     view = view_of("running")
     view.status_age_s = 2.1
     for device in (DeviceStatus("fresh", 0.2), DeviceStatus("moving", 0.2)):
-        lamp = run_text.lamp("rail", device, view, UNICODE)
+        lamp = devices.lamp("rail", device, view, UNICODE)
         assert lamp.plain == "○ Rail 2.3 s"
         assert not any("passed" in str(span.style) for span in lamp.spans)
     view.status_age_s = math.nan
@@ -107,7 +109,7 @@ def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
 
 
 def test_a_past_run_has_no_lamps() -> None:
-    assert run_text.lamps(view_of("done"), UNICODE, 80).plain.count(" -") == len(run_text.LAMPS)
+    assert devices.lamps(view_of("done"), UNICODE, 80).plain.count(" -") == len(devices.LAMPS)
 
 
 def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
@@ -126,8 +128,8 @@ def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
         )
     )
     view = replace(view, log=log)
-    assert "Rail" not in run_text.lamps(view, UNICODE, 80).plain
-    assert "Robot" in run_text.lamps(view, UNICODE, 80).plain
+    assert "Rail" not in devices.lamps(view, UNICODE, 80).plain
+    assert "Robot" in devices.lamps(view, UNICODE, 80).plain
     assert run_text.resume_text(view).startswith("The robot will move")
     assert strip_plot not in [tab.make for tab in tabs_of(log)]
 
@@ -139,13 +141,13 @@ def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
 def test_no_line_is_wider_than_the_terminal(name: str) -> None:
     view = view_of(name)
     for width in range(20, 201):
-        lines = [run_text.progress(view, UNICODE, width), run_text.interlocks(view, width)]
+        lines = [run_text.progress(view, width), devices.interlocks(view, UNICODE, width)]
         if width >= 80:
             lines += [
                 run_text.banner(view, UNICODE, width),
                 run_text.identity(view, width),
                 run_text.step(view, width),
-                run_text.lamps(view, UNICODE, width),
+                devices.lamps(view, UNICODE, width),
             ]
         for line in lines:
             assert line.cell_length <= max(width, 40), line.plain
@@ -156,7 +158,8 @@ def test_the_banner_shows_the_state_and_the_warning_of_the_stop(name: str) -> No
     line = run_text.banner(view_of(name), UNICODE, 80).plain
     assert f"{UNICODE.states[name]} {run_text.STATES[name][0]}" in line
     assert ("LIVE" in line) + ("HISTORIC" in line) == (name != "looking")
-    assert ("use the E-stop" if name == "silent" else run_text.NOT_E_STOP) in line
+    notice = run_text.NOT_E_STOP if view_of(name).live else "nothing is connected"
+    assert ("use the E-stop" if name == "silent" else notice) in line
     assert ("SIMULATION" in line) == (name not in ("looking", "idle", "unreadable"))
 
 
@@ -184,35 +187,77 @@ def test_a_real_run_is_not_called_a_simulation() -> None:
     assert "SIMULATION" not in run_text.banner(view, UNICODE, 80).plain
 
 
-def test_the_step_is_shown_with_its_count_and_the_next() -> None:
-    line = run_text.step(view_of("running"), 80).plain
-    assert line.startswith("step 5/7 robot-grid: 5/8, last grid/0-0-4 at S1100")
-    assert line.endswith("next: fit")
-    assert "next" not in run_text.step(view_of("done"), 80).plain
-    assert run_text.step(view_of("checking"), 80).plain == "step: none yet"
+def test_the_step_is_shown_in_words_with_the_count_of_its_part() -> None:
+    view = view_of("running")
+    line = run_text.step(view, 79).plain
+    assert line.startswith(" Step 5 of 7  Robot grid")
+    assert line.endswith(" 5 of 8")
+    view.span = (50, 75)
+    assert run_text.step(view, 79).plain.endswith(" 50 of 75")
+    assert run_text.step(view_of("done"), 79).plain.startswith(" Step 7 of 7  Validation: finished")
+    assert run_text.step(view_of("checking"), 79).plain == " no step yet"
 
 
-def test_a_long_job_leaves_room_for_operator_and_run() -> None:
+def test_the_next_step_is_named_with_the_time_to_it() -> None:
+    view = view_of("running")
+    assert run_text.following(view).plain == "next: Fit, in 0:05"
+    view.status_age_s = 9.0
+    assert run_text.following(view).plain == "next: Fit"
+    assert run_text.following(view_of("done")).plain == ""
+
+
+def test_a_part_of_a_validation_is_named() -> None:
+    story = validated()
+    view = RunView("r", engine=EngineState.ANSWERING)
+    for record in story.records:
+        view.take(record)
+    assert ": corrected targets at S1100" in run_text.step(view, 79).plain
+    story.point(PointId("control", nest="F1"), commanded_deg=None)
+    view.take(story.records[-1])
+    assert "Validation: floor nests" in run_text.step(view, 79).plain
+
+
+def test_running_is_never_bright_where_nothing_is_heard() -> None:
+    view = view_of("running")
+    assert run_text.role_of(view) == "live"
+    view.status_age_s = 2.1
+    assert run_text.role_of(view) == "label"
+    assert "live" not in str(run_text.banner(view, UNICODE, 79).spans)
+    assert "live" not in str(run_text.progress(view, 79).spans)
+    view.status = None
+    assert run_text.role_of(view) == "label"
+
+
+@pytest.mark.parametrize("name", sample_runs())
+def test_trouble_fills_the_first_row_and_calm_does_not(name: str) -> None:
+    line = run_text.banner(view_of(name), UNICODE, 79)
+    loud = run_text.STATES[name][1] in run_text.LOUD
+    filled = [span for span in line.spans if "-fill" in str(span.style)]
+    assert line.cell_length == 79
+    assert (max(span.end for span in filled) == 79) == loud
+
+
+def test_a_long_job_leaves_room_for_the_run() -> None:
     view = view_of("running")
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, job="J" * 500, operator="Ann" * 50)
-    line = run_text.identity(view, 100).plain
-    assert "operator AnnAnn" in line
-    assert "attended" in line
-    assert line.endswith(view.run)
+    line = run_text.identity(view, 79).plain
+    assert "job JJJJ" in line
+    assert "…" in line
+    assert line.endswith("run e-up")
 
 
 def test_a_journal_that_cannot_be_read_says_why() -> None:
     assert run_text.identity(view_of("unreadable"), 80).plain.endswith("damaged or not a journal")
 
 
-def test_the_newest_deviation_stays_while_points_without_one_are_measured() -> None:
+def test_the_newest_point_stays_while_nests_are_proven() -> None:
     view = view_of("running")
     story = measuring().point(PointId("control", nest="F1"), commanded_deg=None)
     view.take(story.records[-1])
     assert view.last is not None
     assert view.last.key == "control/F1"
-    assert view.newest_target == view.log.points["grid/0-0-4"]
+    assert view.newest == view.log.points["grid/0-0-4"]
 
 
 @pytest.mark.parametrize("remaining_s", [None, 0.0, 30.0, 1e9])
@@ -221,10 +266,10 @@ def test_the_bar_is_as_long_as_the_share(remaining_s: float | None) -> None:
     view.elapsed_s, view.remaining_s = 10.0, remaining_s
     share = run_text.share_done(view)
     assert 0.0 <= share <= 1.0
-    line = run_text.progress(view, UNICODE, 80).plain
-    bar = line.count("█") + line.count("░")
-    assert line.count("█") == math.floor(bar * share)
-    assert f"{math.floor(100 * share):3d} %" in line
+    line = run_text.progress(view, 79).plain
+    bar = line.count("█") + line.count("▌") + line.count("░")
+    assert bar == run_text.BAR
+    assert line.count("█") + line.count("▌") / 2 == math.floor(2 * bar * share) / 2
 
 
 def test_a_run_that_is_over_is_done() -> None:
@@ -233,49 +278,47 @@ def test_a_run_that_is_over_is_done() -> None:
     assert run_text.share_done(view_of("idle")) == 0.0
 
 
-def test_interlocks_name_the_first_that_is_blocked() -> None:
+def test_interlocks_say_in_short_what_is_locked_and_why() -> None:
     view = view_of("running")
-    assert "rail move blocked: robot not at safe pose" in run_text.interlocks(view, 80).plain
-    assert view.status is not None
+    line = devices.interlocks(view, UNICODE, 79).plain
+    assert line.startswith(" ■ Rail locked: robot not at safe pose")
+    assert line.index("► Robot free") == 45
+    assert line.index("► Tracker free") == 60
     view.status_age_s = 9.0
-    assert run_text.interlocks(view, 80).plain == "interlocks: last heard 9.0 s ago"
+    assert devices.interlocks(view, UNICODE, 79).plain == " ○ interlocks: no reading for 9.0 s"
     view.status = None
-    assert run_text.interlocks(view, 80).plain == "interlocks: no reading"
+    assert devices.interlocks(view, UNICODE, 79).plain == " ○ interlocks: no reading"
 
 
-def test_a_finished_run_says_its_figures_there() -> None:
-    line = run_text.interlocks(view_of("done"), 80).plain
-    assert line == "in tolerance: mean |e| mm  S1100 1.200 -> 0.110"
+def test_a_lock_that_needs_a_person_says_so_in_its_colour() -> None:
+    for name, why in (("paused", "paused"), ("suspended", "waits for you")):
+        line = devices.interlocks(view_of(name), UNICODE, 79)
+        assert f"■ Rail locked: {why}" in line.plain
+        assert "■ Robot locked ○ Tracker waits" in line.plain
+        assert "ask" in str(line.spans)
 
 
-def test_a_finished_run_says_its_bounds_in_place_of_its_last_point() -> None:
-    view = view_of("done")
-    assert "last validate" in run_text.step(view, 80).plain
-    assert view.log.end is not None
-    place = view.log.end["result"]["validation"]["S1100"]
-    end = {"result": {"validation": {"S1100": place | {"bounds": BOUNDS}}}}
-    view.log.end = view.log.end | end
-    line = run_text.step(view, 80).plain
-    assert len(line) <= 80
-    assert "last" not in line
-    assert line.endswith("  S1100: 95 % bound 0.217 mm, 96 % in")
+def test_reasons_are_short_and_a_long_one_is_never_cut() -> None:
+    assert max(map(len, devices.REASONS.values())) <= devices.LONGEST_REASON
+    view = view_of("running")
+    assert view.status is not None
+    for blocked, shown in (("the door is open", "the door is open"), ("x" * 27, "see the")):
+        locks = [Interlock("rail move", blocked, "HC-X1")]
+        view.status = msgspec.structs.replace(view.status, interlocks=locks)
+        assert f"Rail locked: {shown}" in devices.interlocks(view, UNICODE, 79).plain
 
 
-@pytest.mark.parametrize(
-    "result",
-    [
-        {},
-        {"validation": {}},
-        {"validation": {"S1100": {"points": 2}}},
-        {"validation": {"S1100": {"before": {"mean": 1.0}}}},
-        {"validation": [1.0]},
-        {"validation": {"S1100": {"before": {"mean": None}, "chosen": {"mean": None}}}},
-    ],
-)
-def test_a_result_of_another_kind_says_nothing_there(result: dict[str, object]) -> None:
-    view = view_of("done")
-    view.log.end = {"state": "finished", "exit": 0, "result": result}
-    assert run_text.result(view, 80).plain == ""
+def test_where_there_is_little_room_an_interlock_is_left_out_and_not_cut() -> None:
+    line = devices.interlocks(view_of("running"), UNICODE, 58).plain
+    assert line.endswith("► Robot free")
+    assert "Tracker" not in line
+
+
+def test_a_run_that_ended_without_a_verdict_says_so() -> None:
+    line = devices.interlocks(view_of("aborted"), UNICODE, 79).plain
+    assert line.startswith(" ○ devices closed at 08:00:25; nothing may move")
+    assert line.endswith("no verdict: 8 of 21 targets")
+    assert end_remark(view_of("done")) == end_remark(view_of("running")) == ""
 
 
 @pytest.mark.parametrize("kind", ["recheck", "targets"])
@@ -283,10 +326,10 @@ def test_a_result_in_words_is_shown_as_far_as_it_fits(kind: str) -> None:
     view = view_of("done")
     words = {kind: {"text": "Still valid: the errors are as predicted;\x1b[31m drift 0.000 mm."}}
     view.log.end = {"state": "finished", "exit": 0, "result": words}
-    line = run_text.result(view, 40).plain
-    assert line.startswith("Still valid: the errors are as predict")
-    assert len(line) == 40
-    assert "\x1b" not in run_text.result(view, 80).plain
+    line = devices.interlocks(view, UNICODE, 41).plain
+    assert line.startswith(" Still valid: the errors are as predicte")
+    assert len(line) == 41
+    assert "\x1b" not in devices.interlocks(view, UNICODE, 80).plain
 
 
 # -- air -------------------------------------------------------------------------------------------
@@ -299,71 +342,14 @@ def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
     view = view_of("running")
     assert view.last is not None
     view.last = msgspec.structs.replace(view.last, temperature_c=22.5 + drift_k)
-    assert run_text.air(view, UNICODE).plain.startswith("! ") == warns
+    assert devices.air(view, UNICODE).plain.startswith("▲ ") == warns
 
 
 def test_a_tracker_without_a_weather_station_is_reported() -> None:
     view = view_of("running")
     assert view.last is not None
     view.last = msgspec.structs.replace(view.last, temperature_c=None)
-    assert run_text.air(view, UNICODE).plain == "air not measured"
-
-
-# -- deviation -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("norm_mm", "limit_mm", "U_mm", "said"),
-    [
-        (0.5, None, 0.0, "no limit"),
-        (0.5, 1.0, 0.1, "] in 1.000 mm, U 0.100  p"),
-        (1.5, 1.0, 0.1, "] OUT OF 1.000 mm, U 0.100  p"),
-        (0.95, 1.0, 0.1, "] UNSURE 1.000 mm"),
-        (1.05, 1.0, 0.1, "] UNSURE 1.000 mm"),
-        (math.nan, 1.0, 0.1, "] OUT OF 1.000 mm"),
-        (math.inf, 1.0, 0.1, "] OUT OF 1.000 mm"),
-        (1e9, 1.0, 0.0, "] OUT OF 1.000 mm"),
-        (0.0, 1.0, 0.0, "] in 1.000 mm"),
-    ],
-)
-def test_the_tolerance_bar(norm_mm: float, limit_mm: float | None, U_mm: float, said: str) -> None:
-    """It says what the decision rule says of mean and largest error."""
-    found = Deviation("p", (norm_mm, 0.0, 0.0), (0.0, 0.0, 0.0), limit_mm, U_mm)
-    for glyphs in (UNICODE, ASCII):
-        assert said in tolerance_line(found, glyphs, 80).plain
-        assert len(deviation_lines(found, glyphs, 80).plain.split("\n")) == 5
-
-
-@given(ANY, ANY, ANY, st.one_of(st.none(), st.floats(1e-3, 1e3)))
-def test_any_deviation_can_be_shown(dx: float, dy: float, dz: float, limit: float | None) -> None:
-    found = Deviation("p", (dx, dy, dz), (0.0, 0.0, 0.0), limit)
-    assert len(deviation_lines(found, UNICODE, 80).plain.split("\n")) == 5
-
-
-def test_the_mark_crosses_the_limit_with_the_error() -> None:
-    lines = [
-        tolerance_line(Deviation("p", (e, 0, 0), (0, 0, 0), 1.0), UNICODE, 80).plain
-        for e in (0.9, 1.1)
-    ]
-    assert lines[0].index("▼") < lines[0].index("|")
-    assert lines[1].index("▼") > lines[1].index("|")
-
-
-# -- large digits -------------------------------------------------------------------------------
-
-
-def test_every_digit_looks_different() -> None:
-    assert len({large_digits(letter) for letter in "0123456789+-. "}) == 14
-
-
-@given(st.text("0123456789+-. ", max_size=12))
-def test_large_rows_are_of_one_length(text: str) -> None:
-    assert len({len(row) for row in large_digits(text)}) == 1
-
-
-@pytest.mark.parametrize("text", ["nan", "+inf", "-inf"])
-def test_what_is_no_number_can_be_shown(text: str) -> None:
-    assert len({len(row) for row in large_digits(text)}) == 1
+    assert devices.air(view, UNICODE).plain == "air not measured"
 
 
 # -- ASCII -----------------------------------------------------------------------------------------

@@ -73,10 +73,10 @@ def run_app(act: Act, table: TableApp | None = None) -> TableApp:
 def test_ten_thousand_rows_are_paged_to_their_end() -> None:
     async def act(app: TableApp, pilot: Pilot[None]) -> None:
         app.rows.show_rows(rows_of(MANY))
-        assert app.seen()[:2] == [" name             mm", ">run 0          0.00"]
+        assert app.seen()[:2] == [" name             mm", "►run 0          0.00"]
         await pilot.press("end")
         assert app.rows.key == f"k{MANY - 1}"
-        assert app.seen()[-1] == ">run 9999    9999.00"
+        assert app.seen()[-1] == "►run 9999    9999.00"
         assert len(app.seen()) == HEIGHT + 1
         await pilot.press("pageup", "up", "down")
         assert app.rows.cursor == MANY - 1 - (HEIGHT - 1)
@@ -111,7 +111,7 @@ def test_the_cursor_stays_on_its_row_when_rows_come_before_it() -> None:
         app.rows.show_rows(rows_of(100))
         assert (app.rows.key, app.rows.cursor) == ("k52", 52)
         await pilot.pause()
-        assert any(line.startswith(">run 52") for line in app.seen())
+        assert any(line.startswith("►run 52") for line in app.seen())
 
     run_app(act)
 
@@ -145,7 +145,7 @@ def test_following_keeps_to_the_end_until_one_looks_back() -> None:
         app.rows.show_rows(rows_of(80))
         assert app.rows.key == "k79"
         await pilot.pause()
-        assert app.seen()[-1].startswith(">run 79")
+        assert app.seen()[-1].startswith("►run 79")
 
     run_app(act, TableApp(follow=True))
 

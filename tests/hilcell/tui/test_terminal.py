@@ -147,7 +147,7 @@ def test_every_esc_reaches_the_engine_wherever_it_is_pressed(tmp_path: Path) -> 
             terminal.press(back)
             if back:
                 gone(terminal, seen)
-            terminal.until(lambda shown: "rms mm" in shown and "? help" in shown)
+            terminal.until(lambda shown: "rms  state" in shown and "? help" in shown)
         assert set(peer.commands) == {"attend", "stop"}
 
 
@@ -185,7 +185,7 @@ def test_a_background_run_that_ends_is_reported(tmp_path: Path) -> None:
         peer.hang_up()
         terminal.shows("the run behind,")
         terminal.shows("has ended: ENGINE GONE")
-        terminal.shows("software stop; not the E-stop")
+        terminal.shows("software stop, not the E-stop")
 
 
 @pytest.mark.parametrize("key", [CTRL_C, CTRL_Q])

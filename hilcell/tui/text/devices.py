@@ -1,0 +1,159 @@
+"""Rows 5 and 6 of the run's screen: lamps with the age of their readings, air, and interlocks."""
+
+from __future__ import annotations
+
+import math
+
+from textual.content import Content
+
+from hilcell.alarms.alarm import DRIFT_LIMIT_K
+from hilcell.journal.states import WAITING
+from hilcell.run.protocol import DeviceStatus, Interlock
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.text.ended import end_remark
+from hilcell.tui.text.lines import justified, placed
+
+LAMPS = ("rail", "strip", "robot", "tracker")
+OF_RAIL = LAMPS[:2]
+STALE_AFTER_S = 5.0
+_LAMPS_AT, _LOCKS_AT = (1, 15, 30, 45), (1, 45, 60)
+LONGEST_REASON = 26
+REASONS = {  # in short, by the code of the interlock; the whole one is on the interlocks' page
+    "HC-B30": "no fresh robot reading",
+    "HC-B31": "robot moves",
+    "HC-B32": "robot not at safe pose",
+    "HC-R40": "no fresh rail reading",
+    "HC-R41": "slide moves",
+    "HC-R42": "drive has power",
+    "HC-S05": "slide not at its station",
+}
+_LOCKED = {"rail move": "Rail", "robot move": "Robot"}
+
+
+def lamps_of(view: RunView) -> tuple[str, ...]:
+    """Return which lamps the run's cell has."""
+    return LAMPS if view.has_rail else LAMPS[len(OF_RAIL) :]
+
+
+def lamps(view: RunView, glyphs: Glyphs, width: int) -> Content:
+    """Return the lamps with the age of their readings, and the air."""
+    devices = view.status.devices if view.status is not None and view.live else {}
+    found = [lamp(name, devices.get(name, DeviceStatus()), view, glyphs) for name in lamps_of(view)]
+    line = placed(*zip(_LAMPS_AT, found, strict=False))
+    if line.cell_length > width:
+        line = Content(" ").join([Content(""), *found])
+    return justified(line.truncate(width), air(view, glyphs), width - 1)
+
+
+def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Content:
+    """Return one lamp; a stale reading is grey and shows its age."""
+    title = name.capitalize()
+    if device.age_s is None and device.state != "lost":
+        return Content.styled(f"{glyphs.stale} {title} -", "$stale")
+    age = short_age((device.age_s or 0.0) + view.status_age_s)
+    if device.state == "lost":
+        return Content.styled(f"{glyphs.lost} {title} lost", "bold $fault")
+    aged = not (device.age_s or 0.0) + view.status_age_s <= STALE_AFTER_S
+    if device.state not in ("fresh", "moving") or view.stale or aged:
+        return Content.styled(f"{glyphs.stale} {title} {age}", "$stale")
+    moves = device.state == "moving"
+    shape, tone = (glyphs.moving, "$live") if moves else (glyphs.fresh, "$passed")
+    return Content.assemble((shape, tone), f" {title} ", (age, "$label"))
+
+
+def short_age(seconds: float) -> str:
+    """Return an age in at most five columns."""
+    if not seconds < math.inf:
+        return "?"
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    for size_s, unit in ((1, "s"), (60, "m"), (3600, "h")):
+        if seconds / size_s < 99.5:
+            return f"{seconds / size_s:.0f} {unit}"
+    return f"{seconds / 86400:.0f} d"
+
+
+def drift_k(view: RunView) -> float | None:
+    """Return how far the air is from the run's first point, K."""
+    celsius = view.log.temperatures_c()
+    if view.last is None or view.last.temperature_c is None or not celsius:
+        return None
+    return view.last.temperature_c - celsius[0]
+
+
+def air(view: RunView, glyphs: Glyphs) -> Content:
+    """Return the air's temperature at the tracker, and its drift since the first point."""
+    drift = drift_k(view)
+    if view.last is None:
+        return Content("")
+    if view.last.temperature_c is None or drift is None:
+        return Content.styled("air not measured", "$label")
+    text = f"{view.last.temperature_c:.1f} °C {drift:+.1f} K".replace("-", "−")
+    within = abs(drift) <= DRIFT_LIMIT_K
+    return Content.styled(text if within else f"{glyphs.warned} {text}", "" if within else "$ask")
+
+
+# -- interlocks ------------------------------------------------------------------------------------
+
+
+def interlocks(view: RunView, glyphs: Glyphs, width: int) -> Content:
+    """Return what may move and, in short, why not; what does not fit is left out, never cut."""
+    if not view.live:
+        return _ended(view, glyphs, width)
+    found = view.status.interlocks if view.status is not None else []
+    if not found or view.stale:
+        age = f" for {short_age(view.status_age_s)}" if found else ""
+        return Content.styled(f" {glyphs.stale} interlocks: no reading{age}", "$stale")
+    parts = [_part(each, view, glyphs) for each in found]
+    columns = _LOCKS_AT if view.has_rail else _LOCKS_AT[:1] + _LOCKS_AT[2:]
+    line = placed(*zip(columns, parts, strict=False))
+    while line.cell_length > width and len(parts) > 1:
+        parts.pop()
+        line = placed(*zip(columns, parts, strict=False))
+    return line
+
+
+def _ended(view: RunView, glyphs: Glyphs, width: int) -> Content:
+    """Return that nothing may move, and the result; where both have no room, the result."""
+    closed, remark = _nothing_moves(view, glyphs), end_remark(view)
+    if remark and closed.cell_length + len(remark) + 2 > width:
+        return Content(f" {remark}").truncate(width, ellipsis=True)
+    return justified(closed, Content(remark), width - 1).truncate(width, ellipsis=True)
+
+
+def _nothing_moves(view: RunView, glyphs: Glyphs) -> Content:
+    if view.state == "gone":
+        return Content.styled(f" {glyphs.lost} the engine is gone: nobody watches the cell", "$ask")
+    end = view.records[-1] if view.records and view.log.end is not None else None
+    at = f" at {end.t[11:19]}" if end is not None else ""
+    return Content.styled(f" {glyphs.stale} devices closed{at}; nothing may move", "$label")
+
+
+def _part(each: Interlock, view: RunView, glyphs: Glyphs) -> Content:
+    name, person = _LOCKED.get(each.name), _person_needed(view)
+    if name is None:
+        waits = bool(each.blocked or person)
+        shape, word = (glyphs.stale, "waits") if waits else (glyphs.moving, "free")
+        return Content.assemble((shape, "$label" if waits else "$live"), f" Tracker {word}")
+    if not each.blocked and not person:
+        return Content.assemble((glyphs.moving, "$live"), f" {name} free")
+    reason = person or REASONS.get(each.code) or _first_words(each.blocked)
+    tone = "$ask" if person else "$label"
+    shown = Content.assemble((glyphs.locked, tone), f" {name} locked")
+    first = name == "Rail" or not view.has_rail
+    return shown.append(Content.styled(f": {reason}", tone)) if first else shown
+
+
+def _first_words(blocked: str) -> str:
+    """Return the reason of an engine that states no code, where it is short."""
+    first = blocked.partition(",")[0]
+    return first if len(first) <= LONGEST_REASON else "see the interlocks"
+
+
+def _person_needed(view: RunView) -> str:
+    """Return why a person has to act before anything moves; "" where the step goes on itself."""
+    if view.prompt is not None:
+        return "waits for you"
+    words = {"paused": "paused", "suspended": "waits for you"}
+    return words.get(view.state, "paused") if view.state in WAITING else ""

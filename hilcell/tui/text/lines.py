@@ -1,0 +1,74 @@
+"""Parts of lines: text at fixed columns, at both ends, on a rule, and bars."""
+
+from __future__ import annotations
+
+import math
+
+from textual.content import Content
+
+BLANK = Content("")
+
+
+def placed(*parts: tuple[int, Content]) -> Content:
+    """Return one line with each part at its column, from 0; a part that is too long moves on."""
+    line = Content("")
+    for column, part in parts:
+        gap = column - line.cell_length
+        line = line.append(" " * max(gap, 1 if line.cell_length else 0)).append(part)
+    return line
+
+
+def justified(left: Content, right: Content, width: int) -> Content:
+    """Return a line with one text at each end; the right one yields where room is short."""
+    room = width - left.cell_length - right.cell_length
+    return left.append(" " * room).append(right) if room >= 1 else left
+
+
+def ruled(title: Content, right: Content, width: int) -> Content:
+    """Return a rule with a title on its left and a remark at its end."""
+    left = Content.assemble(("─ ", "$stale"), title, " ")
+    tail = Content.assemble(" ", right, (" ─", "$stale")) if right.cell_length else BLANK
+    room = width - left.cell_length - tail.cell_length
+    if room < 1:
+        return left.truncate(width, ellipsis=True)
+    return left.append(Content.styled("─" * room, "$stale")).append(tail)
+
+
+def bar(share: float, width: int, style: str, mark: float | None = None) -> Content:
+    """Return a bar filled from 0 to ``share`` of its width, to half a column; NaN fills it.
+
+    ``mark``: the share at which a limit is drawn.
+    """
+    halves = math.floor(2 * width * share + 1e-9) if share <= 1.0 else 2 * width
+    whole, half = divmod(max(halves, 0), 2)
+    filled = "█" * whole + "▌" * half
+    line = Content.assemble(
+        ("█" * whole, style),
+        ("▌" * half, f"{style} on $track"),
+        ("░" * (width - len(filled)), "$track on $track"),
+    )
+    if mark is None:
+        return line
+    at = min(math.floor(width * mark + 1e-9), width - 1)
+    over = at < len(filled)
+    sign = Content.styled("│", f"$background on {style}" if over else "$foreground on $track")
+    return line[:at].append(sign).append(line[at + 1 :])
+
+
+def signed_bar(share: float, half_width: int, style: str) -> Content:
+    """Return a bar from a middle line, to the left where ``share`` is negative; NaN has none."""
+    length = min(round(half_width * abs(share)), half_width) if math.isfinite(share) else 0
+    filled, rest = "▄" * length, " " * (half_width - length)
+    left = (rest, filled) if share < 0 else (" " * half_width, "")
+    right = ("", " " * half_width) if share < 0 else (filled, rest)
+    ground = f"{style} on $panel"
+    return Content.assemble(
+        (left[0], "on $panel"), (left[1], ground), ("│", "$label on $panel"),
+        (right[0], ground), (right[1], "on $panel"),
+    )  # fmt: skip
+
+
+def scale_of(values: float) -> float:
+    """Return the least step of 1, 2, 5 that is not below a length (mm); 1000 for NaN."""
+    steps = (step * 10.0**power for power in range(-2, 4) for step in (1.0, 2.0, 5.0))
+    return next((step for step in steps if values <= step * (1 + 1e-9)), 1000.0)

@@ -1,0 +1,309 @@
+"""Rows 7 to 22 of a finished run: PASS or FAIL where the digits were, and its stations.
+
+The worst station decides. *95 % sure* bounds the mean of a station, *95 % below* is a share of its
+targets: never one word for both. A run that ended before has no verdict.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import msgspec
+from textual.content import Content
+
+from hilcell.alarms import Alarm
+from hilcell.alarms.catalogue import SEVERITIES
+from hilcell.clean import harmless
+from hilcell.journal.set_ups import PROVEN
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.text.digits import figure, large, large_rows
+from hilcell.tui.text.lines import bar, placed
+from hilcell.tui.text.run import is_simulated, simulation_block
+
+ROWS = 16
+BLOCK, MEAN_AT, SINGLE_AT = 24, 26, 53
+BAR, TO_LIMIT = 24, 19
+LEAST_WIDTH, LEAST_ROWS = 79, 14
+
+
+class _Figures(msgspec.Struct):
+    mean: float
+    p95: float = math.nan
+    max: float = math.nan
+
+
+class _Floor(msgspec.Struct):
+    mean: float
+
+
+class _Place(msgspec.Struct):
+    points: int
+    before: _Figures
+    chosen: _Figures
+    floor: _Floor | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """Errors (mm) of one station's targets; ``mean_U_mm`` is the mean's expanded uncertainty."""
+
+    name: str
+    targets: int
+    before_mm: float
+    mean_mm: float
+    p95_mm: float
+    max_mm: float
+    mean_U_mm: float
+    outcome: str
+
+    @property
+    def sure_mm(self) -> float:
+        """Return the length below which the true mean is, 95 % sure."""
+        return self.mean_mm + self.mean_U_mm
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a finished validation has shown, with its limits (mm)."""
+
+    passed: bool
+    stations: tuple[Station, ...]
+    mean_limit_mm: float
+    max_limit_mm: float
+    floor_mm: float
+
+    @property
+    def worst_mean(self) -> Station:
+        """Return the station of the largest mean."""
+        return max(self.stations, key=lambda each: _gravest(each.mean_mm))
+
+    @property
+    def worst_single(self) -> Station:
+        """Return the station of the largest single error."""
+        return max(self.stations, key=lambda each: _gravest(each.max_mm))
+
+
+def _gravest(value_mm: float) -> float:
+    return value_mm if math.isfinite(value_mm) else math.inf
+
+
+def verdict_of(view: RunView) -> Verdict | None:
+    """Return the verdict of a finished run with a validation; None for every other run.
+
+    Stations that were also judged together are shown one by one.
+    """
+    if view.state not in ("done", "intolerant"):
+        return None
+    places = _places(view)
+    order = [each.name for each in view.log.cell.station]
+    names = [name for name in order if name in places] or list(places)
+    if not names:
+        return None
+    limits = view.log.cell.validation
+    floors = [place.floor.mean for place in places.values() if place.floor is not None]
+    return Verdict(
+        passed=view.state == "done",
+        stations=tuple(_station(view, name, places[name]) for name in names),
+        mean_limit_mm=limits.mean_tolerance_mm,
+        max_limit_mm=limits.max_tolerance_mm,
+        floor_mm=max(floors, default=math.nan),
+    )
+
+
+def _places(view: RunView) -> dict[str, _Place]:
+    """Return the places of a finished validation; nothing of another procedure's result."""
+    found = (view.log.end or {}).get("result", {}).get("validation", {})
+    try:
+        return msgspec.convert(found, dict[str, _Place])
+    except msgspec.ValidationError:
+        return {}
+
+
+def _station(view: RunView, name: str, place: _Place) -> Station:
+    judged = view.log.verdicts.get(f"validation.{name}", {})
+    outcome = judged.get("outcome") or ("accepted" if judged.get("holds", True) else "rejected")
+    U_mm = judged.get("mean_U_mm")
+    return Station(
+        name, place.points, place.before.mean, place.chosen.mean, place.chosen.p95,
+        place.chosen.max, math.nan if U_mm is None else float(U_mm), str(outcome),
+    )  # fmt: skip
+
+
+# -- drawing ---------------------------------------------------------------------------------------
+
+
+def verdict_lines(
+    view: RunView, found: Verdict, glyphs: Glyphs, width: int, rows: int = ROWS
+) -> Content:
+    """Return the block, the two worst figures, the stations, and what is to be known or done."""
+    if width < LEAST_WIDTH or rows < LEAST_ROWS:
+        lines = [*_small_head(view, found, glyphs), *_facts(view, found, glyphs)]
+    else:
+        lines = _head(view, found, glyphs)
+        facts = _facts(view, found, glyphs)[: max(rows - len(lines) - len(found.stations) - 2, 2)]
+        room = max(rows - len(lines) - len(facts), 3)
+        lines += [*_table(found, glyphs, room), *facts]
+    lines += [Content("")] * (min(rows, ROWS) - len(lines))
+    return Content("\n").join(line.truncate(width, ellipsis=True) for line in lines[:rows])
+
+
+def _fill(found: Verdict) -> tuple[str, str]:
+    role = "passed" if found.passed else "fault"
+    return f"$on-{role} on ${role}-fill", role
+
+
+def words_of(found: Verdict) -> tuple[str, str]:
+    """Return the verdict in one word, and what it states."""
+    if found.passed:
+        return "PASS", "in tolerance"
+    outcomes = {each.outcome for each in found.stations}
+    if "rejected" in outcomes:
+        return "FAIL", "out of tolerance"
+    return "FAIL", "not shown in tolerance" if "undecided" in outcomes else "see the reason"
+
+
+def _head(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:
+    style, _ = _fill(found)
+    word, stated = words_of(found)
+    rows = [word if n == 1 else "" for n in range(3)] if glyphs.plain else large_rows(word)
+    block = [
+        Content.styled(f"{text:^{BLOCK}}", f"bold {style}") for text in ("", *rows, "", stated)
+    ]
+    mark = simulation_block() if is_simulated(view) else Content("")
+    pad = (BLOCK - mark.cell_length) // 2
+    rest = BLOCK - pad - mark.cell_length
+    ground = style.split(" on ")[1]
+    block.append(Content.assemble((" " * pad, f"on {ground}"), mark, (" " * rest, f"on {ground}")))
+    mean, single = found.worst_mean, found.worst_single
+    left = _worst("worst mean |e|, mm", mean.mean_mm, mean.name, found.mean_limit_mm, glyphs)
+    right = _worst("worst single |e|, mm", single.max_mm, single.name, found.max_limit_mm, glyphs)
+    return [
+        placed((0, block[n]), (MEAN_AT, left[n]), (SINGLE_AT, right[n])) for n in range(len(block))
+    ]
+
+
+def _worst(
+    title: str, value_mm: float, station: str, limit_mm: float, glyphs: Glyphs
+) -> list[Content]:
+    over = not value_mm <= limit_mm
+    tone, shape = ("$fault", glyphs.warned) if over else ("$passed", glyphs.fresh)
+    digits = large(figure(value_mm), tone if over else "$foreground", glyphs)
+    at = Content.assemble((shape, tone), (f" at {station}, limit {limit_mm:.3f}", "$label"))
+    share = value_mm / limit_mm * TO_LIMIT / BAR
+    line = bar(share, BAR, tone, TO_LIMIT / BAR)
+    return [Content.styled(title, "$label"), *digits, at, line, Content("")]
+
+
+def _small_head(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:
+    style, _ = _fill(found)
+    word, stated = words_of(found)
+    block = Content.styled(f"  {word}  {stated}  ", f"bold {style}")
+    mark = simulation_block() if is_simulated(view) else Content("")
+    mean, single = found.worst_mean, found.worst_single
+    parts = (
+        ("worst mean   |e|", mean.mean_mm, mean.name, found.mean_limit_mm),
+        ("worst single |e|", single.max_mm, single.name, found.max_limit_mm),
+    )
+    lines = [Content("").join([block, mark])]
+    for title, value_mm, name, limit_mm in parts:
+        over = not value_mm <= limit_mm
+        tone, shape = ("$fault", glyphs.warned) if over else ("$passed", glyphs.fresh)
+        lines.append(
+            Content.assemble(
+                (f" {shape}", tone), (f" {title} ", "$label"),
+                (f"{figure(value_mm)} mm", f"bold {tone}"),
+                (f" at {name}, limit {limit_mm:.3f}", "$label"),
+            )
+        )  # fmt: skip
+    return lines
+
+
+def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
+    """Return the stations in at most ``room`` rows with header and limit; the worst are first."""
+    head = " station       targets  mean as sent     mean   95 % below   max mm  verdict"
+    lines = [Content.styled(f"{head:<78}", "$label on $panel")]
+    order = sorted(found.stations, key=lambda each: -_gravest(each.mean_mm))
+    kept = order[: room - 2]
+    shown = [each for each in found.stations if each in kept]
+    lines += [_row(each, found, glyphs) for each in shown]
+    left = len(found.stations) - len(shown)
+    name = f"limit, {left} more in the report" if left else "limit"
+    limit = f"{found.mean_limit_mm:9.3f}{'-':>13}{found.max_limit_mm:9.3f}"
+    return [*lines, Content.styled(f" {name:<35}{limit}", "$label")]
+
+
+def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
+    said = {
+        "accepted": (f"{glyphs.fresh} pass", "$passed"),
+        "rejected": (f"{glyphs.warned} FAIL", "bold $fault"),
+    }
+    word, tone = said.get(each.outcome, (f"{glyphs.warned} unsure", "$ask"))
+    mean_style = "bold" if each.mean_mm <= found.mean_limit_mm else "bold $fault"
+    max_style = "" if each.max_mm <= found.max_limit_mm else "bold $fault"
+    name = Content(harmless(each.name)).truncate(13, ellipsis=True).plain
+    return Content.assemble(
+        f" {name:<13}",
+        (f"{each.targets:>8}{each.before_mm:14.3f}", "$label"),
+        (f"{figure(each.mean_mm):>9}", mean_style),
+        f"{figure(each.p95_mm):>13}",
+        (f"{figure(each.max_mm):>9}", max_style),
+        (f"  {word}", tone),
+    )
+
+
+def _facts(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:
+    """Return what is to be known of a run that passed; of one that failed, why and what to do."""
+    if not found.passed and view.alarms:
+        return _advice(max(view.alarms, key=_severity), glyphs)
+    sure = max(found.stations, key=lambda each: _gravest(each.sure_mm))
+    known = math.isfinite(sure.sure_mm)
+    bound = f"below {sure.sure_mm:.3f} mm at {sure.name}" if known else "not stated"
+    floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
+    return [
+        Content.assemble((" true mean, 95 % sure: ", "$label"), bound, (floor, "$label")),
+        _written(view, found, glyphs),
+        _drift(view, glyphs),
+        Content.assemble((" next: ", "$label"), "o report   p plots   w worst points   n new run"),
+    ]
+
+
+def _severity(alarm: Alarm) -> int:
+    return SEVERITIES.index(alarm.severity)
+
+
+def _advice(alarm: Alarm, glyphs: Glyphs) -> list[Content]:
+    where = f"{alarm.where}: " if alarm.where else ""
+    reason = Content.assemble(
+        (f" {glyphs.warned} {alarm.code} ", "bold $fault"), where, alarm.found
+    )
+    steps = [
+        Content.assemble((f" {number} ", "bold"), step)
+        for number, step in enumerate(alarm.do[:3], start=1)
+    ]
+    return [reason, *steps]
+
+
+def _written(view: RunView, found: Verdict, glyphs: Glyphs) -> Content:
+    celsius = view.log.temperatures_c()
+    air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} °C" if celsius else ""
+    if not view.log.calibrates:
+        return Content.styled(f" no calibration file was to be written{air}", "$label")
+    if view.calibration_lost:
+        text = f" {glyphs.warned} calibration.json is not written: space writes it"
+        return Content.styled(text, "$ask")
+    names = " ".join(each.name for each in found.stations)
+    return Content.assemble(
+        (" written: ", "$label"), "calibration.json", (f" for {names}{air}", "$label")
+    )
+
+
+def _drift(view: RunView, glyphs: Glyphs) -> Content:
+    """Return whether there were alarms, and how far the floor nests seemed to move."""
+    proofs = [event.body["off_mm"] for event in view.log.events if event.body["what"] == PROVEN]
+    moved = max((max(each) for each in proofs if each), default=None)
+    text = f"{len(view.alarms)} alarms: e" if view.alarms else "no alarms"
+    drift = "" if moved is None else f"; floor nests stood within {moved:.3f} mm"
+    tone, shape = ("$ask", glyphs.warned) if view.alarms else ("$passed", glyphs.fresh)
+    return Content.assemble((f" {shape}", tone), (f" {text}{drift}", "$label"))

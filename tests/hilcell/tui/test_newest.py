@@ -1,0 +1,171 @@
+"""The newest point: one large number, its components, its limit; and when it is grey."""
+
+from __future__ import annotations
+
+import math
+from datetime import timedelta
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilcell.journal.point_id import PointId
+from hilcell.tui.engine.run_view import EngineState, RunView
+from hilcell.tui.terminal.capabilities import ASCII, UNICODE
+from hilcell.tui.text.deviation import Deviation
+from hilcell.tui.text.lines import scale_of
+from hilcell.tui.text.newest import (
+    FULL_ROWS,
+    SMALL_ROWS,
+    STALE_S,
+    Shown,
+    chosen_shown,
+    newest_shown,
+    point_lines,
+)
+from hilcell.tui.text.words import point_words, short_words
+from tests.hilcell.tui.sample_runs import SampleRun, measuring, status, validated
+
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def view_after(story: SampleRun, age_s: float = 0.4) -> RunView:
+    """Return a live run's view some time after its last record."""
+    view = RunView("r", engine=EngineState.ANSWERING, status=status("running"))
+    for record in story.records:
+        view.take(record)
+    view.now = story.now + timedelta(seconds=age_s - 1.0)
+    return view
+
+
+def shown(norm_mm: float, limit_mm: float | None = 1.0, U_mm: float = 0.1, **more: bool) -> Shown:
+    found = Deviation("p", (norm_mm, 0.0, 0.0), (0.0, 0.0, 0.0), limit_mm, U_mm)
+    return Shown("newest point: p", found, "0.4 s ago", word="as sent: no limit", **more)
+
+
+@pytest.mark.parametrize(
+    ("norm_mm", "limit_mm", "said", "style"),
+    [
+        (0.5, None, "○ as sent: no limit", "foreground"),
+        (0.5, 1.0, "● in tolerance", "passed"),
+        (1.5, 1.0, "▲ OUT OF TOLERANCE", "fault"),
+        (0.95, 1.0, "▲ UNSURE", "ask"),
+        (1.05, 1.0, "▲ UNSURE", "ask"),
+        (math.nan, 1.0, "▲ OUT OF TOLERANCE", "fault"),
+        (math.inf, 1.0, "▲ OUT OF TOLERANCE", "fault"),
+    ],
+)
+def test_it_says_what_the_decision_rule_says(
+    norm_mm: float, limit_mm: float | None, said: str, style: str
+) -> None:
+    lines = point_lines(shown(norm_mm, limit_mm), UNICODE, 79).split("\n", allow_blank=True)
+    assert len(lines) == FULL_ROWS
+    assert lines[4].plain.strip().startswith(said)
+    assert style in str(lines[1].spans)  # the digits
+
+
+def test_rows_stand_at_the_columns_of_the_design() -> None:
+    lines = point_lines(shown(0.189, 1.0), UNICODE, 79).plain.split("\n")
+    assert lines[1].startswith(" |e| █▀█   ▄█  █▀█ █▀█     dx +0.189 mm")
+    assert lines[1].index("│") == 55
+    assert lines[1].rstrip().endswith("±0.5")
+    assert lines[4].index("█") == 20
+    assert lines[4].index("│") == 64
+    assert lines[5].index("0.25") == 31
+    assert lines[5].index("1.00 limit") == 64
+
+
+@pytest.mark.parametrize(
+    ("norm_mm", "word"), [(0.5, "was in tol."), (1.5, "was out of tol."), (0.95, "was unsure")]
+)
+def test_an_old_value_is_grey_and_says_that_it_was(norm_mm: float, word: str) -> None:
+    lines = point_lines(shown(norm_mm, stale=True), UNICODE, 79).split("\n")
+    assert f"○ {word}" in lines[4].plain
+    for line in lines[1:5]:
+        for role in ("passed", "fault"):
+            assert role not in str(line.spans)
+    assert "▲ 0.4 s ago" in lines[0].plain
+
+
+def test_the_newest_point_ages() -> None:
+    assert newest_shown(view_after(validated())).remark == "0.4 s ago"
+    assert not newest_shown(view_after(validated())).stale
+    found = newest_shown(view_after(validated(), STALE_S + 6))
+    assert (found.stale, found.remark) == (True, "36 s old")
+
+
+def test_a_point_is_not_bright_where_nothing_is_heard() -> None:
+    view = view_after(validated())
+    view.status_age_s = 2.1
+    assert newest_shown(view).stale
+
+
+def test_the_digits_of_a_step_before_are_grey() -> None:
+    found = newest_shown(view_after(validated().step(7)))
+    assert not found.stale
+    found = newest_shown(view_after(measuring().step(6)))
+    assert found.stale
+    assert found.name.startswith("last point: grid point 0-0-4")
+
+
+def test_a_point_without_a_nominal_place_has_no_digits_of_the_one_before() -> None:
+    story = measuring().point(PointId("repeatability", place=0, number=2), None)
+    found = newest_shown(view_after(story))
+    assert found.deviation is None
+    text = point_lines(found, UNICODE, 79).plain
+    assert "repeated pose 1 3 at S1100" in text
+    assert "no nominal place, so no deviation" in text
+    assert "█" not in text
+
+
+def test_a_chosen_point_says_that_it_is_chosen() -> None:
+    view = view_after(validated())
+    found = chosen_shown(view, "validate/S1100/idw/000")
+    assert found.name == "chosen point: target 1 at S1100, paper method"
+    assert found.word == "paper method: no limit"
+    assert chosen_shown(view, "none").deviation is None
+
+
+@given(ANY, ANY, ANY, st.one_of(st.none(), st.floats(1e-3, 1e3)), st.integers(20, 200))
+def test_any_deviation_fits_any_width(
+    dx: float, dy: float, dz: float, limit: float | None, width: int
+) -> None:
+    found = Deviation("p", (dx, dy, dz), (0.0, 0.0, 0.0), limit)
+    for rows in (FULL_ROWS, FULL_ROWS - 1, SMALL_ROWS):
+        for glyphs in (UNICODE, ASCII):
+            lines = point_lines(Shown("p", found, ""), glyphs, width, rows).split("\n")
+            assert len(lines) <= rows
+            assert max(line.cell_length for line in lines) <= max(width, 20)
+
+
+@pytest.mark.parametrize("width", [20, 39, 41, 45, 60])
+def test_digits_are_never_cut(width: int) -> None:
+    text = point_lines(shown(12.345), UNICODE, width).plain
+    assert "12.345" in text or "▄█  ▀▀█   ▀▀█ █ █ █▀▀" in text
+
+
+def test_scales_are_steps_of_1_2_5() -> None:
+    assert [scale_of(each) for each in (0.0, 0.06, 0.5, 0.51, 1.8, 3.0, 12.0)] == [
+        0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 20.0,
+    ]  # fmt: skip
+    assert scale_of(math.nan) == scale_of(math.inf) == 1000.0
+
+
+@pytest.mark.parametrize(
+    ("id", "name", "short"),
+    [
+        (PointId("validate", station="S300", how="chosen", number=49),
+         "corrected target 50 at S300", "corrected 50"),
+        (PointId("validate", station="S300", how="before", number=0),
+         "target 1 as sent at S300", "as sent 1"),
+        (PointId("validate", station="S300", how="idw", number=0),
+         "target 1 at S300, paper method", "paper 1"),
+        (PointId("grid", vertex=(1, 0, 2)), "grid point 1-0-2", "grid 1-0-2"),
+        (PointId("world", nest="F1"), "floor nest F1", "nest F1"),
+        (PointId("base", axis=6, number=2), "base circle A6 3", "base A6 3"),
+        (PointId("sign", how="corrected"), "sign check corrected", "sign corrected"),
+        (PointId("new-kind", nest="X"), "new-kind X", "new-kind X"),
+    ],
+)  # fmt: skip
+def test_points_are_named_in_words(id: PointId, name: str, short: str) -> None:
+    assert (point_words(id), short_words(id)) == (name, short)

@@ -1,0 +1,143 @@
+"""PASS or FAIL: which figures are shown, and that the worst station decides."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.terminal.capabilities import ASCII, UNICODE
+from hilcell.tui.text.digits import large_rows
+from hilcell.tui.text.verdict import ROWS, verdict_lines, verdict_of, words_of
+from tests.hilcell.tui.sample_runs import sample_runs
+from tests.hilcell.tui.views import view_of
+
+PLACES = {
+    "S300": {"mean": 0.113, "p95": 0.192, "max": 0.218},
+    "S1100": {"mean": 0.110, "p95": 0.195, "max": 0.310},
+    "S1900": {"mean": 0.108, "p95": 0.207, "max": 0.238},
+}
+
+
+def finished(state: str, places: dict[str, dict[str, float]], U_mm: float = 0.01) -> RunView:
+    """Return a run that has ended with these errors."""
+    view = view_of(state)
+    validation: dict[str, Any] = {
+        name: {"points": 75, "before": each | {"mean": 1.2}, "chosen": each}
+        for name, each in places.items()
+    }
+    validation["others"] = validation[next(iter(places))]
+    assert view.log.end is not None
+    view.log.end = view.log.end | {"result": {"validation": validation}}
+    for name, each in places.items():
+        outcome = "accepted" if each["mean"] <= 0.12 else "rejected"
+        view.log.verdicts[f"validation.{name}"] = {
+            "holds": outcome == "accepted", "outcome": outcome, "mean_U_mm": U_mm,
+        }  # fmt: skip
+    return view
+
+
+def test_the_worst_mean_and_the_worst_single_are_named_with_their_stations() -> None:
+    view = finished("done", PLACES)
+    found = verdict_of(view)
+    assert found is not None
+    assert (found.worst_mean.name, found.worst_single.name) == ("S300", "S1100")
+    assert [each.name for each in found.stations] == ["S300", "S1100", "S1900"]
+    lines = verdict_lines(view, found, UNICODE, 79).plain.split("\n")
+    assert len(lines) == ROWS
+    for row, pass_, mean, single in zip(
+        lines[1:4], large_rows("PASS"), large_rows("0.113"), large_rows("0.310"), strict=True
+    ):
+        assert (row[4:19], row[26:43], row[53:70]) == (pass_, mean, single)
+    assert "● at S300, limit 0.120     ▲ at S1100, limit 0.300" in lines[4]
+    assert "in tolerance" in lines[5]
+    assert "▒ SIMULATION ▒" in lines[6]
+    assert "true mean, 95 % sure: below 0.123 mm at S300" in "\n".join(lines)
+
+
+def test_a_failure_says_its_reason_and_steps() -> None:
+    view = finished("intolerant", PLACES | {"S1900": {"mean": 0.222, "p95": 0.4, "max": 1.084}})
+    found = verdict_of(view)
+    assert found is not None
+    assert words_of(found) == ("FAIL", "out of tolerance")
+    text = verdict_lines(view, found, UNICODE, 79)
+    row = next(line for line in text.plain.split("\n") if line.startswith(" S1900"))
+    assert row.split() == ["S1900", "75", "1.200", "0.222", "0.400", "1.084", "▲", "FAIL"]
+    assert "▲ HC-V01" in text.plain
+    assert "\n 3 " in text.plain
+    assert large_rows("FAIL")[0] in text.plain
+
+
+def test_a_nan_is_the_worst_and_fails() -> None:
+    nan = float("nan")
+    view = finished("intolerant", PLACES | {"S300": {"mean": nan, "p95": nan, "max": nan}})
+    found = verdict_of(view)
+    assert found is not None
+    assert found.worst_mean.name == found.worst_single.name == "S300"
+    assert "▲ at S300" in verdict_lines(view, found, UNICODE, 79).plain
+
+
+def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
+    view = finished("intolerant", PLACES)
+    view.log.verdicts["validation.S300"] = {"holds": False, "outcome": "undecided"}
+    found = verdict_of(view)
+    assert found is not None
+    assert words_of(found) == ("FAIL", "not shown in tolerance")
+
+
+def test_more_stations_than_there_is_room_for_are_counted() -> None:
+    many = {f"P{n}": {"mean": 0.01 * n, "p95": 0.1, "max": 0.2} for n in range(9)}
+    view = finished("done", many)
+    found = verdict_of(view)
+    assert found is not None
+    text = verdict_lines(view, found, UNICODE, 79).plain
+    assert "P8 " in text  # the worst
+    assert "more in the report" in text
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_simulation_is_marked_inside_the_verdict(simulated: bool) -> None:
+    view = finished("done", PLACES)
+    assert view.log.plan is not None
+    view.log.plan = msgspec.structs.replace(view.log.plan, simulated=simulated)
+    found = verdict_of(view)
+    assert found is not None
+    for width, rows in ((79, ROWS), (59, 8)):
+        text = verdict_lines(view, found, ASCII, width, rows).plain
+        assert ("SIMULATION" in text) == simulated
+
+
+@pytest.mark.parametrize("name", sample_runs())
+def test_only_a_finished_run_has_a_verdict(name: str) -> None:
+    assert (verdict_of(view_of(name)) is not None) == (name in ("done", "intolerant"))
+
+
+@pytest.mark.parametrize(
+    "result",
+    [
+        {},
+        {"validation": {}},
+        {"validation": {"S1100": {"points": 2}}},
+        {"validation": {"S1100": {"before": {"mean": 1.0}}}},
+        {"validation": [1.0]},
+        {"validation": {"S1100": {"before": {"mean": None}, "chosen": {"mean": None}}}},
+    ],
+)
+def test_a_result_of_another_kind_has_no_verdict(result: dict[str, object]) -> None:
+    view = view_of("done")
+    view.log.end = {"state": "finished", "exit": 0, "result": result}
+    assert verdict_of(view) is None
+
+
+@pytest.mark.parametrize("width", range(20, 80, 6))
+@pytest.mark.parametrize("rows", [4, 8, 13, 15, ROWS])
+def test_it_fits_where_there_is_little_room(width: int, rows: int) -> None:
+    view = view_of("done")
+    found = verdict_of(view)
+    assert found is not None
+    lines = verdict_lines(view, found, UNICODE, width, rows).split("\n", allow_blank=True)
+    assert len(lines) == rows
+    assert max(line.cell_length for line in lines) <= width
+    assert "PASS" in lines[0].plain or large_rows("PASS")[0] in lines[1].plain
