@@ -16,8 +16,9 @@ from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.events import event_lines
+from hilcell.tui.text.lines import justified
 from hilcell.tui.text.plot_figures import section
-from hilcell.tui.text.run import duration, justified
+from hilcell.tui.text.run import duration
 from hilcell.tui.text.words import step_words
 
 SCREEN = 24  # rows, which everything above takes

@@ -82,7 +82,7 @@ WALK = (
     ("e", "Alarms"),
     ("i", "Interlocks"),
     ("l", "Event log"),
-    ("p", "Plot 1"),
+    ("p", "3 repeatability"),
     ("?", "Help"),
     ("h", "History: 2 of 2"),
 )
@@ -130,7 +130,7 @@ def test_every_esc_reaches_the_engine_wherever_it_is_pressed(tmp_path: Path) -> 
         ("", "LIVE", ""),
         ("/xyz", "no such point", "\x7f\x7f\x7f\r"),
         ("l", "Event log", "q"),
-        ("p", "Plot 1", "q"),
+        ("p", "3 repeatability", "q"),
         ("a", "Abort this run?", ""),
         (CTRL_P, "what to do?", ""),
         (CTRL_Q, "detach", ""),
