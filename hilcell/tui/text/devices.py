@@ -98,7 +98,7 @@ def air(view: RunView, glyphs: Glyphs) -> Content:
 
 
 def interlocks(view: RunView, glyphs: Glyphs, width: int) -> Content:
-    """Return what may move and, in short, why not; what does not fit is left out, never cut."""
+    """Return what may move and, in short, why not; a part without room is left out, not cut."""
     if not view.live:
         return _ended(view, glyphs, width)
     found = view.status.interlocks if view.status is not None else []

@@ -1,7 +1,7 @@
 """The footer of the run's screen: acts on the first row, views on the second.
 
-Every slot has its place and its key; what would do nothing now is grey, not gone. A slot changes
-only its word. STOP is first and alone in white.
+Every slot has its place and its key; one that would do nothing now is grey, not gone. A slot
+changes only its word. STOP is first and alone in white.
 """
 
 from __future__ import annotations

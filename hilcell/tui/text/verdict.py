@@ -66,7 +66,7 @@ class Station:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a finished validation has shown, with its limits (mm)."""
+    """The errors of a finished validation, with their limits (mm)."""
 
     passed: bool
     stations: tuple[Station, ...]

@@ -15,6 +15,7 @@ from hilcell.tui.engine import process
 from hilcell.tui.screens import start
 from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
+from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from tests.hilcell.tui.recording_app import RecordingApp, paint_at_rest, press, settle, text_of
 from tests.hilcell.tui.sample_runs import BEGAN, RUN, STEPS
@@ -170,8 +171,13 @@ async def _questions(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[s
 async def _point(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
     seen = {}
     await press(pilot, "enter")
+    if isinstance(app.screen, RunScreen) and app.screen.points_open:
+        seen["points"] = look(app)  # in place of the verdict, or of the alarm
+        await press(pilot, "enter")
     if isinstance(app.screen, DetailPage):
         seen["point"] = look(app)
+        await press(pilot, "q")
+    if isinstance(app.screen, RunScreen) and app.screen.points_open:
         await press(pilot, "q")
     return seen
 

@@ -57,7 +57,7 @@ def test_without_colours_none_is_sent_and_reverse_video_marks(tmp_path: Path) ->
             assert marked(terminal, words) == words
         for words in ("Calibration", "Rail", "as sent 1"):
             assert marked(terminal, words) == ""
-        assert marked(terminal, "r  re-measure") == "r"
+        assert marked(terminal, "r  re-measure") == "r "
         terminal.press("/x")
         terminal.until(lambda text: "no such point" in text and "▌x" in text)
         (box,) = (row for row in terminal.screen.buffer.values() if row[1].data == "x")
