@@ -76,7 +76,7 @@ def test_targets_are_turned_and_their_bounds_stated(golden: GoldenRuns, tmp_path
     words = ("compensate", "seats", holes, "--station", "BASE", "-o", out, "--bounds", bounds)
     done = command(*words, "--runs", tmp_path / "runs")
     assert done.returncode == 0, done.stderr
-    assert "of their orientation: 0.0" in done.stderr
+    assert "of their orientation, as the reflectors define it: 0.0" in done.stderr
     (corrected,) = csv.DictReader(io.StringIO(out.read_text()))
     turned_deg = np.array([float(corrected[f"{name}_deg"]) for name in "abc"]) - nominal[3:]
     assert 0.001 < np.abs(turned_deg).max() < 1.0
