@@ -88,9 +88,11 @@ class Choice(TextPanel, can_focus=True):
         Binding("end", "choose(-1)", show=False, priority=True),
     ]
 
-    def __init__(self, words: Sequence[str], id: str) -> None:
+    def __init__(self, words: Sequence[str], id: str, labels: Sequence[str] = ()) -> None:
+        """``labels``: how the words are shown, where that is not by themselves."""
         super().__init__(id=id, classes="choice")
         self.words, self.index = tuple(words), 0
+        self._labels = tuple(labels) or self.words
 
     @property
     def value(self) -> str:
@@ -117,7 +119,7 @@ class Choice(TextPanel, can_focus=True):
 
     def _draw(self) -> None:
         count = f"  {self.index + 1} of {len(self.words)}" if len(self.words) > MANY else ""
-        self.show(f"< {self.value} >{count}")
+        self.show(f"< {self._labels[self.index]} >{count}")
 
 
 _KEYS = BindingsMap(Input.BINDINGS).key_to_bindings

@@ -7,6 +7,7 @@ nothing by itself: it asks, and only for the plan of the fields as they stand.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from contextlib import suppress
 from datetime import datetime
 from importlib.metadata import entry_points
@@ -26,6 +27,7 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
 from hilcell.tui.text import start as text
 from hilcell.tui.text.run import duration, moves
+from hilcell.tui.text.words import procedure_words
 from hilcell.tui.widgets import Choice, TextField, TextPanel
 
 BEFORE_PROCEDURE = (("cell", "paper", "a built-in cell, or a TOML file"),)
@@ -70,7 +72,8 @@ class StartScreen(BaseScreen):
             with Vertical(id="fields"):
                 yield TextPanel("who")
                 yield from self._fields(BEFORE_PROCEDURE)
-                yield from _choice("procedure", self._names or ("none is installed",))
+                names = self._names or ["none is installed"]
+                yield from _choice("procedure", names, [*map(procedure_words, names)])
                 yield from self._fields(AFTER_PROCEDURE)
                 yield from _choice("attended", WATCHED)
                 yield from _choice("speed", SPEEDS)
@@ -236,10 +239,10 @@ class StartScreen(BaseScreen):
         self.application.actions.start(runs / run, [*request.arguments(), "--name", run])
 
 
-def _choice(name: str, words: Any) -> ComposeResult:
+def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> ComposeResult:
     with Horizontal(classes="field"):
         yield Label(name)
-        yield Choice(words, id=name)
+        yield Choice(words, name, labels)
 
 
 def _lines(lines: list[Content]) -> Content:
@@ -288,7 +291,7 @@ def plan_summary(request: process.RunRequest, plan: dict[str, Any]) -> Content:
     )
     notes = [f"{step['name']}: {step['note']}\n" for step in plan["steps"] if step.get("note")]
     return Content.assemble(
-        (f"Start {plan['procedure']} on cell {plan['cell']}?\n", "bold $ask"),
+        (f"Start {procedure_words(plan['procedure'])} on cell {plan['cell']}?\n", "bold $ask"),
         f"job {request.job or '-'}, operator {request.operator or '-'}\n",
         f"{len(plan['steps'])} steps, {plan['points']} points, "
         f"{duration(plan['duration_s'])} of the cell's time\n",

@@ -12,13 +12,13 @@ from hilcell.cell.file import Cell
 from hilcell.clean import harmless
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.frame import ends, fitted, wrapped
-from hilcell.tui.text.run import duration, moves
+from hilcell.tui.text.run import badge, duration, simulation_block
+from hilcell.tui.text.words import step_words
 
-NUMBERS = 10  # columns of `points`, and of `takes`
+NUMBERS = 9  # columns of `points`, and of `takes`
 NOTHING_MOVES = "nothing moves before you start"
 MOST_UNDER, MOST_BESIDE = 2, 5  # rows of one refusal, under the fields and in the plan's place
 FEW = 4  # nests that are named one by one
-SIMULATION = Content.styled(" SIMULATION ", "bold $on-sim on $sim-fill")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,8 @@ class Checked:
 
 def banner(checked: Checked, glyphs: Glyphs, width: int) -> Content:
     """Return the first line: that nothing is opened, and whether the cell is simulated."""
-    words = (f" {glyphs.stale} NEW RUN ", " NOTHING OPENED ")
-    blocks = [Content.styled(word, "bold $foreground on $badge") for word in words]
-    left = Content(" ").join([*blocks, *([SIMULATION] if checked.simulated else [])])
+    blocks = [badge(f"{glyphs.stale} NEW RUN"), badge("NOTHING OPENED")]
+    left = Content(" ").join([*blocks, *([simulation_block()] if checked.simulated else [])])
     right = Content.styled(NOTHING_MOVES, "$label")
     return ends(left, right, width) if width > left.cell_length + right.cell_length else left
 
@@ -71,7 +70,14 @@ def plan_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[
     most = rows - len(lines) - 1
     shown = steps if len(steps) <= most else steps[: max(most - 1, 0)]
     lines += [
-        Content(_row(f"{n:>2} {step['name']}", _points(step), duration(step["duration_s"]), room))
+        Content(
+            _row(
+                f"{n:>2} {step_words(step['name'])}",
+                _points(step),
+                duration(step["duration_s"]),
+                room,
+            )
+        )
         for n, step in enumerate(shown, start=1)
     ]
     if len(shown) < len(steps):
@@ -144,11 +150,13 @@ def start_line(checked: Checked, width: int) -> Content:
         why = "does nothing: the plan is refused" if checked.refused else "asks once it is checked"
         grey = Content.styled(" Enter ", "$stale on $badge")
         return fitted(grey.append(Content.styled(f" {why}", "$stale")), width)
-    words = moves(has_rail=checked.has_rail)
+    words = "robot and rail will move" if checked.has_rail else "robot will move"
     key = Content.styled(" Enter ", "bold $on-ask on $ask-fill")
-    line = key.append(Content.styled(f" start: {words[:1].lower()}{words[1:]}", "bold"))
+    line = key.append(Content.styled(f" start: {words}", "bold"))
     if checked.simulated:
-        line = line.append(Content.styled(" in simulation only: ", "$sim")).append(SIMULATION)
+        line = line.append(Content.styled(" in simulation only: ", "$sim")).append(
+            simulation_block()
+        )
     return fitted(line, width)
 
 

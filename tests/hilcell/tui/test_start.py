@@ -57,7 +57,7 @@ def test_the_plan_follows_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
         assert asked[-1].procedure == "home"
         await press(pilot, "tab", "A", "n", "n")
         assert asked[-1].operator == "Ann"
-        assert "start: the robot and the rail will move in simulation only" in text_of(app)
+        assert "start: robot and rail will move in simulation only" in text_of(app)
 
     run_app(act, size=SIZE)
 
@@ -159,5 +159,5 @@ def test_a_real_cell_has_no_simulation_on_its_page() -> None:
     real = text.Checked(PLAN | {"simulated": False, "rail": False}, "", None, BEGAN)
     for line in (text.banner(real, UNICODE, 80), text.start_line(real, 80)):
         assert "SIMULATION" not in line.plain
-    assert "start: the robot will move" in text.start_line(real, 80).plain
+    assert "start: robot will move" in text.start_line(real, 80).plain
     assert "SIMULATION" in text.banner(CHECKED, UNICODE, 80).plain
