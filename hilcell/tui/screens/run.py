@@ -13,13 +13,14 @@ from textual.widgets import Input
 
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
-from hilcell.tui.plots.scale import Scale
 from hilcell.tui.screens.pages import FilterScreen
 from hilcell.tui.screens.plots import look_of
+from hilcell.tui.screens.wide import WidePanels
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
 from hilcell.tui.text.alarm_words import alarm_line
+from hilcell.tui.text.below import block_rows
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
 from hilcell.tui.text.footer import KeyOf, footer_lines
 from hilcell.tui.text.lines import justified
@@ -27,11 +28,9 @@ from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines
 from hilcell.tui.text.points import PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import prompt_box
 from hilcell.tui.text.rows import rows_for
-from hilcell.tui.text.side import side_lines
 from hilcell.tui.text.verdict import verdict_lines, verdict_of
 from hilcell.tui.widgets import Table, TextPanel
 
-WIDE = 138  # columns, as the application's break: the screen of 80, and a panel beside it
 LEFT = 79  # columns of the lines that are alike at every width, beside the simulation's edge
 LINES = ("identity", "step", "progress", "lamps", "interlock")
 HIDE_POINTS = ("verdict", "alarm")
@@ -63,8 +62,7 @@ class RunScreen(FilterScreen):
         self.bad_only, self.worst_first, self._chosen = start.bad_only, start.worst_first, start.key
         self._table = PointRows()
         self._points_seen: tuple[object, ...] = ()
-        self._side_seen: tuple[object, ...] = ()
-        self._side_scale: Scale | None = None
+        self._wide = WidePanels()
         self.points_open = False  # over the verdict of a run that is done
 
     def compose(self) -> ComposeResult:
@@ -82,13 +80,14 @@ class RunScreen(FilterScreen):
                 )
                 yield self.filter_box("filter: words of name, station or state")
                 yield TextPanel("status")
+                yield TextPanel("below")
             yield TextPanel("side")
         yield TextPanel("notice")
         yield TextPanel("keys")
 
     def on_mount(self) -> None:
         """Hide the panels that are empty."""
-        for name in ("alarm", "prompt", "verdict", "notice"):
+        for name in ("alarm", "prompt", "verdict", "notice", "below"):
             self.panel(name).display = False
         rows = self.query_one(Table)
         rows.follow = True
@@ -108,7 +107,7 @@ class RunScreen(FilterScreen):
         self.panel("lamps").show(devices.lamps(view, glyphs, width))
         self.panel("interlock").show(devices.interlocks(view, glyphs, width))
         self._show_points(view)
-        self._show_side(view)
+        self._show_wide(view)
         self._show_middle(view)
 
     @property
@@ -131,11 +130,11 @@ class RunScreen(FilterScreen):
     def _show_middle(self, view: RunView) -> None:
         """Show the newest point or what stands in its place, and the status under the points."""
         instead, standing = self.instead, self.application.latch.standing()
-        rows = rows_for(self.app.size.height, self.left_width, alarm=bool(standing))
+        rows = rows_for(self._height, self.left_width, alarm=bool(standing))
         self.panel("identity").display = rows.identity
         for name in BOXES:
             self.panel(name).display = name == (instead or "deviation")
-        room = max(self.app.size.height - rows.fixed, MIDDLE_LEAST)
+        room = max(self._height - rows.fixed, MIDDLE_LEAST)
         match instead:
             case "prompt":
                 self._show_prompt(view, min(room - 1, MIDDLE - 1))
@@ -236,17 +235,19 @@ class RunScreen(FilterScreen):
             rows.choose(self._chosen)
             self._chosen = ""
 
-    def _show_side(self, view: RunView) -> None:
-        """Draw the panel beside the points, where there is room and something new."""
-        side = self.panel("side")
-        state = (len(view.log.points), side.size)
-        if self.app.size.width < WIDE or not side.size.height or state == self._side_seen:
-            return
-        self._side_seen = state
-        lines, self._side_scale = side_lines(
-            view, self._table.rows(view.log), *side.size, look_of(self), self._side_scale
-        )
-        side.show(Content("\n").join(lines))
+    def _show_wide(self, view: RunView) -> None:
+        """Show the panels beside and under the points, where the terminal has room for them."""
+        rows, side = [*self._table.rows(view.log)], self.panel("side")
+        if side.display:
+            self._wide.show_side(side, view, rows, look_of(self), self.app.theme)
+        below, glyphs = self.panel("below"), self.application.glyphs
+        self._wide.show_below(below, view, rows, glyphs, self.app.size.height)
+
+    @property
+    def _height(self) -> int:
+        """Return the rows of the terminal without those of the panel under the points."""
+        view, height = self.application.view, self.app.size.height
+        return height if view is None else height - block_rows(height, live=view.live)
 
     def label(self, name: str) -> str:
         """Return what a key does now."""

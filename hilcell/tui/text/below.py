@@ -5,7 +5,8 @@ Where rows are few the events go first, then the next steps.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from operator import attrgetter
 
@@ -24,13 +25,12 @@ from hilcell.tui.text.words import step_words
 SCREEN = 24  # rows, which everything above takes
 LEAST, MOST = 4, 17  # rows of the block
 MOST_STEPS, MOST_EVENTS = 5, 6
-SHORT_S = 30.0  # a part that takes less is not listed by itself
+TIMES = "starts in   takes ─"
 NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
 PARTS = {
     "flange": "{step}: {count} points",
     "sweep": "{step}: {count} sweeps",
     "leg": "Rail to the next station",
-    "park": "Robot to its safe pose",
 }
 Lines = list[Content]
 
@@ -94,8 +94,8 @@ def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
 def step_lines(view: RunView, glyphs: Glyphs, width: int, rows: int) -> Lines:
     """Return the step under way and those after it, when each starts and how long it takes."""
     head = justified(
-        section("next steps", max(width - 22, 1)),
-        Content.styled("starts in   takes ─", "$label"),
+        section("next steps", max(width - len(TIMES) - 1, 1)),
+        Content.styled(TIMES, "$label"),
         width,
     )
     lines = [head]
@@ -121,17 +121,24 @@ def _parts(view: RunView) -> list[tuple[str, float]]:
     found: list[tuple[str, float]] = []
     for number, parts in groupby(view.ahead, key=attrgetter("step")):
         step = step_words(str(plan.steps[number - 1]["name"]))
-        ahead = [*parts]
         if found:
-            found.append((step, sum(part.takes_s for part in ahead)))
-            continue
-        for part in ahead:
-            words = _words(step, part)
-            if found and part.kind != "leg" and not part.takes_s >= SHORT_S:
-                before, takes_s = found[-1]
-                found[-1] = before, takes_s + part.takes_s
-            else:
-                found.append((words, part.takes_s))
+            found.append((step, sum(part.takes_s for part in parts)))
+        else:
+            found = [(_words(step, part), part.takes_s) for part in _merged([*parts])]
+    return found
+
+
+def _merged(parts: Sequence[Ahead]) -> list[Ahead]:
+    """Return the parts that are listed; checks between two count for the one before them."""
+    found: list[Ahead] = []
+    for part in parts:
+        same = bool(found) and part.kind == found[-1].kind
+        if found and (same or part.kind not in PARTS):
+            before = found[-1]
+            count = before.measured + (part.measured if same else 0)
+            found[-1] = replace(before, measured=count, takes_s=before.takes_s + part.takes_s)
+        else:
+            found.append(part)
     return found
 
 

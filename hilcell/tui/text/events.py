@@ -9,6 +9,7 @@ from textual.content import Content
 
 from hilcell.clean import harmless
 from hilcell.journal.journal import Record
+from hilcell.journal.old_keys import id_of_key
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.text.plot_figures import section
 from hilcell.tui.text.tables import record_words
@@ -67,9 +68,11 @@ def _sent(view: RunView, record: Record) -> str:
         return f"rail sent to {body.get('station')}"
     if action == "robot.sweep":
         return f"robot turns A{body.get('axis')} slowly: {record.key}"
-    point = view.log.points.get(record.key)
-    name = record.key if point is None else point_words(point.id)
-    return f"robot sent to {name}" if action == "robot.move" else record_words(record)
+    if action != "robot.move" or not record.key:
+        return record_words(record)
+    point = view.log.points.get(record.key)  # none yet, mostly: its key is all that is known
+    id = id_of_key(record.key) if point is None else point.id
+    return f"robot sent to {point_words(id)}"
 
 
 def _happened(view: RunView, record: Record) -> str:

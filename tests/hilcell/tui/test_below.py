@@ -102,10 +102,10 @@ def test_events_are_told_in_words() -> None:
     assert not any(text.startswith("plan") for text in words)
 
 
-def test_an_event_of_a_point_that_is_no_more_keeps_its_key() -> None:
+def test_a_point_that_is_not_measured_yet_has_its_name() -> None:
     story = measuring()
     story.add("intent", "grid/9-9-9", action="robot.move")
     view = view_of(story)
-    assert event_words(view, story.records[-1], {}) == "robot sent to grid/9-9-9"
+    assert event_words(view, story.records[-1], {}) == "robot sent to grid point 9-9-9"
     story.point(PointId("grid", vertex=(8, 8, 8)))
     assert event_words(view, story.records[-1], {}) == "measured grid/8-8-8"

@@ -110,6 +110,26 @@ def test_wider_terminals_add_panels(state: str) -> None:
     assert "map: |e|" in seen["run"]
 
 
+@pytest.mark.parametrize(
+    ("size", "has_map"), [((99, 24), False), ((100, 24), True), ((120, 24), False)]
+)
+def test_the_map_stands_where_the_table_needs_no_room(size: tuple[int, int], has_map: bool) -> None:
+    text = seen_on(RecordingApp(options(RUNS), "running"), first_screen, size)["run"]
+    assert ("map: " in text) == has_map
+    assert all(len(line) <= size[0] for line in text.splitlines())
+
+
+@pytest.mark.parametrize("rows", [28, 36, 45])
+def test_taller_terminals_add_interlocks_steps_and_events(rows: int) -> None:
+    text = seen_on(RecordingApp(options(RUNS), "running"), first_screen, (80, rows))["run"]
+    heads = ("interlocks", "next steps", "newest events")
+    found = [f"─ {head} ─" in text for head in heads]
+    assert found == [True, rows > 28, rows > 28]
+    lines = text.splitlines()
+    assert len(lines) == rows
+    assert "Esc STOP" in lines[-2]
+
+
 @pytest.mark.parametrize("state", STATES)
 def test_small_terminals_keep_the_state(state: str) -> None:
     tiny = RecordingApp(options(RUNS), state)
