@@ -29,6 +29,7 @@ ROOT = Path(__file__).parents[2]
 WANTED = os.environ.get("HILCELL_PICTURES", "")
 PICTURES = (
     "screen-running",
+    "screen-running-light",
     "screen-plan",
     "screen-fault",
     "screen-prompt",
@@ -122,6 +123,9 @@ async def a_live_run(tmp_path: Path) -> None:
             await until(pilot, r"Robot grid +([5-9]|\d\d) of")
             assert "► RUNNING" in shown(app_of(pilot))
             keep(app_of(pilot), "screen-running")
+            app_of(pilot).theme = "daylight"
+            await pilot.pause(0.5)
+            keep(app_of(pilot), "screen-running-light")
 
 
 @pytest.mark.timeout(180)

@@ -81,7 +81,7 @@ class PointRows:
         U_mm: float | None = None  # computed once, and only for new rows
         for key, point in log.points.items():
             row = self._found.get(key)
-            if row is None or row.point is not point or row.deviation is None:
+            if row is None or row.point != point or row.deviation is None:
                 U_mm = expanded_of(log) if U_mm is None else U_mm
                 row = self._found[key] = row_of(log, point, U_mm)
             yield row
