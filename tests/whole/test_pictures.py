@@ -178,7 +178,7 @@ async def a_finished_run(tmp_path: Path) -> None:
         app_of(pilot).theme = "daylight"
         await pilot.pause(1.0)  # twice a second at most it draws
         keep(app_of(pilot), "screen-plots-light")
-    async with screen(tmp_path, "last", (160, 42)) as pilot:
+    async with screen(tmp_path, "last", (140, 45)) as pilot:
         await until(pilot, "map: ")
         await pilot.pause(0.5)
         keep(app_of(pilot), "screen-wide")
