@@ -20,6 +20,7 @@ import pyte
 
 from hilcell.tui.app.app import BURST_S
 
+HILCELL = (sys.executable, "-m", "hilcell")
 READ = 1 << 16
 LIMIT_S = 100.0  # a busy machine may take long, and is not at fault
 AROUND = ("COLUMNS", "LINES", "NO_COLOR")  # of the terminal that the tests run in
@@ -32,10 +33,16 @@ def _own_terminal() -> None:
 
 
 class Terminal:
-    """Runs `hilcell` with some words in a terminal of its own."""
+    """Runs `hilcell`, or another program, with some words in a terminal of its own."""
 
     def __init__(
-        self, words: Sequence[str], *, columns: int = 80, rows: int = 24, **environment: str
+        self,
+        words: Sequence[str],
+        *,
+        program: Sequence[str] = HILCELL,
+        columns: int = 80,
+        rows: int = 24,
+        **environment: str,
     ) -> None:
         self.screen = pyte.Screen(columns, rows)
         self.raw = bytearray()
@@ -47,7 +54,7 @@ class Terminal:
         # Parallel tests state a size of their own, which would be believed over the terminal's.
         around = {k: v for k, v in os.environ.items() if k not in AROUND}
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "hilcell", *words],
+            [*program, *words],
             stdin=inner,
             stdout=inner,
             stderr=inner,
