@@ -135,7 +135,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
         words = ("--set", f"simulation.address={cell.control}")
         with screen(tmp_path, *words) as terminal:
             start(terminal, to_procedure("robot-grid") + ENTER)
-            terminal.shows(r"Robot grid", LIMIT_S)
+            terminal.shows("newest point: grid point", LIMIT_S)
             terminal.press(" ")
             terminal.shows("▌▌ PAUSED", LIMIT_S)
             terminal.press(" ")
@@ -196,7 +196,7 @@ def test_esc_right_after_a_resume_is_heard(tmp_path: Path) -> None:
         start(terminal, UNHURRIED + ENTER)
         terminal.shows("► RUNNING", LIMIT_S)
         terminal.press(ESC)
-        terminal.shows("space resume", LIMIT_S)
+        terminal.shows("space  resume", LIMIT_S)
         (before,) = logs(tmp_path)
         terminal.press(" ")
         terminal.shows("Resume this run?")
@@ -214,7 +214,7 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
         with screen(tmp_path, *words) as second:
             with Terminal(["tui", "--runs", str(tmp_path), *sets(SMALL), *words]) as first:
                 start(first)
-                first.shows("/14 robot-grid: ", LIMIT_S)
+                first.shows("of 14  Robot grid", LIMIT_S)
             folder = folder_of(tmp_path)
             wait_for(lambda: read_log(folder).states["run"] == "paused", "the run pauses")
             second.press("\x11")  # it looked before there was a run: leave it, look again
