@@ -40,8 +40,8 @@ from hilcell.report.dcc_elements import (
     real,
     text,
 )
+from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
-from hilcell.report.figures import series_name
 from hilcell.report.first_page import (
     Result,
     certified,

@@ -20,11 +20,17 @@ from hilcell.report.certificate import (
 )
 from hilcell.report.columns import present
 from hilcell.report.course import STOPS, course
-from hilcell.report.curve_plots import curve_plots
 from hilcell.report.curves import curves
-from hilcell.report.error_plots import enlarged, in_order, over_bound
+from hilcell.report.drawings.curve_plots import curve_plots
+from hilcell.report.drawings.error_plots import enlarged, in_order, over_bound
+from hilcell.report.drawings.over_time import air, floor_moves
+from hilcell.report.drawings.paper_figures import drawings, is_paper
+from hilcell.report.drawings.plan_view import plan_view
+from hilcell.report.drawings.side_view import side_view
+from hilcell.report.drawings.strip import strip
+from hilcell.report.drawings.variance import variance_bar
+from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts
-from hilcell.report.figures import drawings, is_paper
 from hilcell.report.first_page import (
     instruments,
     item_facts,
@@ -35,17 +41,11 @@ from hilcell.report.first_page import (
     verdict_word,
 )
 from hilcell.report.method import models
-from hilcell.report.over_time import air, floor_moves
-from hilcell.report.plan_view import plan_view
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
-from hilcell.report.side_view import side_view
-from hilcell.report.strip import strip
 from hilcell.report.target_budget import TargetBudget, target_budget, target_sheets
 from hilcell.report.templates import environment
 from hilcell.report.turns import orientation, orientation_words
-from hilcell.report.variance import variance_bar
-from hilcell.report.vectors import vectors
 from hilcell.report.worst import worst
 
 POSITION_ERRORS = "position errors of the tool point"

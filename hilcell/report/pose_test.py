@@ -13,8 +13,8 @@ from hilcell.calibration.pose_test import ISO, LIMITS, attained
 from hilcell.geometry.pose_test import CORNERS, CYCLE, PLANE
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.report.columns import Column, Sheet, present, sheet
+from hilcell.report.drawings.svg import INK, MUTED, axes_sheet
 from hilcell.report.facts import Facts
-from hilcell.report.svg import INK, MUTED, axes_sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

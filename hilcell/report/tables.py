@@ -20,8 +20,8 @@ from hilcell.journal.asset import Asset
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.ports import Array
 from hilcell.report.columns import Column, Sheet, Value, present, sheet
+from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
-from hilcell.report.figures import series_name
 from hilcell.report.wording import facts_of
 
 Pair = tuple[str, str]

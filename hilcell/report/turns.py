@@ -9,8 +9,8 @@ from hilcell.calibration.errors import OTHERS, places
 from hilcell.calibration.orientation import Turned, validated_turns
 from hilcell.geometry.statistics import Figures
 from hilcell.report.columns import Column, Sheet, Value, sheet
+from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
-from hilcell.report.figures import series_name
 
 # A place, the way of sending, how many targets, their figures.
 Oriented = tuple[str, str, int, Mapping[str, float]]

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from hilcell.journal.point_id import PointId
-from hilcell.report.drawing import NEAREST_MM, Frame, Scale, apart, hatched, path, round_up
-from hilcell.report.error_plots import enlarged, in_order, over_bound
+from hilcell.report.drawings.drawing import NEAREST_MM, Frame, Scale, apart, hatched, path, round_up
+from hilcell.report.drawings.error_plots import enlarged, in_order, over_bound
+from hilcell.report.drawings.over_time import air, floor_moves
+from hilcell.report.drawings.strip import strip
+from hilcell.report.drawings.variance import variance_bar
+from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result
-from hilcell.report.over_time import air, floor_moves
-from hilcell.report.strip import strip
 from hilcell.report.target_budget import TargetBudget, target_budget
-from hilcell.report.variance import variance_bar
-from hilcell.report.vectors import vectors
 from hilcell.report.worst import worst
 from tests.hilcell.report.journals import Writer, validated_run
 from tests.whole.golden import GoldenRuns

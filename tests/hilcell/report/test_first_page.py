@@ -13,8 +13,9 @@ import pytest
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.cell.file import load_cell
 from hilcell.report.certificate import title
+from hilcell.report.drawings.paper_figures import drawings
+from hilcell.report.drawings.plan_view import plan_view
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.figures import drawings
 from hilcell.report.first_page import (
     instruments,
     item_facts,
@@ -24,7 +25,6 @@ from hilcell.report.first_page import (
     verdict_word,
 )
 from hilcell.report.html import report_html
-from hilcell.report.plan_view import plan_view
 from tests.hilcell.report.journals import Writer, validated_run
 from tests.hilcell.report.pages import Page
 from tests.whole.golden import GoldenRuns

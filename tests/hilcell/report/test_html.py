@@ -12,9 +12,9 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
+from hilcell.report.drawings.svg import compact
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import report_html
-from hilcell.report.svg import compact
 from hilcell.report.target_budget import target_budget
 from tests.hilcell.report.journals import BEFORE_MM, Writer, validated_run
 from tests.hilcell.report.pages import Page

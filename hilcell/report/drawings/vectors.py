@@ -8,7 +8,7 @@ import numpy as np
 
 from hilcell.calibration.errors import Errors, grid_errors, validation
 from hilcell.ports import Array
-from hilcell.report.drawing import (
+from hilcell.report.drawings.drawing import (
     AFTER,
     BEFORE,
     HAIR,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hilcell.report.drawing import HAIR, INK, MUTED, apart, path, rectangle, svg, text
+from hilcell.report.drawings.drawing import HAIR, INK, MUTED, apart, path, rectangle, svg, text
 from hilcell.report.target_budget import Line, TargetBudget, lines
 
 SHADES = ("#0b4a7d", "#3f76a6", "#7fa6c9", "#b4cbe0", "#d9e4ee", "#eef3f8")

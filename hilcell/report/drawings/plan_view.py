@@ -12,7 +12,7 @@ import numpy as np
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply
 from hilcell.ports import Array
-from hilcell.report.drawing import AFTER, BAND, INK, MUTED, svg, text
+from hilcell.report.drawings.drawing import AFTER, BAND, INK, MUTED, svg, text
 
 WIDTH_MM, MARGIN_MM = 118.0, 6.0  # on paper
 MOST_HEIGHT_MM = 52.0

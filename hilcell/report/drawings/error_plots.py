@@ -9,7 +9,7 @@ import numpy as np
 from hilcell.calibration.decision import limits_of
 from hilcell.calibration.errors import validation
 from hilcell.ports import Array
-from hilcell.report.drawing import (
+from hilcell.report.drawings.drawing import (
     AFTER,
     BAND,
     BEFORE,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hilcell.report.drawing import (
+from hilcell.report.drawings.drawing import (
     AFTER,
     BEFORE,
     INK,

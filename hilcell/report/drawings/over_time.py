@@ -11,7 +11,7 @@ from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import control_moves
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.ports import Array
-from hilcell.report.drawing import (
+from hilcell.report.drawings.drawing import (
     AFTER,
     ENDS,
     INK,

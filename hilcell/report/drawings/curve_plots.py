@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hilcell.journal.curve_record import URAD, CurveRecord
-from hilcell.report.drawing import (
+from hilcell.report.drawings.drawing import (
     AFTER,
     ENDS,
     HATCH,

@@ -9,8 +9,18 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.ports import Array
-from hilcell.report.drawing import AFTER, BAND, INK, MUTED, circle, path, rectangle, svg, text
-from hilcell.report.plan_view import along_of
+from hilcell.report.drawings.drawing import (
+    AFTER,
+    BAND,
+    INK,
+    MUTED,
+    circle,
+    path,
+    rectangle,
+    svg,
+    text,
+)
+from hilcell.report.drawings.plan_view import along_of
 
 WIDTH_MM, MARGIN_MM, MOST_HEIGHT_MM = 58.0, 4.0, 42.0
 FOOT_MM, SHOULDER_MM = 250.0, 700.0  # half the robot's foot, and its height, as drawn

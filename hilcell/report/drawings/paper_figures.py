@@ -15,9 +15,9 @@ from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
 from hilcell.ports import Array
+from hilcell.report.drawings.svg import MUTED, axes_sheet, house_style, svg_of
 from hilcell.report.facts import Facts
 from hilcell.report.pose_test import fig_attained, fig_poses
-from hilcell.report.svg import MUTED, axes_sheet, house_style, svg_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
