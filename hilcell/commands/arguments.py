@@ -40,7 +40,7 @@ def speed_of(text: str) -> float:
 
 def seed_of(text: str) -> int:
     """Return a whole number."""
-    value = int(text) if text.isdecimal() and len(text) < 20 else -1
+    value = int(text) if text.isascii() and text.isdecimal() and len(text) < 20 else -1
     if not 0 <= value <= MOST_SEED:
         raise argparse.ArgumentTypeError(
             f"a whole number of 0 .. {MOST_SEED} is wanted, found {text[:80]!r}"

@@ -58,6 +58,10 @@ def test_a_wrong_line_is_refused_in_words(
         check_refused(line, encoding, monkeypatch)
 
 
+def test_digits_of_other_scripts_are_no_seed(monkeypatch: pytest.MonkeyPatch) -> None:
+    check_refused(["run", "--dry-run", "--seed=\N{ARABIC-INDIC DIGIT THREE}"], "utf-8", monkeypatch)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("place", PLACES)
 def test_all_wrong_lines_are_refused_in_words(
