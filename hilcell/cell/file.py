@@ -10,7 +10,7 @@ import hashlib
 import math
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
@@ -274,13 +274,14 @@ class Cell(Frozen, frozen=True, kw_only=True):
         refuse(problem for check in self.checks() for problem in check())
 
     def checks(self) -> Sequence[Callable[[], Iterable[str]]]:
-        """Return the checks of several tables."""
+        """Return the checks of several tables; an unread station hides no other."""
+        stations = range(len(getattr(self, "station", ())))  # it may be no list
         return (
             self._bad_names,
             self._bad_grid_station,
             self._bad_fixed,
-            self._bad_stations,
-            self._bad_strips,
+            *(partial(self._bad_station, n) for n in stations),
+            *(partial(self._bad_strip, n) for n in stations),
             self._bad_cell_counts,
             self._bad_others,
             self._bad_survey,
@@ -321,38 +322,32 @@ class Cell(Frozen, frozen=True, kw_only=True):
         if self.touch.poses:
             yield "touch.poses: they follow the slide's stops, but the cell has no [rail]; wanted 0"
 
-    def _bad_stations(self) -> Iterator[str]:
-        rail = self.rail
+    def _bad_station(self, n: int) -> Iterator[str]:
+        rail, station = self.rail, self.station[n]
         if not self.has_rail:
             return
         low_mm, high_mm = rail.travel_min_mm + rail.back_off_mm, rail.travel_max_mm
-        for n, station in enumerate(self.station):
-            if not low_mm <= station.rail_mm <= high_mm:
-                yield (
-                    f"station[{n}].rail_mm: station {station.name}: rail_mm "
-                    f"{station.rail_mm} is outside "
-                    f"{low_mm} .. {high_mm}"
-                )
-            if not abs(station.rail_mm - station.strip_mm) <= rail.slip_limit_mm:
-                yield (
-                    f"station[{n}].strip_mm: station {station.name}: strip_mm "
-                    f"{station.strip_mm} and rail_mm {station.rail_mm} "
-                    f"differ by more than rail.slip_limit_mm {rail.slip_limit_mm}"
-                )
+        if not low_mm <= station.rail_mm <= high_mm:
+            yield (
+                f"station[{n}].rail_mm: station {station.name}: rail_mm {station.rail_mm} is "
+                f"outside {low_mm} .. {high_mm}"
+            )
+        if not abs(station.rail_mm - station.strip_mm) <= rail.slip_limit_mm:
+            yield (
+                f"station[{n}].strip_mm: station {station.name}: strip_mm {station.strip_mm} and "
+                f"rail_mm {station.rail_mm} differ by more than rail.slip_limit_mm "
+                f"{rail.slip_limit_mm}"
+            )
 
-    def _bad_strips(self) -> Iterator[str]:
-        rail = self.rail
-        if not self.has_rail:
-            return
-        for n, station in enumerate(self.station):
-            for other in self.station[:n]:
-                if not abs(station.strip_mm - other.strip_mm) > rail.strip_tolerance_mm:
-                    yield (
-                        f"station[{n}].strip_mm: station {station.name}: strip_mm "
-                        f"{station.strip_mm} is also that of "
-                        f"station {other.name} ({other.strip_mm} mm); they must differ by more "
-                        f"than {rail.strip_tolerance_mm} mm"
-                    )
+    def _bad_strip(self, n: int) -> Iterator[str]:
+        rail, station = self.rail, self.station[n]
+        for other in self.station[:n] if self.has_rail else ():
+            if not abs(station.strip_mm - other.strip_mm) > rail.strip_tolerance_mm:
+                yield (
+                    f"station[{n}].strip_mm: station {station.name}: strip_mm {station.strip_mm} "
+                    f"is also that of station {other.name} ({other.strip_mm} mm); they must differ "
+                    f"by more than {rail.strip_tolerance_mm} mm"
+                )
 
     def _bad_cell_counts(self) -> Iterator[str]:
         per_cell, cells = self.validation.per_cell, math.prod(self.grid.cells)

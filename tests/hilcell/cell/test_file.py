@@ -399,3 +399,15 @@ def test_several_reflectors_on_the_flange_are_those_of_another_cell() -> None:
 def test_several_reflectors_cannot_be_carried_by_hand() -> None:
     problems = refused(SEATS | {"layout.reflectors": '"by_hand"'})
     assert any("wants all of them mounted" in line for line in problems)
+
+
+def test_a_station_that_cannot_be_read_hides_no_other(tmp_path: Path) -> None:
+    text = resources.files("hilcell.cells").joinpath("paper.toml").read_text("utf-8")
+    file = tmp_path / "cell.toml"
+    text = text.replace("rail_mm = 300.0", 'rail_mm = "x"').replace("= 1900.0", "= 91900.0", 1)
+    file.write_text(text, "utf-8")
+    with pytest.raises(SettingsError) as error:
+        load_cell(str(file))
+    found = "\n".join(error.value.problems)
+    assert "station[0].rail_mm" in found
+    assert "station[2].rail_mm: station S1900: rail_mm 91900.0 is outside" in found
