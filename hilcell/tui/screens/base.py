@@ -222,8 +222,10 @@ class BaseScreen(Screen[None]):
         from hilcell.tui.text.alarm_words import AlarmContext  # not for the first screen
 
         app = self.application
-        now = app.view.now if app.view is not None else None
-        return AlarmContext(now, app.keymap, app.glyphs, app.refusal("pause"))
+        if app.view is None:
+            return AlarmContext(None, app.keymap, app.glyphs, app.refusal("pause"))
+        now, log = app.view.now, app.view.log
+        return AlarmContext(now, app.keymap, app.glyphs, app.refusal("pause"), log)
 
     def label(self, name: str) -> str:
         """Return the current label of an action."""

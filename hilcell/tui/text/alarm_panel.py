@@ -25,6 +25,7 @@ from hilcell.tui.text.alarm_words import (
 from hilcell.tui.text.deviation import deviation_of
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.frame import BORDERS, DOUBLE, ends, fitted, framed
+from hilcell.tui.text.key_words import in_words
 from hilcell.tui.text.words import point_words
 
 STATES = ("fault", "gone")  # of a run whose alarm takes the points' place
@@ -57,13 +58,14 @@ def _parts(
     """Return the lines in their order, each with its rank: the largest goes first."""
     alarm, present = latched.alarm, present_step(latched)
     what, *more = part("What", alarm.means, width, most=MEANS)
-    found, *rest = part("Found", alarm.found, width, "$label", most=FOUND)
+    found, *rest = part("Found", in_words(alarm.found, context.log), width, "$label", most=FOUND)
     count = Content.styled(f"step {present + 1} of {len(alarm.do)}", "bold $ask")
+    where = in_words(alarm.where or "-", context.log)
     lines = [
         (1, state_line(latched, context, width)),
         (4, what),
         *((9, line) for line in more),
-        *((6, line) for line in part("Where", alarm.where or "-", width, most=1)),
+        *((6, line) for line in part("Where", where, width, most=1)),
         (3, found),
         *((8, line) for line in rest),
         *((7, line) for line in part("Kept", kept, width, "$label", most=1)),

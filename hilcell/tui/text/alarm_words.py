@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 
 from textual.content import Content
 
 from hilcell.alarms import Alarm, Latched
+from hilcell.journal.log import Log
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.frame import ends, fitted, wrapped
@@ -21,12 +22,16 @@ TONES = {"fault": "fault", "warning": "ask", "notice": "label"}
 
 @dataclass(frozen=True, slots=True)
 class AlarmContext:
-    """The facts beside the alarms: ``refused`` is why the key that goes on does nothing now."""
+    """The facts beside the alarms: ``refused`` is why the key that goes on does nothing now.
+
+    ``log`` is of the run, which says where the points are that an alarm names.
+    """
 
     now: datetime | None
     keymap: Keymap
     glyphs: Glyphs
     refused: str = ""
+    log: Log = field(default_factory=Log)
 
 
 def alarm_title(latched: Latched, glyphs: Glyphs) -> Content:

@@ -20,6 +20,7 @@ from hilcell.tui.text.alarm_words import (
 )
 from hilcell.tui.text.devices import lamp, lamps_of
 from hilcell.tui.text.frame import ends
+from hilcell.tui.text.key_words import in_words
 
 
 def alarm_page(alarms: Sequence[Alarm], latch: Latch, context: AlarmContext, width: int) -> Content:
@@ -51,8 +52,8 @@ def _one(latched: Latched, context: AlarmContext, width: int) -> Content:
         alarm_title(latched, context.glyphs),
         state_line(latched, context, width),
         *part("What", alarm.means, width),
-        *part("Where", alarm.where or "-", width),
-        *part("Found", alarm.found, width),
+        *part("Where", in_words(alarm.where or "-", context.log), width),
+        *part("Found", in_words(alarm.found, context.log), width),
         ends(Content.styled("What to do", "bold"), Content.styled(count, "bold $ask"), width),
     ]
     for _, drawn in step_lines(latched, context, width):
@@ -76,7 +77,7 @@ def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
         device = status.devices.get(name, DeviceStatus())
         head = lamp(name, device, view, glyphs)
         detail = device.reason or device.text
-        lines.append(head.append(f"   {detail}" if detail else ""))
+        lines.append(head.append(f"   {in_words(detail, view.log)}" if detail else ""))
     lines += [
         Content(""),
         Content.styled(

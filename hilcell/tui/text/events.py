@@ -5,19 +5,30 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
 from textual.content import Content
 
 from hilcell.clean import harmless
+from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
-from hilcell.journal.old_keys import id_of_key
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.text.key_words import in_words, key_words, verdict_words
 from hilcell.tui.text.plot_figures import section
-from hilcell.tui.text.tables import record_words
-from hilcell.tui.text.words import point_words
+from hilcell.tui.text.words import step_words
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
-HIDDEN = ("state", "plan", "frame")  # kinds that other lines tell
 MOTIONS = {"robot.park": "robot sent to its safe pose", "rail.home": "rail sent to its reference"}
+CLOSINGS = {"closed": "devices closed", "safe stop": "devices stopped safely"}
+NAMED = {  # events that say which point, station or run they are about
+    "first pass": "first pass of",
+    "stream": "recorded",
+    "station found held": "rail found held at",
+    "no reading": "no reading of",
+    "retake asked": "re-measurement asked of",
+    "retake refused": "not re-measured:",
+    "outlier measured again": "stands out and is measured again:",
+    "visited once more": "visited once more:",
+}
 
 
 def event_lines(
@@ -37,27 +48,33 @@ def event_lines(
 
 def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> str:
     """Return an event in words; nothing for what other lines of the screen tell."""
-    body = record.body
-    if record.kind == "point":
-        return _measured(view, record, errors_mm)
-    if record.kind == "intent":
-        return _sent(view, record)
-    if record.kind == "event":
-        return _happened(view, record)
-    if record.kind == "state" and body.get("machine") == "run":
-        reason = str(body.get("reason") or "").replace("\n", " ")
-        return f"the run is {body.get('to')}{f': {reason}' if reason else ''}"
-    return "" if record.kind in HIDDEN else record_words(record)
+    body, log = record.body, view.log
+    match record.kind:
+        case "point":
+            return _measured(view, record, errors_mm)
+        case "intent":
+            return _sent(view, record)
+        case "event":
+            return _happened(view, body)
+        case "verdict":
+            return _judged(record)
+        case "end":
+            return f"the session has ended: {body.get('state')}, exit {body.get('exit')}"
+        case "state" if body.get("machine") == "run":
+            reason = in_words(str(body.get("reason") or "").replace("\n", " "), log)
+            return f"the run is {body.get('to')}{_after(reason)}"
+    return ""
+
+
+def _after(reason: str) -> str:
+    return f": {reason}" if reason else ""
 
 
 def _measured(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> str:
-    point = view.log.points.get(record.key)
-    if point is None:
-        return f"measured {record.key}"
     error_mm = errors_mm.get(record.key)
     size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
     again = " again" if record.body.get("retaken") else ""
-    return f"measured {point_words(point.id, point.station)}{again}{size}"
+    return f"measured {key_words(record.key, view.log)}{again}{size}"
 
 
 def _sent(view: RunView, record: Record) -> str:
@@ -66,20 +83,20 @@ def _sent(view: RunView, record: Record) -> str:
         return MOTIONS[action]
     if action == "rail.approach":
         return f"rail sent to {body.get('station')}"
+    words = in_words(record.key, view.log)
     if action == "robot.sweep":
-        return f"robot turns A{body.get('axis')} slowly: {record.key}"
-    if action != "robot.move" or not record.key:
-        return record_words(record)
-    point = view.log.points.get(record.key)  # none yet, mostly: its key is all that is known
-    id = id_of_key(record.key) if point is None else point.id
-    return f"robot sent to {point_words(id)}"
+        return f"robot begins the {words}"
+    if action == "robot.move":
+        return f"robot sent to {words}"
+    return f"{action.replace('.', ' ')} {words}".strip()
 
 
-def _happened(view: RunView, record: Record) -> str:
-    body = record.body
-    match body.get("what"):
+def _happened(view: RunView, body: Mapping[str, Any]) -> str:
+    what, log = str(body.get("what")), view.log
+    match what:
         case "step":
-            return f"step {body.get('number')} of {body.get('of')} begins: {body.get('name')}"
+            name = step_words(str(body.get("name")))
+            return f"step {body.get('number')} of {body.get('of')} begins: {name}"
         case "station held":
             tries = int(body.get("tries", 1))
             which = ORDINALS.get(tries, f"{tries}th")
@@ -92,7 +109,34 @@ def _happened(view: RunView, record: Record) -> str:
             return f"floor nests checked: tracker moved {_mm(moved_mm, 3)}"
         case "slide proven":
             return f"slide checked by a nest: off {_mm(body.get('off_mm'), 3)}"
-    return record_words(record)
+        case "connected":
+            return "devices connected"
+        case "closed" | "safe stop":
+            left = " and ".join(body.get("problems", {}))
+            return f"{CLOSINGS[what]}{f', but look at {left}' if left else ''}"
+        case "link":
+            return _wire(body)
+        case "curve":
+            return f"curve of {msgspec.convert(body, CurveRecord).words}"
+        case "seated":
+            return f"reflector seated in {body.get('place')}"
+    subject = body.get("key") or body.get("station") or body.get("run") or ""
+    words = in_words(" ".join(filter(None, (NAMED.get(what, what), str(subject)))), log)
+    return words + _after(in_words(str(body.get("reason") or ""), log))
+
+
+def _wire(body: Mapping[str, Any]) -> str:
+    """Return what was lost on the rail's wire; nothing where all was well."""
+    lost = sum(int(body.get(name, 0)) for name in ("bad_lines", "refused", "malformed"))
+    return f"rail's wire: {lost} of {body.get('frames')} frames lost" if lost else ""
+
+
+def _judged(record: Record) -> str:
+    """Return a verdict: its subject, whether it holds, and the mean error that it is about."""
+    body, words = record.body, verdict_words(record.key)
+    mean_mm, limit_mm = body.get("mean_mm"), body.get("mean_tolerance_mm")
+    figures = "" if limit_mm is None else f": mean {_mm(mean_mm, 3)}, limit {_mm(limit_mm, 3)}"
+    return f"{words} {'holds' if body.get('holds') else 'does not hold'}{figures}"
 
 
 def _mm(value: Any, digits: int) -> str:

@@ -12,6 +12,7 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import large
 from hilcell.tui.text.frame import BORDERS, SINGLE, fitted, framed, wrapped
+from hilcell.tui.text.key_words import in_words
 from hilcell.tui.text.site import site_of
 from hilcell.tui.text.sketch import sketch
 
@@ -29,7 +30,7 @@ def prompt_box(
     prompt = msgspec.structs.replace(
         prompt,
         title=harmless(prompt.title),
-        text=harmless(prompt.text.replace("\n", " ")),
+        text=in_words(harmless(prompt.text.replace("\n", " ")), view.log),
         place=harmless(prompt.place),
     )
     room = max(rows - 2, 1)

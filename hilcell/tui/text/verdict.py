@@ -19,6 +19,7 @@ from hilcell.journal.set_ups import PROVEN
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure, large, large_rows
+from hilcell.tui.text.key_words import in_words
 from hilcell.tui.text.lines import bar, placed
 from hilcell.tui.text.run import is_simulated, simulation_block
 
@@ -256,7 +257,7 @@ def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
 def _facts(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:
     """Return what is to be known of a run that passed; of one that failed, why and what to do."""
     if not found.passed and view.alarms:
-        return _advice(max(view.alarms, key=_severity), glyphs)
+        return _advice(view, max(view.alarms, key=_severity), glyphs)
     sure = max(found.stations, key=lambda each: _gravest(each.sure_mm))
     known = math.isfinite(sure.sure_mm)
     bound = f"below {sure.sure_mm:.3f} mm at {sure.name}" if known else "not stated"
@@ -273,11 +274,10 @@ def _severity(alarm: Alarm) -> int:
     return SEVERITIES.index(alarm.severity)
 
 
-def _advice(alarm: Alarm, glyphs: Glyphs) -> list[Content]:
+def _advice(view: RunView, alarm: Alarm, glyphs: Glyphs) -> list[Content]:
     where = f"{alarm.where}: " if alarm.where else ""
-    reason = Content.assemble(
-        (f" {glyphs.warned} {alarm.code} ", "bold $fault"), where, alarm.found
-    )
+    words = in_words(f"{where}{alarm.found}", view.log)
+    reason = Content.assemble((f" {glyphs.warned} {alarm.code} ", "bold $fault"), words)
     steps = [
         Content.assemble((f" {number} ", "bold"), step)
         for number, step in enumerate(alarm.do[:3], start=1)

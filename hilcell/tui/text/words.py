@@ -24,7 +24,7 @@ _STEPS = {
     "closing": "Closing visits",
     "iso9283": "ISO 9283 test",
 }
-_KINDS = {
+KINDS = {
     "world": ("floor nest", "nest"),
     "control": ("check of floor nest", "check"),
     "length": ("scale: nest", "scale"),
@@ -41,7 +41,10 @@ _KINDS = {
     "recheck": ("re-checked target", "target"),
     "target": ("target", "target"),
     "targets": ("target", "target"),
+    "sweep": ("sweep of", "sweep"),
 }
+NEST_KINDS = ("world", "control", "length", "held", "slide", "three")
+OTHERS = "others"  # stations that are judged together
 
 
 def procedure_words(name: str) -> str:
@@ -64,6 +67,11 @@ def part_words(id: PointId) -> str:
     return where.removeprefix(" ")
 
 
+def target_words(place: str) -> str:
+    """Return where targets were judged, a station or all others together."""
+    return "at the other stations" if place == OTHERS else f"at {place}"
+
+
 def point_words(id: PointId, station: str = "") -> str:
     """Return a point in words; ``station``: where it was measured, if its name does not say it."""
     at = id.station or station
@@ -72,7 +80,7 @@ def point_words(id: PointId, station: str = "") -> str:
         return f"{_target(id)}{where}" + (f", {PAPER}" if id.how == "idw" else "")
     if id.kind == "sign":
         return f"sign check {HOW.get(id.how, id.how)}{where}"
-    return f"{_KINDS.get(id.kind, (id.kind, ''))[0]} {_which(id)}".rstrip() + where
+    return f"{KINDS.get(id.kind, (id.kind, ''))[0]} {_which(id)}".rstrip() + where
 
 
 def short_words(id: PointId) -> str:
@@ -81,7 +89,7 @@ def short_words(id: PointId) -> str:
         return f"{_SHORT_HOW.get(id.how, id.how)} {_counted(id)}"
     if id.kind == "sign":
         return f"sign {_SHORT_HOW.get(id.how, id.how)}"
-    return f"{_KINDS.get(id.kind, ('', id.kind))[1]} {_which(id)}".rstrip()
+    return f"{KINDS.get(id.kind, ('', id.kind))[1]} {_which(id)}".rstrip()
 
 
 def _target(id: PointId) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from datetime import timedelta
+from typing import Any
 
 import pytest
 
+from hilcell.journal.journal import Record
 from hilcell.journal.point_id import PointId
 from hilcell.run.forecast import Ahead, Forecast
 from hilcell.tui.engine.run_view import EngineState, RunView
@@ -97,7 +99,7 @@ def test_events_are_told_in_words() -> None:
     words = [event_words(view, record, errors) for record in story.records]
     assert words[-1] == "measured corrected target 2 at S1100: |e| 0.101 mm"
     assert "rail held at S1100: 1100.00 mm by the strip, 2nd approach" in words
-    assert "robot sent to grid point 0-0-3" in words
+    assert "robot sent to grid point 0-0-3 at S1100" in words
     assert "the run is running" in words
     assert not any(text.startswith("plan") for text in words)
 
@@ -106,6 +108,45 @@ def test_a_point_that_is_not_measured_yet_has_its_name() -> None:
     story = measuring()
     story.add("intent", "grid/9-9-9", action="robot.move")
     view = view_of(story)
-    assert event_words(view, story.records[-1], {}) == "robot sent to grid point 9-9-9"
+    assert event_words(view, story.records[-1], {}) == "robot sent to grid point 9-9-9 at S1100"
     story.point(PointId("grid", vertex=(8, 8, 8)))
-    assert event_words(view, story.records[-1], {}) == "measured grid/8-8-8"
+    assert event_words(view, story.records[-1], {}) == "measured grid point 8-8-8 at S1100"
+
+
+def test_events_show_no_raw_keys() -> None:
+    """Each event that a run journals is in words; facts and keys are for the log."""
+    happened: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"what": "closed", "took_s": 0.025}, "devices closed"),
+        ({"what": "closed", "problems": {"Rail": "x"}}, "devices closed, but look at Rail"),
+        ({"what": "link", "frames": 9, "bad_lines": 0, "refused": 0, "malformed": 0}, ""),
+        ({"what": "link", "frames": 9, "bad_lines": 1, "refused": 0, "malformed": 1},
+         "rail's wire: 2 of 9 frames lost"),
+        ({"what": "connected", "devices": [{"device": "Rail"}]}, "devices connected"),
+        ({"what": "step", "name": "validate", "number": 7, "of": 7},
+         "step 7 of 7 begins: Validation"),
+        ({"what": "first pass", "key": "sweep/A1/up", "speed_percent": 10.0},
+         "first pass of sweep of A1 up"),
+        ({"what": "no reading", "key": "grid/1-0-0", "tries": 2, "reason": "beam broken"},
+         "no reading of grid point 1-0-0 at S1100: beam broken"),
+        ({"what": "seated", "place": "P1", "xyz_mm": [1.0, 2.0, 3.0]}, "reflector seated in P1"),
+        ({"what": "something new", "facts": {"a": 1.0}}, "something new"),
+    )  # fmt: skip
+    view = view_of(measuring())
+    for body, words in happened:
+        record = Record(1, "2026-03-04T08:00:00.000+00:00", "event", "", body)
+        assert event_words(view, record, {}) == words
+
+
+@pytest.mark.parametrize(
+    ("key", "facts", "words"),
+    [
+        ("validation.S1100", {"mean_mm": 0.033, "mean_tolerance_mm": 0.12},
+         "validation at S1100 holds: mean 0.033 mm, limit 0.120 mm"),
+        ("validation.others", {}, "validation at the other stations holds"),
+        ("known-length", {}, "known length holds"),
+        ("revisits.closing", {"holds": False}, "closing visits does not hold"),
+    ],
+)  # fmt: skip
+def test_a_verdict_has_the_name_of_its_subject(key: str, facts: dict[str, Any], words: str) -> None:
+    record = SampleRun().add("verdict", key, **({"holds": True} | facts)).records[-1]
+    assert event_words(view_of(measuring()), record, {}) == words

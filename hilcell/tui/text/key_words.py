@@ -1,0 +1,67 @@
+"""Texts of alarms and events with every key in them replaced by its words.
+
+Errors name a point by its key: ``measure grid/1-0-0``. Raw keys are for the log and for the details
+of a point; everywhere else the screen says *grid point 1-0-0 at S1100*.
+"""
+
+from __future__ import annotations
+
+import re
+
+import msgspec
+
+from hilcell.journal.log import Log
+from hilcell.journal.old_keys import id_of_key
+from hilcell.journal.point_id import SEAT, PointId
+from hilcell.tui.text.words import KINDS, NEST_KINDS, point_words, target_words
+
+_POINT_KINDS = (*KINDS, "validate", "sign")
+_KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(_POINT_KINDS)})/[^\s,;:()]*[^\s,;:().]")
+_VERDICT = re.compile(r"(?<![\w/])verdict (?P<key>[^\s,;:]*[^\s,;:.])")
+_SEAT = re.compile(rf"(?P<rest>.+)/{SEAT}(?P<seat>\d{{1,3}})")
+_AT = "validation."  # begins a verdict of one place
+_VERDICTS = {
+    "sign": "sign check",
+    "suspicions": "suspected causes",
+    "revisits": "revisited poses",
+    "revisits.closing": "closing visits",
+}
+
+
+def in_words(text: str, log: Log) -> str:
+    """Return a text with its keys of points and verdicts in words."""
+    text = _VERDICT.sub(lambda found: verdict_words(found["key"]), text)
+    return _KEY.sub(lambda found: key_words(found[0], log), text)
+
+
+def key_words(key: str, log: Log) -> str:
+    """Return a key in words, with the station where that is known."""
+    point = log.points.get(key)
+    if point is not None:
+        return point_words(point.id, point.station)
+    id = _id(key, log)
+    of_grid = id.kind == "grid" and log.plan is not None and not id.station
+    return point_words(id, log.cell.grid.station if of_grid else "")
+
+
+def verdict_words(key: str) -> str:
+    """Return the subject of a verdict: *validation at S1100*."""
+    if key.startswith(_AT):
+        return f"validation {target_words(key.removeprefix(_AT))}"
+    return _VERDICTS.get(key, key.replace("-", " "))
+
+
+def _id(key: str, log: Log) -> PointId:
+    """Return the identity of a point that is not measured, as far as its key shows it."""
+    if found := _SEAT.fullmatch(key):
+        return msgspec.structs.replace(_id(found["rest"], log), seat=int(found["seat"]))
+    id = id_of_key(key)
+    if not id.target:
+        return id
+    parts = id.target.split("/")
+    stations = {each.name for each in log.cell.station} if log.plan is not None else set()
+    station = next((part for part in parts if part in stations), "")
+    kept = [part for part in parts if part != station]
+    if id.kind in NEST_KINDS:  # before it stands how often the nest was measured
+        kept = kept[-1:]
+    return PointId(id.kind, station=station, target=" ".join(kept))
