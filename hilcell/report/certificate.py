@@ -124,7 +124,7 @@ def _dates(facts: Facts) -> str:
 def _uncertainty(budget: Budget | None, targets: TargetBudget) -> str:
     if budget is None:
         return "not evaluated: this run measured no position in {W}"
-    words = f"U = {budget.U_mm:.4f} mm for one coordinate of a measured position, k = 2, about 95 %"
+    words = f"U = {budget.U_mm:.3f} mm for one coordinate of a measured position, k = 2, about 95 %"
     if not targets.missing:
         radii_mm = targets.in_use[targets.worst].radii_mm
         words += (
@@ -141,7 +141,7 @@ def conditions_words(facts: Facts) -> str:
     celsius = facts.log.temperatures_c()
     if not celsius:
         return "air not measured: the tracker has no weather station"
-    return f"air {min(celsius):.2f} to {max(celsius):.2f} °C at the tracker; see the table of air"
+    return f"air {min(celsius):.1f} to {max(celsius):.1f} °C at the tracker; see the table of air"
 
 
 def _deviations(facts: Facts) -> str:

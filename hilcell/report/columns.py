@@ -42,7 +42,10 @@ class Column(Generic[T]):
     def text(self, row: T) -> str:
         """Return the value as it is shown, nothing where there is none."""
         value = self.of(row)
-        return "" if value is None else format(value, self.form)
+        if value is None:
+            return ""
+        text = format(value, self.form)
+        return text if isinstance(value, str) else text.replace("-", "\N{MINUS SIGN}")
 
 
 @dataclass(frozen=True, slots=True)

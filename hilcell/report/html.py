@@ -11,6 +11,7 @@ from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.calibration.pose_test import ISO
 from hilcell.ports import Array
 from hilcell.report import pose_test, tables
+from hilcell.report.budget_table import ERROR_SUM, TARGET_SUM, budget_sheet
 from hilcell.report.certificate import (
     certificate,
     conditions_words,
@@ -43,7 +44,7 @@ from hilcell.report.first_page import (
 from hilcell.report.method import models
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
-from hilcell.report.target_budget import TargetBudget, target_budget, target_sheets
+from hilcell.report.target_budget import TargetBudget, bounds_sheet, target_budget
 from hilcell.report.templates import environment
 from hilcell.report.turns import orientation, orientation_words
 from hilcell.report.worst import worst
@@ -92,8 +93,9 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             empty=not present(own, tables.accuracy(facts), tables.verdicts(facts)),
             curve_sheet=curves(facts),
             paper_sheet=tables.paper_rows(facts),
-            budget_sheets=[*(tables.budget_sheets(budget) if budget else []),
-                           *target_sheets(targets)],
+            budget_sheet=budget_sheet(budget, targets),
+            bounds_sheet=bounds_sheet(targets),
+            sums=(ERROR_SUM, TARGET_SUM),
             method_sheets=present(models(facts), tables.verdicts(facts)),
             targets=targets,
             record_sheets=present(

@@ -99,7 +99,7 @@ def _miss(figure: str) -> Callable[[Missed], float | None]:
 
 MODELS: tuple[Column[Missed], ...] = (
     Column("model", itemgetter(0)),
-    *(Column(name, _miss(name), "mm", ".4f") for name in Figures._fields),
+    *(Column(name, _miss(name), "mm", ".3f") for name in Figures._fields),
 )
 
 
@@ -114,7 +114,7 @@ def models(facts: Facts) -> Sheet | None:
     reasons += [f"No {name} model: {why}." for name, why in fit.get("refused", {}).items()]
     curves = fit.get("curves", {}).get("reason", "")
     reasons += [f"Curves of the axis sweeps: {curves}."] if curves else []
-    return sheet("Choice of the model", MODELS, rows, " ".join(filter(None, reasons)))
+    return sheet("Choice of the correction", MODELS, rows, " ".join(filter(None, reasons)))
 
 
 def chosen_poses_words(facts: Facts, chosen: Mapping[str, Any]) -> str:

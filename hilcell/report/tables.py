@@ -10,16 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.contribution import Contribution
 from hilcell.calibration.errors import OTHERS, Errors, places, reduction, validation
-from hilcell.calibration.measurement_budget import Budget
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.asset import Asset
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.ports import Array
-from hilcell.report.columns import Column, Sheet, Value, present, sheet
+from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.wording import facts_of
@@ -27,7 +25,7 @@ from hilcell.report.wording import facts_of
 Pair = tuple[str, str]
 
 CONDITIONS = (
-    ("air temperature", "temperature_c", "°C", 2),
+    ("air temperature", "temperature_c", "°C", 1),
     ("air pressure", "pressure_mbar", "mbar", 1),
     ("relative humidity", "humidity_percent", "%", 1),
 )
@@ -55,7 +53,7 @@ ACCURACY: tuple[Column[Validated], ...] = (
     Column("station", attrgetter("place")),
     Column("error", attrgetter("how")),
     Column("targets", lambda row: len(row.errors), form="d"),
-    *(Column(name, attrgetter(f"errors.figures.{name}"), "mm", ".4f") for name in Figures._fields),
+    *(Column(name, attrgetter(f"errors.figures.{name}"), "mm", ".3f") for name in Figures._fields),
     Column("removed by means", lambda row: row.removed_percent("mean"), "%", ".1f"),
     Column("removed by maxima", lambda row: row.removed_percent("max"), "%", ".1f"),
 )
@@ -87,7 +85,7 @@ def accuracy(facts: Facts) -> Sheet | None:
     rp_robot = facts.result.get("repeatability", {}).get("rp_robot_mm")
     note = "Removed: 1 − after / before. Every figure is of targets really sent and measured."
     if floor is not None:
-        note += f" Repeatability and tracker noise alone would leave {floor:.4f} mm (mean)."
+        note += f" Repeatability and tracker noise alone would leave {floor:.3f} mm (mean)."
     if rp_robot is not None:
         note += f" RP of the robot (ISO 9283), tracker noise taken off: {rp_robot:.3f} mm."
     return sheet("Before and after", ACCURACY, rows, note)
@@ -96,10 +94,10 @@ def accuracy(facts: Facts) -> Sheet | None:
 # A station, and its frame's record.
 STATIONS: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
     Column("station", lambda row: row[0].name),
-    Column("rail", lambda row: row[0].rail_mm, "mm", ".2f"),
-    Column("strip, wanted", lambda row: row[0].strip_mm, "mm", ".2f"),
-    Column("strip, found", lambda row: row[1]["strip_mm"], "mm", ".2f"),
-    Column("fit rms", lambda row: row[1]["rms_mm"], "mm", ".4f"),
+    Column("rail", lambda row: row[0].rail_mm, "mm", ".3f"),
+    Column("strip, wanted", lambda row: row[0].strip_mm, "mm", ".3f"),
+    Column("strip, found", lambda row: row[1]["strip_mm"], "mm", ".3f"),
+    Column("fit rms", lambda row: row[1]["rms_mm"], "mm", ".3f"),
     Column("tool point u", lambda row: row[1]["tool_uncertainty_mm"], "mm", ".4f"),
     Column("worst corner u", lambda row: row[1].get("cube_uncertainty_mm"), "mm", ".4f"),
     Column("nests left out", lambda row: ", ".join(row[1].get("left_out", [])) or "none"),
@@ -159,8 +157,8 @@ def _element(n: int) -> Callable[[Posed], Value]:
 
 FRAMES: tuple[Column[Posed], ...] = (
     Column("frame", attrgetter("name")),
-    *(Column(name, _element(n), "mm", ".4f") for n, name in enumerate("xyz")),
-    *(Column(name, _element(n), "°", ".5f") for n, name in enumerate("ABC", start=3)),
+    *(Column(name, _element(n), "mm", ".3f") for n, name in enumerate("xyz")),
+    *(Column(name, _element(n), "°", ".4f") for n, name in enumerate("ABC", start=3)),
 )
 
 
@@ -320,41 +318,3 @@ def own_table(facts: Facts) -> Sheet | None:
     headers, rows = facts.table
     note = facts.procedure.words(facts.result)
     return Sheet(facts.procedure.summary.capitalize(), headers, rows, note=note)
-
-
-@dataclass(frozen=True, slots=True)
-class Sum:
-    """A sum of contributions, a line of the table that they stand in."""
-
-    name: str
-    source: str
-    distribution: str
-    clause: str
-    u_mm: float
-    estimate_mm: None = None
-
-
-CONTRIBUTIONS: tuple[Column[Contribution | Sum], ...] = (
-    Column("contribution", attrgetter("name")),
-    Column(
-        "source",
-        lambda row: row.source if isinstance(row, Sum) else f"{row.how}; {row.source}",
-    ),
-    Column("distribution", attrgetter("distribution")),
-    Column("GUM", attrgetter("clause")),
-    Column("estimate", attrgetter("estimate_mm"), "mm", ".4f"),
-    Column("u", attrgetter("u_mm"), "mm", ".4f"),
-)
-
-
-def budget_sheets(budget: Budget) -> list[Sheet]:
-    """Return the budget's table: estimate, distribution, standard uncertainty, and the sums."""
-    rows: list[Contribution | Sum] = [*budget.lines, *_sums(budget.u_mm, budget.U_mm)]
-    return present(sheet("A measured position", CONTRIBUTIONS, rows, "Of one coordinate."))
-
-
-def _sums(u_mm: float, expanded_mm: float) -> tuple[Sum, Sum]:
-    return (
-        Sum("combined u", "root of the sum of all squares so far", "", "5.1.2", u_mm),
-        Sum("expanded U", "U = k u, k = 2, about 95 %", "normal", "6.2.1", expanded_mm),
-    )

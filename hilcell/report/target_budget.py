@@ -5,7 +5,6 @@ Everything is computed from the journal, as the calibration file was.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -26,7 +25,7 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.journal.log import Log
-from hilcell.report.columns import Column, Sheet, present, sheet
+from hilcell.report.columns import Column, Sheet, sheet
 
 NO_FIT = "this run has fitted no correction"
 
@@ -88,54 +87,6 @@ def _points_mm(calibration: Calibration, log: Log, names: list[str]) -> dict[str
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """One line of the table: a contribution, or a sum."""
-
-    name: str
-    how: str
-    clause: str
-    freedom: float | None
-    u_mm: float
-    percent: float | None
-
-
-LINES: tuple[Column[Line], ...] = (
-    Column("contribution", attrgetter("name")),
-    Column("source", attrgetter("how")),
-    Column("GUM", attrgetter("clause")),
-    Column("degrees of freedom", attrgetter("freedom"), form=".0f"),
-    Column("u", attrgetter("u_mm"), "mm", ".4f"),
-    Column("share", attrgetter("percent"), "%", ".1f"),
-)
-
-
-def lines(bounds: Bounds) -> list[Line]:
-    """Return the contributions with their shares of the variance, and what they sum up to."""
-    whole_mm2 = sum(part.u_mm**2 for part in bounds.parts)
-    found = [
-        Line(
-            part.name,
-            f"{part.how}; {part.source}",
-            part.clause,
-            part.freedom if math.isfinite(part.freedom) else None,
-            part.u_mm,
-            100 * part.u_mm**2 / whole_mm2,
-        )
-        for part in bounds.parts
-    ]
-    radii_mm = bounds.radii_mm
-    return [
-        *found,
-        Line("combined u", "root of the sum of all squares", "5.1.2", None,
-             math.sqrt(whole_mm2), None),
-        Line("expanded: 95 % bound of the 3D error, mean", "over the cube", "6.2.1", None,
-             float(radii_mm.mean()), None),
-        Line("expanded: 95 % bound of the 3D error, largest", "over the cube", "6.2.1", None,
-             float(radii_mm.max()), None),
-    ]  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
 class Placed:
     """One place of the table of bounds."""
 
@@ -154,13 +105,13 @@ class Placed:
 
 PLACES: tuple[Column[Placed], ...] = (
     Column("station", attrgetter("name")),
-    Column("bound in use, mean", lambda row: row.use(np.mean), "mm", ".4f"),
-    Column("bound in use, max", lambda row: row.use(np.max), "mm", ".4f"),
+    Column("bound in use, mean", lambda row: row.use(np.mean), "mm", ".3f"),
+    Column("bound in use, max", lambda row: row.use(np.max), "mm", ".3f"),
     Column("targets", partial(Placed.validated, of=len), form=".0f"),
     Column("inside", partial(Placed.validated, of=attrgetter("inside")), form=".0f"),
     Column("share inside", lambda row: row.validated(lambda each: 100 * each.share), "%", ".1f"),
-    Column("validation bound, mean", lambda row: row.validated(_mean_mm), "mm", ".4f"),
-    Column("validation bound, max", lambda row: row.validated(_most_mm), "mm", ".4f"),
+    Column("validation bound, mean", lambda row: row.validated(_mean_mm), "mm", ".3f"),
+    Column("validation bound, max", lambda row: row.validated(_most_mm), "mm", ".3f"),
 )
 
 
@@ -185,18 +136,11 @@ def placed(budget: TargetBudget) -> list[Placed]:
     ]
 
 
-def target_sheets(budget: TargetBudget) -> list[Sheet]:
-    """Return the bounds by place, and the budget at the station where they are largest."""
-    if budget.missing:
-        return []
+def bounds_sheet(budget: TargetBudget) -> Sheet | None:
+    """Return the bounds by place."""
     note = (
-        "95 % of 3D errors should be inside. In use: any target of the cube, at any temperature "
+        "95 % of 3-D errors should be inside. In use: any target of the cube, at any temperature "
         "that the check of validity allows. In validation: without what stays the same from grid "
         "to validation, at the temperatures of the run, with the tracker's reading."
     )
-    return present(
-        sheet("95 % bounds of corrected targets", PLACES, placed(budget), note),
-        sheet(f"A corrected target in use, {budget.worst}", LINES,
-              lines(budget.in_use[budget.worst]), "u of one coordinate, root mean square over the "
-              "cube; shares of the variance."),
-    )  # fmt: skip
+    return sheet("95 % bounds of corrected targets", PLACES, placed(budget), note)

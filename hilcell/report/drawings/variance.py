@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from hilcell.report.budget_table import Row, target_rows
 from hilcell.report.drawings.drawing import HAIR, INK, MUTED, apart, path, rectangle, svg, text
-from hilcell.report.target_budget import Line, TargetBudget, lines
+from hilcell.report.target_budget import TargetBudget
 
 SHADES = ("#0b4a7d", "#3f76a6", "#7fa6c9", "#b4cbe0", "#d9e4ee", "#eef3f8")
 WHITE_ON = 2  # so many shades are dark
@@ -44,12 +45,12 @@ def variance_bar(budget: TargetBudget, simulated: bool) -> str:
 
 def _shares(budget: TargetBudget) -> list[tuple[str, float, float]]:
     """Return name, share in percent and u of the five largest contributions and of the others."""
-    found: list[Line] = [each for each in lines(budget.in_use[budget.worst]) if each.percent]
-    found.sort(key=lambda each: -(each.percent or 0.0))
+    found: list[Row] = [each for each in target_rows(budget.in_use[budget.worst]) if each.percent]
+    found.sort(key=lambda each: -each.percent)
     most = len(SHADES) - 1
-    shown = [(each.name, each.percent or 0.0, each.u_mm) for each in found[:most]]
+    shown = [(each.source, each.percent, each.u_mm) for each in found[:most]]
     others = found[most:]
     if others:
         u_mm = sum(each.u_mm**2 for each in others) ** 0.5
-        shown.append((f"{len(others)} others", sum(each.percent or 0.0 for each in others), u_mm))
+        shown.append((f"{len(others)} others", sum(each.percent for each in others), u_mm))
     return shown

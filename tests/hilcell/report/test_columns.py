@@ -20,7 +20,9 @@ def test_a_column_has_its_unit_in_its_header_and_in_its_key() -> None:
     assert [each.key for each in (LENGTH, TURN, NAME)] == ["length_mm", "a_deg", "name"]
 
 
-@pytest.mark.parametrize(("value", "text"), [(1.005, "1.00"), (-2.0, "-2.00"), (0.0, "")])
+@pytest.mark.parametrize(
+    ("value", "text"), [(1.005, "1.00"), (-2.0, "\N{MINUS SIGN}2.00"), (0.0, "")]
+)
 def test_a_figure_is_rounded_and_a_missing_one_is_blank(value: float, text: str) -> None:
     assert LENGTH.text(value) == text
 

@@ -48,7 +48,7 @@ def test_figures_are_those_of_the_result(
         at = next(number for number, row in enumerate(rows) if row["station"] == name)
         for row, how in zip(rows[at:], ("before", "idw"), strict=False):
             for key, value in figures[how].items():
-                assert row[f"{key} mm"] == f"{value:.4f}"
+                assert row[f"{key} mm"] == f"{value:.3f}"
         ratio = 100 * (1 - figures["idw"]["mean"] / figures["before"]["mean"])
         assert rows[at + 1]["removed by means %"] == f"{ratio:.1f}"
 

@@ -49,7 +49,7 @@ def test_of_a_target_the_larger_error_counts_everywhere(tmp_path: Path) -> None:
     sheet = accuracy(facts)
     assert sheet is not None
     after = next(row for row in sheet.rows if row[1].startswith("after"))
-    assert after[3] == "0.2000", "the table has the same mean"
+    assert after[3] == "0.200", "the table has the same mean"
 
 
 def test_a_larger_later_value_counts(tmp_path: Path) -> None:

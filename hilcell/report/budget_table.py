@@ -1,0 +1,173 @@
+"""The uncertainty budget of one coordinate as one table: a measured error, a corrected target.
+
+They are two measurands: each has its own lines and its own sum, and a share is one of its sum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+
+from hilcell.calibration.contribution import COVERAGE_FACTOR, Contribution
+from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, Part
+from hilcell.calibration.measurement_budget import Budget
+from hilcell.ports import Array
+from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.report.first_page import K_3D
+from hilcell.report.target_budget import TargetBudget
+
+TITLE = "Uncertainty budget for one coordinate (GUM, JCGM 100:2008)"
+ERROR_SUM, TARGET_SUM = "A measured error", "A corrected target"
+RECTANGULAR = "4.3.7"  # clause of the GUM that evaluates a half-width
+NOTE = (
+    "Type A: from scatter that this run measured; B: from the certificate that is named, else an "
+    "assumption that the cell file states. Sensitivity 1: every source is a length at the tool "
+    "point. Sources are taken as independent."
+)
+NEGLIGIBLE = 1e-9  # share of the largest variance
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A line: ``estimate_mm`` is a standard deviation (normal) or a half-width (rectangular).
+
+    ``u_mm`` is of one coordinate: along one direction it is the estimate's u by √3.
+    """
+
+    source: str
+    how: str
+    kind: str
+    u_mm: float
+    percent: float
+    estimate_mm: float | None = None
+    rectangular: bool = False
+    along: str = ""
+
+    @property
+    def estimate(self) -> str:
+        """Return the estimate as words, a half-width with its sign."""
+        if self.estimate_mm is None:
+            return ""
+        return f"{'±' if self.rectangular else ''}{self.estimate_mm:.4f}"
+
+    @property
+    def divisor(self) -> str:
+        """Return by what the estimate is divided."""
+        if self.estimate_mm is None:
+            return ""
+        return "√3" if self.rectangular else "1"
+
+
+ROWS: tuple[Column[Row], ...] = (
+    Column("source", attrgetter("source")),
+    Column("how it is known", attrgetter("how")),
+    Column("type, distribution", attrgetter("kind")),
+    Column("estimate", attrgetter("estimate"), "mm", "s"),
+    Column("divisor", attrgetter("divisor"), form="s"),
+    Column("along", attrgetter("along"), form="s"),
+    Column("u", attrgetter("u_mm"), "mm", ".4f"),
+    Column("share of u²,", attrgetter("percent"), "%", ".1f"),
+)
+
+
+def budget_sheet(budget: Budget | None, targets: TargetBudget) -> Sheet | None:
+    """Return the table, nothing where the run allows neither budget."""
+    rows = [] if budget is None else [*error_rows(budget), _error_sum(budget)]
+    notes = [NOTE]
+    if not targets.missing:
+        bounds = targets.in_use[targets.worst]
+        rows += [*target_rows(bounds), _target_sum(bounds)]
+        notes.append(
+            f"Corrected target: at {targets.worst}, where bounds are largest; root mean square "
+            "over the volume, at any temperature that “Valid for” allows; an estimate of several "
+            f"limits is the half-width that gives the same u. {_freedom(bounds)}"
+        )
+    return sheet(TITLE, ROWS, rows, " ".join(notes))
+
+
+def error_rows(budget: Budget) -> list[Row]:
+    """Return the lines of a measured error."""
+    return [
+        Row(
+            each.name,
+            _known(each.how, each.source),
+            _kind(each, rectangular := each.distribution == "rectangular"),
+            each.u_mm,
+            _percent(each.u_mm, budget.u_mm),
+            each.estimate_mm,
+            rectangular,
+            "x, y, z",
+        )
+        for each in budget.lines
+    ]
+
+
+def target_rows(bounds: Bounds) -> list[Row]:
+    """Return the lines of corrected targets."""
+    return [
+        Row(
+            each.name,
+            _known(each.how, each.source),
+            _kind(each, rectangular := each.clause == RECTANGULAR),
+            each.u_mm,
+            _percent(each.u_mm, _whole_mm(bounds)),
+            each.u_mm * (math.sqrt(3) if rectangular else 1.0) * (math.sqrt(3) if one else 1.0),
+            rectangular,
+            "one" if one else "x, y, z",
+        )
+        for each in bounds.parts
+        for one in (_one_direction(each.covariance_mm2),)
+    ]
+
+
+def _error_sum(budget: Budget) -> Row:
+    words = (
+        f"U = {COVERAGE_FACTOR:.2f} u = {budget.U_mm:.3f} mm along the error; 3-D position: "
+        f"{K_3D:.2f} u = {K_3D * budget.u_mm:.3f} mm (95 %)"
+    )
+    return Row(ERROR_SUM, words, "", budget.u_mm, 100.0)
+
+
+def _target_sum(bounds: Bounds) -> Row:
+    radii_mm = bounds.radii_mm
+    words = f"3-D 95 % bound: mean {radii_mm.mean():.3f} mm, largest {radii_mm.max():.3f} mm"
+    return Row(TARGET_SUM, words, "", _whole_mm(bounds), 100.0)
+
+
+def _whole_mm(bounds: Bounds) -> float:
+    return math.sqrt(sum(part.u_mm**2 for part in bounds.parts))
+
+
+def _percent(u_mm: float, whole_mm: float) -> float:
+    return 100 * u_mm**2 / whole_mm**2
+
+
+def _known(how: str, source: str) -> str:
+    """Return how a contribution is known; its type says whether it was measured or is stated."""
+    return how if MEASURED in source or source == ASSUMED else f"{how}; {source}"
+
+
+def _kind(each: Contribution | Part, rectangular: bool) -> str:
+    """Return type and distribution: clause 4.2 of the GUM is type A, 4.3 type B."""
+    kinds: Iterable[str] = ("A",) if MEASURED in each.source else ()
+    if each.clause.startswith("4.3"):
+        kinds = ("B",)
+    elif each.source != MEASURED:
+        kinds = (*kinds, "B")
+    return f"{', '.join(kinds)}, {'rectangular' if rectangular else 'normal'}"
+
+
+def _one_direction(covariances_mm2: Array) -> bool:
+    """Whether covariances (N, 3, 3) act along one direction at each target."""
+    small, middle, large = np.linalg.eigvalsh(covariances_mm2).sum(axis=0)
+    return bool(large > 0.0 and small + middle <= NEGLIGIBLE * large)
+
+
+def _freedom(bounds: Bounds) -> str:
+    """Return the degrees of freedom of those estimates that are not taken as known."""
+    found = [f"{each.name} {each.freedom:.0f}" for each in bounds.parts if each.freedom < math.inf]
+    return f"Degrees of freedom: {', '.join(found)}; others known." if found else ""
