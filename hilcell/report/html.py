@@ -47,6 +47,7 @@ from hilcell.report.remeasured import remeasured
 from hilcell.report.target_budget import TargetBudget, bounds_sheet, target_budget
 from hilcell.report.templates import environment
 from hilcell.report.turns import orientation, orientation_words
+from hilcell.report.volume import volume_sheet
 from hilcell.report.worst import worst
 
 POSITION_ERRORS = "position errors of the tool point"
@@ -138,6 +139,7 @@ def _drawings(facts: Facts, targets: TargetBudget) -> dict[str, object]:
     return {
         "plan": plan_view(facts.cell, at_mm, simulated),
         "side": side_view(facts.cell, at_mm, simulated),
+        "volume": volume_sheet(facts.cell, at_mm),
         "order": in_order(facts),
         "enlarged": enlarged(facts, targets),
         "vectors": vectors(facts),

@@ -32,7 +32,7 @@ def svg(width: float, height: float, title: str, parts: Iterable[str], simulated
         'font-weight="bold">SIMULATION</text>'
     )
     return (
-        f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{shown}" '
+        f'<svg class="drawn" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{shown}" '
         f'style="width:{width:g}mm" font-size="{LABEL_MM}" fill="{INK}" stroke-width="0.3">'
         f"<title>{shown}</title>{mark if simulated else ''}{''.join(parts)}</svg>"
     )

@@ -13,7 +13,6 @@ from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.ports import Array
 from hilcell.report.drawings.drawing import (
     AFTER,
-    ENDS,
     INK,
     Frame,
     Scale,
@@ -21,14 +20,15 @@ from hilcell.report.drawings.drawing import (
     hatched,
     path,
     rectangle,
-    round_up,
     svg,
     text,
 )
 from hilcell.report.facts import Facts
+from hilcell.run.tracker_guard import limits_of
 
 WIDTH_MM, HEIGHT_MM, LEFT_MM, TOP_MM, BOTTOM_MM = 88.0, 46.0, 12.0, 6.5, 10.0
 TICKS = 4
+BEYOND = 1.25  # the limit
 SHORT_S = 600.0  # of a run so short seconds are shown
 
 
@@ -40,16 +40,21 @@ def floor_moves(facts: Facts) -> str:
     times = _times(facts)
     at_s = np.array([times[point.key] for point, _ in moves])
     size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
-    frame = _frame(
-        facts, Scale(0.0, round_up(1.25 * size_mm.max(), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM)
-    )
+    points = [point for point, _ in moves]
+    limit_mm = float(np.median(limits_of(facts.cell, points, points)))
+    most_mm = BEYOND * max(limit_mm, float(size_mm.max()))
+    frame = _frame(facts, Scale(0.0, most_mm, HEIGHT_MM - BOTTOM_MM, TOP_MM))
+    limit = frame.y.one(limit_mm)
     parts = [
         *_stops(facts, frame),
+        hatched(frame.x.begin, TOP_MM, frame.x.end - frame.x.begin, limit - TOP_MM),
         frame.drawn("time, UTC", "move since the first, mm", _ticks(facts)),
+        frame.level(limit_mm, INK, 0.6),
+        text(frame.x.end, limit - 1.2, f"limit {limit_mm:.3f}", "end"),
     ]
     parts += [circle(x, y, 0.7, AFTER, AFTER) for x, y in frame.at(at_s, size_mm)]
-    words = f"largest {size_mm.max():.4f} mm, {len(moves)} measurements"
-    parts.append(text(frame.x.end, TOP_MM + 2.6, words, "end", AFTER, bold=True))
+    words = f"largest {size_mm.max():.3f} mm, {len(moves)} measurements"
+    parts.append(text(frame.x.begin + 2.0, limit + 3.4, words, colour=AFTER, bold=True))
     return svg(WIDTH_MM, HEIGHT_MM, "Moves of the floor nests", parts, facts.inputs.simulated)
 
 
@@ -63,7 +68,7 @@ def air(facts: Facts) -> str:
     valid = _valid(facts) or (float(celsius.min()), float(celsius.max()))
     low, high = min(valid[0], celsius.min()) - 0.3, max(valid[1], celsius.max()) + 0.3
     frame = _frame(facts, Scale(float(low), float(high), HEIGHT_MM - BOTTOM_MM, TOP_MM))
-    parts = []
+    parts, named = [], []
     if _valid(facts):
         bottom, top = frame.y.one(valid[0]), frame.y.one(valid[1])
         parts.append(
@@ -72,10 +77,11 @@ def air(facts: Facts) -> str:
         for value, words in ((valid[1], "valid up to"), (valid[0], "valid from")):
             parts.append(frame.level(value, INK, 0.4, "1.4 1"))
             y = frame.y.one(value) + (3.2 if value == valid[1] else -1.0)
-            parts.append(text(frame.x.end - 1.0, y, f"{words} {value:.1f}", "end"))
+            named.append(text(frame.x.end - 1.0, y, f"{words} {value:.1f}", "end"))
     parts += _stops(facts, frame)
     parts.append(frame.drawn("time, UTC", "air at the tracker, °C", _ticks(facts)))
     parts.append(path(_thinned(frame.at(at_s, celsius)), AFTER, 0.6))
+    parts += named
     words = f"{celsius.min():.1f} to {celsius.max():.1f} °C"
     parts.append(text(frame.x.begin + 2.0, TOP_MM + 7.0, words, colour=AFTER, bold=True))
     return svg(WIDTH_MM, HEIGHT_MM, "Air at the tracker", parts, facts.inputs.simulated)

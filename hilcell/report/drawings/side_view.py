@@ -23,6 +23,7 @@ from hilcell.report.drawings.drawing import (
 from hilcell.report.drawings.plan_view import along_of
 
 WIDTH_MM, MARGIN_MM, MOST_HEIGHT_MM = 58.0, 4.0, 42.0
+TRACKER_MM, HEIGHTS_MM = 9.0, 13.0  # on paper: half the word, and the words of the heights
 FOOT_MM, SHOULDER_MM = 250.0, 700.0  # half the robot's foot, and its height, as drawn
 
 
@@ -78,13 +79,16 @@ class _Side:
         (left, low), (right, top) = self._at(self._volume[0]), self._at(self._volume[1])
         left, right = sorted((left, right))
         yield rectangle(left, top, right - left, low - top, BAND, AFTER)
+        at_tracker, _ = self._at(self._tracker)
+        covered = right < at_tracker + TRACKER_MM and at_tracker - TRACKER_MM < right + HEIGHTS_MM
+        x, anchor = (left - 1.0, "end") if covered else (right + 1.0, "start")
         for z, y in ((self._volume[1][1], top + 1.0), (self._volume[0][1], low + 1.0)):
-            yield text(right + 1.0, y, f"z {z:.0f}", colour=MUTED)
+            yield text(x, y, f"z {z:.0f}", anchor, MUTED)
 
     def _tracker_drawn(self) -> Iterator[str]:
         x, y = self._at(self._tracker)
         low = self._at([self._tracker[0], self._floor])[1]
         yield path([(x - 1.6, low), (x, y), (x + 1.6, low)], INK, 0.4)
         yield circle(x, y, 1.1, "#fff", INK)
-        inside = min(max(x, 9.0), WIDTH_MM - 9.0)
+        inside = min(max(x, TRACKER_MM), WIDTH_MM - TRACKER_MM)
         yield text(inside, y - 2.2, "tracker", "middle", bold=True)

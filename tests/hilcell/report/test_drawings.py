@@ -2,22 +2,37 @@
 
 import re
 import xml.etree.ElementTree as ET
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hilcell.calibration.measurement_budget import control_moves
+from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
-from hilcell.report.drawings.drawing import NEAREST_MM, Frame, Scale, apart, hatched, path, round_up
+from hilcell.report.drawings.drawing import (
+    LABEL_MM,
+    NEAREST_MM,
+    Frame,
+    Scale,
+    apart,
+    hatched,
+    path,
+    round_up,
+)
 from hilcell.report.drawings.error_plots import enlarged, in_order, over_bound
-from hilcell.report.drawings.over_time import air, floor_moves
+from hilcell.report.drawings.over_time import BOTTOM_MM, HEIGHT_MM, TOP_MM, air, floor_moves
+from hilcell.report.drawings.side_view import side_view
 from hilcell.report.drawings.strip import strip
 from hilcell.report.drawings.variance import variance_bar
 from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result
 from hilcell.report.target_budget import TargetBudget, target_budget
+from hilcell.report.volume import volume_sheet
 from hilcell.report.worst import worst
+from hilcell.run.tracker_guard import limits_of
 from tests.hilcell.report.journals import Writer, validated_run
 from tests.whole.golden import GoldenRuns
 
@@ -141,3 +156,53 @@ def test_the_worst_come_first_with_both_values(tmp_path: Path) -> None:
     assert first.items() >= wanted.items()
     assert [row[1] for row in found.rows[1:3]] == ["S300/002", "S1100/002"]
     assert found.title == "The worst targets"
+
+
+LETTER_MM = 0.6 * LABEL_MM  # wide, at most, of a font that is not bold
+
+
+def boxes(svg: str) -> list[tuple[str, float, float, float, float]]:
+    """Return each label that is read with its left, right, top and bottom."""
+    found = []
+    for each in ET.fromstring(svg).iter("text"):
+        if each.attrib["fill"] == "none":
+            continue
+        said, x, y = "".join(each.itertext()), float(each.attrib["x"]), float(each.attrib["y"])
+        wide = LETTER_MM * len(said)
+        left = x - {"start": 0.0, "middle": wide / 2, "end": wide}[each.attrib["text-anchor"]]
+        found.append((said, left, left + wide, y - 0.75 * LABEL_MM, y))
+    return found
+
+
+@pytest.mark.parametrize("tracker_mm", [(4400.0, 100.0, 1500.0), (1400.0, 0.0, 1700.0),
+                                        (900.0, 0.0, 1200.0), (700.0, 0.0, 800.0)])  # fmt: skip
+@pytest.mark.parametrize("name", ["paper", "fixed"])
+def test_no_label_of_the_side_view_lies_on_another(
+    name: str, tracker_mm: tuple[float, ...]
+) -> None:
+    found = boxes(side_view(load_cell(name), np.array(tracker_mm), simulated=True))
+    assert {"tracker", "z 800", "z 1700"} <= {each[0] for each in found}
+    for (one, l1, r1, t1, b1), (other, l2, r2, t2, b2) in combinations(found, 2):
+        assert r1 <= l2 or r2 <= l1 or b1 <= t2 or b2 <= t1, (one, other)
+
+
+def test_the_nests_are_drawn_below_their_limit(real: tuple[Facts, TargetBudget]) -> None:
+    facts, _ = real
+    points = [point for point, _ in control_moves(facts.log)]
+    limit_mm = float(np.median(limits_of(facts.cell, points, points)))
+    drawn = floor_moves(facts)
+    assert f"limit {limit_mm:.3f}" in words(drawn)
+    highest = min(float(y) for y in re.findall(r'cy="([\d.]+)"', drawn))
+    (level,) = (float(y) for y in re.findall(r'd="M12\.00 ([\d.]+)L[^"]*" [^>]*width="0.6"', drawn))
+    assert level < highest, "every nest stayed"
+    assert level == pytest.approx(TOP_MM + (HEIGHT_MM - BOTTOM_MM - TOP_MM) * 0.2, abs=0.02)
+
+
+def test_the_volume_in_numbers() -> None:
+    found = volume_sheet(load_cell("paper"), np.array([4400.0, 100.0, 1500.0]))
+    assert found is not None
+    rows = {name: (low, high) for name, low, high in found.rows}
+    assert list(rows) == ["x", "y, S300", "y, S1100", "y, S1900", "z"]
+    assert rows["z"] == ("800", "1700")
+    assert rows["y, S300"] == ("\N{MINUS SIGN}1250", "\N{MINUS SIGN}350")
+    assert found.note == "Tracker to corners: 4.0 to 5.1 m."
