@@ -11,6 +11,7 @@ from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.runs import find_run, read_log
+from hilcell.report.change_words import figure_words, where_words
 from hilcell.report.comparison import Comparison, compare_runs
 from hilcell.report.drift import Change
 
@@ -34,7 +35,11 @@ def compare(args: argparse.Namespace) -> int:
 
 
 def _facts(found: Comparison, first: str, second: str) -> dict[str, object]:
-    changes = [msgspec.to_builtins(each) | {"verdict": each.verdict} for each in found.changes]
+    changes = [
+        msgspec.to_builtins(each)
+        | {"verdict": each.verdict, "where": where_words(each), "figure": figure_words(each)}
+        for each in found.changes
+    ]
     whole: dict[str, object] = msgspec.to_builtins(found)
     head: dict[str, object] = {"first": first, "second": second, "verdict": found.verdict}
     return head | whole | {"changes": changes}
@@ -60,4 +65,4 @@ def _row(each: Change) -> list[str]:
     sign = "" if each.first is None else "+"
     limit = "" if each.limit is None else f"{each.limit:.{digits}f}"
     change = f"{each.change:{sign}.{digits}f}"
-    return [each.place, each.what, *pair, change, limit, each.unit, each.verdict]
+    return [where_words(each), figure_words(each), *pair, change, limit, each.unit, each.verdict]

@@ -114,13 +114,13 @@ class HistoryPage(FilterScreen, Page):
 
 
 COLUMNS = (
-    Column("where", 9),
+    Column("where", 16),
     Column("what", 20),
-    Column("first", 9, right=True),
-    Column("second", 9, right=True),
-    Column("change", 9, right=True),
+    Column("first", 7, right=True),
+    Column("second", 7, right=True),
+    Column("change", 8, right=True),
     Column("limit", 7, right=True),
-    Column("verdict", 9),
+    Column("verdict", 7),
 )
 DIGITS = {"mm": 4, "deg": 5}
 
@@ -177,7 +177,7 @@ def change_row(change: dict[str, Any]) -> Row:
         "" if change[name] is None else f"{change[name]:{sign}.{digits}f}"
         for name, sign in (("first", ""), ("second", ""), ("change", "+"), ("limit", ""))
     ]
-    what = f"{change['what']}, {change['unit']}"
+    what = f"{change['figure']}, {change['unit']}"
     tone = "" if change["verdict"] in ("", "within") else "fault"
-    cells = (change["place"], what, *numbers, change["verdict"])
+    cells = (change["where"], what, *numbers, change["verdict"])
     return Row(f"{change['place']}/{change['what']}", cells, tone)

@@ -453,9 +453,14 @@ def test_the_command(
     assert (found["first"], found["second"]) == (pair[0].name, pair[1].name)
     assert len(found["changes"]) == len(seeds.changes)
     assert found["changes"][0]["verdict"] == seeds.changes[0].verdict
+    names = [(each["where"], each["figure"]) for each in found["changes"]]
+    assert len(set(names)) == len(names)  # no row stands for two
+    assert {"S300 frame", "S1900 frame", "S300 targets", "robot base"} < {name for name, _ in names}
+    assert ("S1900 targets", "corrected: 95 %") in names
     assert compared(pair, as_json=False) == 0
     out, err = capsys.readouterr()
     assert "mean move, rigid part removed" in out
+    assert "S1900 frame" in out
     assert "seed" in out
     assert seeds.verdict in err
     assert all(note in err for note in seeds.notes)

@@ -59,13 +59,19 @@ PROCEDURES = {
     "rail-survey": "survey the rail",
 }
 COMPARISON = {
-    "first": "20260303-070000-calibrate-cd34", "second": RUN, "verdict": "1 drift",
+    "first": "20260303-070000-calibrate-cd34", "second": RUN,
+    "verdict": "drift: 1 of 2 judged changes are beyond it",
     "settings": [{"key": "tracker.max_std_mm", "first": "0.05", "second": ""}],
     "changes": [
-        {"place": "S1100", "what": "mean |e|", "unit": "mm", "first": 0.24, "second": 0.11,
-         "change": -0.13, "limit": None, "verdict": ""},
-        {"place": "base", "what": "position", "unit": "mm", "first": None, "second": None,
-         "change": 0.32, "limit": 0.2, "verdict": "drift"},
+        {"place": "S1100", "what": "chosen mean", "unit": "mm", "first": 0.24, "second": 0.11,
+         "change": -0.13, "limit": None, "verdict": "", "where": "S1100 targets",
+         "figure": "corrected: mean"},
+        {"place": "station S1100", "what": "moved", "unit": "mm", "first": None, "second": None,
+         "change": 0.32, "limit": 0.2, "verdict": "beyond", "where": "S1100 frame",
+         "figure": "moved"},
+        {"place": "station S1900", "what": "moved", "unit": "mm", "first": None, "second": None,
+         "change": 0.02, "limit": 0.2, "verdict": "within", "where": "S1900 frame",
+         "figure": "moved"},
     ],
     "notes": [],
 }  # fmt: skip

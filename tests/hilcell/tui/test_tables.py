@@ -11,6 +11,8 @@ from msgspec.structs import replace
 
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.journal import Kind, Record
+from hilcell.tui.screens.history import COLUMNS as COMPARED
+from hilcell.tui.screens.history import change_row
 from hilcell.tui.text.tables import (
     COLUMNS,
     NARROW,
@@ -22,7 +24,7 @@ from hilcell.tui.text.tables import (
     record_words,
 )
 from tests.hilcell.journal.test_curve_record import FOUND, body_of
-from tests.hilcell.tui.all_screens import RUNS
+from tests.hilcell.tui.all_screens import COMPARISON, RUNS
 from tests.hilcell.tui.sample_runs import sample_runs
 
 T = "2026-03-04T08:00:01.250+00:00"
@@ -116,3 +118,13 @@ def test_the_history_tells_how_a_run_ended() -> None:
 def test_a_screen_of_eighty_columns_holds_the_history() -> None:
     for columns, width in ((NARROW, 80), (WIDE, 200)):
         assert sum(column.width + 1 for column in columns) <= width
+
+
+def test_a_comparison_tells_stations_apart_in_80_columns() -> None:
+    rows = [change_row(each) for each in COMPARISON["changes"]]
+    widths = [column.width for column in COMPARED]
+    shown = [tuple(c[:w] for c, w in zip(row.cells[:2], widths, strict=False)) for row in rows]
+    assert len(set(shown)) == len(rows)
+    assert rows[0].cells[:2] == ("S1100 targets", "corrected: mean, mm")
+    assert len(rows[0].cells[1]) <= widths[1]
+    assert sum(widths) + len(widths) <= 79
