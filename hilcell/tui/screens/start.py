@@ -26,6 +26,7 @@ from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
 from hilcell.tui.text import start as text
+from hilcell.tui.text.lines import section
 from hilcell.tui.text.run import duration, moves
 from hilcell.tui.text.words import procedure_words
 from hilcell.tui.widgets import Choice, TextField, TextPanel
@@ -114,7 +115,7 @@ class StartScreen(BaseScreen):
         before = before if high >= BEFORE_FROM else []
         rows = high - len(before) - (6 if before else 4)
         self.panel("banner").show(text.banner(self._checked, glyphs, wide))
-        self.panel("who").show(text.heading("what and who", "", left - 1))
+        self.panel("who").show(section("what and who", left - 1))
         checks = text.check_lines(self._checked, glyphs, left - 1, max(rows - len(FIELDS) - 4, 1))
         self.panel("checks").show(_lines(checks))
         self.query_one("#fields").styles.width = left

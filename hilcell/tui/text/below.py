@@ -17,15 +17,14 @@ from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.events import event_lines
-from hilcell.tui.text.lines import justified
-from hilcell.tui.text.plot_figures import section
+from hilcell.tui.text.lines import justified, section
 from hilcell.tui.text.run import duration
 from hilcell.tui.text.words import step_words
 
 SCREEN = 24  # rows, which everything above takes
 LEAST, MOST = 4, 17  # rows of the block
 MOST_STEPS, MOST_EVENTS = 5, 6
-TIMES = "starts in   takes ─"
+TIMES = "starts in   takes"
 NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
 PARTS = {
     "flange": "{step}: {count} points",
@@ -93,12 +92,7 @@ def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
 
 def step_lines(view: RunView, glyphs: Glyphs, width: int, rows: int) -> Lines:
     """Return the step under way and those after it, when each starts and how long it takes."""
-    head = justified(
-        section("next steps", max(width - len(TIMES) - 1, 1)),
-        Content.styled(TIMES, "$label"),
-        width,
-    )
-    lines = [head]
+    lines = [section("next steps", width, TIMES)]
     starts_s = 0.0
     for n, (words, takes_s) in enumerate(_parts(view)[: min(rows - 1, MOST_STEPS)]):
         start = "now" if n == 0 else duration(starts_s)

@@ -13,7 +13,7 @@ from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.text.key_words import in_words, key_words, verdict_words
-from hilcell.tui.text.plot_figures import section
+from hilcell.tui.text.lines import section
 from hilcell.tui.text.words import step_words
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}

@@ -34,6 +34,11 @@ def ruled(title: Content, right: Content, width: int) -> Content:
     return left.append(Content.styled("─" * room, "$stale")).append(tail)
 
 
+def section(title: str, width: int, remark: str = "") -> Content:
+    """Return the heading of a part of the screen, on a rule of this width."""
+    return ruled(Content.styled(title, "bold $label"), Content.styled(remark, "$label"), width)
+
+
 def bar(share: float, width: int, style: str, mark: float | None = None) -> Content:
     """Return a bar filled from 0 to ``share`` of its width, to half a column; NaN fills it.
 
@@ -66,9 +71,3 @@ def signed_bar(share: float, half_width: int, style: str) -> Content:
         (left[0], "on $panel"), (left[1], ground), ("│", "$label on $panel"),
         (right[0], ground), (right[1], "on $panel"),
     )  # fmt: skip
-
-
-def scale_of(values: float) -> float:
-    """Return the least step of 1, 2, 5 that is not below a length (mm); 1000 for NaN."""
-    steps = (step * 10.0**power for power in range(-2, 4) for step in (1.0, 2.0, 5.0))
-    return next((step for step in steps if values <= step * (1 + 1e-9)), 1000.0)

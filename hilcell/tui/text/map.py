@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from textual.content import Content
 
 from hilcell.ports import Array
-from hilcell.tui.text.plot_figures import section
+from hilcell.tui.text.lines import section
 
 AXES, UP = "xyz", 2
 ACROSS, ALONG, ROWS = 38, 13, 8  # cells of a view: along the rail's axis, across it, and high
@@ -130,11 +130,7 @@ def _rail(of: Volume) -> str:
 
 def _heading(of: Volume, width: int) -> Content:
     count = f"{len(of.errors_mm)} of {of.planned}" if of.planned else str(len(of.errors_mm))
-    right = f" {count} targets ─"
-    head = section(f"map: {of.title}", max(width - len(right), 1)).truncate(
-        max(width - len(right), 1)
-    )
-    return head.append(Content.styled(right, "$label"))
+    return section(f"map: {of.title}", width, f"{count} targets")
 
 
 def _legend(of: Volume, *, plain: bool) -> Lines:

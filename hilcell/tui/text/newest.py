@@ -14,11 +14,12 @@ from textual.content import Content
 from hilcell.geometry.sequential import Outcome
 from hilcell.journal.log import Point
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.plots.scale import step_at_least
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.deviation import Deviation, deviation_of
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import figure, large
-from hilcell.tui.text.lines import bar, placed, ruled, scale_of, signed_bar
+from hilcell.tui.text.lines import bar, placed, ruled, signed_bar
 from hilcell.tui.text.words import AS_SENT, HOW, point_words
 
 FULL_ROWS, SMALL_ROWS = 6, 3
@@ -127,7 +128,8 @@ def _large_lines(shown: Shown, found: Deviation, glyphs: Glyphs, width: int) -> 
 def _scale_mm(found: Deviation) -> float:
     """Return the full scale of the signed bars; it grows so that no bar is cut."""
     least_mm = RAW_SCALE_MM if found.limit_mm is None else found.limit_mm / 2
-    return scale_of(max([least_mm, *(abs(each) for each in found.error_mm)]))
+    known = (abs(each) for each in found.error_mm if math.isfinite(each))
+    return step_at_least(max([least_mm, *known]))
 
 
 def _one_line(shown: Shown, found: Deviation, width: int) -> Content:

@@ -14,13 +14,14 @@ from hilcell.journal.log import Log
 from hilcell.ports import Array
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Look, Plot
+from hilcell.tui.text.lines import section
 from hilcell.tui.text.plots import (
-    NAMES,
     PLACES,
     Errors3D,
     Measured,
     mean_of,
 )
+from hilcell.tui.text.words import HOW
 
 WIDTH = 31
 NAME, NUMBER = 12, 6
@@ -28,13 +29,6 @@ MOST_WORST = 5
 NEAR = 0.8  # of the limit
 SHORT = {"paper method": "paper"}
 Lines = list[Content]
-
-
-def section(title: str, width: int = WIDTH) -> Content:
-    """Return a heading on a rule of this width."""
-    return Content.assemble(
-        ("─ ", "$track"), (title, "bold $label"), (f" {'─' * (width - len(title) - 3)}", "$track")
-    )
 
 
 def row(name: str, values: Sequence[float | None], style: str = "", *, strong: int = -1) -> Content:
@@ -70,10 +64,10 @@ def mark_of(look: Look, ink: Ink) -> Content:
 def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return mean, 95 % and maximum of |e| by series and station, the worst, and words."""
     log, found = of.log, of.errors.at(pick)
-    lines = [section("figures"), _heads("mean", "95 %", "max")]
+    lines = [section("figures", WIDTH), _heads("mean", "95 %", "max")]
     for series in plot.series:
         short = SHORT.get(series.name, series.name)
-        how = next(how for how, name in NAMES.items() if name == series.name)
+        how = next(how for how, name in HOW.items() if name == series.name)
         numbers = row(short, _three(found.by_how[how]), strong=0 if how == "chosen" else -1)
         lines.append(marked(look, series.ink, numbers))
     floor = floor_mm(log)
@@ -107,7 +101,7 @@ def _three(values: Array) -> tuple[float, ...]:
 def _by_station(errors: Errors3D) -> Lines:
     if len(errors.stations) < 2:
         return []
-    lines = [Content(""), section("corrected, by station")]
+    lines = [Content(""), section("corrected, by station", WIDTH)]
     by_station = {name: errors.at(name).by_how for name in errors.stations}
     lines += [row(name, _three(by["chosen"])) for name, by in by_station.items() if "chosen" in by]
     return lines
@@ -115,7 +109,7 @@ def _by_station(errors: Errors3D) -> Lines:
 
 def _worst(found: Errors3D) -> Lines:
     errors = np.nan_to_num(found.by_how["chosen"], nan=-1.0)
-    lines = [Content(""), section("worst targets")]
+    lines = [Content(""), section("worst targets", WIDTH)]
     for at in np.argsort(-errors, kind="stable")[:MOST_WORST].tolist():
         if errors[at] >= 0:
             station, number = found.targets[at]
@@ -149,12 +143,12 @@ def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Lines:
         )
     wrapped = [line for each in sentences for line in textwrap.wrap(each, WIDTH)]
     tells = [Content.styled(line, "$label") for line in wrapped]
-    return [Content(""), section("what it tells"), *tells]
+    return [Content(""), section("what it tells", WIDTH), *tells]
 
 
 def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return mean, RP (ISO 9283) and maximum of the distances from the mean, by place."""
-    lines = [section("figures"), _heads("mean", "RP", "max")]
+    lines = [section("figures", WIDTH), _heads("mean", "RP", "max")]
     inks = {series.name: series.ink for series in plot.series}
     for name, distances_mm in of.visits_mm.items():
         rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else None
@@ -166,7 +160,7 @@ def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
 
 def strip_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return mean and largest of the strip's residual, by station, and its limit."""
-    lines = [section("figures"), _heads("mean", "", "max")]
+    lines = [section("figures", WIDTH), _heads("mean", "", "max")]
     for name, values in of.strip_mm.items():
         lines.append(row(name, (float(values.mean()), None, float(np.abs(values).max()))))
     lines.append(row("limit", (None, None, of.log.cell.rail.held_within_mm)))
@@ -176,7 +170,10 @@ def strip_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
 
 def sweep_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return the gear lines of every swept axis."""
-    lines = [section("gear lines"), Content.styled("axis   cycles/rev.   size µrad", "$label")]
+    lines = [
+        section("gear lines", WIDTH),
+        Content.styled("axis   cycles/rev.   size µrad", "$label"),
+    ]
     for name in of.swept:
         record = of.log.curves[int(name[1:])]
         style = "bold" if name == (pick or of.swept[0]) else "$label"

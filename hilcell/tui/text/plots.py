@@ -21,8 +21,8 @@ from hilcell.ports import Array
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Mark, Plot, Series
 from hilcell.tui.plots.scale import Scale, even_scale, log_scale, step_at_least
+from hilcell.tui.text.words import HOW
 
-NAMES = {"before": "as sent", "idw": "paper method", "chosen": "corrected"}
 AS_SENT = Ink("$label", "o", "$label")
 PAPER = Ink("$live 70%", "+", "$label")
 LIVE = Ink("$live", "x", "$live")
@@ -134,7 +134,7 @@ def target_plot(found: Errors3D, limits: tuple[float, ...], limit_name: str) -> 
     """Return |e| target by target."""
     count = max(len(found.targets), 1)
     x = (np.arange(len(found.targets)) + 0.5) / count
-    series = [Series(NAMES[how], INKS[how], x, y) for how, y in found.by_how.items()]
+    series = [Series(HOW[how], INKS[how], x, y) for how, y in found.by_how.items()]
     what = "grid point" if found.grid else "target"
     title = f"|e| {what} by {what}, mm"
     return Plot(title, what, _counted(count), tuple(series), limits, limit_name)
@@ -147,7 +147,7 @@ def sorted_plot(of: Measured, pick: str = "") -> Plot:
     for how, y in found.by_how.items():
         known = np.sort(y[np.isfinite(y)])
         x = np.arange(len(known)) / max(len(known), 1)
-        series.append(Series(NAMES[how], INKS[how], x, known, joined=True))
+        series.append(Series(HOW[how], INKS[how], x, known, joined=True))
     what = "grid points" if found.grid else "targets"
     ticks = tuple((share / 100, f"{share} %") for share in SHARES)
     x_title = f"share of the {what} that have less than this error"

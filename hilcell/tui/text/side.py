@@ -17,8 +17,9 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots.draw import Look, draw
 from hilcell.tui.plots.scale import Scale, log_scale
 from hilcell.tui.text.deviation import PointRow
+from hilcell.tui.text.lines import section
 from hilcell.tui.text.map import NO_POINT, Volume, map_lines
-from hilcell.tui.text.plot_figures import mark_of, section
+from hilcell.tui.text.plot_figures import mark_of
 from hilcell.tui.text.plots import Errors3D, mean_of, target_plot
 
 MAP_ROWS, LEAST_PLOT = 22, 9
@@ -121,7 +122,7 @@ def _plot(
         parts += [" ", mark_of(look, series.ink), (words, "$label")]
     parts += [(" ─ limit", "$foreground")] if limits else []
     what = "grid point" if found.grid else "target"
-    head = section(f"|e| at {station}, {what} by {what}, mm", width).truncate(width)
+    head = section(f"|e| at {station}, {what} by {what}, mm", width)
     drawn = draw(plot, scale, width, max(height - 2, 5), look, named=False)
     return [head, Content.assemble(*parts).truncate(width), *drawn], scale
 

@@ -12,6 +12,7 @@ from hilcell.cell.file import Cell
 from hilcell.clean import harmless
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.frame import ends, fitted, wrapped
+from hilcell.tui.text.lines import section
 from hilcell.tui.text.run import badge, duration, simulation_block
 from hilcell.tui.text.words import step_words
 
@@ -49,23 +50,16 @@ def banner(checked: Checked, glyphs: Glyphs, width: int) -> Content:
     return ends(left, right, width) if width > left.cell_length + right.cell_length else left
 
 
-def heading(title: str, note: str, width: int) -> Content:
-    """Return a rule with a title, and a note at its end."""
-    end = f" {note} ─" if note else ""
-    rule = "─" * max(width - len(title) - len(end) - 3, 0)
-    return Content.assemble(("─ ", "$stale"), (title, "bold"), (f" {rule}{end}", "$stale"))
-
-
 def plan_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
     """Return the steps with their points and durations; steps that do nothing are left out."""
     plan, room = checked.plan, width - 2 * NUMBERS
     if checked.refused:
         reasons = _refusals(checked, glyphs, width, MOST_BESIDE)
-        return [heading("plan", "refused", width), *reasons][:rows]
+        return [section("plan", width, "refused"), *reasons][:rows]
     if plan is None:
-        return [heading("plan", "", width), Content.styled("  is being checked ...", "$label")]
+        return [section("plan", width), Content.styled("  is being checked ...", "$label")]
     names = f"{' points':─>{NUMBERS}}{'takes':>{NUMBERS}}"
-    lines = [heading("plan", "", room).append(Content.styled(names, "$label"))]
+    lines = [section("plan", room).append(Content.styled(names, "$label"))]
     steps = [step for step in plan["steps"] if step["points"] or step["duration_s"]]
     most = rows - len(lines) - 1
     shown = steps if len(steps) <= most else steps[: max(most - 1, 0)]
@@ -98,15 +92,15 @@ def check_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list
     """Return what has been checked, or every refusal with its reason, as far as there is room."""
     if checked.refused:
         lines = _refusals(checked, glyphs, width, MOST_UNDER)
-        return [heading("checks", "refused", width), *lines][:rows]
+        return [section("checks", width, "refused"), *lines][:rows]
     if checked.plan is None:
-        return [heading("checks", "", width), Content.styled("  being done ...", "$label")][:rows]
+        return [section("checks", width), Content.styled("  being done ...", "$label")][:rows]
     said = ["cell file and options are sound"]
     said += ["poses in reach, in limits, in sight"] if checked.plan["points"] else []
     said += ["the slide's way is clear"] if checked.has_rail else []
     done = [Content.assemble((f"{glyphs.fresh} ", "$passed"), words) for words in said]
     at = "" if checked.at is None else f" at {checked.at:%H:%M}"
-    return [heading("checks", f"{len(said)} of {len(said)}{at}", width), *done][:rows]
+    return [section("checks", width, f"{len(said)} of {len(said)}{at}"), *done][:rows]
 
 
 def _refusals(checked: Checked, glyphs: Glyphs, width: int, most: int) -> list[Content]:
@@ -127,7 +121,7 @@ def before_lines(checked: Checked, width: int, *, attended: bool) -> list[Conten
     words.append("Tracker on for two hours at least; doors closed.")
     if not attended:
         words.append("Unattended: nobody answers; a question waits, then ends the run.")
-    lines = [heading("before you start", "", width)]
+    lines = [section("before you start", width)]
     return lines + [fitted(Content.assemble(("• ", "$label"), each), width) for each in words]
 
 

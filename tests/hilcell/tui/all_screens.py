@@ -58,7 +58,7 @@ PROCEDURES = {
     "home": "home the rail",
     "rail-survey": "survey the rail",
 }
-COMPARISON = {
+COMPARISON: dict[str, Any] = {
     "first": "20260303-070000-calibrate-cd34", "second": RUN,
     "verdict": "drift: 1 of 2 judged changes are beyond it",
     "settings": [{"key": "tracker.max_std_mm", "first": "0.05", "second": ""}],

@@ -13,7 +13,6 @@ from hilcell.journal.point_id import PointId
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.deviation import Deviation
-from hilcell.tui.text.lines import scale_of
 from hilcell.tui.text.newest import (
     FULL_ROWS,
     SMALL_ROWS,
@@ -144,11 +143,15 @@ def test_digits_are_never_cut(width: int) -> None:
     assert "12.345" in text or "▄█  ▀▀█   ▀▀█ █ █ █▀▀" in text
 
 
-def test_scales_are_steps_of_1_2_5() -> None:
-    assert [scale_of(each) for each in (0.0, 0.06, 0.5, 0.51, 1.8, 3.0, 12.0)] == [
-        0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 20.0,
-    ]  # fmt: skip
-    assert scale_of(math.nan) == scale_of(math.inf) == 1000.0
+@pytest.mark.parametrize(
+    ("error_mm", "scale"),
+    [((0.0, 0.0, 0.1), "±0.2"), ((0.2, -0.51, 0.0), "±1"), ((math.nan, -math.inf, 3.0), "±5")],
+)
+def test_bars_have_a_scale_of_1_2_5_that_holds_them(
+    error_mm: tuple[float, float, float], scale: str
+) -> None:
+    found = Deviation("p", error_mm, (0.0, 0.0, 0.0), 0.3)
+    assert scale in point_lines(Shown("p", found, ""), UNICODE, 79).plain.split()
 
 
 @pytest.mark.parametrize(
