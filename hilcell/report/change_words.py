@@ -1,6 +1,6 @@
 """A change between two runs in words: every row says which station it is about.
 
-The station stands first, so that rows are told apart where a column is narrow.
+The station stands first, so that rows differ where a column is narrow, too.
 """
 
 from __future__ import annotations
