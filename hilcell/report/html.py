@@ -41,6 +41,7 @@ from hilcell.report.first_page import (
     validity_facts,
     verdict_word,
 )
+from hilcell.report.glossary import words_of
 from hilcell.report.method import models
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
@@ -77,6 +78,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             pages=pages or {},
             parts=PARTS,
             stops=STOPS,
+            words_of=words_of,
             controls=len(facts.log.select("control")),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             certificate=certificate(facts, budget, targets),

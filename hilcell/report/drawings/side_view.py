@@ -79,8 +79,7 @@ class _Side:
         (left, low), (right, top) = self._at(self._volume[0]), self._at(self._volume[1])
         left, right = sorted((left, right))
         yield rectangle(left, top, right - left, low - top, BAND, AFTER)
-        at_tracker, _ = self._at(self._tracker)
-        covered = right < at_tracker + TRACKER_MM and at_tracker - TRACKER_MM < right + HEIGHTS_MM
+        covered = -TRACKER_MM < self._word_x() - right < TRACKER_MM + HEIGHTS_MM
         x, anchor = (left - 1.0, "end") if covered else (right + 1.0, "start")
         for z, y in ((self._volume[1][1], top + 1.0), (self._volume[0][1], low + 1.0)):
             yield text(x, y, f"z {z:.0f}", anchor, MUTED)
@@ -90,5 +89,8 @@ class _Side:
         low = self._at([self._tracker[0], self._floor])[1]
         yield path([(x - 1.6, low), (x, y), (x + 1.6, low)], INK, 0.4)
         yield circle(x, y, 1.1, "#fff", INK)
-        inside = min(max(x, TRACKER_MM), WIDTH_MM - TRACKER_MM)
-        yield text(inside, y - 2.2, "tracker", "middle", bold=True)
+        yield text(self._word_x(), y - 2.2, "tracker", "middle", bold=True)
+
+    def _word_x(self) -> float:
+        """Return where the middle of the tracker's name stands, inside the drawing."""
+        return min(max(self._at(self._tracker)[0], TRACKER_MM), WIDTH_MM - TRACKER_MM)
