@@ -80,8 +80,11 @@ addEventListener("load", async () => {
       return {width: image.naturalWidth, box: box(each)};
     }));
   const drawings = [...document.querySelectorAll("figure svg")].map(box);
+  const sheets = [...document.querySelectorAll(".sheet")].map(
+    (each) => [box(each), box(each.querySelector("table"))]);
+  const verdicts = [...document.querySelectorAll(".first .sheet td:last-child")].map(box);
   document.documentElement.dataset.seen = JSON.stringify({
-    blocked, images, drawings, width: document.documentElement.scrollWidth,
+    blocked, images, drawings, sheets, verdicts, width: document.documentElement.scrollWidth,
     first: document.querySelector(".first")?.offsetHeight ?? 0});
 });
 </script>"""
@@ -92,7 +95,9 @@ class Seen:
     """A page as it was shown: what its policy blocked, its images, the boxes of its drawings.
 
     ``images`` have their ``width`` in pixels, 0 where they were not shown, and their ``box``;
-    a box is left, top, width, height. ``width`` is that of the page, which a printer shrinks
+    a box is left, top, width, height. ``sheets`` are those of each table's
+    section and of the table in it, ``verdicts`` of the last cells of page 1. ``width`` is that of
+    the page, which a printer shrinks
     to its paper, ``first`` the height of its first sheet. ``pixels`` are (rows, columns, 3), of
     0 to 255.
     """
@@ -100,6 +105,8 @@ class Seen:
     blocked: list[str]
     images: list[dict[str, Any]]
     drawings: list[list[float]]
+    sheets: list[tuple[list[float], list[float]]]
+    verdicts: list[list[float]]
     width: int
     first: int
     pixels: Array
@@ -111,14 +118,18 @@ class Seen:
         return float(np.mean(np.any(inside < 250, axis=2)))
 
 
-def looked_at(page: Path, folder: Path, size: tuple[int, int] = (900, 3000)) -> Seen:
-    """Show a page on a screen of a size, and look at it."""
+def looked_at(
+    page: Path, folder: Path, size: tuple[int, int] = (900, 3000), pixels: bool = True
+) -> Seen:
+    """Show a page on a screen of a size, and look at it; without ``pixels`` at its boxes only."""
     probed, picture = folder / "probed.html", folder / "screen.png"
     probed.write_text(page.read_text("utf-8").replace("<head>", f"<head>{_PROBE}", 1), "utf-8")
     window = f"--window-size={size[0]},{size[1]}"
     dumped = browse(probed, window, "--virtual-time-budget=5000", "--dump-dom")
     found = re.search(r'data-seen="([^"]*)"', dumped)
     assert found is not None, dumped[-2000:]
+    boxes = json.loads(html.unescape(found[1]))
+    if not pixels:
+        return Seen(**boxes, pixels=np.zeros((0, 0, 3)))
     browse(probed, window, f"--screenshot={picture}")
-    pixels = np.round(imread(picture)[..., :3] * 255).astype(int)
-    return Seen(**json.loads(html.unescape(found[1])), pixels=pixels)
+    return Seen(**boxes, pixels=np.round(imread(picture)[..., :3] * 255).astype(int))

@@ -179,6 +179,19 @@ def test_seen_in_a_browser(page: Path, tmp_path: Path) -> None:
         assert near.sum() > 300, f"the figures' colour {colour} is not to be seen"
 
 
+PHONE_PX = 500  # a browser without a screen makes no narrower window
+
+
+def test_seen_on_a_phone(page: Path, tmp_path: Path) -> None:
+    seen = looked_at(page, tmp_path, (PHONE_PX, 3000), pixels=False)
+    assert seen.width <= PHONE_PX
+    assert seen.verdicts
+    assert all(left + width <= PHONE_PX for left, _, width, _ in seen.verdicts)
+    assert all(left + width <= PHONE_PX for (left, _, width, _), _ in seen.sheets)
+    scrolled = [table[2] for sheet, table in seen.sheets if table[2] > sheet[2] + 1]
+    assert scrolled, "a wide table keeps its width and scrolls in its own box"
+
+
 PIXEL = (
     "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwAD"
     "hgGAWjR9awAAAABJRU5ErkJggg=="
