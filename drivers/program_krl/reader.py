@@ -107,8 +107,8 @@ class _Reader:
             target = self.targets[each.key]
             R = pose_from_zyx(*(target.numbers[name].value for name in POSE))[:3, :3]
             where = f"{each.word} ({self._file} line {each.line}) from {target.where}"
-            shift_mm = R @ np.array(each.shift_mm)
-            found.append(Stroke(where, keys.index(each.key), tuple(shift_mm.tolist())))
+            begin, end = (np.array([each.from_mm, each.shift_mm]) @ R.T).tolist()
+            found.append(Stroke(where, keys.index(each.key), tuple(end), tuple(begin)))
         return found
 
     def base(self) -> StatedBase | None:

@@ -31,11 +31,12 @@ BRANCHES = (
 
 @dataclass(frozen=True, slots=True)
 class Relative:
-    """A stroke of line ``line``: where it ends, in the tool's frame, from the target ``key``."""
+    """A stroke of line ``line``: where it begins and ends, in the tool's frame, from ``key``."""
 
     word: str
     line: int
     key: str
+    from_mm: tuple[float, float, float]
     shift_mm: tuple[float, float, float]
 
 
@@ -84,9 +85,10 @@ class StrokeRule:
                 f"{statement.head} is a relative motion, and the point before it is not known: "
                 "move to a point with X, Y, Z just before it, outside of branches"
             )
-        x, y, z = (a + b for a, b in zip(self._shift_mm, shift_mm, strict=True))
+        begin = self._shift_mm
+        x, y, z = (a + b for a, b in zip(begin, shift_mm, strict=True))
         self._keys, self._shift_mm = keys, (x, y, z)
-        return [Relative(statement.head, statement.line, key, (x, y, z)) for key in keys]
+        return [Relative(statement.head, statement.line, key, begin, (x, y, z)) for key in keys]
 
 
 def _only_strokes(block: Sequence[Statement], moving: Set[str]) -> list[Statement]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zy
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 
-STROKE_CHANGE_MM = 0.05  # by which the end of a stroke may be missed
+STEP_MM = 1.0  # between places of a stroke where the model is asked
 BASE_MM = 0.05  # at the targets: numbers of a program are rounded
 NAMED = 5
 
@@ -57,60 +59,122 @@ def check_base(
         )
 
 
+class StrokeLimits(NamedTuple):
+    """How far strokes may lead, and by how far each of N targets' strokes may miss, (N,) or one.
+
+    ``source`` says in words where ``miss_mm`` comes from.
+    """
+
+    longest_mm: float
+    miss_mm: Array | float
+    source: str
+
+
+class StrokeMiss(NamedTuple):
+    """By how far strokes miss at worst: across (a hole's position) and along (its depth)."""
+
+    across_mm: float = 0.0
+    along_mm: float = 0.0
+
+
 def check_strokes(
     calibration: Calibration,
     station: str,
     targets: Array,
     command: Array,
     strokes: Sequence[Stroke],
-    longest_mm: float,
-) -> float:
-    """Return by how far the end of a stroke is missed at most, mm; 0 without strokes.
+    limits: StrokeLimits,
+) -> StrokeMiss:
+    """Return by how far strokes miss the line that their target's nominal pose states.
 
-    A stroke keeps the correction of the target before it, so its end is missed by as much as the
-    error there differs from that at the target, and where angles are corrected by as much as the
-    stroke is turned with them. By the calibration's model, asked at both nominal ends, that may be
-    `STROKE_CHANGE_MM` (0.05 mm). ``targets`` (N, 6) are nominal, ``command`` (N, 6) corrected, in
-    {W}. Raises `StrokeError` naming the strokes that are longer than ``longest_mm``, end outside of
-    the calibrated volume, or miss their end by more.
+    A stroke keeps the correction of the target before it, so it misses by as much as the error on
+    its way differs from that at the target, and where angles are corrected by as much as the stroke
+    is turned with them. The calibration's model is asked every `STEP_MM` of the way: the ripple of
+    gears passes within some millimetres, an end can be good by chance. ``targets`` (N, 6) are
+    nominal, ``command`` (N, 6) corrected, in {W}. Raises `StrokeError` naming the strokes that lead
+    too far, end outside of the calibrated volume, or miss by more than ``limits``.
     """
     if not strokes:
-        return 0.0
+        return StrokeMiss()
+    names, at = [each.where for each in strokes], np.array([each.target for each in strokes])
     shifts_mm = np.array([each.shift_mm for each in strokes])
-    names, at = [each.where for each in strokes], [each.target for each in strokes]
-    _refuse(
-        lengths_mm(shifts_mm), longest_mm + ROUNDING_MM, names, "lead away from their point",
-        "shorten them, or declare their length with --allow-stroke MM",
-    )  # fmt: skip
-    starts = targets[at]
-    ends = starts.copy()
-    ends[:, :3] += shifts_mm
+    _refuse_long(lengths_mm(shifts_mm), limits.longest_mm, names)
     T_B_W = inverse(np.array(calibration.stations[station].T_W_B))
-    from_poses, to_poses = (T_B_W @ poses_from_zyx(each) for each in (starts, ends))
+    ends_mm = apply(T_B_W, targets[at, :3] + shifts_mm)
     try:
-        calibration.grid().check_inside(to_poses[:, :3, 3], names)
+        calibration.grid().check_inside(ends_mm, names)
     except OutsideGrid as error:
         raise StrokeError(f"strokes that end outside: {error}") from error
+    ways = [_way(each) for each in strokes]
+    missed_mm = _missed(calibration, T_B_W, targets[at], command[at], ways)
+    most_mm = np.broadcast_to(limits.miss_mm, len(targets))[at]
+    return _refuse_missed(ways, missed_mm, most_mm, names, limits.source)
+
+
+def _way(stroke: Stroke) -> Array:
+    """Return places (K, 3) of a stroke, relative to its target, in {W}, `STEP_MM` apart."""
+    length_mm = float(np.linalg.norm(np.subtract(stroke.shift_mm, stroke.from_mm)))
+    return np.linspace(stroke.from_mm, stroke.shift_mm, max(2, ceil(length_mm / STEP_MM) + 1))
+
+
+def _missed(
+    calibration: Calibration, T_B_W: Array, starts: Array, command: Array, ways: Sequence[Array]
+) -> list[Array]:
+    """Return by how far each place of ``ways`` is missed, each (K, 3) in {W}.
+
+    ``starts`` and ``command`` (N, 6) are the nominal and the corrected target of each way.
+    """
+    counts = [len(each) for each in ways]
+    places = np.repeat(starts, counts, axis=0)
+    places[:, :3] += np.concatenate(ways)
     model = calibration.error_model()
-    change_mm = model.predict(to_poses).error_mm - model.predict(from_poses).error_mm
-    wanted_mm = to_poses[:, :3, 3] - from_poses[:, :3, 3]
-    turned = (T_B_W @ poses_from_zyx(command[at]))[:, :3, :3]
-    along_mm = np.einsum("nji,nj->ni", from_poses[:, :3, :3], wanted_mm)  # in the tool's frame
-    sent_mm = np.einsum("nij,nj->ni", turned, along_mm)
-    missed_mm = lengths_mm(sent_mm + change_mm - wanted_mm)
-    _refuse(
-        missed_mm, STROKE_CHANGE_MM, names, "miss their end",
-        "shorten them, or state their end as a point, which is corrected by itself",
-    )  # fmt: skip
-    return float(missed_mm.max())
+    errors_mm = model.predict(T_B_W @ poses_from_zyx(places)).error_mm
+    at_start_mm = model.predict(T_B_W @ poses_from_zyx(starts)).error_mm
+    change_mm = (errors_mm - np.repeat(at_start_mm, counts, axis=0)) @ T_B_W[:3, :3]  # in {W}
+    turn = poses_from_zyx(command)[:, :3, :3] @ poses_from_zyx(starts)[:, :3, :3].swapaxes(1, 2)
+    sent_mm = [way @ each.T for way, each in zip(ways, turn, strict=True)]
+    total_mm = change_mm + np.concatenate(sent_mm) - np.concatenate(ways)
+    return np.split(total_mm, np.cumsum(counts)[:-1])
 
 
-def _refuse(found_mm: Array, most_mm: float, names: Sequence[str], what: str, act: str) -> None:
-    bad = np.flatnonzero(~(found_mm <= most_mm))
+def _refuse_long(found_mm: Array, longest_mm: float, names: Sequence[str]) -> None:
+    bad = np.flatnonzero(~(found_mm <= longest_mm + ROUNDING_MM))
     if len(bad):
-        named = "\n".join(f"  {names[n]}: {found_mm[n]:.3f} mm" for n in bad[:NAMED])
-        more = "\n  ..." if len(bad) > NAMED else ""
         raise StrokeError(
-            f"{len(bad)} of {len(names)} strokes {what} by more than {most_mm:.6g} mm; {act}\n"
-            f"{named}{more}"
+            f"{len(bad)} of {len(names)} strokes lead away from their point by more than "
+            f"{longest_mm:.6g} mm; shorten them, or declare their length with --allow-stroke MM\n"
+            + _listed([f"{names[n]}: {found_mm[n]:.3f} mm" for n in bad.tolist()])
         )
+
+
+def _refuse_missed(
+    ways: Sequence[Array], missed_mm: Sequence[Array], most_mm: Array, names: Sequence[str],
+    source: str,
+) -> StrokeMiss:  # fmt: skip
+    bad, worst = list[str](), StrokeMiss()
+    for way, missed, most, name in zip(ways, missed_mm, most_mm.tolist(), names, strict=True):
+        direction = (way[-1] - way[0]) / max(float(np.linalg.norm(way[-1] - way[0])), ROUNDING_MM)
+        along_mm = missed @ direction
+        across_mm = lengths_mm(missed - along_mm[:, None] * direction)
+        found = StrokeMiss(float(across_mm.max()), float(np.abs(along_mm).max()))
+        worst = StrokeMiss(*map(max, worst, found))
+        if not (found.across_mm <= most and found.along_mm <= most):
+            depth_mm = float(lengths_mm(way)[across_mm.argmax()])
+            bad.append(
+                f"{name}: {found.across_mm:.3f} mm across at {depth_mm:.0f} mm from the point, "
+                f"{found.along_mm:.3f} mm along; wanted <= {most:.3f} mm, {source}"
+            )
+    if bad:
+        raise StrokeError(
+            f"{len(bad)} of {len(names)} strokes miss their line, on which they keep the correction"
+            f" of the point before them: by up to {worst.across_mm:.3f} mm across (the hole's "
+            f"position) and {worst.along_mm:.3f} mm along (its depth); shorten them, state their "
+            "end as a point, which is corrected by itself, or state what the drilling allows with "
+            f"--stroke-tolerance MM\n{_listed(bad)}"
+        )
+    return worst
+
+
+def _listed(lines: Sequence[str]) -> str:
+    more = ["..."] if len(lines) > NAMED else []
+    return "\n".join(f"  {each}" for each in [*lines[:NAMED], *more])

@@ -14,6 +14,7 @@ LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
 MOST_PORT = 65535
 STROKE_MM, MOST_STROKE_MM = 20.0, 200.0
+MOST_STROKE_MISS_MM = 5.0
 SIMULATED = ("rail", "robot", "tracker", "control")
 # For the help: headers of `hilcell.compensation.targets` and `hilcell.planning.holes`.
 TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
@@ -105,6 +106,16 @@ def stroke(text: str) -> float:
     if not 0.0 < value <= MOST_STROKE_MM:
         raise argparse.ArgumentTypeError(
             f"a length above 0 up to {MOST_STROKE_MM:g} mm is wanted, found {text[:80]!r}"
+        )
+    return value
+
+
+def stroke_tolerance(text: str) -> float:
+    """Return by how far strokes may miss, mm."""
+    value = _number(text)
+    if not 0.0 < value <= MOST_STROKE_MISS_MM:
+        raise argparse.ArgumentTypeError(
+            f"a tolerance above 0 up to {MOST_STROKE_MISS_MM:g} mm is wanted, found {text[:80]!r}"
         )
     return value
 

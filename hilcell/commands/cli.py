@@ -371,6 +371,13 @@ def _add_files(commands: argparse._SubParsersAction[Parser]) -> None:
         help="how far a program's relative motions along the tool may lead from their point "
         f"(default: {arguments.STROKE_MM:g})",
     )
+    compensate.add_argument(
+        "--stroke-tolerance",
+        type=arguments.stroke_tolerance,
+        metavar="MM",
+        help="by how far these may miss, across and along, on all of their way (default: the 95 %% "
+        "bound of their point)",
+    )
     compensate.add_argument("--station", required=True, metavar="S", help="where they are reached")
     compensate.add_argument(
         "-o", "--output", required=True, metavar="OUT", help="corrected targets, or program"

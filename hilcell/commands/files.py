@@ -9,10 +9,17 @@ import numpy as np
 
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.programs import check_base, check_strokes
+from hilcell.calibration.influence import NoBound
+from hilcell.calibration.programs import STEP_MM, StrokeLimits, check_base, check_strokes
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.commands.bounds import bounds_of_targets, summary, turns_of_targets, write_bounds
+from hilcell.commands.bounds import (
+    Found,
+    bounds_of_targets,
+    summary,
+    turns_of_targets,
+    write_bounds,
+)
 from hilcell.commands.output import print_json, print_message
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.commands.released import released
@@ -21,6 +28,7 @@ from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.ports import Array
 
+STROKE_MISS_MM = 0.05  # that strokes may miss by where nothing else is stated
 DRILL_KEY = "uncertainty.drill_offset_mm"
 LISTS = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets without a remark
 
@@ -38,10 +46,11 @@ def compensate(args: argparse.Namespace) -> int:
     if program is not None and args.station in calibration.stations:
         check_base(calibration, args.station, program.base, targets)  # names a cause of the next
     command = compensate_targets(calibration, args.station, targets, names)
-    if program is not None:
-        _check_program(calibration, args, program, command, cell)
     drill_mm = drill_mm_of(cell)
     bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, drill_mm)
+    if program is not None:
+        limits = _stroke_limits(args, bounds)
+        _check_program(calibration, args, program, command, cell, limits)
     turns_deg = turns_of_targets(calibration, args.station, targets)
     if args.bounds:
         where = Path(args.bounds)
@@ -112,22 +121,31 @@ def _check_program(
     program: Program,
     command: Array,
     cell: Cell | None,
+    limits: StrokeLimits,
 ) -> None:
     """Refuse a program whose strokes or joints do not agree with its corrected targets."""
     station, name, targets = args.station, Path(args.targets).name, program.values()
-    missed_mm = check_strokes(
-        calibration, station, targets, command, program.strokes, args.allow_stroke
-    )
+    missed = check_strokes(calibration, station, targets, command, program.strokes, limits)
     if program.strokes:
         print_message(
-            f"{name}: strokes keep the correction of the point before them, and miss their end by "
-            f"at most {missed_mm:.3f} mm"
+            f"{name}: strokes keep the correction of the point before them, and miss by at most "
+            f"{missed.across_mm:.3f} mm across (the hole's position) and {missed.along_mm:.3f} mm "
+            f"along (its depth), by the model every {STEP_MM:g} mm; allowed: {limits.source}"
         )
     if cell is not None:
         T_W_B = np.array(calibration.stations[station].T_W_B)
         program.check_joints(cell.robot.arm(), T_W_B, command)
     elif program.needs_arm:
         print_message(f"{name}: {program.needs_arm} were not checked; --cell CELL does")
+
+
+def _stroke_limits(args: argparse.Namespace, bounds: Found) -> StrokeLimits:
+    """Return the tolerance that is stated; else the bounds, within which no difference is sure."""
+    if args.stroke_tolerance is not None:
+        return StrokeLimits(args.allow_stroke, args.stroke_tolerance, "--stroke-tolerance")
+    if isinstance(bounds, NoBound):
+        return StrokeLimits(args.allow_stroke, STROKE_MISS_MM, "as no 95 % bound can be stated")
+    return StrokeLimits(args.allow_stroke, bounds.radii_mm, "the point's 95 % bound")
 
 
 def _write(

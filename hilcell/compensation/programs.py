@@ -24,13 +24,14 @@ from hilcell.writing import NotWritten, is_stream, write_together
 class Stroke(NamedTuple):
     """A relative motion that keeps the correction of a target, an index into the program's.
 
-    ``shift_mm`` leads from that target to the motion's end, in the targets' frame; ``where`` names
-    it for messages.
+    ``shift_mm`` leads from that target to the motion's end, ``from_mm`` to its begin, in the
+    targets' frame; ``where`` names it for messages.
     """
 
     where: str
     target: int
     shift_mm: tuple[float, ...]
+    from_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
 class StatedBase(NamedTuple):

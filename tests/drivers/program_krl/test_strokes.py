@@ -2,13 +2,16 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from drivers.program_krl.files import load_program
 from drivers.program_krl.reader import read_program
-from hilcell.calibration.programs import StrokeError, check_strokes
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.programs import StrokeError, StrokeLimits, StrokeMiss, check_strokes
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
 from hilcell.ports import Array
@@ -116,14 +119,58 @@ def test_a_drill_stroke_stays_as_it_is_and_arrives(
     assert "strokes keep the correction of the point before them" in said
     assert DRILL in desk.out.read_text()
     nominal, command = load_program(desk.source), load_program(desk.out)
-    ends = [read.values()[:1] + [*read.strokes[0].shift_mm, 0, 0, 0] for read in (nominal, command)]
-    wanted, sent = (inverse(T_W_B) @ poses_from_zyx(each) for each in ends)
-    arrived = sent[:, :3, 3] + calibration().error_model().predict(sent).error_mm
-    off_mm = float(np.linalg.norm(arrived - wanted[:, :3, 3]))
-    assert 0.002 < off_mm < 0.05
-    stated = re.search(r"miss their end by at most (\S+) mm", said)
+    along = np.array(nominal.strokes[0].shift_mm) / 20.0
+    missed = []
+    for depth_mm in range(21):
+        places = [
+            np.hstack([read.values()[:1, :3] + depth_mm * along, read.values()[:1, 3:]])
+            for read in (nominal, command)
+        ]
+        wanted, sent = (inverse(T_W_B) @ poses_from_zyx(each) for each in places)
+        arrived = sent[:, :3, 3] + calibration().error_model().predict(sent).error_mm
+        off_mm = T_W_B[:3, :3] @ (arrived - wanted[:, :3, 3])[0]
+        missed.append([np.linalg.norm(off_mm - off_mm @ along * along), abs(off_mm @ along)])
+    stated = re.search(r"at most (\S+) mm across .* and (\S+) mm along", said)
     assert stated is not None
-    assert float(stated[1]) == pytest.approx(off_mm, abs=0.0015)
+    assert [float(each) for each in stated.groups()] == pytest.approx(
+        np.max(missed, axis=0), abs=0.0015
+    )
+    assert np.max(missed) > 0.002
+
+
+def test_a_stroke_is_judged_on_all_of_its_way() -> None:
+    """Ripple that is gone at the end moves the hole; what it does along moves the depth alone."""
+    made, read = (
+        calibration(),
+        read_program("p.src", "LIN XP1\nLIN_REL {X 20} #TOOL", ("p.dat", DAT)),
+    )
+    values, shift_mm = read.values(), np.array(read.strokes[0].shift_mm)
+    aside = np.cross(shift_mm, [0, 0, 1])
+
+    def judged(direction: Array, size_mm: float, most_mm: float) -> StrokeMiss:
+        unit = T_W_B[:3, :3].T @ direction / np.linalg.norm(direction)
+
+        def predict(poses: Array) -> SimpleNamespace:
+            depth_mm = (apply(T_W_B, poses[:, :3, 3]) - values[0, :3]) @ shift_mm / 20.0
+            return SimpleNamespace(error_mm=size_mm * np.sin(np.pi * depth_mm / 20)[:, None] * unit)
+
+        model = SimpleNamespace(predict=predict)
+        rippled = SimpleNamespace(stations=made.stations, grid=made.grid, error_model=lambda: model)
+        limits = StrokeLimits(20.0, most_mm, "stated")
+        return check_strokes(
+            cast("Calibration", rippled), "S1100", values, values, read.strokes, limits
+        )
+
+    assert judged(aside, 0.1, 0.11) == pytest.approx((0.1, 0.0), abs=1e-6)
+    assert judged(shift_mm, 0.1, 0.11) == pytest.approx((0.0, 0.1), abs=1e-6)
+    for direction in (aside, shift_mm):
+        with pytest.raises(StrokeError, match=r"0.100 mm (across|along).*stated") as raised:
+            judged(direction, 0.1, 0.09)
+        assert "wanted <= 0.090 mm, stated" in str(raised.value)
+    with pytest.raises(StrokeError, match=r"0\.100 mm across at 10 mm from the point"):
+        judged(aside, 0.1, 0.09)
+    with pytest.raises(StrokeError):
+        judged(aside, np.nan, 0.09)
 
 
 @pytest.mark.parametrize(
@@ -135,7 +182,17 @@ def test_a_drill_stroke_stays_as_it_is_and_arrives(
             "1 of 1 strokes lead away from their point by more than 20 mm",
         ),
         ("LIN_REL {X 25} #TOOL", ("--allow-stroke", "25"), ""),
-        ("LIN_REL {X 199} #TOOL", ("--allow-stroke", "200"), "miss their end by more than 0.05"),
+        ("LIN_REL {X 199} #TOOL", ("--allow-stroke", "200"), ""),
+        (
+            "LIN_REL {X 25} #TOOL",
+            ("--allow-stroke", "25", "--stroke-tolerance", "0.001"),
+            "wanted <= 0.001 mm, --stroke-tolerance",
+        ),
+        (
+            "LIN_REL {X 199} #TOOL",
+            ("--allow-stroke", "200", "--stroke-tolerance", "0.03"),
+            "state what the drilling allows with --stroke-tolerance MM",
+        ),
         ("LIN_REL {X 15} #TOOL\nLIN_REL {X 15} #TOOL", (), "(drill.src line 4) from XP1"),
     ],
 )
@@ -165,6 +222,15 @@ def test_a_stroke_out_of_the_calibrated_volume_is_refused(
     assert "LIN_REL (drill.src line 3) from XP1" in said
 
 
+@pytest.mark.parametrize("text", ["0", "-1", "6", "nan", "wide"])
+def test_a_tolerance_of_strokes_is_a_length(
+    desk: Workplace, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        desk.compensate("--stroke-tolerance", text)
+    assert "a tolerance above 0 up to 5 mm is wanted" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("text", ["0", "-5", "201", "nan", "long"])
 def test_a_declared_stroke_is_a_length(
     desk: Workplace, capsys: pytest.CaptureFixture[str], text: str
@@ -178,11 +244,12 @@ def test_a_stroke_that_corrected_angles_turn_away_is_refused() -> None:
     """A command turned by 5 mrad takes 20 mm of stroke 0.1 mm aside."""
     made, read = calibration(), read_program("p.src", f"LIN XP1\n{DRILL}", ("p.dat", DAT))
     values = read.values()
-    straight_mm = check_strokes(made, "S1100", values, values, read.strokes, 20.0)
-    assert straight_mm < 0.02
+    limits = StrokeLimits(20.0, 0.05, "")
+    straight = check_strokes(made, "S1100", values, values, read.strokes, limits)
+    assert max(straight) < 0.02
     turned = values + [0, 0, 0, 0, np.degrees(5e-3), 0]
-    with pytest.raises(StrokeError, match="miss their end by more than"):
-        check_strokes(made, "S1100", values, turned, read.strokes, 20.0)
+    with pytest.raises(StrokeError, match="miss their line"):
+        check_strokes(made, "S1100", values, turned, read.strokes, limits)
 
 
 def base_of(frame: Array) -> str:
