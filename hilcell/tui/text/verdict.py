@@ -126,9 +126,12 @@ def _station(view: RunView, name: str, place: _Place) -> Station:
     judged = view.log.verdicts.get(f"validation.{name}", {})
     outcome = judged.get("outcome") or ("accepted" if judged.get("holds", True) else "rejected")
     U_mm = judged.get("mean_U_mm")
+    by = (judged.get("mean_mm"), judged.get("max_mm"))  # the figures that it was judged by
+    mean_mm = by[0] if isinstance(by[0], float) else place.chosen.mean
+    max_mm = by[1] if isinstance(by[1], float) else place.chosen.max
     return Station(
-        name, place.points, place.before.mean, place.chosen.mean, place.chosen.p95,
-        place.chosen.max, math.nan if U_mm is None else float(U_mm), str(outcome),
+        name, place.points, place.before.mean, mean_mm, place.chosen.p95, max_mm,
+        math.nan if U_mm is None else float(U_mm), str(outcome),
     )  # fmt: skip
 
 
@@ -235,12 +238,21 @@ def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
     return [*lines, Content.styled(f" {name:<35}{limit}", "$label")]
 
 
+def _keeps(each: Station, found: Verdict) -> bool:
+    """Whether both figures of a station keep their limits."""
+    return each.mean_mm <= found.mean_limit_mm and each.max_mm <= found.max_limit_mm
+
+
 def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
     said = {
         "accepted": (f"{glyphs.fresh} pass", "$passed"),
         "rejected": (f"{glyphs.warned} FAIL", "bold $fault"),
     }
     word, tone = said.get(each.outcome, (f"{glyphs.warned} unsure", "$ask"))
+    if each.outcome == "accepted" and not _keeps(
+        each, found
+    ):  # never a plain pass beside such a figure
+        word, tone = f"{glyphs.warned} pass?", "$ask"
     mean_style = "bold" if each.mean_mm <= found.mean_limit_mm else "bold $fault"
     max_style = "" if each.max_mm <= found.max_limit_mm else "bold $fault"
     name = Content(harmless(each.name)).truncate(13, ellipsis=True).plain
@@ -262,7 +274,14 @@ def _facts(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:
     known = math.isfinite(sure.sure_mm)
     bound = f"below {sure.sure_mm:.3f} mm at {sure.name}" if known else "not stated"
     floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
+    doubtful = [
+        Content.styled(
+            f" {glyphs.warned} {each.name}: judged as pass, yet a figure is over its limit", "$ask"
+        )
+        for each in found.stations if each.outcome == "accepted" and not _keeps(each, found)
+    ]  # fmt: skip
     return [
+        *doubtful[:1],
         Content.assemble((" true mean, 95 % sure: ", "$label"), bound, (floor, "$label")),
         _written(view, found, glyphs),
         _drift(view, glyphs),

@@ -70,6 +70,26 @@ def test_a_failure_says_its_reason_and_steps() -> None:
     assert large_rows("FAIL")[0] in text.plain
 
 
+def test_a_station_shows_the_figures_it_was_judged_by() -> None:
+    view = finished("done", PLACES)
+    view.log.verdicts["validation.S1100"] |= {"mean_mm": 0.1, "max_mm": 0.25}
+    found = verdict_of(view)
+    assert found is not None
+    text = verdict_lines(view, found, UNICODE, 79).plain
+    assert "0.310" not in text
+    assert "pass?" not in text
+
+
+def test_a_pass_beside_a_figure_over_its_limit_is_not_shown_as_plain() -> None:
+    view = finished("done", PLACES)
+    found = verdict_of(view)
+    assert found is not None
+    text = verdict_lines(view, found, UNICODE, 79).plain
+    row = next(line for line in text.split("\n") if line.startswith(" S1100"))
+    assert row.endswith("0.310  ▲ pass?")
+    assert "▲ S1100: judged as pass, yet a figure is over its limit" in text
+
+
 def test_a_nan_is_the_worst_and_fails() -> None:
     nan = float("nan")
     view = finished("intolerant", PLACES | {"S300": {"mean": nan, "p95": nan, "max": nan}})
