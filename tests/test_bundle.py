@@ -102,8 +102,8 @@ def test_installs_and_runs_without_a_network(tmp_path: Path) -> None:
     # There is no network: else an installation from it would pass as one from the archive.
     assert "lo" in alone("ip", "-brief", "link").stdout
     assert len(alone("ip", "-brief", "link").stdout.splitlines()) == 1
-    installed = alone("sh", folder / "install.sh", tmp_path / "prefix")
+    installed = alone("sh", folder / "install.sh", "a prefix")
     assert installed.returncode == 0, installed.stderr
-    ran = alone(tmp_path / "prefix/bin/hilcell", "run", "home", "--unattended", "--json")
+    ran = alone(tmp_path / "a prefix" / "bin" / "hilcell", "run", "home", "--unattended", "--json")
     assert ran.returncode == 0, ran.stderr
     assert '"state":"finished"' in ran.stdout.splitlines()[-1]

@@ -2,8 +2,12 @@
 # Installs hilcell from this folder without a network:  sh install.sh [PREFIX]
 # PREFIX (default: ~/.local) gets lib/hilcell-VERSION and bin/hilcell. PYTHON names another python.
 set -eu
-cd "$(dirname "$0")"
 prefix=${1:-"$HOME/.local"}
+case $prefix in
+/*) ;;
+*) prefix=$PWD/$prefix ;;
+esac
+cd "$(dirname "$0")"
 python=${PYTHON:-python3}
 read -r version made_for < made-for
 
@@ -23,9 +27,12 @@ sha256sum --check --quiet SHA256SUMS ||
 home=$prefix/lib/hilcell-$version
 mkdir -p "$prefix/bin"
 "$python" -m venv --clear --without-pip "$home"
-pip="$home/bin/python $(echo wheels/pip-*.whl)/pip --disable-pip-version-check --isolated install --quiet --no-index --find-links wheels"
-$pip --require-hashes -r requirements-run.lock
-$pip --no-deps wheels/hilcell-*.whl
+pip() {
+    "$home/bin/python" "$(echo wheels/pip-*.whl)/pip" --disable-pip-version-check --isolated \
+        install --quiet --no-index --find-links wheels "$@"
+}
+pip --require-hashes -r requirements-run.lock
+pip --no-deps wheels/hilcell-*.whl
 ln -sf "$home/bin/hilcell" "$prefix/bin/hilcell"
 echo "installed: $prefix/bin/hilcell, version $version; \`hilcell doctor\` checks this PC"
 case ":$PATH:" in

@@ -15,7 +15,7 @@ mkdir -p "$folder/wheels"
     --require-hashes -r requirements-run.lock --dest "$folder/wheels"
 "$python" -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation \
     --wheel-dir "$folder/wheels" .
-cp .ci/bundle/install.sh requirements-run.lock LICENSE README.md "$folder"
+cp -R .ci/bundle/install.sh requirements-run.lock LICENSE README.md CHANGELOG.md docs "$folder"
 echo "$version $made_for" > "$folder/made-for"
 (cd "$folder" && find . -type f ! -name SHA256SUMS -exec sha256sum {} + | sort -k 2 > SHA256SUMS)
 tar -C dist -czf "$folder.tar.gz" "$name"

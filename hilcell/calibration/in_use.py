@@ -227,6 +227,9 @@ def _accepted(
 
     It must be of this cell. Its age and the temperature are no reasons: they are why it is checked.
     """
+    reasons = list(_foreign(calibration, path, cell))
+    if reasons:  # first: nothing accepts the calibration of another cell
+        raise Unfit(calibration, reasons)
     accepted = check_fitness(
         calibration,
         datetime.now(UTC),
@@ -236,9 +239,6 @@ def _accepted(
         standing=standing,
         accept_not_current=accepts.not_current,
     )
-    reasons = list(_foreign(calibration, path, cell))
-    if reasons:
-        raise Unfit(calibration, reasons)
     if standing is None or standing.usable:
         return accepted
     return [*accepted, f"it is {standing.text}"]

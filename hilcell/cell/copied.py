@@ -6,8 +6,9 @@ that still has those of a simulated one would mix its calibrations with simulate
 
 from __future__ import annotations
 
-from hilcell.cell.file import Cell, built_in_cells, load_cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.source import built_in_cells
 
 
 def check_copied(where: str, cell: Cell) -> str:

@@ -164,6 +164,17 @@ def device_places(
     return found
 
 
+def unknown_drivers(drivers: Mapping[str, str]) -> list[str]:
+    """Return the problems of drivers by table, as a cell file states them."""
+    problems: list[str] = []
+    for table, group in TABLES:
+        try:
+            load_entry(group, drivers.get(table, ""))
+        except SettingsError as error:
+            problems += [f"{table}.driver: {line}" for line in error.problems if table in drivers]
+    return problems
+
+
 def check_options(cell: Cell) -> None:
     """Check the drivers' options and addresses, the simulator, and the catalogues of alarms.
 
@@ -174,7 +185,8 @@ def check_options(cell: Cell) -> None:
         try:
             driver_options(cell, table, group, {})
         except SettingsError as error:
-            problems += [f"{table}.options: {line}" for line in error.problems]
+            key = "driver" if error.source == group else "options"
+            problems += [f"{table}.{key}: {line}" for line in error.problems]
     if cell.simulation is not None:
         try:
             simulator = load_entry("simulators", cell.simulation.simulator)

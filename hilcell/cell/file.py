@@ -8,13 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
-from importlib import resources
-from pathlib import Path
 from typing import Annotated, Any
-from unicodedata import normalize
 
 import msgspec
 from msgspec import Meta, field
@@ -31,12 +27,10 @@ from hilcell.cell.room import RoomTable
 from hilcell.cell.settings import (
     SettingsError,
     convert,
-    did_you_mean,
     override,
-    read_text,
     refuse,
-    unreadable,
 )
+from hilcell.cell.source import built_in_cells, folder_of, parsed, read_source
 from hilcell.cell.surroundings import (
     CapsuleTable,
     EnvelopeTable,
@@ -434,58 +428,29 @@ class Cell(Frozen, frozen=True, kw_only=True):
 def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
     """Read a built-in cell by name or a TOML file, with ``key.path = value`` overrides."""
     changed = overrides or {}
-    text = _read(where)
-    values = _parsed(text, where)
+    text = read_source(where)
+    values = parsed(text, where)
     for key, value in changed.items():
         override(values, key, value)
     try:
         cell = convert(completed(values), Cell, where)
-        stated = with_certificates(cell.uncertainty, _folder(where))
+        stated = with_certificates(cell.uncertainty, folder_of(where))
         return msgspec.structs.replace(cell, uncertainty=stated)
     except SettingsError as error:
-        if where in built_in_cells():
-            raise
-        raise SettingsError(where, with_lines(error.problems, text, where, changed)) from None
+        raise located(where, error.problems, changed) from None
 
 
-def _read(where: str) -> str:
-    """Return the text of a cell file; raises `SettingsError`."""
-    if not where.strip():
-        known = ", ".join(built_in_cells())
-        raise SettingsError(
-            "cell", [f"no cell was named; built in are: {known}; or give a path to a TOML file"]
-        )
+def located(where: str, problems: Iterable[str], overrides: Mapping[str, str]) -> SettingsError:
+    """Return the problems of a cell file, each with its line where it has one."""
     if where in built_in_cells():
-        return (resources.files("hilcell.cells") / f"{where}.toml").read_text("utf-8")
-    try:
-        return normalize("NFC", read_text(Path(where)))  # the letters of names, however typed
-    except FileNotFoundError:
-        names = built_in_cells()
-        hint = f"; built in: {', '.join(names)}{did_you_mean(where, names)}"
-        raise SettingsError(
-            where, [f"no such file, and no built-in cell of that name{hint}"]
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise unreadable(where, error, "cell file") from error
+        return SettingsError(where, list(problems))
+    return SettingsError(where, with_lines(problems, read_source(where), where, overrides))
 
 
-def _folder(where: str) -> Path:
-    """Return where the files lie that a cell file names."""
-    return Path() if where in built_in_cells() else Path(where).parent
-
-
-def _parsed(text: str, where: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except RecursionError:
-        raise SettingsError(where, ["nested too deeply"]) from None
-    except ValueError as error:  # also an integer of more digits than Python reads
-        raise SettingsError(where, [f"not valid TOML: {error}"]) from error
-
-
-def built_in_cells() -> list[str]:
-    """Return the names of the cells that come with hilcell."""
-    folder = resources.files("hilcell.cells")
-    return sorted(
-        p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")
-    )
+def stated_drivers(where: str, overrides: Mapping[str, str]) -> dict[str, str]:
+    """Return the driver that a cell file states in each table, sound or not."""
+    values = parsed(read_source(where), where)
+    for key, value in overrides.items():
+        override(values, key, value)
+    found = {name: table.get("driver") for name, table in values.items() if isinstance(table, dict)}
+    return {name: driver for name, driver in found.items() if isinstance(driver, str)}

@@ -107,14 +107,14 @@ def _values(quantity: Element, id: str) -> tuple[list[float], list[float]]:
     values = [each for name in ("value", "valueXMLList") for each in _floats(quantity, name)]
     pairs = ((list(_floats(quantity, U)), list(_floats(quantity, k))) for U, k in EXPANDED)
     expanded, factors = next(((U, k) for U, k in pairs if U and k), ([], []))
-    if not values or not expanded or min(factors) <= 0:
-        raise NotRead(f"quantity {id!r} states no value with expanded uncertainty and k")
+    if not values or not expanded or not min(factors) > 0 or not min(expanded) >= 0:
+        raise NotRead(f"quantity {id!r} states no value with expanded uncertainty (>= 0) and k > 0")
     sizes = {len(values), len(expanded), len(factors)} - {1}
     if len(sizes) > 1:
         raise NotRead(f"quantity {id!r} has {len(values)} values and {len(expanded)} U")
     count = len(values)
     wide = [U * (count if len(U) == 1 else 1) for U in (expanded, factors)]
-    return values, [abs(U) * COVERAGE_FACTOR / k for U, k in zip(*wide, strict=True)]
+    return values, [U * COVERAGE_FACTOR / k for U, k in zip(*wide, strict=True)]
 
 
 def _floats(quantity: Element, name: str) -> Iterator[float]:

@@ -28,6 +28,12 @@ from hilcell.errors import HilcellError
 LONGEST_VALUE = 80
 _PATH = re.compile(r"(\w+)[\w.\[\]]*:")  # with which a table's own check names the field
 _UNREAD = object()
+_KINDS = {
+    "float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false",
+    "array": "a list", "object": "a table",
+}  # fmt: skip
+_EXPECTED = re.compile(rf"Expected `({'|'.join(_KINDS)})`(?!.* - at `)")
+MOST_BYTES = 16_000_000  # of a file that is read at once
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -46,10 +52,14 @@ class SettingsError(HilcellError):
 def read_text(path: Path) -> str:
     """Return a file's text; raises `OSError`, `UnicodeDecodeError`.
 
-    Reading a device file or a FIFO may never end, so only regular files are read.
+    Reading a device file or a FIFO may never end, and a huge file fills the memory, so only regular
+    files of a size are read that a file of settings may have.
     """
-    if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):
+    found = path.stat()
+    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
         raise OSError(errno.EINVAL, "it is not a regular file")
+    if found.st_size > MOST_BYTES:
+        raise OSError(errno.EFBIG, f"it has {found.st_size} bytes, wanted at most {MOST_BYTES}")
     return path.read_text("utf-8-sig")  # editors of Windows write a mark
 
 
@@ -196,11 +206,14 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
         return msgspec.convert(value, kind, strict=True)
     except msgspec.ValidationError as error:
         allowed = range_text(kind)
-        if isinstance(value, str) and (words := _words(kind)):
-            problems.append(f"{path}: {words} are wanted, found {_short(value)}")
-            return _UNREAD
         hint = f"; allowed: {allowed}" if allowed else ""
-        problems.append(f"{path}: {error}, found {_short(value)}{hint}")
+        if isinstance(value, str) and (words := _words(kind)):
+            wanted, hint = f"{words} are wanted", ""
+        elif expected := _EXPECTED.match(str(error)):
+            wanted = f"{_KINDS[expected[1]]} is wanted"
+        else:
+            wanted = str(error)
+        problems.append(f"{path}: {wanted}, found {_short(value)}{hint}")
         return _UNREAD
 
 

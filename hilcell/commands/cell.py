@@ -8,8 +8,15 @@ import threading
 from typing import Any
 
 from hilcell.cell.copied import check_copied
-from hilcell.cell.devices import abilities, check_options, load_entry, start_simulation
-from hilcell.cell.file import load_cell
+from hilcell.cell.devices import (
+    abilities,
+    check_options,
+    load_entry,
+    start_simulation,
+    unknown_drivers,
+)
+from hilcell.cell.file import Cell, load_cell, located, stated_drivers
+from hilcell.cell.settings import SettingsError
 from hilcell.commands.output import (
     flush_data,
     print_answer,
@@ -26,10 +33,9 @@ from hilcell.run.states import CALIBRATION, RUN, mermaid
 
 def check(args: argparse.Namespace) -> int:
     """Check a cell file, the drivers' options and the calibration's plan."""
-    cell = load_cell(args.cell, dict(args.set))
+    cell = _sound(args.cell, dict(args.set))
     if warning := check_copied(args.cell, cell):
         print_message(warning)
-    check_options(cell)
     for table in (cell.touch, cell.targets):
         if table is not None and table.station:
             cell.station_named(table.station)  # `calibrate` needs neither
@@ -54,6 +60,21 @@ def check(args: argparse.Namespace) -> int:
     )
     print_answer(facts, words, as_json=args.json)
     return 0
+
+
+def _sound(where: str, overrides: dict[str, str]) -> Cell:
+    """Return a cell without a problem; raises `SettingsError` with all of them, by line."""
+    try:
+        cell = load_cell(where, overrides)
+    except SettingsError as error:
+        unknown = unknown_drivers(stated_drivers(where, overrides))
+        found = located(where, unknown, overrides).problems
+        raise SettingsError(where, [*error.problems, *found]) from None
+    try:
+        check_options(cell)
+    except SettingsError as error:
+        raise located(where, error.problems, overrides) from None
+    return cell
 
 
 def _word(able: bool) -> str:

@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 
 import shtab
 
-from hilcell.cell.file import built_in_cells
+from hilcell.cell.source import built_in_cells
 from hilcell.commands.cli import whole_parser
 from hilcell.commands.output import print_data
 

@@ -74,6 +74,8 @@ def _of_cell(where: str, overrides: dict[str, str]) -> Iterator[Finding]:
         yield Finding("cell", "ok", f"{cell.name}: simulated; a run starts its devices")
         return
     for place, tables in device_places(cell, {}).items():
+        if tables == ["rail"] and not cell.has_rail:
+            continue
         yield _in_use_or(f"{' and '.join(tables)} at {place}", place)
 
 

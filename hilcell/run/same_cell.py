@@ -14,8 +14,9 @@ import msgspec
 
 from hilcell import __version__
 from hilcell.cell.differences import differences
-from hilcell.cell.file import built_in_cells, load_cell
+from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.source import built_in_cells
 from hilcell.journal.asset import Asset, asset_of, same
 from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal

@@ -1,5 +1,8 @@
 """`check` as a command, in this process."""
 
+from importlib import resources
+from pathlib import Path
+
 import pytest
 
 from hilcell.commands.cli import main
@@ -13,3 +16,34 @@ def test_stations_of_other_procedures_are_known(
 ) -> None:
     assert main(["check", "paper", "--set", setting]) == 2
     assert "station 'NIX' is unknown; known here: S300, S1100" in capsys.readouterr().err
+
+
+def test_an_unknown_driver_is_named_beside_the_other_problems(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = resources.files("hilcell.cells").joinpath("paper.toml").read_text("utf-8")
+    cell = tmp_path / "mine.toml"
+    for changed in (text, text.replace("pitch_mm", "pitch")):
+        cell.write_text(changed.replace('driver = "canopen"', 'driver = "canopn"'), "utf-8")
+        assert main(["check", str(cell)]) == 2
+        found = capsys.readouterr().err
+        assert f"{cell}:" in found
+        assert "rail.driver: 'canopn' is not installed; did you mean \"canopen\"?" in found
+        assert ("grid.pitch: unknown key" in found) is (changed is not text)
+
+
+def test_a_file_that_is_no_toml_is_refused_by_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = tmp_path / "mine.toml"
+    cell.write_text("name = 'x'\nserial = \n")
+    assert main(["check", str(cell)]) == 2
+    assert f"{cell}:2: not valid TOML" in capsys.readouterr().err
+
+
+def test_a_huge_file_is_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cell = tmp_path / "mine.toml"
+    with cell.open("wb") as file:
+        file.truncate(10**12)
+    assert main(["check", str(cell)]) == 2
+    assert "wanted at most" in capsys.readouterr().err
