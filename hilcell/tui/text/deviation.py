@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from hilcell.calibration.decision import outcome_of
-from hilcell.calibration.errors import errors_of
+from hilcell.calibration.errors import counting, errors_of
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import rms
@@ -56,11 +56,12 @@ def expanded_of(log: Log) -> float:
 def deviation_of(log: Log, point: Point, U_mm: float | None = None) -> Deviation | None:
     """Return a point's deviation, or None where it has no nominal target or {W} is not known.
 
+    Of a target that was measured more than once, the measurement that counts: the larger error.
     ``U_mm`` is that of a single error, None: as the log has it now.
     """
     if point.nominal_mm is None or "world" not in log.frames:
         return None
-    found = errors_of(log, [point])
+    found = errors_of(log, [counting(log, point)])
     error, actual = found.error_mm[0], found.nominal_mm[0] + found.error_mm[0]
     judged = point.id.kind == "validate" and point.id.how == JUDGED
     if not judged:

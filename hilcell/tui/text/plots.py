@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hilcell.calibration.errors import HOWS, errors_of
+from hilcell.calibration.errors import HOWS, counting, errors_of
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log, Point, positions_mm
@@ -61,13 +61,16 @@ class Errors3D:
 
 
 def errors_by_target(log: Log) -> Errors3D:
-    """Return |e| of every target, in the order in which each was first measured."""
+    """Return |e| of every target, in the order in which each was first measured.
+
+    Of a target that was measured more than once the larger error counts, as in the verdict.
+    """
     if "world" not in log.frames:
         return Errors3D((), {})
     points = [*log.measured("validate")]
     grid = not points
     points = [*log.measured("grid")] if grid else points
-    points = [point for point in points if point.nominal_mm is not None]
+    points = [counting(log, point) for point in points if point.nominal_mm is not None]
     norms_mm = errors_of(log, points).norms_mm
     order: dict[Target, int] = {}
     where = [

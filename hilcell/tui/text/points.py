@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from textual.content import Content
 
+from hilcell.calibration.errors import counting, errors_of
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
 from hilcell.tui.engine.run_view import RunView
@@ -184,10 +185,26 @@ def point_page(view: RunView, key: str) -> Content:
         ]
         if found.limit_mm is not None:
             facts.append(("limit, mm", f"{found.limit_mm:.3f}, U {found.U_mm:.3f} (k = 2)"))
+        facts += _repeated(view.log, point)
+        point = counting(view.log, point)
     facts += _measured(point)
     return Content("\n").join(
         Content.assemble((f"{name:<28}", "$label"), text) for name, text in facts
     )
+
+
+def _repeated(log: Log, point: Point) -> list[tuple[str, str]]:
+    """Return |e| of each measurement of a target that was measured again, and which counts."""
+    measured = [*log.repeated.get(point.key, ()), point]
+    if len(measured) == 1:
+        return []
+    counted = measured.index(counting(log, point))
+    norms_mm = errors_of(log, measured).norms_mm.tolist()
+    texts = [
+        f"{norm_mm:.4f}{' (the larger: counts)' if n == counted else ''}"
+        for n, norm_mm in enumerate(norms_mm)
+    ]
+    return [("|e| first, then again, mm", ", ".join(texts))]
 
 
 def _measured(point: Point) -> list[tuple[str, str]]:

@@ -76,6 +76,20 @@ def test_a_target_that_was_not_measured_yet_keeps_its_place() -> None:
     assert np.isfinite(found.by_how["before"]).all()
 
 
+@pytest.mark.parametrize(("again_mm", "wanted_mm"), [(0.3, 0.4), (0.5, 0.5)])
+def test_of_a_target_measured_again_the_larger_error_is_drawn(
+    again_mm: float, wanted_mm: float
+) -> None:
+    id = PointId("validate", station="S1100", how="chosen", number=1)
+    story = validated(worst_mm=0.4)
+    story.point(id, (1100.0, 301.0, 400.0), (0.0, again_mm, 0.0), retaken=True)
+    of = measured_of(story)
+    assert of.errors.by_how["chosen"][1] == pytest.approx(wanted_mm, abs=1e-3)
+    lines = plot_lines(of, Choice(), 130, 30, LETTERS)
+    [worst] = [line.plain for line in lines if "target 2" in line.plain]
+    assert f"{wanted_mm:.3f}" in worst
+
+
 def test_a_station_has_its_own_targets() -> None:
     story = validated()
     other = PointId("validate", station="S300", how="before", number=0)

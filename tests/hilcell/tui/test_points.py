@@ -18,6 +18,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import read_log
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.text.deviation import deviation_of, row_of, state_of
+from hilcell.tui.text.newest import chosen_shown
 from hilcell.tui.text.points import WIDE, PointRows, columns_for, filtered, point_page, to_row
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
@@ -253,3 +254,34 @@ def test_the_page_of_a_point_tells_everything() -> None:
         assert part in text
     assert "nominal" not in point_page(view, "world/F1").plain
     assert "no such point" in point_page(view, "grid/9-9-9").plain
+
+
+def measured_again(off_mm: float) -> Log:
+    """Return a run whose last target, 0.4 mm off, was measured again."""
+    id = PointId("validate", station="S1100", how="chosen", number=1)
+    story = validated(worst_mm=0.4)
+    return log_of(story.point(id, (1100.0, 301.0, 400.0), (0.0, off_mm, 0.0), retaken=True))
+
+
+@pytest.mark.parametrize(("again_mm", "wanted_mm"), [(0.3, 0.4001), (0.5, 0.5)])
+def test_of_a_target_measured_again_the_larger_error_counts(
+    again_mm: float, wanted_mm: float
+) -> None:
+    log = measured_again(again_mm)
+    key = "validate/S1100/chosen/001"
+    row = row_of(log, log.points[key])
+    assert row.norm_mm == pytest.approx(wanted_mm, abs=1e-4)
+    assert row.deviation is not None
+    assert row.deviation.actual_mm[1] == pytest.approx(301.0 + max(0.4, again_mm))
+    assert f"{wanted_mm:.3f}" in to_row(row, (), 80).cells
+    assert chosen_shown(RunView("r", log), key).deviation == row.deviation
+
+
+def test_the_page_of_a_point_names_both_readings_and_which_counts() -> None:
+    key = "validate/S1100/chosen/001"
+    text = point_page(RunView("r", measured_again(0.3)), key).plain
+    assert "0.4001 (the larger: counts), 0.3000" in text
+    assert "1100.0000  301.4000  400.0100" in text  # the reading that counts
+    text = point_page(RunView("r", measured_again(0.5)), key).plain
+    assert "0.4001, 0.5000 (the larger: counts)" in text
+    assert "counts" not in point_page(RunView("r", log_of(validated())), key).plain
