@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from drivers.program_krl.data import POSE, DataList, aggregate, number
 from drivers.program_krl.tokens import KrlError, Statement, Token, closing, split, text_of
@@ -33,6 +34,14 @@ WITH_FORM = re.compile(
 )
 
 
+class StatedTool(NamedTuple):
+    """The tool that a program states, and where; ``number`` is None where it has none."""
+
+    line: int
+    text: str
+    number: int | None
+
+
 class FrameRule:
     """Follows a program's statements in their order and refuses a second base or tool."""
 
@@ -42,6 +51,7 @@ class FrameRule:
         self._form: tuple[str, int] | None = None  # frame data in force, and their line
         self._forms_used: tuple[str, int] | None = None
         self.stated: tuple[int, list[float]] | None = None  # base by its numbers, and its line
+        self.tool: StatedTool | None = None
         self._moved = 0
 
     def take(self, statement: Statement) -> None:
@@ -61,6 +71,10 @@ class FrameRule:
             return
         name, set_on = form
         numbers = self._numbers(name)
+        tool_no = self._data.data[name].fields()["TOOL_NO"]
+        self.tool = self.tool or StatedTool(
+            line, f"{name}, TOOL_NO {text_of(tool_no)}", _whole(tool_no)
+        )
         if self._set:
             what, line_set = next(iter(self._set.items()))
             raise KrlError(
@@ -87,9 +101,13 @@ class FrameRule:
         return f"TOOL_NO {text_of(fields['TOOL_NO'])}, BASE_NO {text_of(fields['BASE_NO'])}"
 
     def _bas(self, arguments: Sequence[Token], line: int) -> None:
-        first = text_of(split(arguments, ",")[0])
+        parts = split(arguments, ",")
+        first = text_of(parts[0])
         if first in BAS_SETS:
             self._set_once(BAS_SETS[first], line)
+            if first == "#TOOL":
+                number = parts[1] if len(parts) > 1 else ()
+                self.tool = StatedTool(line, f"TOOL_DATA[{text_of(number)}]", _whole(number))
         elif first in BAS_REFUSED or not first.startswith("#"):
             raise KrlError(f"BAS({first},...) may set another base")
         elif first in BAS_RESETS and (self._set or self._form or self._moved):
@@ -107,6 +125,9 @@ class FrameRule:
             self._set_once(SET_ONCE[name], line)
             if name == "$BASE" and (values := _stated(rest[1:])) is not None:
                 self.stated = line, values
+            if name == "$TOOL":
+                number = rest[3:4] if rest[1].word == "TOOL_DATA" and len(rest) > 3 else ()
+                self.tool = StatedTool(line, text_of(rest[1:]), _whole(number))
 
     def _set_once(self, what: str, line: int) -> None:
         if what in self._set:
@@ -114,6 +135,10 @@ class FrameRule:
         if self._moved:
             raise KrlError(f"changes the {what} after the motion of line {self._moved}")
         self._set[what] = line
+
+
+def _whole(tokens: Sequence[Token]) -> int | None:
+    return int(tokens[0].text) if len(tokens) == 1 and tokens[0].text.isdecimal() else None
 
 
 def assigned_at(tokens: Sequence[Token], at: int) -> bool:

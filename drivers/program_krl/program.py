@@ -6,14 +6,18 @@ written back byte for byte.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
+from typing import Any
 
 import numpy as np
 
 from drivers.program_krl.data import POSE, Number
+from drivers.program_krl.frames import StatedTool
 from drivers.program_krl.tokens import statements
 from drivers.program_krl.turns import check_turns
+from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedBase, Stroke
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
@@ -21,6 +25,7 @@ from hilcell.ports import Array
 ENCODING = "latin-1"
 SOURCE, DATA = ".src", ".dat"
 DECIMALS = 3
+USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver takes it
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +60,8 @@ class Target:
 class Program:
     """Texts by file name, targets in the order of their first motion, and remarks on them.
 
-    ``strokes`` start at one of the targets, ``base`` is that which the program sets by numbers.
+    ``strokes`` start at one of the targets, ``base`` is that which the program sets by numbers,
+    ``tool`` the one that it states.
     """
 
     texts: dict[str, str] = field(repr=False)
@@ -63,6 +69,7 @@ class Program:
     notes: list[str]
     strokes: list[Stroke] = field(default_factory=list)
     base: StatedBase | None = None
+    tool: StatedTool | None = None
     suffixes = (SOURCE, DATA)
 
     @property
@@ -83,6 +90,18 @@ class Program:
         """Raise `TurnError` where ``command`` (N, 6) in {W} would mean other whole turns."""
         postures = [(target.where, target.posture) for target in self.targets]
         check_turns(arm, T_W_B, postures, self.values(), command)
+
+    def check_options(self, options: Mapping[str, Any]) -> None:
+        """Refuse a tool that is not the calibrated one, of the robot's ``options``."""
+        wanted = options.get("tool", USUAL_TOOL)
+        if self.tool is not None and self.tool.number not in (None, wanted):
+            source = next(iter(self.texts))
+            problem = (
+                f"{source} line {self.tool.line}: the tool is {self.tool.text}, wanted "
+                f"TOOL_DATA[{wanted}], which the calibration holds for (robot.options.tool of the "
+                "cell, 1 where it states none); state the targets for that tool"
+            )
+            raise SettingsError(source, [problem])
 
     @property
     def remarks(self) -> list[str]:

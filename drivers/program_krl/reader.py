@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from drivers.program_krl.data import AXES, EXTERNAL, POINTS, POSE, DataList, Datum, declared
-from drivers.program_krl.frames import FrameRule, assigned_at
+from drivers.program_krl.frames import FrameRule, StatedTool, assigned_at
 from drivers.program_krl.program import Program, Target
 from drivers.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
 from drivers.program_krl.tokens import KrlError, Statement, Token, closing, statements, text_of
@@ -50,7 +50,7 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
         raise SettingsError(source, reader.problems)
     texts = {source: text} | ({name: content} if data else {})
     targets = list(reader.targets.values())
-    return Program(texts, targets, reader.notes(), reader.strokes(), reader.base())
+    return Program(texts, targets, reader.notes(), reader.strokes(), reader.base(), reader.tool)
 
 
 class _Reader:
@@ -118,6 +118,11 @@ class _Reader:
         line, values = self._frames.stated
         return StatedBase(f"{self._file} line {line}", tuple(values))
 
+    @property
+    def tool(self) -> StatedTool | None:
+        """Return the tool that the program states."""
+        return self._frames.tool
+
     def notes(self) -> list[str]:
         """Return the parts that were left as they are, and those that reach further."""
         used = {target.name for target in self.targets.values()}
@@ -127,6 +132,17 @@ class _Reader:
         unused = [d.name for d in self._data.data.values() if d.kind in POINTS]
         unused = [name for name in unused if name not in used]
         remarks = [f"{what} (line {line})" for what, line in self._left.items()]
+        if self.tool is not None:
+            remarks.append(
+                f"its tool is {self.tool.text} (line {self.tool.line}): it must be the calibrated "
+                "one, {T}"
+            )
+        aside = dict.fromkeys(str(each.line) for each in self._relative if _is_aside(each))
+        if aside:
+            remarks.append(
+                f"strokes that are not along z of the tool, the drill's axis in {{T}}: line "
+                f"{', '.join(aside)}; they are corrected as they stand"
+            )
         remarks += [
             f"{name} is GLOBAL: other programs that use it get its correction, too"
             for name in sorted(shared)
@@ -295,6 +311,11 @@ def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
     elif len(tokens) > 2 and tokens[2].text == "[":
         end = closing(tokens, 2) + 1
     return tokens[1:end], tokens[end:]
+
+
+def _is_aside(stroke: Relative) -> bool:
+    """Whether a stroke leads aside from z of the tool."""
+    return stroke.shift_mm[:2] != stroke.from_mm[:2]
 
 
 def _is_header(statement: Statement) -> bool:

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from drivers.program_krl.data import POSE
-from drivers.program_krl.program import DATA, ENCODING, SOURCE
+from drivers.program_krl.program import DATA, ENCODING, SOURCE, USUAL_TOOL
 from drivers.program_krl.turns import turn_of
 from hilcell.clean import clean
 from hilcell.compensation.stamp import Stamp
@@ -23,7 +23,6 @@ from hilcell.ports import Array
 LONGEST_NAME = 24  # of a module
 LINE = "\r\n"
 ACCELERATION_PERCENT = 50
-USUAL_TOOL = 1
 CLEAR_RAD = 1e-4  # of an axis from zero, where its bit of T turns
 
 

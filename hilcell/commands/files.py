@@ -43,6 +43,8 @@ def compensate(args: argparse.Namespace) -> int:
     inputs = [source, found.path, Path(args.cell or source)]
     program = load_program(source)
     names, targets = _listed(source) if program is None else (program.names, program.values())
+    if program is not None and cell is not None:
+        program.check_options(cell.robot.options)
     if program is not None and args.station in calibration.stations:
         check_base(calibration, args.station, program.base, targets)  # names a cause of the next
     command = compensate_targets(calibration, args.station, targets, names)

@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from hilcell.cell.devices import load_entry
 from hilcell.compensation.stamp import Stamp, refuse_corrected
@@ -74,6 +74,9 @@ class Program(Protocol):
 
     def values(self) -> Array:
         """Return the targets (N, 6): x, y, z in mm, Z-Y-X angles a, b, c in deg."""
+
+    def check_options(self, options: Mapping[str, Any]) -> None:
+        """Raise `SettingsError` where it does not agree with the options of the cell's robot."""
 
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
         """Raise `HilcellError` where ``command`` (N, 6) would mean other turns of the joints."""

@@ -135,6 +135,31 @@ def test_the_calibration_is_not_written_over_by_a_link(desk: Workplace) -> None:
     assert file.read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    ("tool", "code"),
+    [
+        ("$TOOL=TOOL_DATA[2]", 2),
+        ("BAS (#TOOL,3 )", 2),
+        ("FDAT_ACT=FP1", 2),
+        ("BAS (#TOOL,1 )", 0),
+        ("$TOOL=DRILL", 0),
+    ],
+)
+def test_a_tool_that_is_not_the_calibrated_one(
+    desk: Workplace, capsys: pytest.CaptureFixture[str], tool: str, code: int
+) -> None:
+    """Refused with the cell; without it a note names the tool."""
+    dat = "DECL FDAT FP1={TOOL_NO 4,BASE_NO 2,IPO_FRAME #BASE}\n" + DAT
+    point = "LIN {X 0.0,Y 0.0,Z 1200.0,A 0.0,B 75.0,C 0.0}"
+    desk.program(f"DEF drill( )\n{tool}\n{point}\nEND\n", dat.replace("FP1={TOOL_NO 1", "FP0={"))
+    desk.calibrate(digest=load_cell("paper").digest)
+    assert desk.compensate("--cell", "paper") == code
+    said = capsys.readouterr().err
+    assert ("wanted TOOL_DATA[1], which the calibration holds for" in said) == (code == 2)
+    assert desk.compensate(out=desk.folder / "noted.src") == 0
+    assert "its tool is " in capsys.readouterr().err
+
+
 def near_zero(posture: str) -> str:
     """Return a data list whose point the correction takes from -0.2 to about 0.3 mm beside A1."""
     x, y, z = apply(T_W_B, np.array([[1850.0, -0.2, 950.0]]))[0]

@@ -75,6 +75,7 @@ def test_remarks_name_the_lines_left_as_they_are() -> None:
         "home move XHOME: joint targets are left unchanged (line 20)",
         "CHECK_HOLE is another program: its motions are not corrected (line 40)",
         "home move HOME: joint targets are left unchanged (line 42)",
+        "its tool is FP1, TOOL_NO 1 (line 27): it must be the calibrated one, {T}",
         "not used by a motion, left: XP3",
     ]
 

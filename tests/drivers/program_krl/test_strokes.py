@@ -105,6 +105,13 @@ def test_other_relative_motions_are_refused_with_their_line(stroke: str, part: s
     assert part in raised.value.problems[0]
 
 
+def test_a_stroke_aside_from_the_drills_axis_gets_a_note() -> None:
+    body = "LIN XP1\nLIN_REL {Z 20} #TOOL\nLIN_REL {Z -20} #TOOL\nLIN_REL {X 5} #TOOL"
+    read = read_program("p.src", body, ("p.dat", DAT))
+    (note,) = (note for note in read.notes if "strokes" in note)
+    assert "not along z of the tool, the drill's axis in {T}: line 4;" in note
+
+
 @pytest.fixture
 def desk(tmp_path: Path) -> Workplace:
     return Workplace(tmp_path)
