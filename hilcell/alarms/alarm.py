@@ -1,7 +1,8 @@
 """The alarms of a run, from its journal alone: the same for a live run, a past one, a crash.
 
 A run is performed in sessions, and the fault that stopped an earlier one was dealt with. So only
-the last session's events count, while verdicts and the room's temperature concern the whole run.
+the last session's events count, while verdicts, the room's temperature and sessions that a crash
+cut off concern the whole run.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def alarms_of(
         return []
     session = [record for record in log.events if record.seq > log.began]
     moments = [*_temperature(log), *_verdicts(log), *_events(log, session), *_strip(log, session)]
-    moments += _end(log, session, live=live)
+    moments += [*_cut_off(log), *_end(log, session, live=live)]
     moments += _lost(log) if lost and not live else []
     moments.sort(key=lambda moment: moment.seq)
     over = not live or log.over
@@ -253,11 +254,25 @@ def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
     elif state == "aborted":
         yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), t, seq)
     elif end is None and not live:
-        found = f"the journal ends while the run was {state}, with {len(log.points)} points"
         final = log.newest
         t, seq = (final.t, final.seq) if final is not None else (t, seq)
-        yield _Moment(_cell("HC-J05", "crash", found), t, seq, cause="watched")
+        yield _Moment(_crash(state, len(log.points)), t, seq, cause="watched")
     yield from _refused(end, reason, t, seq)
+
+
+def _cut_off(log: Log) -> Iterator[_Moment]:
+    """Yield the crashes of earlier sessions: a screen that comes later asks about them, too.
+
+    A run that has finished since has proven the cell: there they are only worth a notice.
+    """
+    severity: Severity | None = "notice" if log.state == "finished" else None
+    for cut in log.cut_off:
+        yield _Moment(_crash(cut.state, cut.points), cut.last.t, cut.last.seq, severity)
+
+
+def _crash(state: str, points: int) -> Finding:
+    found = f"the journal ends while the run was {state}, with {points} points"
+    return _cell("HC-J05", "crash", found)
 
 
 def _lost(log: Log) -> Iterator[_Moment]:

@@ -60,9 +60,9 @@ class Latch:
             if mark not in raised and alarm.passes:
                 del self._seen[mark]
         for code, latched in [*self._latched.items()]:
-            there = _mark(latched.alarm) in raised
+            there = raised.get(_mark(latched.alarm))
             gone = "" if there else latched.gone or at
-            self._keep(code, replace(latched, gone=gone))
+            self._keep(code, replace(latched, alarm=there or latched.alarm, gone=gone))
         for mark, alarm in raised.items():
             if mark not in self._seen:
                 self._seen[mark] = alarm

@@ -208,6 +208,14 @@ class LinkRecord(msgspec.Struct, frozen=True):
         )
 
 
+class CutOff(msgspec.Struct, frozen=True):
+    """A session without an end of its own: its last record, its state and the points by then."""
+
+    last: Record
+    state: RunState
+    points: int
+
+
 class Log:
     """The journal so far. ``take`` adds one record."""
 
@@ -239,18 +247,20 @@ class Log:
         self.curves: dict[int, CurveRecord] = {}  # by axis, 1 to 6
         self.assets: list[Asset] = []  # that answered when they were last connected
         self.newest: Record | None = None
+        self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
         for record in records:
             self.take(record)
 
     def take(self, record: Record) -> None:
         """Add one record."""
-        body, self.newest = record.body, record
+        body, before = record.body, self.newest
+        self.newest = record
         match record.kind:
             case "plan":
                 self.plan = msgspec.convert(body, PlanRecord)
                 self._cell = None
             case "state":
-                self._take_state(record)
+                self._take_state(record, before)
             case "point":
                 self._take_point(self.read(record), record.seq)
             case "frame":
@@ -330,11 +340,13 @@ class Log:
                 sight = msgspec.convert(body, Seated)
                 self.seated, self.sights[sight.place] = sight.place, sight
 
-    def _take_state(self, record: Record) -> None:
+    def _take_state(self, record: Record, before: Record | None) -> None:
         body = record.body
         if body["machine"] == "calibration":
             self.calibration = msgspec.convert(body["to"], CalibrationState)
             return
+        if body["to"] == "checking" and self.life and not self.over and before is not None:
+            self.cut_off.append(CutOff(before, self.state, len(self.points)))
         self.state = msgspec.convert(body["to"], RunState)
         self.life.append(record)
         if self.state == "checking":

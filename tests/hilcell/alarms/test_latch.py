@@ -12,6 +12,7 @@ from tests.hilcell.alarms.journals import (
     CLOSED,
     alarms,
     asks,
+    ended,
     event,
     faulted,
     no_reading,
@@ -153,3 +154,34 @@ def test_a_healed_reading_that_comes_back_as_a_fault_is_one_alarm() -> None:
     latch.take(alarms(*asking, live=True))
     latch.take(alarms(*asking, state("stopping"), CLOSED, faulted(BEAM)))
     assert standing(latch) == [("HC-T10", "fault", 3)]
+
+
+def test_a_crash_stands_until_it_is_acknowledged_in_a_later_screen_too() -> None:
+    went_on = (*BEGUN, *BEGUN)
+    aborted = (*went_on, state("stopping"), CLOSED, state("aborted"))
+    first, later = Latch(), Latch()
+    first.take(alarms(*BEGUN))
+    for latch in (first, later):
+        latch.take(alarms(*went_on, live=True), "t7")
+        assert standing(latch) == [("HC-J05", "fault", 1)]
+        latch.take(alarms(*aborted))
+        assert standing(latch)[0] == ("HC-J05", "fault", 1), "still not acknowledged"
+        latch.acknowledge()
+        assert standing(latch) == []
+        latch.take(alarms(*aborted))
+        assert standing(latch) == []
+
+
+def test_an_acknowledged_crash_is_over_once_the_run_goes_on() -> None:
+    latch = Latch()
+    latch.take(alarms(*BEGUN))
+    latch.acknowledge()
+    assert standing(latch) == [("HC-J05", "fault", 1)], "nobody watches the cell yet"
+    latch.take(alarms(*BEGUN, *BEGUN, live=True), "t7")
+    assert standing(latch) == []
+
+
+def test_a_crash_of_a_run_that_has_finished_since_is_a_notice() -> None:
+    done = (CLOSED, state("finished"), ended(None, 0, "finished"))
+    crash = alarms(*BEGUN, *BEGUN, *done)
+    assert [(each.code, each.severity, each.seq) for each in crash] == [("HC-J05", "notice", 4)]
