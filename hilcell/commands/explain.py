@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from difflib import get_close_matches
 
 from hilcell.alarms.catalogue import Entry, catalogue
@@ -27,7 +28,8 @@ def explain(args: argparse.Namespace) -> int:
 def _entry(code: str) -> Entry:
     """Return the entry; raises `HilcellError` with the codes that are most like an unknown one."""
     known = catalogue()
-    if code.upper() in known:
-        return known[code.upper()]
+    named = re.sub(r"^HC(?=[A-Z])", "HC-", code.upper())
+    if named in known:
+        return known[named]
     nearest = ", ".join(get_close_matches(code.upper(), known, NEAREST, 0.0))
     raise HilcellError(f"alarm {code[:80]!r} is unknown; the nearest known: {nearest}")

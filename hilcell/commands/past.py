@@ -19,10 +19,10 @@ from hilcell.run.procedure import Procedure
 
 
 def runs(args: argparse.Namespace) -> int:
-    """List the runs of a folder, in the order of their names."""
+    """List the runs of a folder, in the order in which they began."""
     rows = read_index(args.runs)
     known = standings(rows)
-    listed = sorted((row for row in rows if _asked_for(row, args)), key=lambda row: row.name)
+    listed = sorted((row for row in rows if _asked_for(row, args)), key=_age)
     found = [_summary(row, known.get(row.name)) for row in listed]
     if args.json:
         print_json({"runs": found})
@@ -42,13 +42,20 @@ def runs(args: argparse.Namespace) -> int:
     return 0
 
 
+def _age(row: RunRow) -> tuple[str, str]:
+    return row.begun, row.name
+
+
 def _asked_for(row: RunRow, args: argparse.Namespace) -> bool:
     """Return whether a run is of the cell and operator, and as young, as was asked for."""
     since: datetime | None = args.since
     begun = _time(row.begun)
     young = since is None or (begun is not None and begun >= since)
-    cell, operator = args.cell in (None, row.cell), args.operator in (None, row.operator)
-    return young and cell and operator
+    return young and _same(args.cell, row.cell) and _same(args.operator, row.operator)
+
+
+def _same(asked: str | None, found: str) -> bool:
+    return asked is None or asked.casefold() == found.casefold()
 
 
 def _time(begun: str) -> datetime | None:

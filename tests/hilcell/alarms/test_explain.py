@@ -34,3 +34,8 @@ def test_an_unknown_code_is_refused_with_those_most_like_it(
     said = capsys.readouterr()
     assert said.out == ""
     assert "alarm 'HC-R311' is unknown; the nearest known: HC-R31," in said.err
+
+
+def test_a_code_is_found_without_its_hyphen(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "hcb10"]) == 0
+    assert capsys.readouterr().out.startswith("HC-B10 ")

@@ -138,8 +138,10 @@ def test_a_run_that_was_killed_before_its_first_record_never_began(
     assert out == ""
     assert main(["runs", "--json", "--runs", str(runs)]) == 0
     listed = msgspec.json.decode(capsys.readouterr().out)["runs"]
-    assert [each["state"] for each in listed] == ["never began", "finished"]
-    assert "start a new run" in listed[0]["reason"]
+    states = {each["run"]: each["state"] for each in listed}
+    assert states == {"r": "never began"} | dict.fromkeys(states.keys() - {"r"}, "finished")
+    (reason,) = [each["reason"] for each in listed if each["run"] == "r"]
+    assert "start a new run" in reason
 
 
 @pytest.mark.parametrize("beside", [CALIBRATION, ENGINE])
@@ -159,8 +161,10 @@ def test_a_list_of_runs_names_what_it_cannot_read(
     how(runs / "r" / JOURNAL)
     assert main(["runs", "--json", "--runs", str(runs)]) == 0
     listed = msgspec.json.decode(capsys.readouterr().out)["runs"]
-    assert [each["state"] for each in listed] == ["unreadable", "finished"]
-    assert "damaged at record" in listed[0]["reason"]
+    states = {each["run"]: each["state"] for each in listed}
+    assert states == {"r": "unreadable"} | dict.fromkeys(states.keys() - {"r"}, "finished")
+    (reason,) = [each["reason"] for each in listed if each["run"] == "r"]
+    assert "damaged at record" in reason
 
 
 AS_NOBODY = """
