@@ -420,8 +420,8 @@ def main(
     try:
         act = getattr(importlib.import_module(f"hilcell.{module}"), function)
         imported()
-        if getattr(args, "runs", "none") is None:
-            args.runs = _usual_runs()
+        if "runs" in args:
+            args.runs = _runs_of(args.runs)
         code = int(act(args))
         flush_data()
     except KeyboardInterrupt:
@@ -433,9 +433,11 @@ def main(
         return code
 
 
-def _usual_runs() -> Path:
-    from hilcell.journal.runs_folder import usual_runs  # loads the journal
+def _runs_of(named: Path | None) -> Path:
+    from hilcell.journal.runs_folder import at_home, usual_runs  # loads the journal
 
+    if named is not None:
+        return at_home(named)
     usual = usual_runs(os.environ)
     if usual.note:
         print_message(usual.note)

@@ -72,7 +72,9 @@ def compensate(args: argparse.Namespace) -> int:
                 "notes": list(found.notes()),
             }
         )
-    print_message(f"{len(names)} targets corrected for {args.station} into {written}")
+    print_message(
+        f"{len(names)} target{'s' * (len(names) != 1)} corrected for {args.station} into {written}"
+    )
     print_message(summary(bounds, names, turns_deg))
     if drill_mm is not None:
         at_mm = " ".join(f"{each:g}" for each in drill_mm)

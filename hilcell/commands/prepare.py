@@ -118,7 +118,8 @@ def _rows(stations: list[Prepared]) -> Iterator[list[str]]:
 
 def _print_written(cell: Cell, stations: list[Prepared], folder: Path) -> None:
     print_message(
-        f"files of corrected targets for {len(stations)} stations, {SUMMARY} and {SHEET} for the "
+        f"files of corrected targets for {len(stations)} station{'s' * (len(stations) != 1)}, "
+        f"{SUMMARY} and {SHEET} for the "
         f"shop floor in {folder}"
     )
     if any(each.program for each in stations):

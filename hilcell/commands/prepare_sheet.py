@@ -58,7 +58,7 @@ def sheet_of(
     ]
     refusals = [each.bounds.reason for each in stations if isinstance(each.bounds, NoBound)]
     return Sheet(
-        title=f"Drilling sheet: {count} holes at {len(stations)} {places}",
+        title=f"Drilling sheet: {count} hole{'s' * (count != 1)} at {len(stations)} {places}",
         simulated=made.simulated,
         has_rail=cell.has_rail,
         facts=facts,
@@ -67,14 +67,22 @@ def sheet_of(
         no_bounds=refusals[0] if refusals else "",
         warnings=[note for note in found.notes() if "SIMULATED" not in note],
         invalid=[f"air outside of {air}", f"the time after {until}", *INVALID],
+        footer=f"calibration {made.latest}, holes {source}",
     )
 
 
 def _station(cell: Cell, each: Prepared) -> SheetStation:
     nominal, bounds_mm = each.plan.poses[:, :3], each.bounds95_mm
+    turns_deg = None if each.turns_deg is None else each.turns_deg.tolist()
     moved_mm = lengths_mm(each.command[:, :3] - nominal).tolist()
     holes = [
-        SheetHole(name, (x, y, z), moved_mm[n], None if bounds_mm is None else bounds_mm[n])
+        SheetHole(
+            name,
+            (x, y, z),
+            moved_mm[n],
+            None if bounds_mm is None else bounds_mm[n],
+            None if turns_deg is None else turns_deg[n],
+        )
         for n, (name, (x, y, z)) in enumerate(zip(each.plan.holes, nominal.tolist(), strict=True))
     ]
     station = each.plan.station

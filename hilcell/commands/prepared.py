@@ -101,7 +101,8 @@ def prepared(args: argparse.Namespace, cell: Cell, found: Released, each: Statio
 
 def _place(cell: Cell, each: StationPlan) -> str:
     """Return in words where the robot must stand for a program."""
-    count = f"{len(each.holes)} holes at station {each.station.name}"
+    holes = f"{len(each.holes)} hole{'s' * (len(each.holes) != 1)}"
+    count = f"{holes} at station {each.station.name}"
     if not cell.has_rail:
         return count
     return f"{count}: the strip must read {each.station.strip_mm:.2f} mm, the slide held"

@@ -32,7 +32,7 @@ class RunsFolder(NamedTuple):
 def usual_runs(environment: Mapping[str, str]) -> RunsFolder:
     """Return the folder of runs that holds without ``--runs``."""
     if named := environment.get(OVERRIDE):
-        return RunsFolder(Path(named))
+        return RunsFolder(at_home(Path(named)))
     if _has_runs(HERE):
         return RunsFolder(
             HERE,
@@ -45,6 +45,13 @@ def usual_runs(environment: Mapping[str, str]) -> RunsFolder:
             HERE, f"this user has no home: runs are in {HERE.resolve()}; {OVERRIDE} names others"
         )
     return RunsFolder(own / "hilcell" / "runs")
+
+
+def at_home(folder: Path) -> Path:
+    """Return a folder with the ``~`` at its begin expanded, which only shells do."""
+    with suppress(RuntimeError):  # no home, or a user that there is not
+        return folder.expanduser()
+    return folder
 
 
 def runs_option(runs: Path) -> str:

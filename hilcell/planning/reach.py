@@ -20,7 +20,6 @@ from hilcell.geometry.kinematics import Array
 from hilcell.planning.holes import Holes
 from hilcell.ports import HilcellError
 
-NAMED = 5  # holes that one message names
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int_]
 
@@ -113,14 +112,22 @@ def _refuse_unreached(
     if len(bad):
         named = "".join(
             f"\n  {holes.names[n]}: {_why_not(cell, _one(holes, n), stations, served)}"
-            for n in bad[:NAMED]
+            for n in bad.tolist()
         )
         raise UnreachableHoles(
-            f"{len(bad)} of {len(ok)} holes cannot be drilled from any of {len(stations)} stations"
-            f" in status {cell.robot.status}:{named}{f'{chr(10)}  ...' if len(bad) > NAMED else ''}"
+            f"{len(bad)} of {_counted(len(ok), 'hole')} cannot be drilled from "
+            f"{_places(stations)} in status {cell.robot.status}:{named}"
             "\nmove the part or the tracker, or "
             + ("try --free stations" if served is None else "calibrate a larger volume")
         )
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def _places(stations: Sequence[Station]) -> str:
+    return stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
 
 
 def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Served | None) -> str:

@@ -9,17 +9,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hilcell import __version__
+from hilcell.clean import harmless
 from hilcell.report.templates import environment
 
 
 @dataclass(frozen=True, slots=True)
 class SheetHole:
-    """A hole: nominal place (mm, {W}), how far its command is from it, its 95 % bound or None."""
+    """A hole: nominal place (mm, {W}), how far its command is from it, its 95 % bound or None.
+
+    ``turn95_deg`` bounds its orientation, None where that is not corrected.
+    """
 
     name: str
     place_mm: tuple[float, float, float]
     correction_mm: float
     bound95_mm: float | None
+    turn95_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +54,8 @@ class SheetStation:
 class Sheet:
     """All that the sheet says; ``facts``, ``checks`` and ``invalid`` are words for it, in order.
 
-    ``no_bounds`` says why no bounds are stated, "" where they are.
+    ``no_bounds`` says why no bounds are stated, "" where they are. ``footer`` stands on each page
+    in print.
     """
 
     title: str
@@ -61,6 +67,20 @@ class Sheet:
     no_bounds: str
     warnings: Sequence[str]
     invalid: Sequence[str]
+    footer: str = ""
+
+    @property
+    def has_turns(self) -> bool:
+        """Return whether every hole has a bound of its orientation."""
+        return all(hole.turn95_deg is not None for each in self.stations for hole in each.holes)
+
+    @property
+    def footer_css(self) -> str:
+        """Return the footer as the inside of a CSS string: no character acts there."""
+        return "".join(
+            each if each.isascii() and each.isalnum() else f"\\{ord(each):06x}"
+            for each in harmless(self.footer)
+        )
 
 
 def sheet_html(sheet: Sheet) -> str:

@@ -78,3 +78,15 @@ def test_a_hint_names_the_folder_where_a_command_would_not_find_it(
     monkeypatch.setenv(OVERRIDE, str(here / "own"))
     assert runs_option(here / "own") == ""
     assert runs_option(here / "on shelf") == f" --runs '{here}/on shelf'"
+
+
+def test_a_tilde_that_no_shell_has_expanded_is_the_home(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HOME", str(here / "home"))
+    finished(here / "home" / "kept", "1-made", MADE)
+    assert usual_runs({OVERRIDE: "~/kept"}).path == here / "home" / "kept"
+    assert usual_runs({OVERRIDE: "~nobody-of-this-name/x"}).path == Path("~nobody-of-this-name/x")
+    assert main(["runs", "--runs=~/kept"]) == 0
+    assert "1-made" in capsys.readouterr().out
+    assert not (here / "~").exists()

@@ -30,3 +30,24 @@ def test_without_bounds_it_says_why() -> None:
     assert "No bounds are stated: &lt;none stated&gt;" in page
     assert "95 % bound mm" not in page
     assert "Largest" not in page
+
+
+def test_every_page_in_print_says_which_station_program_run_and_file() -> None:
+    """The head of a table is repeated on each page; the footer is a margin box of the pages."""
+    made = replace(SHEET, footer='run </style>"x')
+    page = sheet_html(made)
+    assert "Station S1, strip must read 1.00 ± 0.01 mm, program S1</th></tr>" in page
+    assert 'content: "run\\000020\\00003c\\00002fstyle\\00003e\\000022x"' in page
+    assert 'colspan="8"' in page
+    page = sheet_html(replace(made, has_rail=False, no_bounds="none"))
+    assert "Station S1, program S1</th></tr>" in page
+    assert 'colspan="7"' in page
+
+
+def test_bounds_of_orientation_have_a_column() -> None:
+    assert "95 % bound °" not in sheet_html(SHEET)
+    station = replace(STATION, holes=[replace(HOLE, turn95_deg=0.01234)])
+    page = sheet_html(replace(SHEET, stations=[station]))
+    assert "<th>95 % bound °</th>" in page
+    assert "<td>0.0123</td>" in page
+    assert 'colspan="9"' in page
