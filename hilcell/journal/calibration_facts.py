@@ -11,6 +11,7 @@ from hilcell.journal.journal import Record
 USED = "calibration used"  # the events
 REVOKED = "calibration revoked"
 VALIDATION = "validation."  # the key of a verdict is this and the place
+JUDGING = (VALIDATION, "iso9283", "targets")  # verdicts on the robot against stated limits
 RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
 
 Kind = Literal["", "made", "base", "targets", "touch"]
@@ -23,7 +24,8 @@ class CalibrationFacts(msgspec.Struct, frozen=True):
     neither in nor out of tolerance and none is out, ``redo`` that a re-check found the used one to
     hold no more, ``doubt`` what would explain an update of it as well. ``revoked`` is why somebody
     has revoked its own. ``suspected`` says that the run suspects a cause that was not cleared,
-    ``verdict`` is that of all verdicts in words, "" where the run has none.
+    ``judged`` that it held the robot against limits, ``verdict`` is that of all verdicts in words,
+    "" where nothing was judged and no check failed.
     """
 
     kind: Kind = ""
@@ -34,6 +36,7 @@ class CalibrationFacts(msgspec.Struct, frozen=True):
     doubt: str = ""
     revoked: str = ""
     suspected: bool = False
+    judged: bool = False
     verdict: str = ""
 
 
@@ -81,6 +84,7 @@ class CalibrationReader:
         kind, validated = self._kind(rechecked.verdict), bool(places) and not failed
         broken = [each for each in self._verdicts.values() if not each.holds]
         suspected = any(each.suspected for each in broken)
+        judged = any(key.startswith(JUDGING) for key in self._verdicts)
         if rechecked.verdict in RECHECKED:
             verdict = RECHECKED[rechecked.verdict]
         elif undecided:
@@ -90,10 +94,10 @@ class CalibrationReader:
         elif kind == "made" and not validated:
             verdict = "not validated"
         else:
-            verdict = "in tolerance" if self._verdicts and not suspected else ""
+            verdict = "in tolerance" if judged and not suspected else ""
         return CalibrationFacts(
             kind, self._used, validated, undecided, rechecked.verdict == "redo",
-            rechecked.doubt, self._revoked, suspected,
+            rechecked.doubt, self._revoked, suspected, judged,
             "; ".join(filter(None, (verdict, "suspected" if suspected else ""))),
         )  # fmt: skip
 
@@ -106,3 +110,18 @@ class CalibrationReader:
         if "targets" in self._verdicts:
             return "targets" if self._verdicts["targets"].holds else ""
         return "base" if recheck == "update" else ""
+
+
+def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) -> str:
+    """Return in a word how a run in ``state`` with exit ``code`` came out; "" without an end.
+
+    List of runs, history, screen and report say this word. A run that judged nothing has
+    "measured", or "done" where it measured nothing either.
+    """
+    if code is None:
+        return ""
+    if state != "finished":
+        return "refused" if state == "idle" else state
+    if code and facts.verdict in ("", "in tolerance"):
+        return "out of tolerance"
+    return facts.verdict or ("measured" if points else "done")

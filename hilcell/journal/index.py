@@ -20,13 +20,13 @@ from pathlib import Path
 
 import msgspec
 
-from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader
+from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader, outcome
 from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
-SCHEMA = 5  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 6  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
@@ -88,11 +88,8 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def verdict(self) -> str:
         """Return how the run came out, in words; "" where it has not ended."""
-        if self.live or self.exit is None:
-            return ""
-        if not self.finished:
-            return "refused" if self.state == "idle" else self.state
-        return self.facts.verdict or ("out of tolerance" if self.exit else "done")
+        code = None if self.live else self.exit
+        return outcome(self.facts, self.state, code, self.points)
 
     @property
     def order(self) -> tuple[str, str, str]:

@@ -17,10 +17,10 @@ from hilcell.calibration.decision import Judged, outcome_of
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import Budget
-from hilcell.calibration.pose_test import ISO
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
 from hilcell.geometry.frames import zyx_from_pose
-from hilcell.journal.calibration_facts import VALIDATION
+from hilcell.journal.calibration_facts import JUDGING, VALIDATION
+from hilcell.journal.outcome import run_outcome
 from hilcell.report import pose_test
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
@@ -138,14 +138,18 @@ def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
 
 
 def verdict_word(facts: Facts) -> str:
-    """Return the verdict in one or two words, "NO VERDICT" where there is none."""
-    judged = [v for key, v in facts.log.verdicts.items() if key.startswith((VALIDATION, ISO))]
+    """Return the verdict in one or two words: PASS or FAIL where the robot was judged.
+
+    Where it was not it is the outcome in capitals; "NO VERDICT" before a run has finished.
+    """
     if facts.revoked:
         return "REVOKED"
-    if not facts.finished or not judged or facts.log.end is None:
+    if not facts.finished or facts.log.end is None:
         return "NO VERDICT"
-    passed = facts.log.end["exit"] == 0 and all(each["holds"] for each in judged)
-    word = "PASS" if passed else "FAIL"
+    outcome = run_outcome(facts.log)
+    if not any(key.startswith(JUDGING) for key in facts.log.verdicts):
+        return outcome.upper()
+    word = "PASS" if outcome == "in tolerance" else "FAIL"
     return f"WOULD {word}" if facts.inputs.simulated else word
 
 

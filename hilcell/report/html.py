@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from hilcell import __version__
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.measurement_budget import Budget, budget_of
-from hilcell.calibration.pose_test import ISO
+from hilcell.journal.outcome import run_outcome
 from hilcell.ports import Array
 from hilcell.report import pose_test, tables
 from hilcell.report.budget_table import ERROR_SUM, TARGET_SUM, budget_sheet
@@ -168,10 +168,7 @@ def standing(facts: Facts) -> tuple[str, str]:
     if facts.revoked:
         return "bad", f"its calibration is revoked: {facts.revoked}"
     if facts.finished and end is not None:
-        if end["exit"] == 0:
-            judged = facts.result[ISO]["limits"] if tests_poses(facts) else facts.log.verdicts
-            return "good", "in tolerance" if judged else "finished"
-        return "bad", "out of tolerance"
+        return "bad" if end["exit"] else "good", run_outcome(facts.log)
     if end is None and state not in ("aborted", "faulted"):
         return "open", f"not finished: the journal ends while the run is {state}"
     return "open", f"not finished: {state}"
@@ -191,7 +188,12 @@ def sentence(facts: Facts) -> str:
     """Return the verdict as a sentence."""
     if tests_poses(facts):
         return pose_test.sentence(facts)
+    for kind in ("recheck", "targets"):
+        if kind in facts.result:
+            return str(facts.result[kind]["text"])
     word = verdict_word(facts)
+    if word == "OUT OF TOLERANCE":
+        return "A check of this run is beyond its limit: see the verdicts."
     if word.endswith("PASS"):
         return "After correction the robot keeps its limits, the uncertainty taken into account."
     if word.endswith("FAIL"):

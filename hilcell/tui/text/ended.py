@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from hilcell.clean import harmless
+from hilcell.journal.outcome import run_outcome
 from hilcell.tui.engine.run_view import RunView
 
 
 def end_remark(view: RunView) -> str:
-    """Return the result in words, else that there is no verdict; nothing where there is one."""
-    return _result_words(view) or _no_verdict(view)
+    """Return the result in words, else the outcome, else that there is no verdict.
+
+    Nothing where the validation's verdict is shown, or the run has not ended.
+    """
+    if view.state in ("done", "intolerant"):
+        judged = "validation" in (view.log.end or {}).get("result", {})
+        return "" if judged else _result_words(view) or run_outcome(view.log)
+    return _no_verdict(view)
 
 
 def _result_words(view: RunView) -> str:
@@ -22,7 +29,7 @@ def _result_words(view: RunView) -> str:
 def _no_verdict(view: RunView) -> str:
     """Return that a run has ended before its validation, and after how many of its points."""
     plan = view.log.plan
-    if plan is None or view.live or view.state in ("done", "intolerant", "idle"):
+    if plan is None or view.live or view.state == "idle":
         return ""
     if all(step["name"] != "validate" for step in plan.steps):
         return ""

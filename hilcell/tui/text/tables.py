@@ -44,7 +44,7 @@ def columns_for(width: int) -> tuple[Column, ...]:
 def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
     """Return the cells of one run; ``marked`` are those to be compared."""
     state = "LIVE " + run.state if run.live else "engine gone" if run.gone else run.condition
-    if run.exit == 1 and run.verdict:
+    if run.finished and not run.live:
         state = run.verdict.partition(";")[0]
     mark = "*" if run.name in marked else ""
     begun = run.begun[:16].replace("T", " ")

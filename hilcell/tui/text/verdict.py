@@ -165,7 +165,7 @@ def words_of(found: Verdict) -> tuple[str, str]:
     outcomes = {each.outcome for each in found.stations}
     if "rejected" in outcomes:
         return "FAIL", "out of tolerance"
-    return "FAIL", "not shown in tolerance" if "undecided" in outcomes else "see the reason"
+    return "FAIL", "undecided" if "undecided" in outcomes else "see the reason"
 
 
 def _head(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:

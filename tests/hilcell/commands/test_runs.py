@@ -29,6 +29,8 @@ SUSPECTED = {"suspicions": {"holds": False, "suspected": ["tracker moved by 0.3 
         (REDO, 1, "calibrate again", ""),
         ({"recheck": {"verdict": "valid"}}, 0, "still valid", ""),
         ({"backlash": {"holds": False}}, 1, "out of tolerance", ""),
+        ({"backlash": {}}, 0, "done", ""),  # a check that holds judges no robot
+        ({"iso9283": {}}, 0, "in tolerance", ""),
         ({}, 0, "done", ""),
         ({}, 1, "out of tolerance", ""),
     ],

@@ -12,6 +12,7 @@ import pytest
 
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.cell.file import load_cell
+from hilcell.journal.index import row_of
 from hilcell.report.certificate import title
 from hilcell.report.drawings.paper_figures import drawings
 from hilcell.report.drawings.plan_view import plan_view
@@ -24,7 +25,7 @@ from hilcell.report.first_page import (
     validity_facts,
     verdict_word,
 )
-from hilcell.report.html import report_html
+from hilcell.report.html import report_html, standing
 from tests.hilcell.report.journals import Writer, validated_run
 from tests.hilcell.report.pages import Page
 from tests.whole.golden import GoldenRuns
@@ -63,8 +64,29 @@ def test_the_verdict_in_a_word(
 
 
 def test_without_a_judged_correction_there_is_no_verdict(tmp_path: Path) -> None:
-    assert verdict_word(validated_run(tmp_path / "r").facts()) == "NO VERDICT"
+    assert verdict_word(validated_run(tmp_path / "r").facts()) == "MEASURED"
     assert verdict_word(read_facts(Writer(tmp_path / "s").began().left())) == "NO VERDICT"
+
+
+@pytest.mark.parametrize(
+    ("key", "body", "code", "word"),
+    [
+        ("recheck", {"holds": True, "verdict": "valid"}, 0, "STILL VALID"),
+        ("recheck", {"holds": False, "verdict": "redo"}, 1, "CALIBRATE AGAIN"),
+        ("backlash", {"holds": True}, 0, "MEASURED"),
+        ("backlash", {"holds": False}, 1, "OUT OF TOLERANCE"),
+        ("fit", {"holds": True}, 0, "NOT VALIDATED"),
+    ],
+)
+def test_report_and_list_of_runs_have_one_word(
+    tmp_path: Path, key: str, body: dict[str, Any], code: int, word: str
+) -> None:
+    writer = validated_run(tmp_path / "r")
+    writer.journal.append("verdict", key, body)
+    folder = writer.ended(code=code)
+    facts = read_facts(folder)
+    assert verdict_word(facts) == word
+    assert row_of(folder).verdict == standing(facts)[1] == word.lower()
 
 
 def test_results_beside_their_limits(tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ def test_a_folder_cannot_write_style(tmp_path: Path) -> None:
     [
         ("faulted", 3, "not finished: faulted"),
         ("aborted", 4, "not finished: aborted"),
-        ("finished", 0, "finished"),
+        ("finished", 0, "measured"),
         ("finished", 1, "out of tolerance"),
     ],
 )

@@ -10,6 +10,7 @@ import pytest
 from textual.command import CommandList, CommandPalette
 from textual.pilot import Pilot
 
+from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
 from hilcell.tui.engine import process
 from hilcell.tui.screens import start
@@ -33,6 +34,7 @@ RUNS = [
         name=RUN, begun="2026-03-04T08:00:00+00:00", state="finished", exit=0,
         procedure="calibrate", job="J-7", operator="Ann", cell="paper", simulated=True, points=21,
         before_mean_mm=1.2, chosen_mean_mm=0.11, chosen_max_mm=0.31,
+        facts=CalibrationFacts("made", validated=True, judged=True, verdict="in tolerance"),
     ),
     RunRow(
         name="20260303-070000-calibrate-cd34", begun="2026-03-03T07:00:00+00:00", state="finished",

@@ -321,6 +321,13 @@ def test_a_run_that_ended_without_a_verdict_says_so() -> None:
     assert end_remark(view_of("done")) == end_remark(view_of("running")) == ""
 
 
+def test_a_finished_run_that_judged_nothing_says_so() -> None:
+    view = view_of("done")
+    view.log.end = {"state": "finished", "exit": 0, "result": {}}
+    view.log.judged.clear()
+    assert end_remark(view) == "measured"
+
+
 @pytest.mark.parametrize("kind", ["recheck", "targets"])
 def test_a_result_in_words_is_shown_as_far_as_it_fits(kind: str) -> None:
     view = view_of("done")

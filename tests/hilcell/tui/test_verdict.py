@@ -104,7 +104,7 @@ def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     view.log.verdicts["validation.S300"] = {"holds": False, "outcome": "undecided"}
     found = verdict_of(view)
     assert found is not None
-    assert words_of(found) == ("FAIL", "not shown in tolerance")
+    assert words_of(found) == ("FAIL", "undecided")
 
 
 def test_more_stations_than_there_is_room_for_are_counted() -> None:

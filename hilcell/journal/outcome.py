@@ -1,0 +1,15 @@
+"""How a run of a log came out, in the word that the list of runs has for it."""
+
+from __future__ import annotations
+
+from hilcell.journal.calibration_facts import CalibrationReader, outcome
+from hilcell.journal.log import Log
+
+
+def run_outcome(log: Log) -> str:
+    """Return the word for the run of a log."""
+    reader = CalibrationReader()
+    for record in log.judged.values():
+        reader.take(record)
+    code = None if log.end is None else int(log.end["exit"])
+    return outcome(reader.facts, log.state, code, len(log.points))
