@@ -111,7 +111,7 @@ def test_the_history_says_how_a_run_out_of_tolerance_came_out() -> None:
 
 def test_the_history_tells_how_a_run_ended() -> None:
     reported = [history_row(run, (), 200).cells[3] for run in RUNS]
-    assert reported == ["finished", "out of tolerance", "engine gone", "unreadable"]
+    assert reported == ["in tolerance", "out of tolerance", "engine gone", "unreadable"]
     assert [history_row(run, (), 200).tone for run in RUNS[:2]] == ["", "fault"]
 
 
