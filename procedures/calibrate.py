@@ -93,7 +93,7 @@ def point_table(result: dict[str, Any]) -> Table:
 TO_STATION = (Home(), WorldFrame(), HoldStation())
 TO_GRID = (*TO_STATION, BaseFrame(), RobotGrid())
 
-HOME = Procedure("home", "reference the drive", (Home(),), point_table)
+HOME = Procedure("home", "park the robot; on a rail, reference its drive", (Home(),), point_table)
 WORLD_FRAME = Procedure("world-frame", "frame {W}", (Home(), WorldFrame(proves=True)), point_table)
 STATION_REPEATABILITY = Procedure(
     "station-repeatability",

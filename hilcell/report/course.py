@@ -38,6 +38,11 @@ STEPS = {
     "closing": "First poses and floor nests checked at the end",
     "paper-rows": "Figures of the paper compared",
 }
+WITHOUT_RAIL = {
+    "home": "Robot parked",
+    "hold-station": "No slide to hold: the robot stands on the floor",
+    "station-frames": "No other stations",
+}
 STATES = {
     "paused": "Paused", "suspended": "Suspended", "stopping": "Stopping", "aborted": "Aborted",
     "faulted": "Stopped by a fault", "finished": "Run finished",
@@ -57,8 +62,8 @@ def course(facts: Facts) -> Sheet | None:
     counts = Counter(record.body["what"] for record in facts.records if record.kind == "event")
     note = (
         f"{facts.log.session} start{'s' if facts.log.session != 1 else ''} of an engine. Not "
-        f"listed: {counts['tracker proven']} proofs that the tracker stood still, "
-        f"{counts['slide proven']} that the slide did."
+        f"listed: {counts['tracker proven']} proofs that the tracker stood still"
+        + (f", {counts['slide proven']} that the slide did." if facts.cell.has_rail else ".")
     )
     return sheet("Course of the run", COURSE, _dated(_lines(facts)), note)
 
@@ -140,7 +145,8 @@ def _happened(facts: Facts, body: Mapping[str, Any]) -> str:
     match body["what"]:
         case "step":
             name = str(body["name"])
-            return STEPS.get(name, name.replace("-", " ").capitalize()) + "."
+            steps = STEPS if facts.cell.has_rail else STEPS | WITHOUT_RAIL
+            return steps.get(name, name.replace("-", " ").capitalize()) + "."
         case "curve":
             words = msgspec.convert(body, CurveRecord).words.replace("urad", "µrad")
             return f"Curve of {words}."

@@ -9,6 +9,7 @@ from hilcell import __version__
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.journal.outcome import run_outcome
+from hilcell.journal.point_id import CONTROL
 from hilcell.ports import Array
 from hilcell.report import pose_test, tables
 from hilcell.report.budget_table import ERROR_SUM, TARGET_SUM, budget_sheet
@@ -79,7 +80,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             parts=PARTS,
             stops=STOPS,
             words_of=words_of,
-            controls=len(facts.log.select("control")),
+            controls=sum(each.group == CONTROL for each in facts.log.points.values()),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             certificate=certificate(facts, budget, targets),
             pose_sheets=pose_test.sheets(facts),

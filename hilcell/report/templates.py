@@ -11,12 +11,12 @@ if TYPE_CHECKING:
 
 
 def environment() -> Environment:
-    """Return jinja2's environment: every value is escaped, none may be missing."""
+    """Return jinja2's environment: every value is escaped and in one line, none may be missing."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
     def finalize(value: object) -> object:
-        return harmless(value) if type(value) is str else value
+        return harmless("; ".join(value.splitlines())) if type(value) is str else value
 
     made = Environment(
         loader=PackageLoader("hilcell.report", "."),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.report.curves import curves
+from hilcell.report.drawings.curve_plots import SPECTRUM_MM, anchor
 from hilcell.report.html import report_html
 from hilcell.tui.text.plots import SWEEPS, TABS, Measured, sweep_plot, tabs_of
 from tests.hilcell.journal.test_curve_record import FOUND, body_of
@@ -33,6 +34,11 @@ def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> No
     plots = {name: sweep_plot(Measured(facts.log), name) for name in ("A2", "A5")}
     assert [mark.text for mark in plots["A2"].marks] == ["40.0", "203.5"]
     assert "A5; not used: upwards: 9 samples" in plots["A5"].title
+
+
+def test_no_edge_cuts_the_label_of_a_line() -> None:
+    low_mm, high_mm = SPECTRUM_MM
+    assert [anchor(x) for x in (low_mm, 150.0, high_mm)] == ["start", "middle", "end"]
 
 
 def test_a_run_without_sweeps_has_neither(tmp_path: Path) -> None:

@@ -146,6 +146,33 @@ def test_hostile_strings_are_shown_harmless(tmp_path: Path) -> None:
     assert "49" not in page.of("dd")
 
 
+def test_the_lines_of_a_reason_are_joined(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r1").began()
+    page = page_of(read_facts(writer.ended("faulted", 3, "no answer\nRobot: gone\n")))
+    assert "no answer; Robot: gone." in page.text
+    assert "\N{REPLACEMENT CHARACTER}" not in page.text
+
+
+def test_a_cell_without_a_rail_has_no_words_of_one(tmp_path: Path) -> None:
+    cell = load_cell("fixed")
+    plan = {"cell": msgspec.to_builtins(cell), "digest": cell.digest}
+    writer = Writer(tmp_path / "r1", **plan).began()
+    for number, name in enumerate(("home", "hold-station", "station-frames"), start=1):
+        writer.journal.append(
+            "event", "", {"what": "step", "name": name, "number": number, "of": 3}
+        )
+    text = page_of(writer.facts()).text
+    assert "Robot parked." in text
+    for words in (
+        "rail referenced",
+        "Slide held",
+        "other stations.",
+        "station frames",
+        "slide did",
+    ):
+        assert words not in text.replace("No other stations.", "")
+
+
 def test_a_folder_cannot_write_style(tmp_path: Path) -> None:
     html = report_html(Writer(tmp_path / 'a"; } body { display: none').began().facts())
     assert 'content: "a_____body___display__none"' in html
