@@ -26,7 +26,7 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.pose_test import CYCLE
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
-from hilcell.ports import Array
+from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.clear_ways import check_path
 from hilcell.run.motion import Straight
@@ -80,6 +80,7 @@ class PoseTest:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse poses out of reach, and ways of the cycle that are not clear."""
+        _check_load(cell)
         joints_rad = commands_rad(cell, cell.iso9283.calibration != "")
         station = cell.station_named(cell.grid.station)
         before_rad = np.roll(joints_rad, 1, axis=0)
@@ -111,6 +112,17 @@ class PoseTest:
     def result(self, log: Log) -> dict[str, Any]:
         """Return the characteristics of every pose and of the distance."""
         return {ISO: pose_test(log)}
+
+
+def _check_load(cell: Cell) -> None:
+    """Raise `HilcellError` for a load that the robot is not rated for."""
+    load_kg, rated_kg = cell.iso9283.load_kg, cell.iso9283.rated_load_kg
+    if load_kg is not None and rated_kg is not None and not load_kg <= rated_kg:
+        raise HilcellError(
+            f"iso9283.load_kg is {load_kg:g} kg, the robot is rated for {rated_kg:g} kg "
+            "(iso9283.rated_load_kg): take load off, or correct the figure that is wrong",
+            code="HC-C10",
+        )
 
 
 def visits(cell: Cell) -> Iterator[tuple[PointId, int]]:

@@ -97,7 +97,7 @@ def pose_test(log: Log) -> dict[str, Any]:
             for what in ("mm", "u95_mm", "pose")
         },
         "not_measured": NOT_MEASURED,
-        "deviations": list(_deviations(cell, corrected=bool(corrected_by))),
+        "deviations": [*_deviations(cell, corrected=bool(corrected_by)), *_interruptions(log)],
     }
     limits = {f"{key}_limit_mm": getattr(cell.iso9283, f"{key}_limit_mm") for key in LIMITS}
     return found | {"limits": {key: value for key, value in limits.items() if value is not None}}
@@ -204,6 +204,17 @@ def _deviations(cell: Cell, *, corrected: bool) -> Iterator[str]:
         yield "the commanded poses carry a correction: the robot with its calibration is tested"
     yield "distances are taken from the pose cycle, not from a cycle of their own"
     yield "orientations were not measured: the test takes the position of one reflector"
+
+
+def _interruptions(log: Log) -> Iterator[str]:
+    """Yield that the cycles were interrupted: engines that stopped between two visits."""
+    sessions = len({point.session for point in log.select(ISO)})
+    if sessions > 1:
+        held = "; the slide was held again, what it slipped is in RP" if log.cell.has_rail else ""
+        yield (
+            f"the cycles were interrupted {sessions - 1} time{'s' if sessions > 2 else ''} and "
+            f"resumed{held}"
+        )
 
 
 def judgement(result: Mapping[str, Any]) -> dict[str, Any]:

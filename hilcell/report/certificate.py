@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from hilcell.calibration.decision import RULE
 from hilcell.calibration.measurement_budget import Budget
+from hilcell.calibration.pose_test import ISO
 from hilcell.cell.file import Cell
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.report import pose_test
@@ -19,7 +20,7 @@ from hilcell.report.method import adjustment_words, method_words
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.target_budget import TargetBudget
 
-PAGE_1, STATIONS, UNCERTAINTY = "certificate", "stations", "uncertainty"
+PAGE_1, POSES, STATIONS, UNCERTAINTY = "certificate", "poses", "stations", "uncertainty"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.5.1", "Measured by", inputs.operator),
         Item("7.8.2.1 o", "Authorised by (name, signature)"),
         Item("7.8.2.1 m", "Results and units", "the tables of this report; lengths mm, angles °"
-             + (", temperatures °C" if measured_air else ""), STATIONS),
+             + (", temperatures °C" if measured_air else ""), _results_part(facts)),
         Item("7.8.2.1 n", "Deviations from the method", _deviations(facts)),
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
              UNCERTAINTY),
@@ -144,8 +145,14 @@ def conditions_words(facts: Facts) -> str:
     return f"air {min(celsius):.1f} to {max(celsius):.1f} °C at the tracker; see the table of air"
 
 
+def _results_part(facts: Facts) -> str:
+    """Return the part of the report with the tables of results."""
+    return POSES if tests_poses(facts) else STATIONS
+
+
 def _deviations(facts: Facts) -> str:
     found = [f"a calibration was used although {why}" for why in facts.inputs.accepted]
+    found += facts.result[ISO]["deviations"] if tests_poses(facts) else []
     return "; ".join(found) or "none recorded"
 
 

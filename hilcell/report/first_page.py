@@ -128,11 +128,15 @@ def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
     """Return mean and largest error of a judged station."""
     each, series = judged_places(facts)[name], validation(facts.log, [name])
     before = series["before"].figures if "before" in series else None
+    sent = len(series["before"]) if "before" in series else 0
     count = len(series["chosen"]) if "chosen" in series else 0
+    targets = f"{count} targets at {name}" + (
+        f" (before: {sent})" if sent not in (0, count) else ""
+    )
     return (
-        Result(f"Mean of {count} targets at {name}", each.mean_tolerance_mm,
+        Result(f"Mean of {targets}", each.mean_tolerance_mm,
                before.mean if before else None, each.mean_mm, each.mean_U_mm),
-        Result(f"Largest of {count} targets at {name}", each.max_tolerance_mm,
+        Result(f"Largest of {targets}", each.max_tolerance_mm,
                before.max if before else None, each.max_mm, each.max_U_mm),
     )  # fmt: skip
 
@@ -173,8 +177,9 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
     robot = f", serial {serials['robot']}" if "robot" in serials else ""
     travel_m = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 1000
     on = f"on a rail of {travel_m:g} m" if cell.has_rail else "on the floor, without a rail"
-    names = ", ".join(station.name for station in cell.station[:MOST_PLACES])
-    more = f" and {len(cell.station) - MOST_PLACES} more" if len(cell.station) > MOST_PLACES else ""
+    stations = [cell.grid.station] if tests_poses(facts) else [each.name for each in cell.station]
+    names = ", ".join(stations[:MOST_PLACES])
+    more = f" and {len(stations) - MOST_PLACES} more" if len(stations) > MOST_PLACES else ""
     parties = cell.certificate
     return [
         Fact("Laboratory", _party(parties.laboratory, parties.laboratory_address)),

@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hilcell.cell.file import load_cell
 from hilcell.geometry.statistics import lengths_mm
+from hilcell.ports import HilcellError
 from hilcell.report.certificate import conformity_words
 from hilcell.report.facts import read_facts
 from hilcell.report.first_page import results_sheet, verdict_word
 from hilcell.report.html import standing
+from procedures.iso9283 import PoseTest
 from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation
 from tests.whole.trace import judge
 
@@ -103,6 +106,8 @@ def test_a_killed_test_measures_what_is_missing_and_comes_from_the_pose_before(
     assert len(moves) == 2 + 5  # of the third cycle, and the fourth
     before = next(e for e in printed if e["kind"] == "intent" and e.get("key") == last["key"])
     assert moves[0]["from_deg"] == before["joints_deg"]
+    departures = end_of(done)["result"]["iso9283"]["deviations"]
+    assert "the cycles were interrupted 1 time and resumed" in departures
     again = end_of(done)["result"]["iso9283"]["poses"]
     for name, each in printed[-1]["result"]["iso9283"]["poses"].items():
         assert again[name]["ap_mm"] == pytest.approx(each["ap_mm"], abs=0.1)
@@ -127,6 +132,12 @@ def test_stated_limits_make_a_verdict(ran: Ran) -> None:
     assert [row[-1] for row in sheet.rows] == ["not judged", "out", "not judged", "not judged"]
 
 
+def test_a_load_above_the_rated_one_is_refused(tmp_path: Path) -> None:
+    cell = load_cell("fixed", {"iso9283.load_kg": "120", "iso9283.rated_load_kg": "100"})
+    with pytest.raises(HilcellError, match=r"load_kg is 120 kg, the robot is rated for 100 kg"):
+        PoseTest().plan(cell, 1)
+
+
 def report_of(runs: Path, name: str) -> str:
     page = runs / f"{name}.html"
     done = command("report", name, "--runs", runs, "-o", page)
@@ -138,7 +149,8 @@ def test_its_report_is_in_the_standard_s_terms(ran: Ran) -> None:
     runs, printed, _ = ran
     found, page = printed[-1]["result"]["iso9283"], report_of(runs, "whole")
     assert "<h1>Pose test after ISO 9283</h1>" in page
-    assert 'No limits are stated to judge it by. Run: <strong class="good">finished' in page
+    assert 'No limits are stated to judge it by. Run: <strong class="good">measured' in page
+    assert "none recorded" not in page
     for title in ("Test conditions", "Pose accuracy and repeatability", "Departures from the"):
         assert title in page
     for figure in ("figure-pose-test", "figure-attained"):

@@ -20,13 +20,14 @@ from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import (
     instruments,
     item_facts,
+    results_at,
     results_sheet,
     uncertainty_words,
     validity_facts,
     verdict_word,
 )
 from hilcell.report.html import report_html, standing
-from tests.hilcell.report.journals import Writer, validated_run
+from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
 from tests.hilcell.report.pages import Page
 from tests.whole.golden import GoldenRuns
 
@@ -87,6 +88,14 @@ def test_report_and_list_of_runs_have_one_word(
     facts = read_facts(folder)
     assert verdict_word(facts) == word
     assert row_of(folder).verdict == standing(facts)[1] == word.lower()
+
+
+def test_counts_before_and_after_are_both_stated(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r")
+    writer.validated("S1100", "chosen", [*AFTER_MM, (0.1, 0.1, 0.1)])
+    writer.journal.append("verdict", "validation.S1100", JUDGED)
+    mean, _ = results_at(writer.facts(), "S1100")
+    assert mean.name == "Mean of 5 targets at S1100 (before: 4)"
 
 
 def test_results_beside_their_limits(tmp_path: Path) -> None:
