@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -9,9 +11,10 @@ import numpy as np
 from hilcell.calibration.frames import ORIENTED, grid_of, outlying_vertices, vertex_ids
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, matrix
+from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
-from hilcell.ports import Array
+from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from procedures.durations import closing, flange_count, flange_points, step
@@ -23,6 +26,7 @@ from procedures.plan import (
     poses_at,
 )
 
+SAME_RAD = 1e-4  # nearer orientations are one
 # Identity, joints (6,) in rad, nominal position (3,) and angles (3,) in {W}.
 Vertex = tuple[PointId, Array, Array, Array]
 
@@ -48,8 +52,9 @@ class RobotGrid:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
             check_range(cell, world_mm, f"grid at {station.name}")
         sent_rad = [joints_rad]
-        for R in more_orientations(cell):
-            what = "grid vertex in another orientation"
+        _check_orientations(cell)
+        for n, R in enumerate(more_orientations(cell)):
+            what = f"grid vertex in orientation {_named(cell.plan.grid_orientations[n])}"
             sent_rad.append(check_targets(cell, there, matrix(R, vertices_mm), what))
         points = flange_count(cell, len(vertices_mm) * len(sent_rad))
         measured = flange_points(cell, np.concatenate(sent_rad), seats=True)
@@ -95,6 +100,26 @@ class RobotGrid:
     def result(self, log: Log) -> dict[str, Any]:
         """Return nothing of its own: the errors are judged by fit and validation."""
         return {}
+
+
+def _check_orientations(cell: Cell) -> None:
+    """Raise `HilcellError` for orientations that are equal, or the grid's own: they add nothing."""
+    of = cell.grid.centre.matrix()[None, :3, :3]
+    found = np.concatenate([of, more_orientations(cell)])
+    names = ["the grid's own", *map(_named, cell.plan.grid_orientations)]
+    for n, m in combinations(range(len(found)), 2):
+        apart_rad = float(np.linalg.norm(to_rotvec(found[n].T @ found[m])))
+        if not apart_rad > SAME_RAD:
+            raise HilcellError(
+                f"plan.grid_orientations: {names[m]} is the same orientation as {names[n]}: the "
+                "vertices would be measured twice in it; leave one out",
+                code="HC-C10",
+            )
+
+
+def _named(angles_deg: Sequence[float]) -> str:
+    a, b, c = angles_deg
+    return f"A {a:g}°, B {b:g}°, C {c:g}°"
 
 
 def _sent(cell: Cell, T_W_B: Array, ids: list[PointId], poses: Array) -> list[Vertex]:
