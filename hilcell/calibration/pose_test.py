@@ -210,7 +210,7 @@ def _interruptions(log: Log) -> Iterator[str]:
     """Yield that the cycles were interrupted: engines that stopped between two visits."""
     sessions = len({point.session for point in log.select(ISO)})
     if sessions > 1:
-        held = "; the slide was held again, what it slipped is in RP" if log.cell.has_rail else ""
+        held = "; the slide was held again, its slip is in RP" if log.cell.has_rail else ""
         yield (
             f"the cycles were interrupted {sessions - 1} time{'s' if sessions > 2 else ''} and "
             f"resumed{held}"

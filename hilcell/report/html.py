@@ -193,6 +193,8 @@ def sentence(facts: Facts) -> str:
         if kind in facts.result:
             return str(facts.result[kind]["text"])
     word = verdict_word(facts)
+    if word == "REVOKED":
+        return "The calibration of this run was revoked: correct nothing by it."
     if word == "OUT OF TOLERANCE":
         return "A check of this run is beyond its limit: see the verdicts."
     if word.endswith("PASS"):
