@@ -256,7 +256,7 @@ def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
     elif end is None and not live:
         final = log.newest
         t, seq = (final.t, final.seq) if final is not None else (t, seq)
-        yield _Moment(_crash(state, len(log.points)), t, seq, cause="watched")
+        yield _Moment(_crash(state, log.counted), t, seq, cause="watched")
     yield from _refused(end, reason, t, seq)
 
 

@@ -10,7 +10,6 @@ from hilcell.commands.output import print_message
 from hilcell.commands.run_output import kind_of
 from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import CONTROL
 from hilcell.run.procedure import Procedure
 
 
@@ -43,8 +42,7 @@ def check_unasked(run: str, log: Log, procedure: Procedure, args: argparse.Names
 
 def agrees(run: str, log: Log, procedure: Procedure, changes: Sequence[str]) -> bool:
     """Say what moves when the run goes on, and return whether the operator wants that."""
-    measured = len([point for point in log.points.values() if point.id.group != CONTROL])
-    print_message(f"{kind_of(log)} {run}: {log.state}, {measured} points are measured")
+    print_message(f"{kind_of(log)} {run}: {log.state}, {log.counted} points are measured")
     for change in changes:
         print_message(f"not as before: {change}")
     print_message(

@@ -21,7 +21,7 @@ from hilcell.journal.driven import Driven
 from hilcell.journal.journal import NeverBegan, Record
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.packed import Packed
-from hilcell.journal.point_id import PointId
+from hilcell.journal.point_id import CONTROL, PointId
 from hilcell.journal.set_ups import SetUps, carried, world_key
 from hilcell.journal.states import OVER, CalibrationState, RunState
 from hilcell.journal.stream_file import StreamRecord
@@ -432,6 +432,11 @@ class Log:
     def recorded(self, point: Point) -> int:
         """Return the number of the record that holds a point."""
         return self._keys[point.id.kind][point.key]
+
+    @property
+    def counted(self) -> int:
+        """Return how many points are measured, as plans count them: without proofs of nests."""
+        return sum(point.id.group != CONTROL for point in self.points.values())
 
     def temperatures_c(self) -> list[float]:
         """Return the air's temperature at every point; nothing without a weather station."""

@@ -17,6 +17,7 @@ from hilcell.journal.journal import Record
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WORKING, RunState
 
+FLANGE, READINGS = "flange", " readings"  # kinds of spans: at the robot's flange, of nests
 CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
 
 
@@ -51,7 +52,7 @@ class _Step:
         self.spans = [_Span(**span) for span in plan.get("spans") or [whole]]
         self.counts_control = bool(plan.get("spans"))
         self.at = 0  # the span under way
-        self.taken = 0  # of its measurements
+        self.taken = [0] * len(self.spans)  # of the measurements of each
         self.since_s = 0.0  # worked since the last measurement, or since the step began
         self.alike = False  # whether the way to the next measurement is like those after it
         self.done = False
@@ -60,24 +61,41 @@ class _Step:
         """Begin, or go on in a later session."""
         self.since_s, self.alike = 0.0, False
 
-    def measure(self, *, again: bool) -> tuple[_Span, float] | None:
-        """Take one measurement; return its span and interval where that is like the others."""
+    def measure(self, *, again: bool, unlike: str = "") -> tuple[_Span, float] | None:
+        """Take one measurement; return its span and interval where that is like the others.
+
+        ``unlike`` ends the kind of spans to which it cannot belong. A proof of nests within many
+        points counts for one that is planned after them, and does not end their span.
+        """
         interval_s, self.since_s = self.since_s, 0.0
         alike, self.alike = self.alike and not again, True
-        while not again and self.at < len(self.spans):
-            span = self.spans[self.at]
-            if self.taken < span.measured:
-                self.taken += 1
-                return (span, interval_s) if alike else None
-            self.at, self.taken, alike = self.at + 1, 0, False
+        found = None if again else self._room(unlike)
+        if found is None:
+            return None
+        self.taken[found] += 1
+        alike = alike and found == self.at
+        if unlike != FLANGE:
+            self.at = found
+        while self.at < found and self._full(self.at):
+            self.at += 1
+        self.alike = found == self.at
+        return (self.spans[found], interval_s) if alike else None
+
+    def _full(self, number: int) -> bool:
+        return self.taken[number] >= self.spans[number].measured
+
+    def _room(self, unlike: str) -> int | None:
+        """Return the number of the first span that can hold a measurement; None: no span can."""
+        for number in range(self.at, len(self.spans)):
+            kind = self.spans[number].kind
+            if not self._full(number) and not (unlike and kind.endswith(unlike)):
+                return number
         return None
 
     def left(self) -> list[tuple[_Span, int]]:
         """Return the spans to come, each with the number of its measurements that are left."""
-        ahead = [(span, span.measured) for span in self.spans[self.at :]]
-        if self.taken:
-            ahead[0] = (ahead[0][0], ahead[0][1] - self.taken)
-        return ahead
+        ahead = [*zip(self.spans, self.taken, strict=True)][self.at :]
+        return [(span, span.measured - taken) for span, taken in ahead]
 
 
 class _Pace:
@@ -146,7 +164,11 @@ class Forecast:
             case "event" if body["what"] == "stream":
                 self._measure("sweep", again=False)
             case "point":
-                self._measure(body["group"], again=body.get("retaken", False))
+                self._measure(
+                    body["group"],
+                    again=body.get("retaken", False),
+                    joints=body.get("commanded_deg") is not None,
+                )
             case "end":
                 self._working = False
 
@@ -190,8 +212,8 @@ class Forecast:
         step = self._step
         if step is None or not step.counts_control:
             return None
-        planned = step.spans[step.at].measured if step.at < len(step.spans) else 0
-        return (step.taken, planned) if planned else None
+        planned = step.spans[step.at].measured
+        return (step.taken[step.at], planned) if planned else None
 
     # -- what happened ------------------------------------------------------------------------
 
@@ -221,11 +243,13 @@ class Forecast:
         if (step := self._step) is not None:
             step.begin()
 
-    def _measure(self, group: str, *, again: bool) -> None:
+    def _measure(self, group: str, *, again: bool, joints: bool = False) -> None:
+        """Take a measurement; ``joints``: the robot was sent to its place."""
         step = self._step
         if step is None or step.done or (group == CONTROL and not step.counts_control):
             return
-        if (seen := step.measure(again=again)) is not None:
+        unlike = READINGS if joints else FLANGE if group == CONTROL else ""
+        if (seen := step.measure(again=again, unlike=unlike)) is not None:
             self._pace.learn(*seen)
 
     def _pass(self, moment: datetime) -> None:

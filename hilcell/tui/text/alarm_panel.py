@@ -10,7 +10,6 @@ from textual.content import Content
 
 from hilcell.alarms import Latched
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import CONTROL
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
 from hilcell.tui.text.alarm_words import (
@@ -93,9 +92,8 @@ def _outlook(latched: Latched, context: AlarmContext) -> str:
 
 def kept_words(log: Log) -> str:
     """Return how much is measured, and how the devices were left, as the journal has it."""
-    points = sum(point.id.group != CONTROL for point in log.points.values())
     of = f" of {log.plan.points}" if log.plan is not None and log.plan.points else ""
-    return f"{points}{of} points; {_left(log)}"
+    return f"{log.counted}{of} points; {_left(log)}"
 
 
 def _left(log: Log) -> str:

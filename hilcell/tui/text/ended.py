@@ -34,4 +34,4 @@ def _no_verdict(view: RunView) -> str:
     if all(step["name"] != "validate" for step in plan.steps):
         return ""
     measured = min(sum(map(len, view.measured.values())), plan.points)
-    return f"no verdict: {measured} of {plan.points} targets"
+    return f"no verdict: {measured} of {plan.points} points"

@@ -177,6 +177,25 @@ def test_control_points_count_where_spans_know_of_them_and_nowhere_else() -> Non
         assert tape.remaining_s == pytest.approx(left_s + CLOSING_S)
 
 
+def test_proofs_of_nests_between_targets_are_no_targets() -> None:
+    """They are planned after the targets, and are made within many of them, or not at all."""
+    spans = [span("leg", 0, 5.0), span("flange", 5, 5.0), span("3 readings", 2, 6.0)]
+    tape = Tape()
+    tape.plan([step("validate", 10, 32.0, *spans, *spans)], None, real=True)
+    tape.start()
+    tape.step(1)
+    counts = []
+    for group in ("b", "b", "b", "control", "control", "b", "b", "i", "i", "control", "i"):
+        joints = {} if group == "control" else {"commanded_deg": [0.0] * 6}
+        tape.point(1.0, group=group, **joints)
+        counts.append(tape.forecast.span)
+    taken = [found and found[0] for found in counts]
+    assert taken == [1, 2, 3, 3, 3, 4, 5, 1, 2, 2, 3]
+    assert {found and found[1] for found in counts} == {5}
+    ahead = [(each.kind, each.measured) for each in tape.forecast.ahead(tape.now)]
+    assert ahead == [("flange", 2), ("3 readings", 1)]
+
+
 def test_more_points_than_planned_and_points_measured_again_do_no_harm() -> None:
     tape = Tape()
     tape.plan([step("grid", 3, 9.0), step("empty", 0, 0.0), step("last", 0, 5.0)], None, real=True)

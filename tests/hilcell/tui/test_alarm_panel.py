@@ -8,13 +8,16 @@ from datetime import UTC, datetime
 import pytest
 from textual.content import Content
 
-from hilcell.alarms import Alarm, Latch, Latched
+from hilcell.alarms import Alarm, Latch, Latched, alarms_of
+from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
 from hilcell.tui.text.alarm_words import AlarmContext, alarm_line, cause_words, present_step
 from hilcell.tui.text.alarms import alarm_page
 from tests.hilcell.alarms.journals import BEGUN, event, log_of
 from tests.hilcell.tui.recording_app import DEFAULT_KEYS
+from tests.hilcell.tui.sample_runs import measuring
 from tests.hilcell.tui.views import view_of
 
 T = "2026-03-04T08:00:23.000+00:00"
@@ -160,3 +163,11 @@ def test_the_newest_point_is_named_with_its_age() -> None:
     assert "|e| 1.170 mm" in line
     assert line.endswith(" ago")
     assert newest_line(view_of("checking"), 79).plain.strip() == "no point is measured yet"
+
+
+def test_an_alarm_counts_points_as_the_line_of_the_kept_ones_does() -> None:
+    """Proofs of nests are no points of the plan: one count, not two beside each other."""
+    log = Log(measuring().point(PointId("control", session=1, turn=0, nest="F1")).records)
+    [alarm] = alarms_of(log, "r", live=False)
+    assert alarm.found.endswith("with 8 points")
+    assert kept_words(log).startswith("8 of 21 points;")

@@ -317,7 +317,7 @@ def test_where_there_is_little_room_an_interlock_is_left_out_and_not_cut() -> No
 def test_a_run_that_ended_without_a_verdict_says_so() -> None:
     line = devices.interlocks(view_of("aborted"), UNICODE, 79).plain
     assert line.startswith(" ○ devices closed at 08:00:25; nothing may move")
-    assert line.endswith("no verdict: 8 of 21 targets")
+    assert line.endswith("no verdict: 8 of 21 points")
     assert end_remark(view_of("done")) == end_remark(view_of("running")) == ""
 
 
