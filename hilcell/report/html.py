@@ -187,14 +187,14 @@ def lead(facts: Facts) -> str:
 
 def sentence(facts: Facts) -> str:
     """Return the verdict as a sentence."""
+    if facts.revoked:
+        return "The calibration of this run was revoked: correct nothing by it."
     if tests_poses(facts):
         return pose_test.sentence(facts)
     for kind in ("recheck", "targets"):
         if kind in facts.result:
             return str(facts.result[kind]["text"])
     word = verdict_word(facts)
-    if word == "REVOKED":
-        return "The calibration of this run was revoked: correct nothing by it."
     if word == "OUT OF TOLERANCE":
         return "A check of this run is beyond its limit: see the verdicts."
     if word.endswith("PASS"):

@@ -24,7 +24,7 @@ from hilcell.report.facts import Facts
 
 WIDTH_MM, ROW_MM, HIGH_MM, TOP_MM = 178.0, 44.0, 26.0, 8.0
 CURVE_MM, SPECTRUM_MM = (12.0, 108.0), (122.0, 176.0)
-LABEL_MM = 20.0  # the widest
+LABEL_MM = 17.0  # the widest
 
 
 def curve_plots(facts: Facts) -> str:
@@ -66,12 +66,10 @@ def _row(record: CurveRecord, top: float, most_urad: float) -> Iterator[str]:
     for at, amplitude in zip(record.cycles, record.amplitudes_rad * URAD, strict=True):
         x, y = across.x.one(at), across.y.one(float(amplitude))
         yield circle(x, y, 0.8, AFTER, AFTER)
-        yield text(x, y - 1.4, f"{at:.1f}: {amplitude:.0f}", anchor(x), AFTER, bold=True)
+        yield text(label_mm(x), y - 1.4, f"{at:.1f}: {amplitude:.0f}", "middle", AFTER, bold=True)
 
 
-def anchor(x_mm: float) -> str:
-    """Return how a label at ``x_mm`` of the spectrum is anchored, so that no edge cuts it."""
-    left_mm, right_mm = SPECTRUM_MM
-    if x_mm > right_mm - LABEL_MM / 2:
-        return "end"
-    return "start" if x_mm < left_mm + LABEL_MM / 2 else "middle"
+def label_mm(at_mm: float) -> float:
+    """Return the middle of a line's label, at the line unless an edge would cut the label."""
+    left_mm, right_mm = SPECTRUM_MM[0], WIDTH_MM
+    return min(max(at_mm, left_mm + LABEL_MM / 2), right_mm - LABEL_MM / 2)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.report.curves import curves
-from hilcell.report.drawings.curve_plots import SPECTRUM_MM, anchor
+from hilcell.report.drawings.curve_plots import LABEL_MM, SPECTRUM_MM, WIDTH_MM, label_mm
 from hilcell.report.html import report_html
 from hilcell.tui.text.plots import SWEEPS, TABS, Measured, sweep_plot, tabs_of
 from tests.hilcell.journal.test_curve_record import FOUND, body_of
@@ -38,7 +38,9 @@ def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> No
 
 def test_no_edge_cuts_the_label_of_a_line() -> None:
     low_mm, high_mm = SPECTRUM_MM
-    assert [anchor(x) for x in (low_mm, 150.0, high_mm)] == ["start", "middle", "end"]
+    half_mm = LABEL_MM / 2
+    placed_mm = [label_mm(x) for x in (low_mm, 150.0, high_mm)]
+    assert placed_mm == [low_mm + half_mm, 150.0, WIDTH_MM - half_mm]
 
 
 def test_a_run_without_sweeps_has_neither(tmp_path: Path) -> None:
