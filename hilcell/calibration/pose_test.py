@@ -39,6 +39,7 @@ STANDARD_CYCLES = 30
 RATED_PERCENT = 100.0
 NOT_MEASURED = ["AP_a", "AP_b", "AP_c", "RP_a", "RP_b", "RP_c"]
 LIMITS = ("ap", "rp", "ad", "rd")
+PAUSED = ("paused", "suspended")  # states of a run
 
 
 def commanded_mm(cell: Cell) -> dict[str, Array]:
@@ -97,7 +98,7 @@ def pose_test(log: Log) -> dict[str, Any]:
             for what in ("mm", "u95_mm", "pose")
         },
         "not_measured": NOT_MEASURED,
-        "deviations": [*_deviations(cell, corrected=bool(corrected_by)), *_interruptions(log)],
+        "deviations": [*_deviations(cell, corrected=bool(corrected_by)), *interruptions(log)],
     }
     limits = {f"{key}_limit_mm": getattr(cell.iso9283, f"{key}_limit_mm") for key in LIMITS}
     return found | {"limits": {key: value for key, value in limits.items() if value is not None}}
@@ -206,15 +207,24 @@ def _deviations(cell: Cell, *, corrected: bool) -> Iterator[str]:
     yield "orientations were not measured: the test takes the position of one reflector"
 
 
-def _interruptions(log: Log) -> Iterator[str]:
-    """Yield that the cycles were interrupted: engines that stopped between two visits."""
-    sessions = len({point.session for point in log.select(ISO)})
+def interruptions(log: Log) -> Iterator[str]:
+    """Yield in what the cycles were no steady course: stops and pauses between two visits."""
+    visits = log.select(ISO)
+    sessions = len({point.session for point in visits})
     if sessions > 1:
         held = "; the slide was held again, its slip is in RP" if log.cell.has_rail else ""
-        yield (
-            f"the cycles were interrupted {sessions - 1} time{'s' if sessions > 2 else ''} and "
-            f"resumed{held}"
-        )
+        yield f"the cycles were interrupted {_times(sessions - 1)} and resumed{held}"
+    places = [log.recorded(point) for point in visits]
+    pauses = sum(
+        record.body["to"] in PAUSED and min(places) < record.seq < max(places)
+        for record in log.life
+    )
+    if pauses:
+        yield f"the cycles were paused {_times(pauses)}, the robot at rest meanwhile"
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def judgement(result: Mapping[str, Any]) -> dict[str, Any]:

@@ -107,7 +107,7 @@ def test_a_killed_test_measures_what_is_missing_and_comes_from_the_pose_before(
     before = next(e for e in printed if e["kind"] == "intent" and e.get("key") == last["key"])
     assert moves[0]["from_deg"] == before["joints_deg"]
     departures = end_of(done)["result"]["iso9283"]["deviations"]
-    assert "the cycles were interrupted 1 time and resumed" in departures
+    assert "the cycles were interrupted once and resumed" in departures
     again = end_of(done)["result"]["iso9283"]["poses"]
     for name, each in printed[-1]["result"]["iso9283"]["poses"].items():
         assert again[name]["ap_mm"] == pytest.approx(each["ap_mm"], abs=0.1)

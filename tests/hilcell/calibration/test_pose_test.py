@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hilcell.calibration.pose_test import judgement
+from hilcell.calibration.pose_test import ISO, interruptions, judgement
+from hilcell.journal.log import Log
+from hilcell.journal.point_id import PointId
+from hilcell.journal.runs import read_records
+from tests.hilcell.report.journals import Writer
 
 
 def result(ad_mm: float = -0.2, **limits: float) -> dict[str, Any]:
@@ -44,3 +49,16 @@ def test_without_limits_there_is_no_verdict() -> None:
 
 def test_a_figure_that_is_no_number_keeps_no_limit() -> None:
     assert judgement(result(np.nan, ad_limit_mm=1.0))["holds"] is False
+
+
+def test_stops_and_pauses_between_visits_are_departures(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r").began()
+    for session in (1, 2):
+        writer.state("run", "paused")  # the first is before any visit
+        writer.state("run", "running")
+        writer.point(PointId(ISO, pose="P1", number=session), (0.0, 0.0, 0.0), session=session)
+    log = Log(read_records(writer.left()))
+    assert list(interruptions(log)) == [
+        "the cycles were interrupted once and resumed; the slide was held again, its slip is in RP",
+        "the cycles were paused once, the robot at rest meanwhile",
+    ]
