@@ -18,7 +18,7 @@ from hilcell.tui.text.alarm_words import (
     state_line,
     step_lines,
 )
-from hilcell.tui.text.devices import lamp, lamps_of
+from hilcell.tui.text.devices import lamp, lamps_of, locks
 from hilcell.tui.text.frame import ends
 from hilcell.tui.text.key_words import in_words
 
@@ -67,11 +67,12 @@ def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
     if status is None or not view.live:
         return Content("No engine is at work on this run: nothing can move from here.")
     lines = [
-        Content.styled(f"{glyphs.lost} {each.name} blocked: {each.blocked}", "bold $ask")
-        if each.blocked
-        else Content.styled(f"{glyphs.fresh} {each.name}: free", "$passed")
-        for each in status.interlocks
-    ]
+        Content.assemble(
+            (f"{each.shape} {each.name} {each.word}", f"bold {each.tone}"),
+            f": {each.whole}" if each.whole else "",
+        )
+        for each in locks(view, glyphs)
+    ] or [Content.styled(f"{glyphs.stale} no reading", "$stale")]
     lines.append(Content(""))
     for name in lamps_of(view):
         device = status.devices.get(name, DeviceStatus())

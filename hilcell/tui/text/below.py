@@ -13,9 +13,10 @@ from operator import attrgetter
 from textual.content import Content
 
 from hilcell.run.forecast import Ahead
-from hilcell.run.protocol import DeviceStatus, Interlock
+from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.text.devices import NAMES, locks
 from hilcell.tui.text.events import event_lines
 from hilcell.tui.text.lines import justified, section
 from hilcell.tui.text.run import duration
@@ -24,8 +25,8 @@ from hilcell.tui.text.words import step_words
 SCREEN = 24  # rows, which everything above takes
 LEAST, MOST = 4, 17  # rows of the block
 MOST_STEPS, MOST_EVENTS = 5, 6
+REASON_AT = 18  # columns before the reason
 TIMES = "starts in   takes"
-NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
 PARTS = {
     "flange": "{step}: {count} points",
     "sweep": "{step}: {count} sweeps",
@@ -55,37 +56,30 @@ def below_lines(
 
 
 def interlock_lines(view: RunView, glyphs: Glyphs, width: int) -> Lines:
-    """Return each condition of motion with its whole reason, or with the reading that frees it."""
-    status = view.status
-    lines = [section("interlocks", width)]
-    if status is None or view.stale:
+    """Return each condition of motion with its reason, or with the reading that frees it.
+
+    A reason that is too long for its line is the short one: no figure is cut.
+    """
+    lines, found = [section("interlocks", width)], locks(view, glyphs)
+    if not found or view.status is None:
         return [*lines, Content.styled(f" {glyphs.stale} no reading", "$stale")]
-    for each in status.interlocks:
-        shape, word, tone = _locked(each, glyphs)
-        reading = each.blocked or _reading(each.name, status.devices)
+    for each in found:
+        why = each.whole if len(each.whole) <= width - REASON_AT else each.short
         line = Content.assemble(
-            (f" {shape} ", tone), (f"{NAMES.get(each.name, each.name):<8}", "bold"),
-            f"{word:<7}", (reading, "$label"),
+            (f" {each.shape} ", each.tone), (f"{each.name:<8}", "bold"), f"{each.word:<7}",
+            (why or _reading(each.name, view.status.devices), "$label"),
         )  # fmt: skip
         lines.append(line.truncate(width, ellipsis=True))
     return lines
 
 
-def _locked(each: Interlock, glyphs: Glyphs) -> tuple[str, str, str]:
-    if not each.blocked:
-        return glyphs.moving, "free", "$live"
-    if each.name == "measurement":
-        return glyphs.stale, "waits", "$label"
-    return glyphs.locked, "locked", "$label"
-
-
 def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
     """Return the last readings of the devices that a condition is about."""
     text = {device: status.text for device, status in devices.items() if status.text}
-    if name == "robot move":
+    if name == NAMES["robot move"]:
         strip = f", strip {text['strip']}" if "strip" in text else ""
         return f"slide {text['rail']}{strip}" if "rail" in text else ""
-    if name == "rail move":
+    if name == NAMES["rail move"]:
         return f"robot {text['robot']}" if "robot" in text else ""
     return f"last reading {text['tracker']}" if "tracker" in text else ""
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import dataclass
 
 from textual.content import Content
 
@@ -28,7 +30,7 @@ REASONS = {  # in short, by the code of the interlock; the whole one is on the i
     "HC-R42": "drive has power",
     "HC-S05": "slide not at its station",
 }
-_LOCKED = {"rail move": "Rail", "robot move": "Robot"}
+NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
 
 
 def lamps_of(view: RunView) -> tuple[str, ...]:
@@ -101,11 +103,12 @@ def interlocks(view: RunView, glyphs: Glyphs, width: int) -> Content:
     """Return what may move and, in short, why not; a part without room is left out, not cut."""
     if not view.live:
         return _ended(view, glyphs, width)
-    found = view.status.interlocks if view.status is not None else []
-    if not found or view.stale:
-        age = f" for {short_age(view.status_age_s)}" if found else ""
+    found = locks(view, glyphs)
+    if not found:
+        known = view.status is not None and bool(view.status.interlocks)
+        age = f" for {short_age(view.status_age_s)}" if known else ""
         return Content.styled(f" {glyphs.stale} interlocks: no reading{age}", "$stale")
-    parts = [_part(each, view, glyphs) for each in found]
+    parts = [_part(each, reason=n == 0) for n, each in enumerate(found)]
     columns = _LOCKS_AT if view.has_rail else _LOCKS_AT[:1] + _LOCKS_AT[2:]
     line = placed(*zip(columns, parts, strict=False))
     while line.cell_length > width and len(parts) > 1:
@@ -130,19 +133,44 @@ def _nothing_moves(view: RunView, glyphs: Glyphs) -> Content:
     return Content.styled(f" {glyphs.stale} devices closed{at}; nothing may move", "$label")
 
 
-def _part(each: Interlock, view: RunView, glyphs: Glyphs) -> Content:
-    name, person = _LOCKED.get(each.name), _person_needed(view)
-    if name is None:
-        waits = bool(each.blocked or person)
-        shape, word = (glyphs.stale, "waits") if waits else (glyphs.moving, "free")
-        return Content.assemble((shape, "$label" if waits else "$live"), f" Tracker {word}")
+@dataclass(frozen=True, slots=True)
+class Lock:
+    """One interlock, alike wherever it is shown; ``short`` and ``whole`` say why, "" where free."""
+
+    name: str
+    word: str
+    shape: str
+    tone: str
+    short: str = ""
+    whole: str = ""
+
+
+def locks(view: RunView, glyphs: Glyphs) -> list[Lock]:
+    """Return the interlocks as they are now; none where that is not known."""
+    if view.status is None or view.stale or not view.live:
+        return []
+    return [_lock(each, view, glyphs) for each in view.status.interlocks]
+
+
+def _lock(each: Interlock, view: RunView, glyphs: Glyphs) -> Lock:
+    name, person = NAMES.get(each.name, each.name), _person_needed(view)
     if not each.blocked and not person:
-        return Content.assemble((glyphs.moving, "$live"), f" {name} free")
-    reason = person or REASONS.get(each.code) or _first_words(each.blocked)
-    tone = "$ask" if person else "$label"
-    shown = Content.assemble((glyphs.locked, tone), f" {name} locked")
-    first = name == "Rail" or not view.has_rail
-    return shown.append(Content.styled(f": {reason}", tone)) if first else shown
+        return Lock(name, "free", glyphs.moving, "$live")
+    short = person or REASONS.get(each.code) or _first_words(each.blocked)
+    whole = "; ".join(filter(None, (person, _signed(each.blocked))))
+    if each.name == "measurement":
+        return Lock(name, "waits", glyphs.stale, "$label", short, whole)
+    return Lock(name, "locked", glyphs.locked, "$ask" if person else "$label", short, whole)
+
+
+def _signed(text: str) -> str:
+    """Return a text with the signs of its figures as they are printed."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "−", text.replace("+-", "±"))
+
+
+def _part(lock: Lock, *, reason: bool) -> Content:
+    why = f": {lock.short}" if reason and lock.short else ""
+    return Content.assemble((lock.shape, lock.tone), f" {lock.name} {lock.word}", (why, lock.tone))
 
 
 def _first_words(blocked: str) -> str:

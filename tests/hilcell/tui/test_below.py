@@ -5,16 +5,21 @@ from __future__ import annotations
 from datetime import timedelta
 from typing import Any
 
+import msgspec
 import pytest
 
 from hilcell.journal.journal import Record
 from hilcell.journal.point_id import PointId
 from hilcell.run.forecast import Ahead, Forecast
+from hilcell.run.protocol import Interlock
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.text import devices
+from hilcell.tui.text.alarms import interlock_page
 from hilcell.tui.text.below import below_lines, block_rows, interlock_lines, step_lines
+from hilcell.tui.text.devices import locks
 from hilcell.tui.text.events import event_words
-from tests.hilcell.tui.sample_runs import SampleRun, measuring, status, validated
+from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_runs, status, validated
 
 WIDTH = 79
 
@@ -51,9 +56,34 @@ def test_rows_of_the_block(height: int, rows: int) -> None:
 def test_an_interlock_has_its_whole_reason_or_the_reading_that_frees_it() -> None:
     lines = [line.plain for line in interlock_lines(view_of(measuring()), UNICODE, WIDTH)]
     assert lines[1].split()[:3] == ["■", "Rail", "locked"]
-    assert "robot not at safe pose, A2 -53.017 deg" in lines[1]
+    assert "robot not at safe pose, A2 −53.017 deg" in lines[1]
     assert "Robot   free   slide 1100.20 mm, held, strip 1100.00 mm" in lines[2]
     assert "Tracker free   last reading SMR 1.5in" in lines[3]
+
+
+@pytest.mark.parametrize("name", ["running", "paused", "suspended"])
+def test_row_panel_and_page_say_the_same_of_each_interlock(name: str) -> None:
+    view = view_of(sample_runs()[name], name)
+    row = devices.interlocks(view, UNICODE, WIDTH).plain
+    panel = [line.plain for line in interlock_lines(view, UNICODE, WIDTH)]
+    page = interlock_page(view, UNICODE).plain.splitlines()
+    for number, lock in enumerate(locks(view, UNICODE)):
+        assert f"{lock.shape} {lock.name} {lock.word}" in row
+        assert panel[number + 1].split()[:3] == [lock.shape, lock.name, lock.word]
+        assert page[number].startswith(f"{lock.shape} {lock.name} {lock.word}")
+        assert ("free" in row) == ("free" in page[1]) == (name == "running")
+
+
+@pytest.mark.parametrize("width", [60, 79])
+def test_a_reason_is_never_cut_and_has_the_signs_of_its_figures(width: int) -> None:
+    view = view_of(measuring())
+    assert view.status is not None
+    why = "robot not at safe pose, A2 -41.381 deg, wanted -100.000 +-0.1 deg"
+    locked = [Interlock("rail move", why, "HC-B32")]
+    view.status = msgspec.structs.replace(view.status, interlocks=locked)
+    lines = [line.plain for line in interlock_lines(view, UNICODE, width)]
+    assert lines[1].rstrip() == " ■ Rail    locked robot not at safe pose"
+    assert "A2 −41.381 deg, wanted −100.000 ±0.1 deg" in interlock_page(view, UNICODE).plain
 
 
 def test_a_stale_status_frees_nothing() -> None:
