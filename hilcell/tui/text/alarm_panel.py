@@ -28,7 +28,7 @@ from hilcell.tui.text.key_words import in_words
 from hilcell.tui.text.words import point_words
 
 STATES = ("fault", "gone")  # of a run whose alarm takes the points' place
-MEANS, FOUND = 2, 2  # rows at most
+MOST, LEAST = 8, 2  # rows of what an alarm means, and of what was found
 
 
 def panel_is_due(view: RunView, standing: list[Latched]) -> bool:
@@ -41,7 +41,11 @@ def alarm_panel(
 ) -> list[Content]:
     """Return the worst alarm in a box of ``columns`` and ``rows``."""
     latched, room = standing[0], max(rows - 2, 1)
-    parts = _parts(latched, kept, context, columns - BORDERS)
+    parts: list[tuple[int, Content]] = []
+    for most in range(MOST, LEAST - 1, -1):  # cut only where rows are short
+        parts = _parts(latched, kept, context, columns - BORDERS, most)
+        if len(parts) <= room:
+            break
     while len(parts) > room:
         least = max(order for order, _ in parts)
         parts.pop(max(n for n, (order, _) in enumerate(parts) if order == least))
@@ -52,12 +56,12 @@ def alarm_panel(
 
 
 def _parts(
-    latched: Latched, kept: str, context: AlarmContext, width: int
+    latched: Latched, kept: str, context: AlarmContext, width: int, most: int
 ) -> list[tuple[int, Content]]:
     """Return the lines in their order, each with its rank: the largest goes first."""
     alarm, present = latched.alarm, present_step(latched)
-    what, *more = part("What", alarm.means, width, most=MEANS)
-    found, *rest = part("Found", in_words(alarm.found, context.log), width, "$label", most=FOUND)
+    what, *more = part("What", alarm.means, width, most=most)
+    found, *rest = part("Found", in_words(alarm.found, context.log), width, "$label", most=most)
     count = Content.styled(f"step {present + 1} of {len(alarm.do)}", "bold $ask")
     where = in_words(alarm.where or "-", context.log)
     lines = [

@@ -99,23 +99,24 @@ def part(name: str, text: str, width: int, style: str = "", most: int = 0) -> li
 def present_step(latched: Latched) -> int:
     """Return the index of the first step that is not done, as far as it is known.
 
-    A person's step counts as done with the acknowledgement, a controller's when the cause is seen
-    to be gone; where nobody watches the cause, the controller is asked as the run goes on.
+    A person's steps are left to the person with the acknowledgement, a controller's are done when
+    the cause is seen to be gone; where nobody watches the cause, the controller is asked as the run
+    goes on.
     """
-    alarm = latched.alarm
-    for index in range(len(alarm.do)):
-        asked_later = alarm.cause == "not watched" and alarm.by[index] == "controller"
+    alarm, last = latched.alarm, max(len(latched.alarm.do) - 1, 0)
+    for index in range(last):
+        asked_later = alarm.cause == "not watched" or alarm.by[index] == "you"
         if not (step_done(latched, index) or (latched.acknowledged and asked_later)):
             return index
-    return max(len(alarm.do) - 1, 0)
+    return last
 
 
 def step_done(latched: Latched, index: int) -> bool:
-    """Whether a step is known to be done; the last one, which goes on, never is."""
+    """Whether a step is known to be done; an acknowledgement says nothing of a person's steps."""
     alarm = latched.alarm
     if alarm.goes_on and index == len(alarm.do) - 1:
         return False
-    return bool(latched.gone) if alarm.by[index] == "controller" else latched.acknowledged
+    return bool(latched.gone) and alarm.by[index] == "controller"
 
 
 def step_lines(

@@ -83,10 +83,10 @@ def test_the_present_step_is_the_first_that_is_not_done(latched: Latched, presen
     assert present_step(latched) == present
 
 
-def test_steps_are_ticked_by_who_checks_them() -> None:
+def test_only_steps_that_are_known_to_be_done_are_ticked() -> None:
     ticked = [line for line in panel(replace(GONE, acknowledged=True)) if "√" in line]
-    assert [line.split()[2] for line in ticked] == ["1", "2"]
-    assert ticked[1].rstrip("║ ").endswith("controller")
+    assert [line.split()[2] for line in ticked] == ["2"], "nobody has seen the person's step"
+    assert ticked[0].rstrip("║ ").endswith("controller")
     assert not any("√" in line for line in panel(replace(UNWATCHED))), "nobody knows yet"
     (controller,) = [line for line in panel(GONE) if "controller" in line]
     assert "√ 2" in controller
@@ -102,6 +102,16 @@ def test_the_panel_fits_and_keeps_the_present_step(columns: int) -> None:
             assert {Content(line).cell_length for line in lines} == {columns}
             assert any("►" in line for line in lines)
             assert any("cause" in line for line in lines)
+
+
+def test_no_word_is_cut_while_rows_are_free() -> None:
+    means = "Every point that is shown is safe; drive and robot hold by themselves. " * 3
+    alarm = replace(STOP, means=means + "End.", found="figure " * 30 + "last.")
+    text = "\n".join(panel(replace(THERE, alarm=alarm), rows=24))
+    assert "…" not in text
+    for words in ("End.", "last."):
+        assert words in text
+    assert "…" in "\n".join(panel(replace(THERE, alarm=alarm), rows=14))
 
 
 def _style(line: Content, word: str) -> str:
