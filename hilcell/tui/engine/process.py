@@ -71,9 +71,12 @@ class StartedEngine:
         from hilcell.journal.runs import JOURNAL  # not for the first screen
 
         code = self.process.wait()
-        if code not in EXIT_REASONS and (self.log_file.parent / JOURNAL).is_file():
+        recorded = (self.log_file.parent / JOURNAL).is_file()
+        if code not in EXIT_REASONS and recorded:
             return ""
         reason = _last_reason(self.log_file) or EXIT_REASONS.get(code, "no reason given")
+        if recorded:  # the alarm has the details; under it one line is enough
+            reason = reason.partition("\n")[0].rstrip(" :")
         return f"the engine ended, exit {code}: {reason}"
 
 

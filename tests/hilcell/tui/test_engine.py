@@ -98,6 +98,9 @@ def test_an_end_outside_the_journal_is_reported(tmp_path: Path, code: int) -> No
     said = tmp_path / "engine-1.log"
     said.write_text("".join(f"line {number}\n" for number in range(100)))
     reported = ended(tmp_path, code).wait_for_end()
+    assert len(reported.splitlines()) == 1, "the alarm's panel has the rest"
+    (tmp_path / "journal.sqlite").unlink()
+    reported = ended(tmp_path, code).wait_for_end()
     assert reported.endswith("line 98\nline 99")
     assert len(reported.splitlines()) == 7
 
