@@ -95,7 +95,8 @@ class Measuring:
         try:
             reading = self._reading(key, near_mm, 1)
         except DeviceError as error:
-            return Look(None, error.summary, time.monotonic())
+            at_s, silent = time.monotonic(), not isinstance(error, NoReading)
+            return Look(None, error.summary, at_s, lost=silent)
         x, y, z = (float(value) for value in reading.xyz_mm)
         off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
         return Look(off_mm, "", reading.taken_s, (x, y, z))

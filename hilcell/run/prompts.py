@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 
@@ -41,12 +41,14 @@ class Look:
     """A look: how far from the expected place, or why nothing was seen.
 
     The tracker's at a reflector, or the strip's at the slide: how far beside the drive's position.
+    ``lost``: the device did not answer at all.
     """
 
     seen_mm: float | None
     reason: str
     taken_s: float
     xyz_mm: tuple[float, float, float] | None = None
+    lost: bool = False
 
 
 class Asking:
@@ -107,9 +109,13 @@ class Asking:
         return answers
 
     def saw(self, look: Look) -> None:
-        """Show a look."""
+        """Show a look; one that was not answered is as old as the last that was."""
         with self._lock:
-            self._look = look
+            if look.lost:
+                before = self._look
+                self._look = None if before is None else replace(look, taken_s=before.taken_s)
+            else:
+                self._look = look
 
     def close(self, reason: str) -> None:
         """Ask no longer; answers that still wait are refused."""

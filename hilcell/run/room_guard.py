@@ -85,7 +85,8 @@ class RoomGuard:
         try:
             reading = self._run.devices.tracker.measure(near_mm, reflector, 1)
         except DeviceError as error:
-            return Look(None, error.summary, time.monotonic())
+            at_s, silent = time.monotonic(), not isinstance(error, NoReading)
+            return Look(None, error.summary, at_s, lost=silent)
         now_s = self._run.clock.now_s()
         off_k = np.nan if reading.air is None else reading.air.temperature_c - then_c
         if not abs(off_k) <= table.back_k:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 
-from hilcell.ports import DeviceError, StripLost
+from hilcell.ports import DeviceError, NoReading, StripLost
 from hilcell.run.measuring import Ask
 from hilcell.run.motion import Motion
 from hilcell.run.prompts import Look, Prompt
@@ -47,7 +47,8 @@ class StripGuard:
         try:
             reading = self._run.devices.rail.read()
         except DeviceError as error:
-            return Look(None, error.summary, time.monotonic())
+            at_s, silent = time.monotonic(), not isinstance(error, NoReading)
+            return Look(None, error.summary, at_s, lost=silent)
         if not reading.still:
             return Look(
                 None, f"the slide moves at {reading.velocity_mm_s:.3f} mm/s", reading.taken_s

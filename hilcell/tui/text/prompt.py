@@ -19,6 +19,7 @@ from hilcell.tui.text.sketch import sketch
 RIGHT = 25  # columns of the task and the reading
 BETWEEN = " │ "
 LIMIT_AT = 18  # column of the limit beside the digits
+MOST_NAMES = 2  # that fit beside the plan
 CAPTION = "from above, to scale"
 AT_REST = "robot at safe pose, slide held: nothing moves"
 
@@ -144,7 +145,10 @@ def _figure(value_mm: float) -> str:
 
 
 def _seen(prompt: PromptStatus, view: RunView, glyphs: Glyphs) -> list[Content]:
-    """Return who sees the reflector, and how old that is."""
+    """Return who sees the reflector, and how old that is; devices that are lost come first."""
+    lost = "" if view.stale else _lost(view)
+    if lost:
+        return [Content.styled(f"{glyphs.lost} {lost}", "bold $fault"), *_last_look(prompt, view)]
     if prompt.age_s is None:
         return [Content.styled(f"{glyphs.stale} not looked yet", "$label")]
     age = short_age(prompt.age_s + view.status_age_s)
@@ -159,6 +163,22 @@ def _seen(prompt: PromptStatus, view: RunView, glyphs: Glyphs) -> list[Content]:
         return [Content.styled(f"{glyphs.fresh} {words}", "bold $passed"), ago]
     shape = glyphs.stale if prompt.seen_mm is None else glyphs.warned
     return [Content.styled(f"{shape} {words}", "$ask"), ago]
+
+
+def _lost(view: RunView) -> str:
+    """Return which devices are lost while the run waits; "" where none is."""
+    devices = view.status.devices if view.status is not None else {}
+    names = [name for name, device in devices.items() if device.state == "lost"]
+    few = " and ".join(names) if len(names) <= MOST_NAMES else f"{len(names)} devices"
+    return f"{few} lost" if names else ""
+
+
+def _last_look(prompt: PromptStatus, view: RunView) -> list[Content]:
+    """Return how old the last look is that was answered."""
+    if prompt.age_s is None:
+        return []
+    age = short_age(prompt.age_s + view.status_age_s)
+    return [Content.styled(f"  last look {age} ago", "$label")]
 
 
 def _enter(prompt: PromptStatus, view: RunView) -> Content:

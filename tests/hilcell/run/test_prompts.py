@@ -40,6 +40,22 @@ def test_a_run_that_nobody_attends_ends_with_the_driver_s_advice(act: str, said:
     assert str(unanswered(prompt, cause)).endswith(said)
 
 
+def gone() -> None:
+    raise DeviceError("HC-T01", "Tracker", "measure", "link lost", act="check the cable")
+
+
+def test_a_look_that_nobody_answered_grows_old(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker_module, "LOOK_S", 0.02)
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        until(lambda: live.status("prompt")["age_s"] is not None)
+        bed.tracker.answer = gone
+        until(lambda: live.status("prompt")["age_s"] > 0.25)
+        assert live.status("prompt")["seen_mm"] is None
+        assert live.status("prompt")["ready"] is False
+        live.runner.stop()
+
+
 def clear() -> None:
     """Let the beam through."""
 

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from textual.content import Content
 
-from hilcell.run.protocol import PromptStatus
+from hilcell.run.protocol import DeviceStatus, PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.prompt import prompt_box
@@ -43,6 +43,23 @@ def test_the_task_is_beside_the_plan() -> None:
         "● tracker sees it", "0.3 s ago", "Enter  measure it here", "nothing moves", " tracker ",
     ):  # fmt: skip
         assert words in found, words
+
+
+def test_devices_that_are_lost_are_named_in_the_prompt() -> None:
+    view = seating()
+    assert view.status is not None
+    devices = dict(view.status.devices)
+    for name, words in (
+        ("tracker", "× tracker lost"),
+        ("robot", "× robot and tracker lost"),
+        ("rail", "× 3 devices lost"),
+    ):
+        devices[name] = DeviceStatus("lost", 40.0, "", "link lost")
+        view.status = msgspec.structs.replace(view.status, devices=devices)
+        found = text(but(ready=False, seen_mm=None, age_s=40.0), view)
+        assert words in found
+        assert "last look 40 s ago" in found
+        assert "sees" not in found
 
 
 def test_a_failed_reading_is_told_in_the_driver_s_words() -> None:
