@@ -29,6 +29,7 @@ from hilcell.tui.text.words import point_words
 
 STATES = ("fault", "gone")  # of a run whose alarm takes the points' place
 MOST, LEAST = 8, 2  # rows of what an alarm means, and of what was found
+OUTLOOK = 10  # rank of the last line of words; larger ones are blanks and heads
 
 
 def panel_is_due(view: RunView, standing: list[Latched]) -> bool:
@@ -44,7 +45,7 @@ def alarm_panel(
     parts: list[tuple[int, Content]] = []
     for most in range(MOST, LEAST - 1, -1):  # cut only where rows are short
         parts = _parts(latched, kept, context, columns - BORDERS, most)
-        if len(parts) <= room:
+        if sum(rank <= OUTLOOK for rank, _ in parts) <= room:
             break
     while len(parts) > room:
         least = max(order for order, _ in parts)
@@ -79,7 +80,7 @@ def _parts(
     for index, (first, *others) in step_lines(latched, context, width):
         rank = 0 if index == present else 5
         lines += [(rank, first), *((rank, line) for line in others)]
-    return [*lines, (10, Content.styled(f"     {_outlook(latched, context)}", "$label"))]
+    return [*lines, (OUTLOOK, Content.styled(f"     {_outlook(latched, context)}", "$label"))]
 
 
 def _outlook(latched: Latched, context: AlarmContext) -> str:

@@ -30,6 +30,7 @@ REASONS = {  # in short, by the code of the interlock; the whole one is on the i
     "HC-R42": "drive has power",
     "HC-S05": "slide not at its station",
 }
+WAITS = "waits "
 NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
 
 
@@ -159,7 +160,8 @@ def _lock(each: Interlock, view: RunView, glyphs: Glyphs) -> Lock:
     short = person or REASONS.get(each.code) or _first_words(each.blocked)
     whole = "; ".join(filter(None, (person, _signed(each.blocked))))
     if each.name == "measurement":
-        return Lock(name, "waits", glyphs.stale, "$label", short, whole)
+        why = short.removeprefix(WAITS), whole.removeprefix(WAITS)
+        return Lock(name, WAITS.rstrip(), glyphs.stale, "$label", *why)
     return Lock(name, "locked", glyphs.locked, "$ask" if person else "$label", short, whole)
 
 

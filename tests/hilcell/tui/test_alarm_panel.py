@@ -112,6 +112,8 @@ def test_no_word_is_cut_while_rows_are_free() -> None:
     for words in ("End.", "last."):
         assert words in text
     assert "…" in "\n".join(panel(replace(THERE, alarm=alarm), rows=14))
+    crash = replace(THERE, alarm=replace(STOP, means=f"{'word ' * 35}End."))
+    assert "End." in "\n".join(panel(crash, rows=14)), "a blank goes before a word"
 
 
 def _style(line: Content, word: str) -> str:
