@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.program_krl.comments import CODING, plain
 from drivers.program_krl.data import POSE, Number
 from drivers.program_krl.frames import StatedTool
 from drivers.program_krl.tokens import statements
@@ -22,7 +23,7 @@ from hilcell.compensation.programs import StatedBase, Stroke
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
 
-ENCODING = "latin-1"
+ENCODING = CODING
 SOURCE, DATA = ".src", ".dat"
 DECIMALS = 3
 USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver takes it
@@ -139,8 +140,7 @@ def _remark(text: str, remark: str) -> Edit:
     first = next(statements(text), None)
     at = 0 if first is None else text.find("\n", first.tokens[0].start) + 1
     new_line = "\r\n" if text[:at].endswith("\r\n") else "\n"
-    plain = remark.encode(ENCODING, "replace").decode(ENCODING)
-    return Edit(at, at, f"; {plain}{new_line}")
+    return Edit(at, at, f"; {plain(remark)}{new_line}")
 
 
 def _edited(text: str, edits: list[Edit]) -> str:

@@ -12,10 +12,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drivers.program_krl.comments import comment, plain
 from drivers.program_krl.data import POSE
 from drivers.program_krl.program import DATA, ENCODING, SOURCE, USUAL_TOOL
 from drivers.program_krl.turns import turn_of
-from hilcell.clean import clean
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array
@@ -34,7 +34,7 @@ def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
         f"{name}{DATA}": _data(name, program, stamp),
     }
     return {
-        file: "".join(f"{line}{LINE}" for line in lines).encode(ENCODING, "replace")
+        file: "".join(f"{line}{LINE}" for line in lines).encode(ENCODING)
         for file, lines in texts.items()
     }
 
@@ -47,29 +47,29 @@ def module_name(station: str) -> str:
 
 def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEF {name}( )")
-    yield f"; {stamp.text}"
-    yield from map(_comment, program.remarks)
+    yield f"; {plain(stamp.text)}"
+    yield from map(comment, program.remarks)
     tool = program.options.get("tool", USUAL_TOOL)
     yield "BAS (#INITMOV,0 )"
     yield f"BAS (#TOOL,{tool} )"
     yield f"BAS (#VEL_PTP,{max(1, round(program.speed_percent))} )"
     yield f"BAS (#ACC_PTP,{ACCELERATION_PERCENT} )"
-    yield _comment("{W} as calibrated, in the robot's root")
+    yield comment("{W} as calibrated, in the robot's root")
     yield f"$BASE={_frame(program.base)}"
     yield "PTP XHOME"
-    yield _comment("slide held, strip as the sheet says, drill drawn back: start goes on")
+    yield comment("slide held, strip as the sheet says, drill drawn back: start goes on")
     yield "HALT"
     for number, hole in enumerate(program.names, start=1):
-        yield _comment(f"{number} of {len(program.names)}: {hole}")
+        yield comment(f"{number} of {len(program.names)}: {hole}")
         yield f"PTP XA{number}"
         yield f"PTP XP{number}"
-        yield _comment("drill here")
+        yield comment("drill here")
     yield "PTP XHOME"
     yield "END"
 
 
 def _data(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
-    yield from ("&ACCESS RVP", "&REL 1", f"DEFDAT  {name}", f"; {stamp.text}")
+    yield from ("&ACCESS RVP", "&REL 1", f"DEFDAT  {name}", f"; {plain(stamp.text)}")
     safe = ",".join(f"A{axis} {deg:.6f}" for axis, deg in enumerate(program.safe_deg, start=1))
     yield f"DECL E6AXIS XHOME={{{safe}}}"
     for number, (below, at) in enumerate(
@@ -96,7 +96,3 @@ def _frame(values: Array | Sequence[float]) -> str:
     decimals = (4, 4, 4, 6, 6, 6)
     parts = zip(POSE, values, decimals, strict=True)
     return "{" + ",".join(f"{axis} {value:.{places}f}" for axis, value, places in parts) + "}"
-
-
-def _comment(text: str) -> str:
-    return f"; {clean(text)}"

@@ -19,7 +19,7 @@ from hilcell.commands.output_place import KNOWN
 from hilcell.commands.prepare_sheet import SHEET, sheet_of
 from hilcell.commands.prepared import Prepared, prepared
 from hilcell.commands.released import Released, released
-from hilcell.planning.holes import read_holes
+from hilcell.planning.holes import read_holes, twins
 from hilcell.planning.plan import HolePlan, plan
 from hilcell.report.sheet import sheet_html
 from hilcell.writing import NotWritten, write_together
@@ -32,7 +32,10 @@ def prepare(args: argparse.Namespace) -> int:
     check_settings(args.cell, dict(args.set))
     cell = load_cell(args.cell, dict(args.set))
     found, source, folder = released(args, cell), Path(args.holes), Path(args.output)
-    whole = plan(cell, read_holes(source), calibrated=Volume(found.calibration))
+    holes = read_holes(source)
+    for warning in twins(holes):
+        print_message(warning)
+    whole = plan(cell, holes, calibrated=Volume(found.calibration))
     stations = [prepared(args, cell, found, each) for each in whole.stations]
     facts = _summary(found, source, whole, stations)
     contents = {SUMMARY: msgspec.json.format(msgspec.json.encode(facts), indent=1) + b"\n"}

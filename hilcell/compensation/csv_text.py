@@ -1,9 +1,10 @@
 """CSV text as spreadsheets of several countries write it: fields, and the decimal sign in force.
 
 Our own form has commas between fields and decimal points, in UTF-8. German and French spreadsheets
-write semicolons and decimal commas, older ones in CP1252. 1,234 is 1.234 there and 1234
-where commas group thousands. One number of the file that cannot be grouped thousands, such as 0,5
-or 1234,5, proves the sign for all; without one the file is refused.
+write semicolons and decimal commas, older ones in CP1252. Some state the separator in a first line
+of its own, ``sep=;``, or end each line with separators of columns that were empty. 1,234 is 1.234
+there and 1234 where commas group thousands. One number of the file that cannot be grouped
+thousands, such as 0,5 or 1234,5, proves the sign for all; without one the file is refused.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ OTHER_CODING = "cp1252"
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*", re.ASCII)  # may be thousands
 FIGURES = re.compile(r"[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?", re.ASCII)  # by whatever sign
 LONGEST = 40  # characters of a number that is looked at
+STATED = re.compile(r'"?sep=([;,])"?', re.IGNORECASE)
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -52,17 +54,35 @@ def read_csv(path: Path, labels: int) -> CsvText:
     Raises `SettingsError`, also where the decimal sign is not certain.
     """
     text = _text(path)
-    first = text.partition("\n")[0]
-    separator = ";" if ";" in first and "," not in first else ","
+    first, _, others = text.partition("\n")
+    stated = STATED.fullmatch(first.strip())
+    if stated:
+        text = others
+    separator = stated[1] if stated else ";" if ";" in first and "," not in first else ","
     try:
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-        rows = [(reader.line_num, cells) for cells in reader]
+        rows = [(reader.line_num + bool(stated), cells) for cells in reader]
     except csv.Error as error:
         raise unreadable(str(path), error) from error
+    rows = _without_empty_columns(rows)
     if separator == ",":
         return CsvText(rows)
     figures = ((line, cell.strip()) for line, cells in rows[1:] for cell in cells[labels:])
     return CsvText(rows, separator, _decimal(path, figures))
+
+
+def _without_empty_columns(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Return rows without fields that are empty beyond the header's last; empty rows have none."""
+    if not rows or not any(rows[0][1]):
+        return rows
+    width = 1 + max(n for n, cell in enumerate(rows[0][1]) if cell.strip())
+
+    def needed(cells: list[str]) -> list[str]:
+        if not any(cell.strip() for cell in cells):
+            return []
+        return cells if any(cell.strip() for cell in cells[width:]) else cells[:width]
+
+    return [(line, needed(cells)) for line, cells in rows]
 
 
 def _text(path: Path) -> str:

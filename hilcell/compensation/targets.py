@@ -25,6 +25,7 @@ from hilcell.ports import Array
 from hilcell.writing import write_whole
 
 MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
+COMPUTED = "=+-@"  # at a field's begin, for spreadsheets
 SHOWN = 40  # characters of a bad field
 BOUND = "bound95_mm"
 MM_DECIMALS, DEG_DECIMALS = 4, 6
@@ -63,7 +64,9 @@ def read_named_rows(
     if header not in headers:
         wanted = " or ".join(",".join(each) for each in headers)
         found = text.separator.join(text.header) if text.rows else "an empty file"
-        raise SettingsError(str(path), [f"header must be {wanted}, found {found}"])
+        raise SettingsError(
+            str(path), [f"header must be {wanted}, found {found}{_differs(header, headers)}"]
+        )
     rows, known, problems = NamedRows(header), set[str](), list[str]()
     for line, cells in text.rows[1:]:
         if cells:
@@ -74,6 +77,20 @@ def read_named_rows(
     if problems:
         raise SettingsError(str(path), problems)
     return rows
+
+
+def _differs(header: list[str], headers: Sequence[list[str]]) -> str:
+    """Return in words what is wrong with a header, compared with that which is most like it."""
+    if any("\t" in each for each in header):
+        return "; its fields are separated by tabs: save it with commas or semicolons"
+    wanted = max(headers, key=lambda each: len({*each} & {*header}))
+    missing = [each for each in wanted if each not in header]
+    unknown = [repr(clean(each)) for each in header if each not in wanted]
+    words = [f"missing: {', '.join(missing)}"] if missing else []
+    words += [f"unknown: {', '.join(unknown)}"] if unknown else []
+    if not words:
+        words = ["a column twice" if len(header) > len(wanted) else "in another order"]
+    return f" ({'; '.join(words)})" if any(header) else ""
 
 
 def _take(
@@ -92,6 +109,8 @@ def _take(
         faults.append(f"name {name!r} was used before")
     elif not name or name != clean(name):
         faults.append(f"name {name!r} is empty, too long, or has outer spaces or controls")
+    elif name[0] in COMPUTED:
+        faults.append(f"name {name!r} begins with {name[0]}: a spreadsheet would compute it")
     known.add(name)
     try:
         values = numbers(rows.header[1:], cells[1:], text.decimal)

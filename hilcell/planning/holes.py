@@ -18,6 +18,7 @@ from hilcell.geometry.rotations import from_rotvec, from_zyx
 
 NORMALS = ["name", "x_mm", "y_mm", "z_mm", "nx", "ny", "nz"]
 LEAST_NORMAL = 1e-6  # a shorter one is a zero that was rounded
+TWIN_DECIMALS = 3  # of mm, and of a normal's parts
 ROUNDING = 1e-9  # of a cosine
 TURNS = 24  # about the tool's axis, 15 deg apart
 MOST_HOLES = 5000  # routes hold all distances between holes at once
@@ -65,6 +66,18 @@ def read_holes(path: Path) -> Holes:
     by_normal = rows.header == NORMALS
     tools = tools_against(values[:, 3:]) if by_normal else _tools_of(values[:, 3:])
     return Holes(rows.names, values[:, :3], tools)
+
+
+def twins(holes: Holes) -> list[str]:
+    """Return in words which holes stand at the place of an earlier one, with its normal."""
+    known: dict[tuple[float, ...], str] = {}
+    found = []
+    axes = holes.tools[:, 0, :, 2]
+    for name, place in zip(holes.names, np.hstack([holes.points_mm, axes]), strict=True):
+        first = known.setdefault(tuple((place.round(TWIN_DECIMALS) + 0.0).tolist()), name)
+        if first != name:
+            found.append(f"warning: {name} and {first} are one hole: same place, same normal")
+    return found
 
 
 def tools_against(normals: Array) -> Array:

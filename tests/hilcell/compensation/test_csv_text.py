@@ -9,7 +9,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import HEADER, read_targets
 from hilcell.fit import robot_file
-from hilcell.planning.holes import NORMALS, read_holes
+from hilcell.planning.holes import NORMALS, read_holes, twins
 
 HEAD = ";".join(HEADER)
 VALUES = [[1250.5, -300.0, 0.5, 0.0, 75.25, -0.125], [1.234, 2.0, 3.0, 0.0, 0.0, 0.0]]
@@ -34,6 +34,41 @@ def test_semicolons_with_either_decimal_sign(tmp_path: Path, coding: str, decima
     names, values = read_targets(listed(tmp_path, ROWS.replace(",", decimal), coding=coding))
     assert names == ["Träger 1", "H2"]
     np.testing.assert_array_equal(values, VALUES)
+
+
+@pytest.mark.parametrize("first", ["", "sep=;\r\n", '"SEP=;"\r\n'])
+def test_what_spreadsheets_add_is_left_out(tmp_path: Path, first: str) -> None:
+    """The line that states the separator, and separators of empty columns and rows."""
+    rows = ROWS.replace("\r\n", ";;\r\n") + ";;;;;;;;\r\n"
+    path = listed(tmp_path, rows, f"{first}{HEAD};;")
+    names, values = read_targets(path)
+    assert names == ["Träger 1", "H2"]
+    np.testing.assert_array_equal(values, VALUES)
+    assert "7 fields are wanted, found 9" in refusal(listed(tmp_path, "H1;1;2;3;0;0;0;;9\n"))
+    line = 4 if first else 3
+    bad = listed(tmp_path, "H1;0,5;2;3;0;0;0\nH2;x;2;3;0;0;0\n", f"{first}{HEAD}")
+    assert f"line {line}: x_mm is 'x'" in refusal(bad)
+
+
+def test_a_header_that_differs_names_the_columns(tmp_path: Path) -> None:
+    cells = [each for each in HEADER if each != "b_deg"]
+    assert "(missing: b_deg)" in refusal(listed(tmp_path, "", ",".join(cells)))
+    said = refusal(listed(tmp_path, "", ",".join([*cells, "rotation"])))
+    assert "(missing: b_deg; unknown: 'rotation')" in said
+    assert "(in another order)" in refusal(listed(tmp_path, "", ",".join(HEADER[::-1])))
+    assert "separated by tabs" in refusal(listed(tmp_path, "", "\t".join(HEADER)))
+
+
+@pytest.mark.parametrize("sign", "=+-@")
+def test_a_name_that_a_spreadsheet_would_compute_is_refused(tmp_path: Path, sign: str) -> None:
+    said = refusal(listed(tmp_path, f"{sign}1;0,5;2;3;0;0;0\n"))
+    assert f"line 2: name '{sign}1' begins with {sign}: a spreadsheet would compute it" in said
+
+
+def test_two_names_of_one_hole_are_reported(tmp_path: Path) -> None:
+    rows = "H1;1250,5;-3;900;0;-1;0\nH2;1250,5;-3;900;-0,0;-2;0\nH3;1250,5;-3;900;0;1;0\n"
+    (said,) = twins(read_holes(listed(tmp_path, rows, ";".join(NORMALS))))
+    assert said == "warning: H2 and H1 are one hole: same place, same normal"
 
 
 def test_holes_and_measurements_are_read_by_the_same_rules(tmp_path: Path) -> None:
