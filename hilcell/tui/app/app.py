@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
 TICK_S = 1.0
+NO_ENGINE = "STOP: no engine is there to hear it"
 BURST_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers slower
 ScrollBar.renderer = CellScrollBar  # Textual's way to choose: a class, for all of its bars
 
@@ -352,10 +353,13 @@ class HilcellApp(App[int]):
         sent = self.open_runs.stop()
         if live or (sent and not over):
             self._close_questions()
-            notice = "STOP sent" if sent else "STOP: no engine is there to hear it"
+            # The key's own thread has stopped already: its engine may be gone by now.
+            heard = sent or self.open_runs.stop_heard
+            ended = "stopped: the engine has ended" if heard else NO_ENGINE
+            notice = "STOP sent" if sent else ended
             if any(session.view.state == "silent" for session in live):
                 notice += ", but it does not answer: use the E-stop"
-            self.show_notice(notice, for_now=sent)
+            self.show_notice(notice, for_now=heard)
         elif len(self.screen_stack) > 2:
             self.pop_screen()
         elif self.session is not None:

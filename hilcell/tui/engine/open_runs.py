@@ -57,6 +57,11 @@ class OpenRuns:
         sent = [each.stop() for each in self.all]  # each of them, not the first alone
         return any(sent)
 
+    @property
+    def stop_heard(self) -> bool:
+        """Whether the engine of each live run received a stop, which may have ended it since."""
+        return bool(self.live) and all(each.stop_heard for each in self.live)
+
     def leave(self) -> None:
         """Detach from every run; live ones go on."""
         for each in self.all:

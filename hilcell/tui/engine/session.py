@@ -42,6 +42,7 @@ class Session:
             folder.name, engine=EngineState.STARTING if process else EngineState.UNKNOWN
         )
         self.latch = Latch()
+        self.stop_heard = False  # whether an engine of the run that is live now received a stop
         self.process = process  # the engine, where this screen has started it
         self._go_on = go_on
         self._unreadable = ""  # why the journal's records cannot be applied
@@ -109,6 +110,7 @@ class Session:
         view.elapsed_s = self._forecast.elapsed_s(at)
         view.remaining_s = self._forecast.remaining_s(at)
         view.ahead = self._forecast.ahead(at) if view.live else []
+        self.stop_heard = self.stop_heard and view.live
         view.span = self._forecast.span
 
     def stop(self) -> bool:
@@ -119,11 +121,11 @@ class Session:
         would be wrong: an engine that has finished still writes its results.
         """
         client = self.feed.client
-        if (client is not None and client.stop()) or stop_engine(self.folder):
-            return True
-        if self.process is None or self.view.engine is not EngineState.STARTING:
-            return False
-        self.process.terminate()  # does nothing where it has ended
+        if not ((client is not None and client.stop()) or stop_engine(self.folder)):
+            if self.process is None or self.view.engine is not EngineState.STARTING:
+                return False
+            self.process.terminate()  # does nothing where it has ended
+        self.stop_heard = True
         return True
 
     def ask(self, command: Command, *, key: str = "") -> None:

@@ -24,6 +24,7 @@ from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import (
     PAGES,
     RecordingApp,
+    RecordingSession,
     footer,
     press,
     run_app,
@@ -279,6 +280,23 @@ def test_escape_stops_from_everywhere_and_never_asks() -> None:
             home.query_one(Table).focus()
 
     assert run_app(act, "running").recorded.asked == []
+
+
+@pytest.mark.parametrize(
+    ("heard", "words"),
+    [(True, "stopped: the engine has ended"), (False, "STOP: no engine is there to hear it")],
+)
+def test_a_stop_that_has_ended_its_engine_is_no_stop_that_nobody_hears(
+    heard: bool, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        app.recorded.stop_heard = heard  # by the stop of the key's own thread
+        await press(pilot, "escape")
+        assert words in text_of(app)
+        assert ("no engine" in text_of(app)) is not heard
+
+    monkeypatch.setattr(RecordingSession, "stop", lambda self: False)
+    run_app(act, "running")
 
 
 def test_a_notice_is_seen_on_every_page() -> None:

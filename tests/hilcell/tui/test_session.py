@@ -42,7 +42,21 @@ def test_a_stop_finds_a_line_of_its_own(tmp_path: Path) -> None:
         session = Session(tmp_path, lambda _: None, PERIOD_S)
         assert session.stop()
         peer.until(lambda: peer.commands == ["stop"] and peer.open == 0)
+        assert session.stop_heard
         session.close(leave=True)
+
+
+def test_a_stop_that_was_heard_is_known_until_the_run_is_seen_to_have_ended(tmp_path: Path) -> None:
+    with Peer(tmp_path) as peer:
+        session = Session(tmp_path, lambda _: None, PERIOD_S)
+        session.take(RunUpdate([], engine=EngineState.ANSWERING), utc_now())
+        assert session.stop()
+        peer.until(lambda: peer.commands == ["stop"])
+    # By now the stop has ended the engine.
+    assert (session.stop(), session.stop_heard) == (False, True)
+    session.take(RunUpdate([], engine=EngineState.NONE), utc_now())
+    assert not session.stop_heard  # another engine is another matter
+    session.close(leave=True)
 
 
 def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(tmp_path: Path) -> None:
