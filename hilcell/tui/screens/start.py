@@ -107,6 +107,7 @@ class StartScreen(BaseScreen):
 
     def show(self, view: RunView | None) -> None:
         """Show what is known of the plan; there is no run yet."""
+        self.set_class(self._checked.simulated, "simulated")
         glyphs, wide, high = self.application.glyphs, self.line_width, self.app.size.height
         planned = wide >= PLAN_FROM
         left = FIELDS_WIDTH if planned else wide
@@ -305,11 +306,11 @@ def warning(plan: dict[str, Any]) -> Content:
     """Return what will happen, and the keys."""
     simulated = bool(plan.get("simulated"))
     return Content.assemble(
-        moves(has_rail=bool(plan.get("rail", True))),
-        (", in simulation only: ", "bold") if simulated else "",
-        (" SIMULATION ", "bold $on-sim on $sim-fill") if simulated else "",
-        ".\n",
         answer_keys("start", "back"),
+        "\n",
+        (" SIMULATION ", "bold $on-sim on $sim-fill") if simulated else "",
+        " " if simulated else "",
+        moves(has_rail=bool(plan.get("rail", True))),
     )
 
 

@@ -34,7 +34,9 @@ class Checked:
     @property
     def simulated(self) -> bool:
         """Whether only a simulated cell would move."""
-        return self.plan is not None and bool(self.plan.get("simulated"))
+        if self.plan is None:
+            return self.cell is not None and self.cell.simulation is not None
+        return bool(self.plan.get("simulated"))
 
     @property
     def has_rail(self) -> bool:

@@ -51,6 +51,7 @@ RUNS = [
 PLAN: dict[str, Any] = {
     "procedure": "calibrate",
     "cell": "paper",
+    "simulated": True,
     "points": sum(p for _, p, _ in STEPS),
     "steps": [{"name": n, "points": p, "duration_s": d} for n, p, d in STEPS],
     "duration_s": sum(d for _, _, d in STEPS),
