@@ -55,7 +55,7 @@ def prepare(args: argparse.Namespace) -> int:
         _print(stations)
     for each in stations:
         words = summary(each.bounds, each.plan.holes, each.turns_deg)
-        print_message(f"{each.plan.station.name}: {words}")
+        print_message(f"{each.plan.station.name}: {words}; {each.stroke}")
     _print_written(cell, stations, folder)
     for note in found.notes():
         print_message(note)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,15 +11,20 @@ from functools import cached_property
 import numpy as np
 
 from hilcell.calibration.file import compensate_targets
+from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.prepared import station_program
+from hilcell.calibration.programs import StrokeError, StrokeLimits, check_strokes
 from hilcell.cell.file import Cell
+from hilcell.commands.arguments import STROKE_MM
 from hilcell.commands.bounds import TURN, Found, bounds_of_targets, turns_of_targets
 from hilcell.commands.files import drill_mm_of
 from hilcell.commands.released import Released
+from hilcell.compensation.programs import Stroke
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import writer_of
 from hilcell.compensation.targets import BOUND, HEADER, as_listed, csv_of, target_rows
+from hilcell.geometry.frames import poses_from_zyx
 from hilcell.planning.plan import StationPlan
 from hilcell.ports import Array
 
@@ -27,7 +33,8 @@ from hilcell.ports import Array
 class Prepared:
     """The holes of one station: its plan, commands (N, 6) in {W}, bounds, stamp, program files.
 
-    ``turns_deg`` (N,) are the bounds of orientation, where it is corrected.
+    ``turns_deg`` (N,) are the bounds of orientation, where it is corrected; ``stroke`` says in
+    words what a drill stroke adds at most.
     """
 
     plan: StationPlan
@@ -36,6 +43,7 @@ class Prepared:
     stamp: Stamp
     program: Mapping[str, bytes]
     turns_deg: Array | None
+    stroke: str
 
     @property
     def file(self) -> str:
@@ -88,15 +96,33 @@ def prepared(args: argparse.Namespace, cell: Cell, found: Released, each: Statio
     nominal = as_listed(each.poses)  # as `plan` states them, and `compensate` reads them
     command = as_listed(compensate_targets(calibration, name, nominal, each.holes))
     bounds = bounds_of_targets(calibration, name, nominal, args.temperature, drill_mm_of(cell))
+    stroke = _stroke(calibration, name, nominal, command)
     stamp, writer = found.stamp(name), writer_of(cell.robot.driver)
     program: Mapping[str, bytes] = {}
     if writer is not None:
-        remarks = [_place(cell, each)] + ["SIMULATED: not for a machine"] * stamp.simulated
+        remarks = [_place(cell, each), stroke] + ["SIMULATED: not for a machine"] * stamp.simulated
         program = writer(
             station_program(calibration, cell, name, each.holes, command, remarks), stamp
         )
     turns_deg = turns_of_targets(calibration, name, nominal)
-    return Prepared(each, command, bounds, stamp, program, turns_deg)
+    return Prepared(each, command, bounds, stamp, program, turns_deg, stroke)
+
+
+def _stroke(calibration: Calibration, station: str, nominal: Array, command: Array) -> str:
+    """Return in words by how far a usual stroke along z of the tool would miss at most."""
+    shifts_mm = (STROKE_MM * poses_from_zyx(nominal)[:, :3, 2]).tolist()
+    strokes = [Stroke(f"hole {n + 1}", n, tuple(each)) for n, each in enumerate(shifts_mm)]
+    words = f"a stroke of {STROKE_MM:g} mm along z of the tool"
+    try:
+        missed = check_strokes(
+            calibration, station, nominal, command, strokes, StrokeLimits(STROKE_MM, math.inf, "")
+        )
+    except StrokeError:
+        return f"{words} ends outside of the calibrated volume at some holes"
+    return (
+        f"{words} adds at most {missed.across_mm:.3f} mm across (position) and "
+        f"{missed.along_mm:.3f} mm along (depth)"
+    )
 
 
 def _place(cell: Cell, each: StationPlan) -> str:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,11 @@ def test_nothing_of_it_is_corrected_again(
     words = ["--station", "S1100", "-o", str(tmp_path / "again")]
     assert main(["compensate", file, str(out / name), *words]) == 2
     assert "was corrected before (hilcell: corrected by 20261101-120000" in capsys.readouterr().err
+
+
+def test_the_program_says_what_a_stroke_would_add(out: Path) -> None:
+    source = (out / "S1100.src").read_text("latin-1")
+    assert re.search(r"; a stroke of 20 mm along z of the tool adds at most 0\.\d{3} mm", source)
 
 
 def test_the_sheet_has_stations_holes_bounds_and_conditions(out: Path) -> None:
