@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
 import msgspec
 
@@ -66,13 +67,17 @@ class CalibrationReader:
         """Add one record; raises `msgspec.ValidationError`."""
         self.moved = self.moved or record.kind == "intent"
         if record.kind == "verdict":
-            self._verdicts[record.key] = msgspec.convert(record.body, _Verdict)
+            self.judge(record.key, record.body)
         elif record.kind == "event" and record.body["what"] in (USED, REVOKED):
             event = msgspec.convert(record.body, _Event)
             if event.what == USED:
                 self._used = event.run
             else:
                 self._revoked = event.reason
+
+    def judge(self, key: str, body: Mapping[str, Any]) -> None:
+        """Add a verdict; raises `msgspec.ValidationError`."""
+        self._verdicts[key] = msgspec.convert(body, _Verdict)
 
     @property
     def facts(self) -> CalibrationFacts:

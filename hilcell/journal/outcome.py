@@ -9,7 +9,7 @@ from hilcell.journal.log import Log
 def run_outcome(log: Log) -> str:
     """Return the word for the run of a log."""
     reader = CalibrationReader()
-    for record in log.judged.values():
-        reader.take(record)
+    for key, body in log.verdicts.items():
+        reader.judge(key, body)
     code = None if log.end is None else int(log.end["exit"])
     return outcome(reader.facts, log.state, code, len(log.points))

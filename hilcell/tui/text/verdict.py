@@ -15,6 +15,7 @@ from textual.content import Content
 from hilcell.alarms import Alarm
 from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.clean import harmless
+from hilcell.journal.outcome import run_outcome
 from hilcell.journal.set_ups import PROVEN
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
@@ -67,9 +68,10 @@ class Station:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The errors of a finished validation, with their limits (mm)."""
+    """The errors of a finished validation, with their limits (mm), and the run's outcome."""
 
     passed: bool
+    outcome: str
     stations: tuple[Station, ...]
     mean_limit_mm: float
     max_limit_mm: float
@@ -106,6 +108,7 @@ def verdict_of(view: RunView) -> Verdict | None:
     floors = [place.floor.mean for place in places.values() if place.floor is not None]
     return Verdict(
         passed=view.state == "done",
+        outcome=run_outcome(view.log).partition(";")[0],
         stations=tuple(_station(view, name, places[name]) for name in names),
         mean_limit_mm=limits.mean_tolerance_mm,
         max_limit_mm=limits.max_tolerance_mm,
@@ -162,10 +165,7 @@ def words_of(found: Verdict) -> tuple[str, str]:
     """Return the verdict in one word, and what it states."""
     if found.passed:
         return "PASS", "in tolerance"
-    outcomes = {each.outcome for each in found.stations}
-    if "rejected" in outcomes:
-        return "FAIL", "out of tolerance"
-    return "FAIL", "undecided" if "undecided" in outcomes else "see the reason"
+    return "FAIL", found.outcome
 
 
 def _head(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:

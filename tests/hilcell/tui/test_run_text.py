@@ -324,7 +324,7 @@ def test_a_run_that_ended_without_a_verdict_says_so() -> None:
 def test_a_finished_run_that_judged_nothing_says_so() -> None:
     view = view_of("done")
     view.log.end = {"state": "finished", "exit": 0, "result": {}}
-    view.log.judged.clear()
+    view.log.verdicts.clear()
     assert end_remark(view) == "measured"
 
 
