@@ -27,6 +27,7 @@ from hilcell.tui.text.lines import justified
 from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines
 from hilcell.tui.text.points import PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import prompt_box
+from hilcell.tui.text.result import Result, result_lines, result_of
 from hilcell.tui.text.rows import rows_for
 from hilcell.tui.text.verdict import verdict_lines, verdict_of
 from hilcell.tui.widgets import Table, TextPanel
@@ -63,6 +64,7 @@ class RunScreen(FilterScreen):
         self._table = PointRows()
         self._points_seen: tuple[object, ...] = ()
         self._wide = WidePanels()
+        self._result: tuple[object, Result | None] = (None, None)  # of which end record
         self.points_open = False  # over the verdict of a run that is done
 
     def compose(self) -> ComposeResult:
@@ -125,7 +127,14 @@ class RunScreen(FilterScreen):
             return ""
         if panel_is_due(view, self.application.latch.standing()):
             return "alarm"
-        return "verdict" if verdict_of(view) is not None else ""
+        known = verdict_of(view) is not None or self._result_of(view) is not None
+        return "verdict" if known else ""
+
+    def _result_of(self, view: RunView) -> Result | None:
+        """Return the result of a run without a validation; read once, its table is imported."""
+        if self._result[0] is not view.log.end:
+            self._result = (view.log.end, result_of(view))
+        return self._result[1]
 
     def _show_middle(self, view: RunView) -> None:
         """Show the newest point or what stands in its place, and the status under the points."""
@@ -152,7 +161,8 @@ class RunScreen(FilterScreen):
 
     def _other_alarms(self, view: RunView) -> bool:
         """Whether alarms stand that a verdict does not show."""
-        return len(self.application.latch.standing()) > (view.state == "intolerant")
+        shown = view.state == "intolerant" and verdict_of(view) is not None
+        return len(self.application.latch.standing()) > shown
 
     def _status(self, view: RunView) -> Content:
         """Return the worst alarm, or that there is none and what comes next."""
@@ -171,10 +181,12 @@ class RunScreen(FilterScreen):
         self.panel("deviation").show(lines)
 
     def _show_verdict(self, view: RunView, rows: int) -> None:
-        found = verdict_of(view)
-        if found is not None:
-            lines = verdict_lines(view, found, self.application.glyphs, self.left_width, rows)
-            self.panel("verdict").show(lines)
+        glyphs, width = self.application.glyphs, self.left_width
+        verdict, result = verdict_of(view), self._result_of(view)
+        if verdict is not None:
+            self.panel("verdict").show(verdict_lines(view, verdict, glyphs, width, rows))
+        elif result is not None:
+            self.panel("verdict").show(result_lines(view, result, glyphs, width, rows))
 
     def _show_alarm(self, view: RunView, rows: int) -> None:
         standing, context, width = (

@@ -328,17 +328,6 @@ def test_a_finished_run_that_judged_nothing_says_so() -> None:
     assert end_remark(view) == "measured"
 
 
-@pytest.mark.parametrize("kind", ["recheck", "targets"])
-def test_a_result_in_words_is_shown_as_far_as_it_fits(kind: str) -> None:
-    view = view_of("done")
-    words = {kind: {"text": "Still valid: the errors are as predicted;\x1b[31m drift 0.000 mm."}}
-    view.log.end = {"state": "finished", "exit": 0, "result": words}
-    line = devices.interlocks(view, UNICODE, 41).plain
-    assert line.startswith(" Still valid: the errors are as predicte")
-    assert len(line) == 41
-    assert "\x1b" not in devices.interlocks(view, UNICODE, 80).plain
-
-
 # -- air -------------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,357 @@
+"""The result of a finished run that has no validation, where the digits of a live one were.
+
+A pose test shows its worst AP and RP large, a re-check what to do with the calibration. Every other
+procedure shows its own table, as ``hilcell show`` prints it. No sentence and no number is cut.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
+
+import msgspec
+from textual.content import Content
+
+from hilcell.calibration.pose_test import ISO
+from hilcell.cell.devices import load_entry
+from hilcell.clean import harmless
+from hilcell.errors import HilcellError
+from hilcell.journal.log import Log
+from hilcell.journal.old_keys import id_of_key
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.text.digits import figure, large, large_rows
+from hilcell.tui.text.frame import wrapped
+from hilcell.tui.text.key_words import in_words
+from hilcell.tui.text.lines import bar, placed
+from hilcell.tui.text.run import is_simulated, simulation_block
+from hilcell.tui.text.sheets import Table, sheet_lines
+from hilcell.tui.text.words import AS_SENT, CORRECTED, PAPER, short_words
+
+BLOCK, FIRST_AT, SECOND_AT = 24, 26, 53
+BAR, TO_LIMIT = 24, 19
+LEAST_WIDTH, LEAST_ROWS = 79, 14
+NO_FIGURES = "Finished. This procedure measures nothing that is judged."
+NEXT = "o report   p plots   w worst points   n new run"
+RECHECK = "recheck"
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One large length (mm): its title, where it is the worst, and its limit, None for none."""
+
+    title: str
+    value_mm: float
+    at: str
+    limit_mm: float | None = None
+    U_mm: float = 0.0  # expanded uncertainty, that counts against the limit
+
+    @property
+    def over(self) -> bool:
+        """Whether there is a limit, and it is not kept with certainty."""
+        return self.limit_mm is not None and not self.value_mm + self.U_mm <= self.limit_mm
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a run has found; ``words`` is empty where nothing large is said."""
+
+    words: tuple[str, ...]
+    stated: str
+    role: str
+    figures: tuple[Figure, ...]
+    text: str
+    table: Table | None
+
+
+class _Pose(msgspec.Struct):
+    ap_mm: float
+    ap_u95_mm: float
+    rp_mm: float
+    rp_u95_mm: float
+
+
+class _Distance(msgspec.Struct):
+    first: str = msgspec.field(name="from")
+    to: str = ""
+    ad_mm: float = math.nan
+    ad_u95_mm: float = math.nan
+    rd_mm: float = math.nan
+    rd_u95_mm: float = math.nan
+
+
+class _PoseTest(msgspec.Struct):
+    poses: dict[str, _Pose]
+    distance: _Distance | None = None
+    limits: dict[str, float] = {}
+
+
+class _Target(msgspec.Struct):
+    pose: str
+    error_mm: float
+    bound_mm: float
+    left_mm: float
+
+
+class _Recheck(msgspec.Struct):
+    verdict: Literal["valid", "update", "redo"]
+    text: str = ""
+    mean_mm: float = math.nan
+    max_mm: float = math.nan
+    mean_U_mm: float = 0.0
+    max_U_mm: float = 0.0
+    mean_tolerance_mm: float | None = None
+    max_tolerance_mm: float | None = None
+    poses: list[_Target] = []
+
+
+RECHECKED = {
+    "valid": (("STILL", "VALID"), "still valid", "passed"),
+    "update": (("UPDATE",), "base moved, updated", "ask"),
+    "redo": (("REDO",), "calibrate again", "fault"),
+}
+
+
+def result_of(view: RunView) -> Result | None:
+    """Return the result of a run that has come to its end; None for every other, or for none."""
+    if view.state not in ("done", "intolerant") or view.log.plan is None:
+        return None
+    found = (view.log.end or {}).get("result")
+    if not isinstance(found, dict):
+        return None
+    test = _converted(found.get(ISO), _PoseTest)
+    if test is not None and test.poses:
+        return _of_test(test, passed=view.state == "done")
+    checked = _converted(found.get(RECHECK), _Recheck)
+    if checked is not None:
+        return _of_recheck(checked, view.log)
+    table, text = own_words(view.log.plan.procedure, found)
+    if table is not None and not table[1]:
+        table = None
+    return Result((), "", "label", (), text or ("" if table else NO_FIGURES), table)
+
+
+def _converted(found: Any, kind: type[T]) -> T | None:
+    """Return a part of a result; None of another procedure's, or of another version's."""
+    try:
+        return msgspec.convert(found, kind)
+    except msgspec.ValidationError:
+        return None
+
+
+def own_words(name: str, result: dict[str, Any]) -> tuple[Table | None, str]:
+    """Return a procedure's own table and words of a result; nothing of what it cannot read."""
+    if not result:
+        return None, ""
+    try:
+        procedure = load_entry("procedures", name)
+        return procedure.table(result), procedure.words(result)
+    except (HilcellError, LookupError, TypeError, ValueError, AttributeError):
+        return None, ""  # of another version, or of a procedure that is not installed here
+
+
+# -- a pose test -----------------------------------------------------------------------------------
+
+
+def _of_test(test: _PoseTest, *, passed: bool) -> Result:
+    ap_mm, rp_mm, ad_mm, rd_mm = (
+        test.limits.get(f"{n}_limit_mm") for n in ("ap", "rp", "ad", "rd")
+    )
+    at_ap = max(test.poses, key=lambda name: _gravest(test.poses[name].ap_mm))
+    at_rp = max(test.poses, key=lambda name: _gravest(test.poses[name].rp_mm))
+    ap, rp = test.poses[at_ap], test.poses[at_rp]
+    figures = (
+        Figure("worst AP_p, mm", ap.ap_mm, f"at {at_ap}", ap_mm, ap.ap_u95_mm),
+        Figure("worst RP_l, mm", rp.rp_mm, f"at {at_rp}", rp_mm, rp.rp_u95_mm),
+    )
+    headers = ["pose", "AP_p mm", "U mm", "RP_l mm", "U mm"]
+    rows = [
+        [name, *map(figure, (each.ap_mm, each.ap_u95_mm, each.rp_mm, each.rp_u95_mm))]
+        for name, each in test.poses.items()
+    ]
+    if test.limits:
+        headers.append("verdict")
+        for row, each in zip(rows, test.poses.values(), strict=True):
+            kept = _keeps(each.ap_mm + each.ap_u95_mm, ap_mm)
+            kept &= _keeps(each.rp_mm + each.rp_u95_mm, rp_mm)
+            row.append("pass" if kept else "FAIL")
+        limits = [_limit(ap_mm), "", _limit(rp_mm), "", ""]
+        rows.append(["limit", *limits])
+    text = _distance_words(test.distance, ad_mm, rd_mm) if test.distance is not None else ""
+    words, stated, role = (("ISO",), "no limits stated", "label")
+    if test.limits:
+        words, stated, role = (
+            (("PASS",), "within its limits", "passed")
+            if passed
+            else (("FAIL",), "not within its limits", "fault")
+        )
+    return Result(words, stated, role, figures, text, (headers, rows))
+
+
+def _distance_words(found: _Distance, ad_mm: float | None, rd_mm: float | None) -> str:
+    ad, rd = f"{found.ad_mm:+.3f}", f"{found.rd_mm:.3f}"
+    limits = [f"{n} {each:.3f}" for n, each in (("AD", ad_mm), ("RD", rd_mm)) if each is not None]
+    said = f"; limits {', '.join(limits)} mm" if limits else ""
+    return (
+        f"distance {found.first}-{found.to}: AD {ad} mm (U {found.ad_u95_mm:.3f}), "
+        f"RD ±{rd} mm (U {found.rd_u95_mm:.3f}){said}"
+    )
+
+
+def _keeps(value_mm: float, limit_mm: float | None) -> bool:
+    return limit_mm is None or value_mm <= limit_mm
+
+
+def _limit(limit_mm: float | None) -> str:
+    return "-" if limit_mm is None else f"{limit_mm:.3f}"
+
+
+def _gravest(value_mm: float) -> float:
+    return value_mm if math.isfinite(value_mm) else math.inf
+
+
+# -- a re-check ------------------------------------------------------------------------------------
+
+
+def _of_recheck(found: _Recheck, log: Log) -> Result:
+    words, stated, role = RECHECKED[found.verdict]
+    worst = sorted(found.poses, key=lambda each: -_gravest(each.error_mm))
+    rows = [
+        [_target(each.pose, log), *map(figure, (each.bound_mm, each.error_mm, each.left_mm))]
+        for each in worst
+    ]
+    limits_mm = found.mean_tolerance_mm, found.max_tolerance_mm
+    at = rows[0][0] if rows else "its target"
+    figures = (
+        Figure("mean |e| now, mm", found.mean_mm, "all", limits_mm[0], found.mean_U_mm),
+        Figure("largest |e| now, mm", found.max_mm, at, limits_mm[1], found.max_U_mm),
+    )
+    headers = ["worst first", "predicted below mm", "now mm", "less the base's motion mm"]
+    return Result(words, stated, role, figures, found.text, (headers, rows) if rows else None)
+
+
+def _target(key: str, log: Log) -> str:
+    point = log.points.get(key)
+    return short_words(id_of_key(key) if point is None else point.id)
+
+
+# -- drawing ---------------------------------------------------------------------------------------
+
+
+def result_lines(view: RunView, found: Result, glyphs: Glyphs, width: int, rows: int) -> Content:
+    """Return the word and its figures, the sentence, and as many rows of the table as fit."""
+    small = width < LEAST_WIDTH or rows < LEAST_ROWS
+    lines = (_small_head if small else _head)(view, found, glyphs)
+    lines += [each.stylize("$label") for each in _text(found.text, width)]
+    table = [] if found.table is None else sheet_lines(words_in(found.table, view.log), width)
+    room = rows - len(lines)
+    if len(table) > room:
+        table = [
+            *table[: max(room - 1, 0)],
+            Content.styled(" o report: all of the table", "$label"),
+        ]
+    lines += table
+    if len(lines) < rows:
+        lines.append(Content.assemble((" next: ", "$label"), NEXT))
+    lines += [Content("")] * (rows - len(lines))
+    return Content("\n").join(line.truncate(width) for line in lines[:rows])
+
+
+def _text(text: str, width: int) -> list[Content]:
+    lines = wrapped(harmless(text), width - 2) if text else []
+    return [Content(" ").append(line) for line in lines]
+
+
+def words_in(table: Table, log: Log | None = None) -> Table:
+    """Return a table with its keys and names in words."""
+    headers, rows = table
+    return (
+        [_header_words(each) for each in headers],
+        [[_cell_words(cell, log) for cell in row] for row in rows],
+    )
+
+
+def _header_words(header: str) -> str:
+    return header.replace("urad", "µrad").replace("_", " ") if "urad" in header else header
+
+
+def _cell_words(cell: str, log: Log | None) -> str:
+    if cell == "before":
+        return AS_SENT
+    if cell == "idw":
+        return PAPER
+    if cell.startswith("chosen: "):
+        _, _, outcome = cell.partition(", ")
+        return CORRECTED + (f", {outcome}" if outcome else "")
+    return in_words(cell, log) if log is not None else cell
+
+
+def _style(found: Result) -> tuple[str, str]:
+    """Return the style of the block of words, and its ground alone."""
+    if found.role == "label":
+        return "bold $foreground on $badge", "on $badge"
+    return f"bold $on-{found.role} on ${found.role}-fill", f"on ${found.role}-fill"
+
+
+def _head(view: RunView, found: Result, glyphs: Glyphs) -> list[Content]:
+    if not found.words:
+        return []
+    style, ground = _style(found)
+    texts: list[str] = []
+    for word in found.words:
+        texts += [word if n == 1 else "" for n in range(3)] if glyphs.plain else large_rows(word)
+    if len(found.words) == 1:
+        texts = ["", *texts, "", found.stated]
+    block = [Content.styled(f"{text:^{BLOCK}}", style) for text in texts]
+    mark = simulation_block() if is_simulated(view) else Content("")
+    pad = (BLOCK - mark.cell_length) // 2
+    rest = BLOCK - pad - mark.cell_length
+    block.append(Content.assemble((" " * pad, ground), mark, (" " * rest, ground)))
+    columns = [_large(each, glyphs) for each in found.figures]
+    places = (FIRST_AT, SECOND_AT)
+    return [
+        placed((0, line), *((at, each[n]) for at, each in zip(places, columns, strict=False)))
+        for n, line in enumerate(block)
+    ]
+
+
+def _tone(each: Figure, glyphs: Glyphs) -> tuple[str, str]:
+    if each.limit_mm is None:
+        return "$label", glyphs.stale
+    return ("$fault", glyphs.warned) if each.over else ("$passed", glyphs.fresh)
+
+
+def _at(each: Figure) -> str:
+    limit = "no limit stated" if each.limit_mm is None else f"limit {each.limit_mm:.3f}"
+    return f" {each.at}, {limit}"
+
+
+def _large(each: Figure, glyphs: Glyphs) -> list[Content]:
+    tone, shape = _tone(each, glyphs)
+    digits = large(figure(each.value_mm), tone if each.over else "$foreground", glyphs)
+    at = Content.assemble((shape, tone), (_at(each), "$label"))
+    line = Content("")
+    if each.limit_mm:
+        share = each.value_mm / each.limit_mm * TO_LIMIT / BAR
+        line = bar(share, BAR, tone, TO_LIMIT / BAR)
+    return [Content.styled(each.title, "$label"), *digits, at, line, Content("")]
+
+
+def _small_head(view: RunView, found: Result, glyphs: Glyphs) -> list[Content]:
+    if not found.words:
+        return []
+    style, _ = _style(found)
+    mark = simulation_block() if is_simulated(view) else Content("")
+    text = f"  {' '.join(found.words)}  "
+    lines = [Content("").join([Content.styled(text, style), mark])]
+    for each in found.figures:
+        tone, shape = _tone(each, glyphs)
+        lines.append(
+            Content.assemble(
+                (f" {shape}", tone), (f" {each.title.removesuffix(', mm')} ", "$label"),
+                (f"{figure(each.value_mm)} mm", "bold"), (_at(each), "$label"),
+            )
+        )  # fmt: skip
+    return lines
