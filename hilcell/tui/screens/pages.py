@@ -6,7 +6,9 @@ import os
 import webbrowser
 from abc import abstractmethod
 from pathlib import Path
+from typing import Any
 
+import msgspec
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
 from textual.content import Content
@@ -17,8 +19,10 @@ from hilcell.tui.engine import process
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.text.alarms import alarm_page, interlock_page
+from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.help import help_lines
 from hilcell.tui.text.points import point_page
+from hilcell.tui.text.report import report_lines
 from hilcell.tui.text.tables import COLUMNS, record_row
 from hilcell.tui.widgets import Row, Table, TextField, TextPanel
 
@@ -187,7 +191,8 @@ class ReportPage(TextPage):
         super().__init__()
         self._folder = folder
         self._where = "writing the report ..."
-        self._figures = "computing the figures from the journal ..."
+        self._state = "computing the figures from the journal ..."
+        self._figures: dict[str, Any] | None = None
 
     def on_mount(self) -> None:
         """Write the report."""
@@ -197,14 +202,20 @@ class ReportPage(TextPage):
 
     def text(self, view: RunView | None) -> Content:
         """Return where the file is, and the figures."""
-        return Content.assemble((self._where, "bold"), "\n\n", self._figures)
+        width = self.line_width
+        lines = [*wrapped(self._where, width, "bold"), Content("")]
+        if self._figures is None:
+            return Content("\n").join([*lines, Content(self._state)])
+        log = view.log if view is not None else None
+        return Content("\n").join([*lines, *report_lines(self._figures, log, width)])
 
     async def _show_figures(self) -> None:
         runs = str(self._folder.parent)
         try:
-            self._figures = await process.run_command("show", self._folder.name, "--runs", runs)
+            text = await process.run_command("show", self._folder.name, "--json", "--runs", runs)
+            self._figures = msgspec.json.decode(text.splitlines()[0], type=dict[str, Any])
         except HilcellError:
-            self._figures = "the figures could not be computed"
+            self._state = "the figures could not be computed"
             raise
         finally:
             self.show_again()

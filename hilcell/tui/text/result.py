@@ -56,7 +56,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a run has found; ``words`` is empty where nothing large is said."""
+    """The findings of a run; ``words`` is empty where nothing large is said."""
 
     words: tuple[str, ...]
     stated: str

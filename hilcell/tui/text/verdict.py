@@ -20,11 +20,13 @@ from hilcell.journal.set_ups import PROVEN
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure, large, large_rows
+from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.key_words import in_words
 from hilcell.tui.text.lines import bar, placed
 from hilcell.tui.text.run import is_simulated, simulation_block
 
 ROWS = 16
+OUT_OF_TOLERANCE = "HC-V01"
 BLOCK, MEAN_AT, SINGLE_AT = 24, 26, 53
 BAR, TO_LIMIT = 24, 19
 LEAST_WIDTH, LEAST_ROWS = 79, 14
@@ -146,10 +148,12 @@ def verdict_lines(
 ) -> Content:
     """Return the block, the two worst figures, the stations, and what is to be known or done."""
     if width < LEAST_WIDTH or rows < LEAST_ROWS:
-        lines = [*_small_head(view, found, glyphs), *_facts(view, found, glyphs)]
+        lines = [*_small_head(view, found, glyphs), *_facts(view, found, glyphs, width)]
     else:
         lines = _head(view, found, glyphs)
-        facts = _facts(view, found, glyphs)[: max(rows - len(lines) - len(found.stations) - 2, 2)]
+        facts = _facts(view, found, glyphs, width)[
+            : max(rows - len(lines) - len(found.stations) - 2, 2)
+        ]
         room = max(rows - len(lines) - len(facts), 3)
         lines += [*_table(found, glyphs, room), *facts]
     lines += [Content("")] * (min(rows, ROWS) - len(lines))
@@ -266,10 +270,10 @@ def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
     )
 
 
-def _facts(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:
+def _facts(view: RunView, found: Verdict, glyphs: Glyphs, width: int) -> list[Content]:
     """Return what is to be known of a run that passed; of one that failed, why and what to do."""
     if not found.passed and view.alarms:
-        return _advice(view, max(view.alarms, key=_severity), glyphs)
+        return _advice(view, found, max(view.alarms, key=_severity), glyphs, width)
     sure = max(found.stations, key=lambda each: _gravest(each.sure_mm))
     known = math.isfinite(sure.sure_mm)
     bound = f"below {sure.sure_mm:.3f} mm at {sure.name}" if known else "not stated"
@@ -293,15 +297,42 @@ def _severity(alarm: Alarm) -> int:
     return SEVERITIES.index(alarm.severity)
 
 
-def _advice(view: RunView, alarm: Alarm, glyphs: Glyphs) -> list[Content]:
+def _advice(
+    view: RunView, found: Verdict, alarm: Alarm, glyphs: Glyphs, width: int
+) -> list[Content]:
+    """Return why the run failed, with the stations concerned, and the steps, each whole."""
     where = f"{alarm.where}: " if alarm.where else ""
     words = in_words(f"{where}{alarm.found}", view.log)
-    reason = Content.assemble((f" {glyphs.warned} {alarm.code} ", "bold $fault"), words)
-    steps = [
-        Content.assemble((f" {number} ", "bold"), step)
-        for number, step in enumerate(alarm.do[:3], start=1)
+    if alarm.code == OUT_OF_TOLERANCE:
+        words = reason_words(found) or words
+    lines = wrapped(harmless(f"{alarm.code} {words}"), width - 4)
+    head = Content.styled(f" {glyphs.warned} ", "bold $fault")
+    shown = [head.append(lines[0].stylize("bold $fault", 0, len(alarm.code)))]
+    shown += [line.pad_left(3) for line in lines[1:]]
+    for number, step in enumerate(alarm.do[:3], start=1):
+        first, *rest = wrapped(step, width - 4)
+        shown.append(Content.assemble((f" {number} ", "bold"), first))
+        shown += [line.pad_left(3) for line in rest]
+    return shown
+
+
+def reason_words(found: Verdict) -> str:
+    """Return which stations do not keep which limit, the worst first."""
+    failed = [each for each in found.stations if each.outcome != "accepted"]
+    failed.sort(key=lambda each: -_gravest(each.mean_mm))
+    return "; ".join(f"{each.name}: {_reason(each, found)}" for each in failed)
+
+
+def _reason(each: Station, found: Verdict) -> str:
+    limits_mm = found.mean_limit_mm, found.max_limit_mm
+    judged = zip(("mean", "single"), (each.mean_mm, each.max_mm), limits_mm, strict=True)
+    over = [
+        f"{n} {figure(value)} over {limit:.3f}" for n, value, limit in judged if not value <= limit
     ]
-    return [reason, *steps]
+    if over:
+        return ", ".join(over)
+    U = f", U {each.mean_U_mm:.3f}" if math.isfinite(each.mean_U_mm) else ""
+    return f"mean {figure(each.mean_mm)}{U}: not shown below {found.mean_limit_mm:.3f}"
 
 
 def _written(view: RunView, found: Verdict, glyphs: Glyphs) -> Content:

@@ -78,8 +78,20 @@ COMPARISON: dict[str, Any] = {
     ],
     "notes": [],
 }  # fmt: skip
+FIGURES = {"mean": 0.11, "p95": 0.2, "max": 0.31}
+SHOWN: dict[str, Any] = {
+    "run": RUN, "procedure": "calibrate", "cell": "paper", "simulated": True, "operator": "Ann",
+    "job": "J-7", "seed": 1, "machine_seed": 1, "points": 21, "calibration": "station_held",
+    "state": "finished", "verdict": "in tolerance", "standing": {"text": "current"},
+    "result": {
+        "method": "kinematic",
+        "validation": {
+            "S1100": {"points": 2, "before": FIGURES, "idw": FIGURES, "chosen": FIGURES},
+        },
+    },
+}  # fmt: skip
 SAID = {
-    "show": "calibrate on paper: finished\n\n  S1100   before 1.200 mm   chosen 0.110 mm\n",
+    "show": msgspec.json.encode(SHOWN).decode(),
     "report": "",
     "compare": msgspec.json.encode(COMPARISON).decode(),
 }

@@ -10,7 +10,7 @@ import pytest
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
-from hilcell.tui.text.verdict import ROWS, verdict_lines, verdict_of, words_of
+from hilcell.tui.text.verdict import ROWS, reason_words, verdict_lines, verdict_of, words_of
 from tests.hilcell.tui.sample_runs import sample_runs
 from tests.hilcell.tui.views import view_of
 
@@ -65,7 +65,8 @@ def test_a_failure_says_its_reason_and_steps() -> None:
     text = verdict_lines(view, found, UNICODE, 79)
     row = next(line for line in text.plain.split("\n") if line.startswith(" S1900"))
     assert row.split() == ["S1900", "75", "1.200", "0.222", "0.400", "1.084", "▲", "FAIL"]
-    assert "▲ HC-V01" in text.plain
+    assert "▲ HC-V01 S1900: mean 0.222 over 0.120, single 1.084 over 0.300" in text.plain
+    assert "validation." not in text.plain
     assert "\n 3 " in text.plain
     assert large_rows("FAIL")[0] in text.plain
 
@@ -88,6 +89,26 @@ def test_a_pass_beside_a_figure_over_its_limit_is_not_shown_as_plain() -> None:
     row = next(line for line in text.split("\n") if line.startswith(" S1100"))
     assert row.endswith("0.310  ▲ pass?")
     assert "▲ S1100: judged as pass, yet a figure is over its limit" in text
+
+
+def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
+    places = PLACES | {name: {"mean": 0.222, "p95": 0.4, "max": 1.084} for name in PLACES}
+    view = finished("intolerant", places)
+    found = verdict_of(view)
+    assert found is not None
+    for width, rows in ((59, 22), (79, ROWS + 5)):
+        text = " ".join(verdict_lines(view, found, UNICODE, width, rows).plain.split())
+        assert "…" not in text
+        assert all(f"{name}: mean 0.222 over 0.120, single 1.084" in text for name in PLACES)
+        assert all(step in text for step in view.alarms[0].do)
+
+
+def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
+    view = finished("intolerant", PLACES)
+    view.log.verdicts["validation.S300"] |= {"holds": False, "outcome": "undecided"}
+    found = verdict_of(view)
+    assert found is not None
+    assert reason_words(found) == "S300: mean 0.113, U 0.010: not shown below 0.120"
 
 
 def test_a_nan_is_the_worst_and_fails() -> None:

@@ -1,0 +1,28 @@
+"""The page of figures: in words, to the width, with no line drawn and no number cut."""
+
+from __future__ import annotations
+
+import pytest
+
+from hilcell.tui.text.report import report_lines
+from tests.hilcell.tui.all_screens import SHOWN
+
+
+@pytest.mark.parametrize("width", [38, 59, 78, 99, 139])
+def test_the_figures_are_in_words_and_fit(width: int) -> None:
+    lines = report_lines(SHOWN, None, width)
+    text = "\n".join(line.plain for line in lines)
+    assert max(line.cell_length for line in lines) <= width
+    assert not set("│┃━┏…") & set(text)
+    for raw in ("True", "machine_seed", "idw", "chosen:", "station_held", "None"):
+        assert raw not in text
+    for words in ("yes, no device moved", "station held", "as sent", "paper method", "corrected"):
+        assert words in " ".join(text.split())
+    assert text.count("0.1100") == 3
+
+
+def test_a_run_that_did_not_finish_states_its_fault_and_no_table() -> None:
+    found = SHOWN | {"state": "faulted", "fault": "Tracker: measure: beam broken; " * 5}
+    text = "\n".join(line.plain for line in report_lines(found, None, 79))
+    assert " ".join(text.split()).count("beam broken;") == 5
+    assert "paper method" not in text
