@@ -37,8 +37,9 @@ def report_lines(found: Mapping[str, Any], log: Log | None, width: int) -> list[
         facts.append(("calibration", str(standing.get("text", ""))))
     lines = [line for name, text in facts for line in _fact(name, text, width)]
     result = found.get("result")
-    finished = found.get("state") == "finished" and isinstance(result, dict)
-    table, text = own_words(procedure, result) if finished else (None, "")
+    table, text = None, ""
+    if found.get("state") == "finished" and isinstance(result, dict):
+        table, text = own_words(procedure, result)
     if table is not None and table[1]:
         lines += [Content(""), *sheet_lines(words_in(table, log), width)]
     if text:
