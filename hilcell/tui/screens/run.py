@@ -184,7 +184,8 @@ class RunScreen(FilterScreen):
         glyphs, width = self.application.glyphs, self.left_width
         verdict, result = verdict_of(view), self._result_of(view)
         if verdict is not None:
-            self.panel("verdict").show(verdict_lines(view, verdict, glyphs, width, rows))
+            standing = len(self.application.latch.standing())
+            self.panel("verdict").show(verdict_lines(view, verdict, glyphs, width, rows, standing))
         elif result is not None:
             self.panel("verdict").show(result_lines(view, result, glyphs, width, rows))
 

@@ -15,8 +15,8 @@ from hilcell.journal.log import Log, Point
 from hilcell.ports import Array, HilcellError
 
 JUDGED = "chosen"  # the paper's method is measured beside it, to be compared
-BAD_STATES = ("out", "unsure", "noisy")
-STATES: dict[Outcome, str] = {"rejected": "out", "undecided": "unsure"}
+BAD_STATES = ("out", "undecided", "noisy")
+STATES: dict[Outcome, str] = {"rejected": "out", "undecided": "undecided"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def _xyz(vector: Array) -> tuple[float, float, float]:
 
 
 def state_of(log: Log, point: Point, deviation: Deviation | None) -> str:
-    """Return a point's state in one word: ok, out, unsure, noisy, again (re-measured)."""
+    """Return a point's state in one word: ok, out, undecided, noisy, again (re-measured)."""
     if not rms(point.std_mm) <= log.cell.tracker.max_std_mm:
         return "noisy"
     if deviation is not None and deviation.outcome in STATES:

@@ -30,12 +30,12 @@ HALF_BAR = 13
 TOLERANCE_AT, TO_LIMIT, PAST_LIMIT = 20, 44, 11
 SAID: dict[Outcome, tuple[str, str, str]] = {  # role, shape's name, words
     "accepted": ("passed", "fresh", "in tolerance"),
-    "undecided": ("ask", "warned", "UNSURE"),
+    "undecided": ("ask", "warned", "UNDECIDED"),
     "rejected": ("fault", "warned", "OUT OF TOLERANCE"),
 }
 WAS: dict[Outcome, str] = {
     "accepted": "was in tol.",
-    "undecided": "was unsure",
+    "undecided": "was undecided",
     "rejected": "was out of tol.",
 }
 

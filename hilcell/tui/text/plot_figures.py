@@ -127,10 +127,10 @@ def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Lines:
     errors = found.by_how["chosen"][np.isfinite(found.by_how["chosen"])]
     over = int(np.sum(~(errors <= limit_mm)))
     near = int(np.sum(errors > NEAR * limit_mm)) - over
-    said = "Nothing near the limit."
+    said = "No target near its limit."
     if over or near:
         said = f"{over} over the limit, {near} within {100 * (1 - NEAR):.0f} % of it."
-    sentences = [said]
+    sentences = [said, _of_means(log, found)]
     mean_mm = mean_of(errors)
     if "before" in found.by_how and mean_mm > 0:
         same = found.by_how["before"][np.isfinite(found.by_how["chosen"])]
@@ -144,6 +144,23 @@ def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Lines:
     wrapped = [line for each in sentences for line in textwrap.wrap(each, WIDTH)]
     tells = [Content.styled(line, "$label") for line in wrapped]
     return [Content(""), section("what it tells", WIDTH), *tells]
+
+
+def _of_means(log: Log, found: Errors3D) -> str:
+    """Return how the worst station's mean is to its limit."""
+    limit_mm = log.cell.validation.mean_tolerance_mm
+    means_mm = {
+        name: mean_of(found.at(name).by_how["chosen"])
+        for name in found.stations
+        if "chosen" in found.at(name).by_how
+    }
+    worst = max(means_mm, key=lambda name: means_mm[name])
+    mean_mm = means_mm[worst]
+    if not mean_mm <= limit_mm:
+        return f"Mean at {worst} {mean_mm:.3f}: over its limit {limit_mm:.3f}."
+    if mean_mm > NEAR * limit_mm:
+        return f"Mean at {worst} {mean_mm:.3f}: near its limit {limit_mm:.3f}."
+    return "No station's mean near its limit."
 
 
 def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:

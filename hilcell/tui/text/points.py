@@ -37,7 +37,7 @@ _BESIDE_NAME, _BESIDE_NAME_ALONE = 40, 18  # where stations have no column
 _STATES = {  # by state: its word with its shape, and its tone
     "in": ("● in", "passed"),
     "out": ("▲ OUT", "*fault"),
-    "unsure": ("▲unsure", "ask"),
+    "undecided": ("▲undec.", "ask"),
     "noisy": ("▲ noisy", "ask"),
     "waits": ("○ waits", "live"),
     "again": ("○ again", "live"),

@@ -144,14 +144,17 @@ def _station(view: RunView, name: str, place: _Place) -> Station:
 
 
 def verdict_lines(
-    view: RunView, found: Verdict, glyphs: Glyphs, width: int, rows: int = ROWS
+    view: RunView, found: Verdict, glyphs: Glyphs, width: int, rows: int = ROWS, standing: int = 0
 ) -> Content:
-    """Return the block, the two worst figures, the stations, and what is to be known or done."""
+    """Return the block, the two worst figures, the stations, and what is to be known or done.
+
+    ``standing`` alarms are latched, also those that the journal raises no more.
+    """
     if width < LEAST_WIDTH or rows < LEAST_ROWS:
-        lines = [*_small_head(view, found, glyphs), *_facts(view, found, glyphs, width)]
+        lines = [*_small_head(view, found, glyphs), *_facts(view, found, glyphs, width, standing)]
     else:
         lines = _head(view, found, glyphs)
-        facts = _facts(view, found, glyphs, width)[
+        facts = _facts(view, found, glyphs, width, standing)[
             : max(rows - len(lines) - len(found.stations) - 2, 2)
         ]
         room = max(rows - len(lines) - len(facts), 3)
@@ -252,7 +255,7 @@ def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
         "accepted": (f"{glyphs.fresh} pass", "$passed"),
         "rejected": (f"{glyphs.warned} FAIL", "bold $fault"),
     }
-    word, tone = said.get(each.outcome, (f"{glyphs.warned} unsure", "$ask"))
+    word, tone = said.get(each.outcome, (f"{glyphs.warned}undecided", "$ask"))
     if each.outcome == "accepted" and not _keeps(
         each, found
     ):  # never a plain pass beside such a figure
@@ -270,7 +273,9 @@ def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
     )
 
 
-def _facts(view: RunView, found: Verdict, glyphs: Glyphs, width: int) -> list[Content]:
+def _facts(
+    view: RunView, found: Verdict, glyphs: Glyphs, width: int, standing: int
+) -> list[Content]:
     """Return what is to be known of a run that passed; of one that failed, why and what to do."""
     if not found.passed and view.alarms:
         return _advice(view, found, max(view.alarms, key=_severity), glyphs, width)
@@ -288,7 +293,7 @@ def _facts(view: RunView, found: Verdict, glyphs: Glyphs, width: int) -> list[Co
         *doubtful[:1],
         Content.assemble((" true mean, 95 % sure: ", "$label"), bound, (floor, "$label")),
         _written(view, found, glyphs),
-        _drift(view, glyphs),
+        _drift(view, glyphs, standing),
         Content.assemble((" next: ", "$label"), "o report   p plots   w worst points   n new run"),
     ]
 
@@ -349,11 +354,12 @@ def _written(view: RunView, found: Verdict, glyphs: Glyphs) -> Content:
     )
 
 
-def _drift(view: RunView, glyphs: Glyphs) -> Content:
-    """Return whether there were alarms, and how far the floor nests seemed to move."""
+def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Content:
+    """Return how many alarms there were or are ``standing``, and how far the floor nests moved."""
     proofs = [event.body["off_mm"] for event in view.log.events if event.body["what"] == PROVEN]
     moved = max((max(each) for each in proofs if each), default=None)
-    text = f"{len(view.alarms)} alarms: e" if view.alarms else "no alarms"
+    count = max(len(view.alarms), standing)
+    text = f"{count} alarm{'s' if count > 1 else ''}: e" if count else "no alarms"
     drift = "" if moved is None else f"; floor nests stood within {moved:.3f} mm"
-    tone, shape = ("$ask", glyphs.warned) if view.alarms else ("$passed", glyphs.fresh)
+    tone, shape = ("$ask", glyphs.warned) if count else ("$passed", glyphs.fresh)
     return Content.assemble((f" {shape}", tone), (f" {text}{drift}", "$label"))

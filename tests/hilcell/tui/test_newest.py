@@ -48,8 +48,8 @@ def shown(norm_mm: float, limit_mm: float | None = 1.0, U_mm: float = 0.1, **mor
         (0.5, None, "○ as sent: no limit", "foreground"),
         (0.5, 1.0, "● in tolerance", "passed"),
         (1.5, 1.0, "▲ OUT OF TOLERANCE", "fault"),
-        (0.95, 1.0, "▲ UNSURE", "ask"),
-        (1.05, 1.0, "▲ UNSURE", "ask"),
+        (0.95, 1.0, "▲ UNDECIDED", "ask"),
+        (1.05, 1.0, "▲ UNDECIDED", "ask"),
         (math.nan, 1.0, "▲ OUT OF TOLERANCE", "fault"),
         (math.inf, 1.0, "▲ OUT OF TOLERANCE", "fault"),
     ],
@@ -75,7 +75,7 @@ def test_rows_stand_at_the_columns_of_the_design() -> None:
 
 
 @pytest.mark.parametrize(
-    ("norm_mm", "word"), [(0.5, "was in tol."), (1.5, "was out of tol."), (0.95, "was unsure")]
+    ("norm_mm", "word"), [(0.5, "was in tol."), (1.5, "was out of tol."), (0.95, "was undecided")]
 )
 def test_an_old_value_is_grey_and_says_that_it_was(norm_mm: float, word: str) -> None:
     lines = point_lines(shown(norm_mm, stale=True), UNICODE, 79).split("\n")

@@ -90,6 +90,21 @@ def test_of_a_target_measured_again_the_larger_error_is_drawn(
     assert f"{wanted_mm:.3f}" in worst
 
 
+@pytest.mark.parametrize(
+    ("tolerance_mm", "said"),
+    [(0.030, "over its limit 0.030"), (0.110, "near its limit 0.110"), (0.2, "No station's mean")],
+)
+def test_words_beside_the_errors_speak_of_the_mean_too(tolerance_mm: float, said: str) -> None:
+    of = measured_of(validated())
+    plan = of.log.inputs
+    table = plan.cell["validation"] | {"mean_tolerance_mm": tolerance_mm}
+    of.log.plan = msgspec.structs.replace(plan, cell=plan.cell | {"validation": table})
+    lines = FIGURES["each target"](of, "", errors_plot(of), LETTERS)
+    text = " ".join(line.plain for line in lines)
+    assert "No target near its limit." in text
+    assert said in text
+
+
 def test_a_station_has_its_own_targets() -> None:
     story = validated()
     other = PointId("validate", station="S300", how="before", number=0)

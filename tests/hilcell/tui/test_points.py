@@ -170,7 +170,8 @@ def test_a_point_within_its_uncertainty_of_the_limit_is_neither_in_nor_out() -> 
     log = log_of(validated())
     U_mm, limit_mm = guard_of(log, 1).max_mm, log.cell.validation.max_tolerance_mm
     point = log.points["validate/S1100/chosen/000"]
-    places = {"ok": limit_mm - 1.1 * U_mm, "unsure": limit_mm - 0.9 * U_mm, "out": limit_mm + U_mm}
+    places = {"ok": limit_mm - 1.1 * U_mm, "out": limit_mm + U_mm}
+    places["undecided"] = limit_mm - 0.9 * U_mm
     x, y, z = point.nominal_mm or (0.0, 0.0, 0.0)
     for state, off_mm in places.items():
         moved = changed(log, point.key, xyz_mm=(x + off_mm + 1e-6, y, z))

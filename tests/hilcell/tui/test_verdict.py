@@ -126,6 +126,19 @@ def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     found = verdict_of(view)
     assert found is not None
     assert words_of(found) == ("FAIL", "undecided")
+    lines = verdict_lines(view, found, UNICODE, 79).plain.split("\n")
+    [row] = [line for line in lines if line.startswith(" S300")]
+    assert row.endswith("▲undecided")
+
+
+@pytest.mark.parametrize(
+    ("standing", "said"), [(0, "● no alarms"), (1, "▲ 1 alarm: e"), (2, "▲ 2 alarms: e")]
+)
+def test_an_alarm_that_still_stands_is_counted_beside_a_pass(standing: int, said: str) -> None:
+    view = finished("done", PLACES)
+    found = verdict_of(view)
+    assert found is not None
+    assert said in verdict_lines(view, found, UNICODE, 79, standing=standing).plain
 
 
 def test_more_stations_than_there_is_room_for_are_counted() -> None:
