@@ -22,6 +22,7 @@ LEAST_COLUMNS, LEAST_ROWS = 8, 2
 LEGEND = 15  # columns
 FRAME = 2
 GAP = 2
+RULED = 8  # columns of a heading's rule beside its words
 NO_POINT = -1
 CORRECTED, RAW = (0.05, 0.1, 0.2), (0.2, 0.5, 1.0, 2.0)  # mm, upper bounds of the grades
 SHAPES, LETTERS = "·•○●■", ".:o*#"
@@ -130,7 +131,10 @@ def _rail(of: Volume) -> str:
 
 def _heading(of: Volume, width: int) -> Content:
     count = f"{len(of.errors_mm)} of {of.planned}" if of.planned else str(len(of.errors_mm))
-    return section(f"map: {of.title}", width, f"{count} targets")
+    for title, remark in ((f"map: {of.title}", f"{count} targets"), ("map", count)):
+        if len(title) + len(remark) + RULED <= width:
+            return section(title, width, remark)
+    return section("map", width)
 
 
 def _legend(of: Volume, *, plain: bool) -> Lines:

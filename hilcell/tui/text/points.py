@@ -157,13 +157,15 @@ def _length(found: Deviation | None) -> str:
 
 
 def _places(point: Point, found: Deviation | None) -> list[tuple[str, str]]:
-    nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 1)
+    nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 1, _PLACES[0].width)
     measured = point.xyz_mm if found is None else found.actual_mm
-    return [(nominal, "label"), (_triple(measured, 3), "label")]
+    return [(nominal, "label"), (_triple(measured, 3, _PLACES[1].width), "label")]
 
 
-def _triple(values: Sequence[float], digits: int) -> str:
-    return " ".join(f"{value:.{digits}f}" for value in values)
+def _triple(values: Sequence[float], digits: int, room: int) -> str:
+    """Return three lengths in mm; decimals that have no room go, no number is cut."""
+    texts = (" ".join(f"{value:.{n}f}" for value in values) for n in range(digits, -1, -1))
+    return next((text for text in texts if len(text) <= room), "see its page")
 
 
 def point_page(view: RunView, key: str) -> Content:

@@ -14,7 +14,7 @@ from textual.content import Content
 from hilcell.journal.log import Log
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.plots.draw import Look, draw
+from hilcell.tui.plots.draw import Look, Plot, draw
 from hilcell.tui.plots.scale import Scale, log_scale
 from hilcell.tui.text.deviation import PointRow
 from hilcell.tui.text.lines import section
@@ -116,15 +116,28 @@ def _plot(
     limits = () if found.grid else (log.cell.validation.max_tolerance_mm,)
     plot = target_plot(found, limits, "limit")
     scale = log_scale(plot.values, plot.limits, before)
-    parts: list[Content | tuple[str, str] | str] = []
-    for series in plot.series:
-        words = f" {series.name}: mean {mean_of(series.y):.3f} "
-        parts += [" ", mark_of(look, series.ink), (words, "$label")]
-    parts += [(" ─ limit", "$foreground")] if limits else []
     what = "grid point" if found.grid else "target"
     head = section(f"|e| at {station}, {what} by {what}, mm", width)
     drawn = draw(plot, scale, width, max(height - 2, 5), look, named=False)
-    return [head, Content.assemble(*parts).truncate(width), *drawn], scale
+    return [head, _legend(plot, look, width), *drawn], scale
+
+
+def _legend(plot: Plot, look: Look, width: int) -> Content:
+    """Return the means and the limit's mark, as far as there is room; no mean is cut."""
+    limit = [(" ─ limit", "$foreground")] if plot.limits else []
+    for series, named, rest in (
+        (plot.series, True, limit), (plot.series, True, []),
+        (plot.series[-1:], True, []), (plot.series[-1:], False, []),
+    ):  # fmt: skip
+        line = Content("")
+        for each in series:
+            name = f"{each.name}: " if named else ""
+            words = f" {name}mean {mean_of(each.y):.3f} "
+            line = Content.assemble(line, " ", mark_of(look, each.ink), (words, "$label"))
+        line = Content.assemble(line, *rest)
+        if line.rstrip().cell_length <= width:
+            return line.truncate(width)
+    return Content("")
 
 
 def _errors(log: Log, rows: Rows) -> Errors3D:

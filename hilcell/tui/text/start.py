@@ -18,7 +18,6 @@ from hilcell.tui.text.words import step_words
 
 NUMBERS = 9  # columns of `points`, and of `takes`
 NOTHING_MOVES = "nothing moves before you start"
-MOST_UNDER, MOST_BESIDE = 2, 5  # rows of one refusal, under the fields and in the plan's place
 FEW = 4  # nests that are named one by one
 
 
@@ -56,7 +55,7 @@ def plan_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[
     """Return the steps with their points and durations; steps that do nothing are left out."""
     plan, room = checked.plan, width - 2 * NUMBERS
     if checked.refused:
-        reasons = _refusals(checked, glyphs, width, MOST_BESIDE)
+        reasons = _refusals(checked, glyphs, width, rows - 1)
         return [section("plan", width, "refused"), *reasons][:rows]
     if plan is None:
         return [section("plan", width), Content.styled("  is being checked ...", "$label")]
@@ -93,7 +92,7 @@ def _points(step: dict[str, Any]) -> str:
 def check_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
     """Return what has been checked, or every refusal with its reason, as far as there is room."""
     if checked.refused:
-        lines = _refusals(checked, glyphs, width, MOST_UNDER)
+        lines = _refusals(checked, glyphs, width, rows - 1)
         return [section("checks", width, "refused"), *lines][:rows]
     if checked.plan is None:
         return [section("checks", width), Content.styled("  being done ...", "$label")][:rows]
@@ -105,11 +104,15 @@ def check_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list
     return [section("checks", width, f"{len(said)} of {len(said)}{at}"), *done][:rows]
 
 
-def _refusals(checked: Checked, glyphs: Glyphs, width: int, most: int) -> list[Content]:
-    """Return each line of a refusal, in at most ``most`` rows."""
+def _refusals(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
+    """Return each line of a refusal whole, where ``rows`` are enough; else each one's beginning."""
+    texts = [harmless(text) for text in map(str.strip, checked.refused.splitlines()) if text]
+    whole = [wrapped(text, width - 2) for text in texts]
+    if sum(map(len, whole)) > rows:
+        most = max(rows // max(len(texts), 1), 1)
+        whole = [wrapped(text, width - 2, most=most) for text in texts]
     lines = []
-    for text in filter(None, map(str.strip, checked.refused.splitlines())):
-        first, *rest = wrapped(harmless(text), width - 2, most=most)
+    for first, *rest in whole:
         lines.append(Content.styled(f"{glyphs.warned} ", "bold $ask").append(first))
         lines += [line.pad_left(2) for line in rest]
     return lines
