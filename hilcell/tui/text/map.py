@@ -22,7 +22,7 @@ LEAST_COLUMNS, LEAST_ROWS = 8, 2
 LEGEND = 15  # columns
 FRAME = 2
 GAP = 2
-RULED = 8  # columns of a heading's rule beside its words
+RULED = 4  # columns of a heading's rule beside its words, twice with a remark
 NO_POINT = -1
 CORRECTED, RAW = (0.05, 0.1, 0.2), (0.2, 0.5, 1.0, 2.0)  # mm, upper bounds of the grades
 SHAPES, LETTERS = "·•○●■", ".:o*#"
@@ -131,8 +131,8 @@ def _rail(of: Volume) -> str:
 
 def _heading(of: Volume, width: int) -> Content:
     count = f"{len(of.errors_mm)} of {of.planned}" if of.planned else str(len(of.errors_mm))
-    for title, remark in ((f"map: {of.title}", f"{count} targets"), ("map", count)):
-        if len(title) + len(remark) + RULED <= width:
+    for title, remark in ((f"map: {of.title}", f"{count} targets"), (f"map: {count}", "")):
+        if len(title) + len(remark) + RULED * (1 + bool(remark)) <= width:
             return section(title, width, remark)
     return section("map", width)
 
