@@ -31,7 +31,7 @@ from hilcell.tui.text.words import AS_SENT, CORRECTED, PAPER, short_words
 
 BLOCK, FIRST_AT, SECOND_AT = 24, 26, 53
 BAR, TO_LIMIT = 24, 19
-LEAST_WIDTH, LEAST_ROWS = 79, 14
+LEAST_WIDTH, LEAST_ROWS = 78, 14
 NO_FIGURES = "Finished. This procedure measures nothing that is judged."
 NEXT = "o report   p plots   w worst points   n new run"
 RECHECK = "recheck"

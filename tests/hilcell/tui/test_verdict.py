@@ -195,3 +195,13 @@ def test_it_fits_where_there_is_little_room(width: int, rows: int) -> None:
     assert len(lines) == rows
     assert max(line.cell_length for line in lines) <= width
     assert "PASS" in lines[0].plain or large_rows("PASS")[0] in lines[1].plain
+
+
+def test_a_terminal_of_79_columns_keeps_the_stations() -> None:
+    view = finished("done", PLACES)
+    found = verdict_of(view)
+    assert found is not None
+    text = verdict_lines(view, found, UNICODE, 78).plain
+    assert "mean as sent" in text
+    assert "…" not in text
+    assert max(map(len, text.split("\n"))) <= 78
