@@ -168,7 +168,9 @@ def step(view: RunView, width: int) -> Content:
     if view.last is not None and not (view.newest_is_old and view.last is view.newest):
         words = part_words(view.last.id)
         head = head.append(f": {words}" if words else "")
-    return justified(head.truncate(width), _counted(_of_step(view, number)), width - 1)
+    count = _counted(_of_step(view, number))
+    room = width - 2 - count.cell_length if count.cell_length else width
+    return justified(head.truncate(room, ellipsis=True), count, width - 1)
 
 
 def _counted(found: tuple[int, int]) -> Content:

@@ -314,6 +314,13 @@ def test_where_there_is_little_room_an_interlock_is_left_out_and_not_cut() -> No
     assert "Tracker" not in line
 
 
+@pytest.mark.parametrize("width", [30, 40, 59, 79])
+def test_the_third_row_keeps_its_count(width: int) -> None:
+    line = run_text.step(view_of("running"), width).plain
+    assert line.endswith("5 of 8")
+    assert len(line) <= width
+
+
 def test_a_run_that_ended_without_a_verdict_says_so() -> None:
     line = devices.interlocks(view_of("aborted"), UNICODE, 79).plain
     assert line.startswith(" ○ devices closed at 08:00:25; nothing may move")
