@@ -213,7 +213,7 @@ class ReportPage(TextPage):
         runs = str(self._folder.parent)
         try:
             text = await process.run_command("show", self._folder.name, "--json", "--runs", runs)
-            self._figures = msgspec.json.decode(text.splitlines()[0], type=dict[str, Any])
+            self._figures = _summary(text)
         except HilcellError:
             self._state = "the figures could not be computed"
             raise
@@ -233,3 +233,12 @@ class ReportPage(TextPage):
         if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
             webbrowser.open(path.as_uri())
         self.show_again()
+
+
+def _summary(text: str) -> dict[str, Any]:
+    """Return what a command printed as JSON before its remarks; raises `HilcellError`."""
+    try:
+        found: dict[str, Any] = msgspec.json.decode(text.partition("\n")[0], type=dict[str, Any])
+    except msgspec.DecodeError as error:
+        raise HilcellError(f"hilcell show: no figures in its output: {error}") from error
+    return found

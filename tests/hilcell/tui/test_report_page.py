@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from hilcell.errors import HilcellError
+from hilcell.tui.screens.pages import _summary
 from hilcell.tui.text.report import report_lines
 from tests.hilcell.tui.all_screens import SHOWN
 
@@ -26,3 +28,9 @@ def test_a_run_that_did_not_finish_states_its_fault_and_no_table() -> None:
     text = "\n".join(line.plain for line in report_lines(found, None, 79))
     assert " ".join(text.split()).count("beam broken;") == 5
     assert "paper method" not in text
+
+
+@pytest.mark.parametrize("text", ["", "no JSON", "[1]", "{\n}"])
+def test_output_of_another_kind_is_refused_with_its_reason(text: str) -> None:
+    with pytest.raises(HilcellError, match="no figures in its output"):
+        _summary(text)

@@ -19,7 +19,7 @@ from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens import start
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
-from tests.hilcell.tui.all_screens import COMPARISON, PLAN, isolated, screens_of
+from tests.hilcell.tui.all_screens import COMPARISON, PLAN, SHOWN, isolated, screens_of
 from tests.hilcell.tui.recording_app import (
     SIZE,
     RecordingApp,
@@ -62,6 +62,8 @@ def poisoned_outside(
     async def run_command(*words: str) -> str:
         if words[0] == "compare":
             return msgspec.json.encode(_poison(COMPARISON, text)).decode()
+        if words[0] == "show":
+            return msgspec.json.encode(_poison(SHOWN, text)).decode() + f"\n{text}\n"
         return f"line\n{text}\n"
 
     async def dry_run(order: process.RunRequest) -> dict[str, Any]:
@@ -76,7 +78,7 @@ def poisoned_outside(
 
 def _poison(value: Any, text: str) -> Any:
     if isinstance(value, str):
-        return value if value in ("mm", "deg") else value + text
+        return value if value in ("mm", "deg", "finished", "calibrate") else value + text
     if isinstance(value, list):
         return [_poison(each, text) for each in value]
     if isinstance(value, dict):
