@@ -124,7 +124,7 @@ def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the
         terminal.shows("report written", LIMIT_S)
         assert (folder_of(tmp_path) / "report.html").stat().st_size > 100_000
         terminal.press("\x1b[F")  # to the end of the figures
-        terminal.shows("chosen:")
+        terminal.shows("corrected")
         terminal.press("q\x11")
         assert terminal.ends() == 0
     assert judged(folder_of(tmp_path)) == []

@@ -13,7 +13,7 @@ import msgspec
 from textual.content import Content
 
 from hilcell.alarms import Alarm
-from hilcell.alarms.catalogue import SEVERITIES
+from hilcell.alarms.catalogue import SEVERITIES, code_of_verdict
 from hilcell.clean import harmless
 from hilcell.journal.outcome import run_outcome
 from hilcell.journal.set_ups import PROVEN
@@ -26,7 +26,7 @@ from hilcell.tui.text.lines import bar, placed
 from hilcell.tui.text.run import is_simulated, simulation_block
 
 ROWS = 16
-OUT_OF_TOLERANCE = "HC-V01"
+VALIDATION = "validation"  # its verdicts are shown by station
 BLOCK, MEAN_AT, SINGLE_AT = 24, 26, 53
 BAR, TO_LIMIT = 24, 19
 LEAST_WIDTH, LEAST_ROWS = 78, 14
@@ -308,7 +308,7 @@ def _advice(
     """Return why the run failed, with the stations concerned, and the steps, each whole."""
     where = f"{alarm.where}: " if alarm.where else ""
     words = in_words(f"{where}{alarm.found}", view.log)
-    if alarm.code == OUT_OF_TOLERANCE:
+    if alarm.code == code_of_verdict(VALIDATION):
         words = reason_words(found) or words
     lines = wrapped(harmless(f"{alarm.code} {words}"), width - 4)
     head = Content.styled(f" {glyphs.warned} ", "bold $fault")
