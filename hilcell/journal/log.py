@@ -23,7 +23,7 @@ from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.packed import Packed
 from hilcell.journal.point_id import CONTROL, PointId
 from hilcell.journal.set_ups import SetUps, carried, world_key
-from hilcell.journal.states import OVER, CalibrationState, RunState
+from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
 from hilcell.journal.stream_file import StreamRecord
 from hilcell.ports import Air, Array
 
@@ -247,6 +247,7 @@ class Log:
         self.curves: dict[int, CurveRecord] = {}  # by axis, 1 to 6
         self.assets: list[Asset] = []  # that answered when they were last connected
         self.newest: Record | None = None
+        self.order: Record | None = None  # the last motion that is not known to have ended
         self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
         for record in records:
             self.take(record)
@@ -263,6 +264,7 @@ class Log:
                 self._take_state(record, before)
             case "point":
                 self._take_point(self.read(record), record.seq)
+                self.order = None
             case "frame":
                 self.frames[record.key] = body
                 self._carry_nests(record.key)
@@ -275,7 +277,7 @@ class Log:
             case "end":
                 self.end = body
             case "intent":
-                self.moved = True
+                self.moved, self.order = True, record
                 self.visit += str(body.get("action", "")).startswith("rail.")
         self.driven.take(record)
         for key in self.set_ups.take(record):
@@ -324,6 +326,8 @@ class Log:
                 self.retakes[body["key"]] = None
             case "retake refused":
                 self.retakes.pop(body["key"], None)
+            case "station held":
+                self.order = None
             case "link":
                 self.link = msgspec.convert(body, LinkRecord)
             case "connected":
@@ -349,6 +353,8 @@ class Log:
             self.cut_off.append(CutOff(before, self.state, len(self.points)))
         self.state = msgspec.convert(body["to"], RunState)
         self.life.append(record)
+        if self.state in ("checking", *WAITING):
+            self.order = None
         if self.state == "checking":
             self.session, self.began = self.session + 1, record.seq
             self.end, self.fault, self.moved = None, "", False

@@ -20,6 +20,7 @@ from hilcell.tui.text.alarm_words import (
     present_step,
     state_line,
     step_lines,
+    where_words,
 )
 from hilcell.tui.text.deviation import deviation_of
 from hilcell.tui.text.devices import short_age
@@ -64,7 +65,7 @@ def _parts(
     what, *more = part("What", alarm.means, width, most=most)
     found, *rest = part("Found", in_words(alarm.found, context.log), width, "$label", most=most)
     count = Content.styled(f"step {present + 1} of {len(alarm.do)}", "bold $ask")
-    where = in_words(alarm.where or "-", context.log)
+    where = where_words(alarm, context.log)
     lines = [
         (1, state_line(latched, context, width)),
         (4, what),

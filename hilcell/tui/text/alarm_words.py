@@ -9,13 +9,17 @@ from datetime import datetime
 from textual.content import Content
 
 from hilcell.alarms import Alarm, Latched
+from hilcell.clean import harmless
 from hilcell.journal.log import Log
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.frame import ends, fitted, wrapped
+from hilcell.tui.text.key_words import in_words
 from hilcell.tui.text.run import duration
 
 LABEL = 7  # columns of `What`, `Where`
+CRASH = "Cell: crash"  # where the engine was lost
+ORDERS = {"park": "its safe pose", "home": "its reference"}
 INDENT = 5  # columns before a step
 TONES = {"fault": "fault", "warning": "ask", "notice": "label"}
 
@@ -87,6 +91,21 @@ def cause_words(latched: Latched, glyphs: Glyphs) -> Content:
     else:
         found = Content.styled(f"{glyphs.stale} not watched", "bold $ask")
     return Content.assemble(("cause ", "$label"), found)
+
+
+def where_words(alarm: Alarm, log: Log) -> str:
+    """Return the place of an alarm; of a motion, where the journal's last order has sent it."""
+    order = log.order
+    crashed = alarm.where == CRASH
+    if order is not None and log.began < order.seq <= alarm.seq:
+        device, _, how = str(order.body.get("action", "")).partition(".")
+        if crashed or alarm.where == f"{device.capitalize()}: move":
+            at = str(order.body.get("station", "")) if device == "rail" else order.key
+            to = ORDERS.get(how) or in_words(at, log)
+            return harmless(f"{device.capitalize()}, on its way to {to}")
+    if crashed:
+        return f"Engine, {'between two motions' if alarm.seq > log.began else 'earlier session'}"
+    return in_words(alarm.where or "-", log)
 
 
 def part(name: str, text: str, width: int, style: str = "", most: int = 0) -> list[Content]:

@@ -17,6 +17,7 @@ from hilcell.tui.text.alarm_words import (
     present_step,
     state_line,
     step_lines,
+    where_words,
 )
 from hilcell.tui.text.devices import lamp, lamps_of, locks
 from hilcell.tui.text.frame import ends
@@ -52,7 +53,7 @@ def _one(latched: Latched, context: AlarmContext, width: int) -> Content:
         alarm_title(latched, context.glyphs),
         state_line(latched, context, width),
         *part("What", alarm.means, width),
-        *part("Where", in_words(alarm.where or "-", context.log), width),
+        *part("Where", where_words(alarm, context.log), width),
         *part("Found", in_words(alarm.found, context.log), width),
         ends(Content.styled("What to do", "bold"), Content.styled(count, "bold $ask"), width),
     ]

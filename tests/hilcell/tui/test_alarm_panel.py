@@ -13,9 +13,15 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
-from hilcell.tui.text.alarm_words import AlarmContext, alarm_line, cause_words, present_step
+from hilcell.tui.text.alarm_words import (
+    AlarmContext,
+    alarm_line,
+    cause_words,
+    present_step,
+    where_words,
+)
 from hilcell.tui.text.alarms import alarm_page
-from tests.hilcell.alarms.journals import BEGUN, event, log_of
+from tests.hilcell.alarms.journals import BEGUN, event, log_of, point, state
 from tests.hilcell.tui.recording_app import DEFAULT_KEYS
 from tests.hilcell.tui.sample_runs import measuring
 from tests.hilcell.tui.views import view_of
@@ -139,6 +145,36 @@ def test_one_line_names_the_next_alarm_and_the_key_of_all() -> None:
     assert alarm_line(both, CONTEXT, 79).plain.startswith("× HC-B10 ")
     assert alarm_line([], CONTEXT, 79).plain.startswith("○ no alarms")
     assert "acknowledged" in alarm_line([replace(THERE, acknowledged=True)], CONTEXT, 79).plain
+
+
+@pytest.mark.parametrize(
+    ("where", "key", "body", "words"),
+    [
+        ("Robot: move", "validate/S300/chosen/050", {"action": "robot.move"},
+         "Robot, on its way to corrected target 51 at S300"),
+        ("Cell: crash", "", {"action": "robot.park"}, "Robot, on its way to its safe pose"),
+        ("Cell: crash", "", {"action": "rail.approach", "station": "S300"},
+         "Rail, on its way to S300"),
+        ("Robot: move", "p\x1b[31m", {"action": "robot.move"}, "Robot, on its way to p\ufffd[31m"),
+        ("Rail: move", "", {"action": "robot.park"}, "Rail: move"),
+        ("Tracker: measure", "", {"action": "robot.park"}, "Tracker: measure"),
+    ],
+)  # fmt: skip
+def test_a_place_is_where_the_last_order_sent_it(
+    where: str, key: str, body: dict[str, str], words: str
+) -> None:
+    log = log_of(*BEGUN, ("intent", key, body))
+    alarm = replace(STOP, where=where, seq=5)
+    assert where_words(alarm, log) == words
+    assert f"Where  {words}" in alarm_page([alarm], Latch(), replace(CONTEXT, log=log), 79).plain
+    for after, engine in (
+        (point("validate/S300/chosen/050"), "between two motions"),
+        (event("station held"), "between two motions"),
+        (state("suspended"), "between two motions"),
+        (state("checking"), "earlier session"),
+    ):
+        ended = where_words(alarm, log_of(*BEGUN, ("intent", key, body), after))
+        assert ended == (f"Engine, {engine}" if "crash" in where else where)
 
 
 def test_the_page_has_those_that_stand_and_those_that_are_over() -> None:
