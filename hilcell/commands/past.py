@@ -19,10 +19,10 @@ from hilcell.run.procedure import Procedure
 
 
 def runs(args: argparse.Namespace) -> int:
-    """List the runs of a folder, in the order in which they began."""
+    """List the runs of a folder, in the order of their names."""
     rows = read_index(args.runs)
     known = standings(rows)
-    listed = sorted((row for row in rows if _asked_for(row, args)), key=_age)
+    listed = sorted((row for row in rows if _asked_for(row, args)), key=lambda row: row.name)
     found = [_summary(row, known.get(row.name)) for row in listed]
     if args.json:
         print_json({"runs": found})
@@ -40,10 +40,6 @@ def runs(args: argparse.Namespace) -> int:
     ]  # fmt: skip
     print_table(([*headers, "begun", "kind", "calibration"], cells))
     return 0
-
-
-def _age(row: RunRow) -> tuple[str, str]:
-    return row.begun, row.name
 
 
 def _asked_for(row: RunRow, args: argparse.Namespace) -> bool:
