@@ -6,9 +6,9 @@ The station stands first, so that rows differ where a column is narrow, too.
 from __future__ import annotations
 
 from hilcell.calibration.errors import OTHERS
+from hilcell.journal.ways_sent import SHORT_WAYS
 from hilcell.report.drift import Change
 
-_HOW = {"before": "as sent", "idw": "paper", "chosen": "corrected"}
 _GRID, _STATION = "grid/", "station "  # begin the places of a vertex and of a station's frame
 
 
@@ -32,4 +32,4 @@ def figure_words(change: Change) -> str:
     if change.group != "validation":
         return change.what
     how, _, figure = change.what.partition(" ")
-    return f"{_HOW.get(how, how)}: {'95 %' if figure == 'p95' else figure}"
+    return f"{SHORT_WAYS.get(how, how)}: {'95 %' if figure == 'p95' else figure}"

@@ -13,6 +13,7 @@ from textual.content import Content
 
 from hilcell.geometry.sequential import Outcome
 from hilcell.journal.log import Point
+from hilcell.journal.ways_sent import AS_SENT, WAYS
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots.scale import step_at_least
 from hilcell.tui.terminal.capabilities import Glyphs
@@ -20,7 +21,7 @@ from hilcell.tui.text.deviation import Deviation, deviation_of
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import figure, large
 from hilcell.tui.text.lines import bar, placed, ruled, signed_bar
-from hilcell.tui.text.words import AS_SENT, HOW, point_words
+from hilcell.tui.text.words import point_words
 
 FULL_ROWS, SMALL_ROWS = 6, 3
 STALE_S = 30.0  # two points of a run are rarely so far apart
@@ -73,7 +74,7 @@ def chosen_shown(view: RunView, key: str) -> Shown:
 
 def _shown(view: RunView, point: Point, which: str, remark: str, *, stale: bool) -> Shown:
     found = deviation_of(view.log, point)
-    word = f"{HOW.get(point.id.how, AS_SENT)}: no limit"
+    word = f"{WAYS.get(point.id.how, AS_SENT)}: no limit"
     return Shown(f"{which}: {point_words(point.id, point.station)}", found, remark, stale, word)
 
 

@@ -11,6 +11,7 @@ from textual.content import Content
 from hilcell.geometry.statistics import figures_of, repeatability_mm
 from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log
+from hilcell.journal.ways_sent import WAYS
 from hilcell.ports import Array
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Look, Plot
@@ -21,7 +22,6 @@ from hilcell.tui.text.plots import (
     Measured,
     mean_of,
 )
-from hilcell.tui.text.words import HOW
 
 WIDTH = 31
 NAME, NUMBER = 12, 6
@@ -67,7 +67,7 @@ def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     lines = [section("figures", WIDTH), _heads("mean", "95 %", "max")]
     for series in plot.series:
         short = SHORT.get(series.name, series.name)
-        how = next(how for how, name in HOW.items() if name == series.name)
+        how = next(how for how, name in WAYS.items() if name == series.name)
         numbers = row(short, _three(found.by_how[how]), strong=0 if how == "chosen" else -1)
         lines.append(marked(look, series.ink, numbers))
     floor = floor_mm(log)

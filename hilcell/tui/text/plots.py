@@ -17,11 +17,11 @@ from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
+from hilcell.journal.ways_sent import WAYS
 from hilcell.ports import Array
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Mark, Plot, Series
 from hilcell.tui.plots.scale import Scale, even_scale, log_scale, step_at_least
-from hilcell.tui.text.words import HOW
 
 AS_SENT = Ink("$label", "o", "$label")
 PAPER = Ink("$live 70%", "+", "$label")
@@ -137,7 +137,7 @@ def target_plot(found: Errors3D, limits: tuple[float, ...], limit_name: str) -> 
     """Return |e| target by target."""
     count = max(len(found.targets), 1)
     x = (np.arange(len(found.targets)) + 0.5) / count
-    series = [Series(HOW[how], INKS[how], x, y) for how, y in found.by_how.items()]
+    series = [Series(WAYS[how], INKS[how], x, y) for how, y in found.by_how.items()]
     what = "grid point" if found.grid else "target"
     title = f"|e| {what} by {what}, mm"
     return Plot(title, what, _counted(count), tuple(series), limits, limit_name)
@@ -150,7 +150,7 @@ def sorted_plot(of: Measured, pick: str = "") -> Plot:
     for how, y in found.by_how.items():
         known = np.sort(y[np.isfinite(y)])
         x = np.arange(len(known)) / max(len(known), 1)
-        series.append(Series(HOW[how], INKS[how], x, known, joined=True))
+        series.append(Series(WAYS[how], INKS[how], x, known, joined=True))
     what = "grid points" if found.grid else "targets"
     ticks = tuple((share / 100, f"{share} %") for share in SHARES)
     x_title = f"share of the {what} that have less than this error"

@@ -19,49 +19,26 @@ from hilcell.clean import harmless
 from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
 from hilcell.journal.old_keys import id_of_key
+from hilcell.journal.ways_sent import AS_SENT, CORRECTED, PAPER
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.digits import figure, large, large_rows
+from hilcell.tui.text.digits import figure
 from hilcell.tui.text.frame import wrapped
+from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines
 from hilcell.tui.text.key_words import in_words
-from hilcell.tui.text.lines import bar, placed
-from hilcell.tui.text.run import is_simulated, simulation_block
 from hilcell.tui.text.sheets import Table, sheet_lines
-from hilcell.tui.text.words import AS_SENT, CORRECTED, PAPER, short_words
+from hilcell.tui.text.words import short_words
 
-BLOCK, FIRST_AT, SECOND_AT = 24, 26, 53
-BAR, TO_LIMIT = 24, 19
-LEAST_WIDTH, LEAST_ROWS = 78, 14
 NO_FIGURES = "Finished. This procedure measures nothing that is judged."
-NEXT = "o report   p plots   w worst points   n new run"
 RECHECK = "recheck"
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
-    """One large length (mm): its title, where it is the worst, and its limit, None for none."""
-
-    title: str
-    value_mm: float
-    at: str
-    limit_mm: float | None = None
-    U_mm: float = 0.0  # expanded uncertainty, that counts against the limit
-
-    @property
-    def over(self) -> bool:
-        """Whether there is a limit, and it is not kept with certainty."""
-        return self.limit_mm is not None and not self.value_mm + self.U_mm <= self.limit_mm
-
-
-@dataclass(frozen=True, slots=True)
 class Result:
-    """The findings of a run; ``words`` is empty where nothing large is said."""
+    """The findings of a run; the head has no words where nothing large is said."""
 
-    words: tuple[str, ...]
-    stated: str
-    role: str
-    figures: tuple[Figure, ...]
+    head: Head
     text: str
     table: Table | None
 
@@ -130,7 +107,7 @@ def result_of(view: RunView) -> Result | None:
     table, text = own_words(view.log.plan.procedure, found)
     if table is not None and not table[1]:
         table = None
-    return Result((), "", "label", (), text or ("" if table else NO_FIGURES), table)
+    return Result(Head((), "", "label", ()), text or ("" if table else NO_FIGURES), table)
 
 
 def _converted(found: Any, kind: type[T]) -> T | None:
@@ -159,8 +136,8 @@ def _of_test(test: _PoseTest, *, passed: bool) -> Result:
     ap_mm, rp_mm, ad_mm, rd_mm = (
         test.limits.get(f"{n}_limit_mm") for n in ("ap", "rp", "ad", "rd")
     )
-    at_ap = max(test.poses, key=lambda name: _gravest(test.poses[name].ap_mm))
-    at_rp = max(test.poses, key=lambda name: _gravest(test.poses[name].rp_mm))
+    at_ap = max(test.poses, key=lambda name: gravest(test.poses[name].ap_mm))
+    at_rp = max(test.poses, key=lambda name: gravest(test.poses[name].rp_mm))
     ap, rp = test.poses[at_ap], test.poses[at_rp]
     figures = (
         Figure("worst AP_p, mm", ap.ap_mm, f"at {at_ap}", ap_mm, ap.ap_u95_mm),
@@ -187,7 +164,7 @@ def _of_test(test: _PoseTest, *, passed: bool) -> Result:
             if passed
             else (("FAIL",), "not within its limits", "fault")
         )
-    return Result(words, stated, role, figures, text, (headers, rows))
+    return Result(Head(words, stated, role, figures), text, (headers, rows))
 
 
 def _distance_words(found: _Distance, ad_mm: float | None, rd_mm: float | None) -> str:
@@ -208,16 +185,11 @@ def _limit(limit_mm: float | None) -> str:
     return "-" if limit_mm is None else f"{limit_mm:.3f}"
 
 
-def _gravest(value_mm: float) -> float:
-    return value_mm if math.isfinite(value_mm) else math.inf
-
-
 # -- a re-check ------------------------------------------------------------------------------------
 
 
 def _of_recheck(found: _Recheck, log: Log) -> Result:
-    words, stated, role = RECHECKED[found.verdict]
-    worst = sorted(found.poses, key=lambda each: -_gravest(each.error_mm))
+    worst = sorted(found.poses, key=lambda each: -gravest(each.error_mm))
     rows = [
         [_target(each.pose, log), *map(figure, (each.bound_mm, each.error_mm, each.left_mm))]
         for each in worst
@@ -229,7 +201,8 @@ def _of_recheck(found: _Recheck, log: Log) -> Result:
         Figure("largest |e| now, mm", found.max_mm, at, limits_mm[1], found.max_U_mm),
     )
     headers = ["worst first", "predicted below mm", "now mm", "less the base's motion mm"]
-    return Result(words, stated, role, figures, found.text, (headers, rows) if rows else None)
+    head = Head(*RECHECKED[found.verdict], figures)
+    return Result(head, found.text, (headers, rows) if rows else None)
 
 
 def _target(key: str, log: Log) -> str:
@@ -242,8 +215,7 @@ def _target(key: str, log: Log) -> str:
 
 def result_lines(view: RunView, found: Result, glyphs: Glyphs, width: int, rows: int) -> Content:
     """Return the word and its figures, the sentence, and as many rows of the table as fit."""
-    small = width < LEAST_WIDTH or rows < LEAST_ROWS
-    lines = (_small_head if small else _head)(view, found, glyphs)
+    lines = head_lines(view, found.head, glyphs, width, rows)
     lines += [each.stylize("$label") for each in _text(found.text, width)]
     table = [] if found.table is None else sheet_lines(words_in(found.table, view.log), width)
     room = rows - len(lines)
@@ -286,72 +258,3 @@ def _cell_words(cell: str, log: Log | None) -> str:
         _, _, outcome = cell.partition(", ")
         return CORRECTED + (f", {outcome}" if outcome else "")
     return in_words(cell, log) if log is not None else cell
-
-
-def _style(found: Result) -> tuple[str, str]:
-    """Return the style of the block of words, and its ground alone."""
-    if found.role == "label":
-        return "bold $foreground on $badge", "on $badge"
-    return f"bold $on-{found.role} on ${found.role}-fill", f"on ${found.role}-fill"
-
-
-def _head(view: RunView, found: Result, glyphs: Glyphs) -> list[Content]:
-    if not found.words:
-        return []
-    style, ground = _style(found)
-    texts: list[str] = []
-    for word in found.words:
-        texts += [word if n == 1 else "" for n in range(3)] if glyphs.plain else large_rows(word)
-    if len(found.words) == 1:
-        texts = ["", *texts, "", found.stated]
-    block = [Content.styled(f"{text:^{BLOCK}}", style) for text in texts]
-    mark = simulation_block() if is_simulated(view) else Content("")
-    pad = (BLOCK - mark.cell_length) // 2
-    rest = BLOCK - pad - mark.cell_length
-    block.append(Content.assemble((" " * pad, ground), mark, (" " * rest, ground)))
-    columns = [_large(each, glyphs) for each in found.figures]
-    places = (FIRST_AT, SECOND_AT)
-    return [
-        placed((0, line), *((at, each[n]) for at, each in zip(places, columns, strict=False)))
-        for n, line in enumerate(block)
-    ]
-
-
-def _tone(each: Figure, glyphs: Glyphs) -> tuple[str, str]:
-    if each.limit_mm is None:
-        return "$label", glyphs.stale
-    return ("$fault", glyphs.warned) if each.over else ("$passed", glyphs.fresh)
-
-
-def _at(each: Figure) -> str:
-    limit = "no limit stated" if each.limit_mm is None else f"limit {each.limit_mm:.3f}"
-    return f" {each.at}, {limit}"
-
-
-def _large(each: Figure, glyphs: Glyphs) -> list[Content]:
-    tone, shape = _tone(each, glyphs)
-    digits = large(figure(each.value_mm), tone if each.over else "$foreground", glyphs)
-    at = Content.assemble((shape, tone), (_at(each), "$label"))
-    line = Content("")
-    if each.limit_mm:
-        share = each.value_mm / each.limit_mm * TO_LIMIT / BAR
-        line = bar(share, BAR, tone, TO_LIMIT / BAR)
-    return [Content.styled(each.title, "$label"), *digits, at, line, Content("")]
-
-
-def _small_head(view: RunView, found: Result, glyphs: Glyphs) -> list[Content]:
-    if not found.words:
-        return []
-    style, _ = _style(found)
-    mark = simulation_block() if is_simulated(view) else Content("")
-    text = f"  {' '.join(found.words)}  "
-    lines = [Content("").join([Content.styled(text, style), mark])]
-    for each in found.figures:
-        tone, shape = _tone(each, glyphs)
-        lines.append(
-            Content.assemble(
-                (f" {shape}", tone), (f" {each.title.removesuffix(', mm')} ", "$label"),
-                (f"{figure(each.value_mm)} mm", "bold"), (_at(each), "$label"),
-            )
-        )  # fmt: skip
-    return lines

@@ -19,17 +19,13 @@ from hilcell.journal.outcome import run_outcome
 from hilcell.journal.set_ups import PROVEN
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.digits import figure, large, large_rows
+from hilcell.tui.text.digits import figure
 from hilcell.tui.text.frame import wrapped
+from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines, is_small
 from hilcell.tui.text.key_words import in_words
-from hilcell.tui.text.lines import bar, placed
-from hilcell.tui.text.run import is_simulated, simulation_block
 
 ROWS = 16
 VALIDATION = "validation"  # its verdicts are shown by station
-BLOCK, MEAN_AT, SINGLE_AT = 24, 26, 53
-BAR, TO_LIMIT = 24, 19
-LEAST_WIDTH, LEAST_ROWS = 78, 14
 
 
 class _Figures(msgspec.Struct):
@@ -82,16 +78,12 @@ class Verdict:
     @property
     def worst_mean(self) -> Station:
         """Return the station of the largest mean."""
-        return max(self.stations, key=lambda each: _gravest(each.mean_mm))
+        return max(self.stations, key=lambda each: gravest(each.mean_mm))
 
     @property
     def worst_single(self) -> Station:
         """Return the station of the largest single error."""
-        return max(self.stations, key=lambda each: _gravest(each.max_mm))
-
-
-def _gravest(value_mm: float) -> float:
-    return value_mm if math.isfinite(value_mm) else math.inf
+        return max(self.stations, key=lambda each: gravest(each.max_mm))
 
 
 def verdict_of(view: RunView) -> Verdict | None:
@@ -150,22 +142,16 @@ def verdict_lines(
 
     ``standing`` alarms are latched, also those that the journal raises no more.
     """
-    if width < LEAST_WIDTH or rows < LEAST_ROWS:
-        lines = [*_small_head(view, found, glyphs), *_facts(view, found, glyphs, width, standing)]
+    lines = head_lines(view, _head(found), glyphs, width, rows)
+    facts = _facts(view, found, glyphs, width, standing)
+    if is_small(width, rows):
+        lines += facts
     else:
-        lines = _head(view, found, glyphs)
-        facts = _facts(view, found, glyphs, width, standing)[
-            : max(rows - len(lines) - len(found.stations) - 2, 2)
-        ]
+        facts = facts[: max(rows - len(lines) - len(found.stations) - 2, 2)]
         room = max(rows - len(lines) - len(facts), 3)
         lines += [*_table(found, glyphs, room), *facts]
     lines += [Content("")] * (min(rows, ROWS) - len(lines))
     return Content("\n").join(line.truncate(width, ellipsis=True) for line in lines[:rows])
-
-
-def _fill(found: Verdict) -> tuple[str, str]:
-    role = "passed" if found.passed else "fault"
-    return f"$on-{role} on ${role}-fill", role
 
 
 def words_of(found: Verdict) -> tuple[str, str]:
@@ -175,67 +161,21 @@ def words_of(found: Verdict) -> tuple[str, str]:
     return "FAIL", found.outcome
 
 
-def _head(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:
-    style, _ = _fill(found)
+def _head(found: Verdict) -> Head:
     word, stated = words_of(found)
-    rows = [word if n == 1 else "" for n in range(3)] if glyphs.plain else large_rows(word)
-    block = [
-        Content.styled(f"{text:^{BLOCK}}", f"bold {style}") for text in ("", *rows, "", stated)
-    ]
-    mark = simulation_block() if is_simulated(view) else Content("")
-    pad = (BLOCK - mark.cell_length) // 2
-    rest = BLOCK - pad - mark.cell_length
-    ground = style.split(" on ")[1]
-    block.append(Content.assemble((" " * pad, f"on {ground}"), mark, (" " * rest, f"on {ground}")))
     mean, single = found.worst_mean, found.worst_single
-    left = _worst("worst mean |e|, mm", mean.mean_mm, mean.name, found.mean_limit_mm, glyphs)
-    right = _worst("worst single |e|, mm", single.max_mm, single.name, found.max_limit_mm, glyphs)
-    return [
-        placed((0, block[n]), (MEAN_AT, left[n]), (SINGLE_AT, right[n])) for n in range(len(block))
-    ]
-
-
-def _worst(
-    title: str, value_mm: float, station: str, limit_mm: float, glyphs: Glyphs
-) -> list[Content]:
-    over = not value_mm <= limit_mm
-    tone, shape = ("$fault", glyphs.warned) if over else ("$passed", glyphs.fresh)
-    digits = large(figure(value_mm), tone if over else "$foreground", glyphs)
-    at = Content.assemble((shape, tone), (f" at {station}, limit {limit_mm:.3f}", "$label"))
-    share = value_mm / limit_mm * TO_LIMIT / BAR
-    line = bar(share, BAR, tone, TO_LIMIT / BAR)
-    return [Content.styled(title, "$label"), *digits, at, line, Content("")]
-
-
-def _small_head(view: RunView, found: Verdict, glyphs: Glyphs) -> list[Content]:
-    style, _ = _fill(found)
-    word, stated = words_of(found)
-    block = Content.styled(f"  {word}  {stated}  ", f"bold {style}")
-    mark = simulation_block() if is_simulated(view) else Content("")
-    mean, single = found.worst_mean, found.worst_single
-    parts = (
-        ("worst mean   |e|", mean.mean_mm, mean.name, found.mean_limit_mm),
-        ("worst single |e|", single.max_mm, single.name, found.max_limit_mm),
+    figures = (
+        Figure("worst mean |e|, mm", mean.mean_mm, f"at {mean.name}", found.mean_limit_mm),
+        Figure("worst single |e|, mm", single.max_mm, f"at {single.name}", found.max_limit_mm),
     )
-    lines = [Content("").join([block, mark])]
-    for title, value_mm, name, limit_mm in parts:
-        over = not value_mm <= limit_mm
-        tone, shape = ("$fault", glyphs.warned) if over else ("$passed", glyphs.fresh)
-        lines.append(
-            Content.assemble(
-                (f" {shape}", tone), (f" {title} ", "$label"),
-                (f"{figure(value_mm)} mm", f"bold {tone}"),
-                (f" at {name}, limit {limit_mm:.3f}", "$label"),
-            )
-        )  # fmt: skip
-    return lines
+    return Head((word,), stated, "passed" if found.passed else "fault", figures)
 
 
 def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
     """Return the stations in at most ``room`` rows with header and limit; the worst are first."""
     head = " station       targets  mean as sent     mean   95 % below   max mm  verdict"
     lines = [Content.styled(f"{head:<78}", "$label on $panel")]
-    order = sorted(found.stations, key=lambda each: -_gravest(each.mean_mm))
+    order = sorted(found.stations, key=lambda each: -gravest(each.mean_mm))
     kept = order[: room - 2]
     shown = [each for each in found.stations if each in kept]
     lines += [_row(each, found, glyphs) for each in shown]
@@ -245,9 +185,10 @@ def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
     return [*lines, Content.styled(f" {name:<35}{limit}", "$label")]
 
 
-def _keeps(each: Station, found: Verdict) -> bool:
-    """Whether both figures of a station keep their limits."""
-    return each.mean_mm <= found.mean_limit_mm and each.max_mm <= found.max_limit_mm
+def _is_doubtful(each: Station, found: Verdict) -> bool:
+    """Whether a station was judged as pass although a figure of it is over its limit."""
+    kept = each.mean_mm <= found.mean_limit_mm and each.max_mm <= found.max_limit_mm
+    return each.outcome == "accepted" and not kept
 
 
 def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
@@ -256,9 +197,7 @@ def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
         "rejected": (f"{glyphs.warned} FAIL", "bold $fault"),
     }
     word, tone = said.get(each.outcome, (f"{glyphs.warned}undecided", "$ask"))
-    if each.outcome == "accepted" and not _keeps(
-        each, found
-    ):  # never a plain pass beside such a figure
+    if _is_doubtful(each, found):  # never a plain pass beside a figure that is over
         word, tone = f"{glyphs.warned} pass?", "$ask"
     mean_style = "bold" if each.mean_mm <= found.mean_limit_mm else "bold $fault"
     max_style = "" if each.max_mm <= found.max_limit_mm else "bold $fault"
@@ -279,7 +218,7 @@ def _facts(
     """Return what is to be known of a run that passed; of one that failed, why and what to do."""
     if not found.passed and view.alarms:
         return _advice(view, found, max(view.alarms, key=_severity), glyphs, width)
-    sure = max(found.stations, key=lambda each: _gravest(each.sure_mm))
+    sure = max(found.stations, key=lambda each: gravest(each.sure_mm))
     known = math.isfinite(sure.sure_mm)
     bound = f"below {sure.sure_mm:.3f} mm at {sure.name}" if known else "not stated"
     floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
@@ -287,14 +226,14 @@ def _facts(
         Content.styled(
             f" {glyphs.warned} {each.name}: judged as pass, yet a figure is over its limit", "$ask"
         )
-        for each in found.stations if each.outcome == "accepted" and not _keeps(each, found)
+        for each in found.stations if _is_doubtful(each, found)
     ]  # fmt: skip
     return [
         *doubtful[:1],
         Content.assemble((" true mean, 95 % sure: ", "$label"), bound, (floor, "$label")),
         _written(view, found, glyphs),
         _drift(view, glyphs, standing),
-        Content.assemble((" next: ", "$label"), "o report   p plots   w worst points   n new run"),
+        Content.assemble((" next: ", "$label"), NEXT),
     ]
 
 
@@ -324,7 +263,7 @@ def _advice(
 def reason_words(found: Verdict) -> str:
     """Return which stations do not keep which limit, the worst first."""
     failed = [each for each in found.stations if each.outcome != "accepted"]
-    failed.sort(key=lambda each: -_gravest(each.mean_mm))
+    failed.sort(key=lambda each: -gravest(each.mean_mm))
     return "; ".join(f"{each.name}: {_reason(each, found)}" for each in failed)
 
 

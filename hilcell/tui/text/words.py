@@ -6,10 +6,8 @@ Keys such as ``validate/S300/chosen/049`` are for files and commands. Targets co
 from __future__ import annotations
 
 from hilcell.journal.point_id import CONTROL, PointId
+from hilcell.journal.ways_sent import PAPER, SHORT_WAYS, WAYS
 
-AS_SENT, PAPER, CORRECTED = "as sent", "paper method", "corrected"
-HOW = {"before": AS_SENT, "idw": PAPER, "chosen": CORRECTED}
-_SHORT_HOW = {"before": "as sent", "idw": "paper", "chosen": "corrected"}
 _PROCEDURES = {
     "calibrate": "Calibration",
     "recheck": "Re-check",
@@ -63,7 +61,7 @@ def part_words(id: PointId) -> str:
         return "floor nests" if id.kind == CONTROL else "slide nests"
     where = f" at {id.station}" if id.station else ""
     if id.kind == "validate":
-        return f"{HOW.get(id.how, id.how)} targets{where}"
+        return f"{WAYS.get(id.how, id.how)} targets{where}"
     return where.removeprefix(" ")
 
 
@@ -79,16 +77,16 @@ def point_words(id: PointId, station: str = "") -> str:
     if id.kind == "validate":
         return f"{_target(id)}{where}" + (f", {PAPER}" if id.how == "idw" else "")
     if id.kind == "sign":
-        return f"sign check {HOW.get(id.how, id.how)}{where}"
+        return f"sign check {WAYS.get(id.how, id.how)}{where}"
     return f"{KINDS.get(id.kind, (id.kind, ''))[0]} {_which(id)}".rstrip() + where
 
 
 def short_words(id: PointId) -> str:
     """Return a point in few letters, without its station: *corrected 50*."""
     if id.kind == "validate":
-        return f"{_SHORT_HOW.get(id.how, id.how)} {_counted(id)}"
+        return f"{SHORT_WAYS.get(id.how, id.how)} {_counted(id)}"
     if id.kind == "sign":
-        return f"sign {_SHORT_HOW.get(id.how, id.how)}"
+        return f"sign {SHORT_WAYS.get(id.how, id.how)}"
     return f"{KINDS.get(id.kind, ('', id.kind))[1]} {_which(id)}".rstrip()
 
 
