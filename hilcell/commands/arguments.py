@@ -102,20 +102,19 @@ def days(text: str) -> float:
 
 def stroke(text: str) -> float:
     """Return a length of strokes, mm."""
-    value = _number(text)
-    if not 0.0 < value <= MOST_STROKE_MM:
-        raise argparse.ArgumentTypeError(
-            f"a length above 0 up to {MOST_STROKE_MM:g} mm is wanted, found {text[:80]!r}"
-        )
-    return value
+    return _length(text, "a length", MOST_STROKE_MM)
 
 
 def stroke_tolerance(text: str) -> float:
     """Return by how far strokes may miss, mm."""
+    return _length(text, "a tolerance", MOST_STROKE_MISS_MM)
+
+
+def _length(text: str, name: str, most_mm: float) -> float:
     value = _number(text)
-    if not 0.0 < value <= MOST_STROKE_MISS_MM:
+    if not 0.0 < value <= most_mm:
         raise argparse.ArgumentTypeError(
-            f"a tolerance above 0 up to {MOST_STROKE_MISS_MM:g} mm is wanted, found {text[:80]!r}"
+            f"{name} above 0 up to {most_mm:g} mm is wanted, found {text[:80]!r}"
         )
     return value
 

@@ -16,6 +16,7 @@ from hilcell.cell.source import built_in_cells
 from hilcell.commands.cli import whole_parser
 from hilcell.commands.output import print_data
 
+Completer = dict[str, str | dict[str, str]]  # by shell, as shtab has it
 _FILE = re.compile(r"FILE|OUT|TARGETS|HOLES|\.csv|\.toml")
 _FOLDER = re.compile(r"DIR|FOLDER")
 # The C locale draws the table of runs in ASCII; three lines of it are its head.
@@ -31,7 +32,7 @@ _hilcell_run() {{ compadd last $({_NAMES}) }}
 _hilcell_cell() {{ compadd {_CELLS}; _files -g '*.toml' }}
 """,
 }
-_NAMED = {
+_NAMED: dict[str, Completer] = {
     "RUN": {"bash": "_hilcell_run", "zsh": "_hilcell_run"},
     "CALIBRATION": {"bash": "_hilcell_run", "zsh": "_hilcell_run"},
     "CELL": {"bash": "_hilcell_cell", "zsh": "_hilcell_cell"},
@@ -42,7 +43,10 @@ def completion(args: argparse.Namespace) -> int:
     """Print the script of one shell."""
     parser = whole_parser()
     for action in _actions(parser):
-        _say_what_completes(action)
+        if action.dest == "procedure":
+            action.choices = sorted(entry_points(group="hilcell.procedures").names)
+        elif (by := _completed_by(str(action.metavar or ""))) is not None:
+            action.complete = by  # type: ignore[attr-defined] # the attribute that shtab reads
     print_data(shtab.complete(parser, args.shell, preamble=PREAMBLE.get(args.shell, "")))
     return 0
 
@@ -51,19 +55,14 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
     """Yield the arguments of all commands."""
     for action in parser._actions:  # noqa: SLF001 - argparse offers no list of them
         yield action
-        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
-            for command in action.choices.values():
-                yield from _actions(command)
+        for command in action.choices.values() if isinstance(action.choices, dict) else ():
+            yield from _actions(command)
 
 
-def _say_what_completes(action: argparse.Action) -> None:
-    """Set the attribute by which shtab completes an argument."""
-    name = str(action.metavar or "")
-    if action.dest == "procedure":
-        action.choices = sorted(entry_points(group="hilcell.procedures").names)
-    elif name in _NAMED:
-        action.complete = _NAMED[name]  # type: ignore[attr-defined] # shtab's own attribute
-    elif _FOLDER.search(name):
-        action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]
-    elif _FILE.search(name):
-        action.complete = shtab.FILE  # type: ignore[attr-defined]
+def _completed_by(name: str) -> Completer | None:
+    """Return what completes an argument of this name; None for words of no list."""
+    if name in _NAMED:
+        return _NAMED[name]
+    if _FOLDER.search(name):
+        return shtab.DIRECTORY
+    return shtab.FILE if _FILE.search(name) else None
