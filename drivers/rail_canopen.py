@@ -32,6 +32,7 @@ from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailRead
 SETTLE_S = 10.0  # wire deadline, beside the dwell
 LATE_S = 0.8  # below the consumer time of the drive (1016h)
 RELEASE_S = 5.0  # wire deadline, beside two dwells
+SILENT_S = 1.0  # more than a poll takes that nothing answers
 POLL_S = 0.02
 WINDOW_MM = 0.05
 STRIP_SPREAD_COUNTS, STRIP_SPREAD_MM = 2, 0.02  # at rest: one count about the middle
@@ -342,12 +343,11 @@ class CanopenRail:
 
     def _release(self, link: CanLink, image: ProcessImage) -> None:
         """Disable the drive without the run's clock, which no longer waits after a stop."""
-        link.check()
         windows = self._limits().windows
         standstill = Standstill(windows)
         limit_s = RELEASE_S + 2 * windows.dwell_s
-        began_s, patience = time.monotonic(), Patience(limit_s)
-        while (now := image.refresh(_go_on)).powered:
+        began_s, patience = time.monotonic(), Patience(limit_s, SILENT_S)
+        while (now := self._answer(link, image, patience)).powered:
             passed_s = time.monotonic() - began_s
             standstill.take(now, passed_s)
             if standstill.rest is not None:
@@ -370,6 +370,17 @@ class CanopenRail:
         # From here on nobody produces the heartbeat; without this the drive would go to fault.
         if self._drive_sdo is not None and not image.stopped:
             self._drive_sdo.write(rail_setup.CONSUMER_HEARTBEAT, 1, 0)
+
+    def _answer(self, link: CanLink, image: ProcessImage, patience: Patience) -> Snapshot:
+        """Return the next poll that is answered; one that is not proves nothing before the end."""
+        while True:
+            over = patience.over()
+            try:
+                return image.refresh(_go_on)
+            except DeviceError:
+                link.check()  # a link that is lost brings no answer
+                if over:
+                    raise
 
     def _close_link(self) -> None:
         link, self._link = self._link, None

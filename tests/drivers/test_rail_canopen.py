@@ -9,10 +9,12 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers import drive
+from drivers import drive, rail_canopen
+from drivers.pdo import SYNCS
 from drivers.rail_canopen import CanopenRail
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError, DeviceRefused, LinkStatistics, Rail, Stopped, StripLost
+from hilcell.run import stopping
 from tests.drivers import can_peer
 from tests.drivers.can_peer import (
     DRIVE,
@@ -382,6 +384,33 @@ def test_close_says_when_the_power_stays(peer: CanPeer) -> None:
     peer.axis.deaf = True
     with pytest.raises(DeviceError, match="the drive keeps its power: operation enabled"):
         rail.close()
+    assert rail._link is None
+
+
+def test_close_waits_for_a_drive_that_is_silent_for_a_while(
+    peer: CanPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rail_canopen, "RELEASE_S", 5.0)
+    rail = rail_for(peer)
+    rail.connect()
+    rail.move_to(600.0)
+    silent = iter(range(2 * SYNCS))  # two polls without an answer
+    peer.tamper = lambda line: (
+        [] if line.startswith(b"t185") and next(silent, None) is not None else [line]
+    )
+    rail.close()
+    assert next(silent, None) is None
+    assert peer.axis.state == can_peer.DISABLED
+
+
+def test_close_names_a_drive_that_stays_silent(peer: CanPeer) -> None:
+    rail = rail_for(peer)
+    rail.connect()
+    peer.tamper = lambda line: [] if line.startswith(b"t185") else [line]
+    began_s = time.monotonic()
+    with pytest.raises(DeviceError, match="no fresh TPDO 0x185"):
+        rail.close()
+    assert time.monotonic() - began_s < stopping.CLOSE_S
     assert rail._link is None
 
 
