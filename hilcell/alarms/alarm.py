@@ -36,7 +36,8 @@ Cause = Literal[
 class Alarm:
     """One alarm, ready to be shown: every text is one clean line; ``do`` are steps in order.
 
-    ``by`` says for each step who knows that it is done.
+    ``by`` says for each step who knows that it is done. ``origin`` is the record by which it is the
+    same alarm when it is raised again, where that is not ``seq``.
     """
 
     code: str
@@ -53,6 +54,7 @@ class Alarm:
     cause: Cause = "over"
     by: tuple[By, ...] = ()
     goes_on: bool = False  # the last step is how work goes on
+    origin: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,7 @@ class _Moment:
     seq: int = 0
     severity: Severity | None = None
     cause: Cause = "over"
+    origin: int = 0
 
 
 def alarms_of(
@@ -112,6 +115,7 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         moment.cause,
         tuple(by for _, by in steps),
         bool(then),
+        moment.origin,
     )
 
 
@@ -253,10 +257,10 @@ def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
         yield from _moments(body, t, seq, cause="watched")
     elif state == "aborted":
         yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), t, seq)
-    elif end is None and not live:
+    elif not live and (end is None or (log.life and not log.over)):  # a refused resume has an end
         final = log.newest
-        t, seq = (final.t, final.seq) if final is not None else (t, seq)
-        yield _Moment(_crash(state, log.counted), t, seq, cause="watched")
+        at = (final.t, final.seq) if final is not None else (t, seq)
+        yield _Moment(_crash(state, log.counted), *at, cause="watched", origin=log.began)
     yield from _refused(end, reason, t, seq)
 
 
@@ -267,7 +271,8 @@ def _cut_off(log: Log) -> Iterator[_Moment]:
     """
     severity: Severity | None = "notice" if log.state == "finished" else None
     for cut in log.cut_off:
-        yield _Moment(_crash(cut.state, cut.points), cut.last.t, cut.last.seq, severity)
+        found = _crash(cut.state, cut.points)
+        yield _Moment(found, cut.last.t, cut.last.seq, severity, origin=cut.began)
 
 
 def _crash(state: str, points: int) -> Finding:

@@ -39,7 +39,7 @@ Mark = tuple[str, int, str]
 
 
 def _mark(alarm: Alarm) -> Mark:
-    return alarm.code, alarm.seq, alarm.where
+    return alarm.code, alarm.origin or alarm.seq, alarm.where
 
 
 class Latch:

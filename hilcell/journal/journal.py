@@ -56,6 +56,10 @@ _ROWS = """
 SELECT seq, CAST(t AS BLOB), CAST(kind AS BLOB), CAST(key AS BLOB), CAST(body AS BLOB), hash
 FROM record WHERE seq > ? ORDER BY seq
 """
+_SESSION = """
+SELECT max(t) FROM record
+WHERE kind = 'plan' OR kind = 'state' AND json_extract(body, '$.to') = 'checking'
+"""
 _BEYOND = (  # errors that are not of the file's content
     sqlite3.SQLITE_BUSY,
     sqlite3.SQLITE_CANTOPEN,
@@ -303,6 +307,19 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
         raise StorageError(f"journal {path}: cannot be read: {why}") from error
     except OSError as error:
         raise StorageError(f"journal {path}: cannot be read: {error.strerror}") from error
+
+
+def session_began_s(path: Path, unknown_s: float) -> float:
+    """Return when the run was last started or resumed, in s since 1970.
+
+    ``unknown_s`` is returned for a journal that is empty or cannot be read: reading it says why.
+    """
+    try:
+        with closing(_reader(path)) as base:
+            (moment,) = base.execute(_SESSION).fetchone()
+            return datetime.fromisoformat(moment).timestamp()
+    except (sqlite3.Error, TypeError, ValueError):
+        return unknown_s
 
 
 def _wal(path: Path) -> Path:

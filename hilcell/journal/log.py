@@ -209,11 +209,15 @@ class LinkRecord(msgspec.Struct, frozen=True):
 
 
 class CutOff(msgspec.Struct, frozen=True):
-    """A session without an end of its own: its last record, its state and the points by then."""
+    """A session without an end of its own: its last record, its state and the points by then.
+
+    ``began`` is the number of the record with which it began.
+    """
 
     last: Record
     state: RunState
     points: int
+    began: int
 
 
 class Log:
@@ -247,6 +251,7 @@ class Log:
         self.curves: dict[int, CurveRecord] = {}  # by axis, 1 to 6
         self.assets: list[Asset] = []  # that answered when they were last connected
         self.newest: Record | None = None
+        self._worked: Record | None = None  # the newest that is no end: a refused resume has one
         self.order: Record | None = None  # the last motion that is not known to have ended
         self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
         for record in records:
@@ -254,8 +259,9 @@ class Log:
 
     def take(self, record: Record) -> None:
         """Add one record."""
-        body, before = record.body, self.newest
+        body, before = record.body, self._worked
         self.newest = record
+        self._worked = before if record.kind == "end" else record
         match record.kind:
             case "plan":
                 self.plan = msgspec.convert(body, PlanRecord)
@@ -350,7 +356,7 @@ class Log:
             self.calibration = msgspec.convert(body["to"], CalibrationState)
             return
         if body["to"] == "checking" and self.life and not self.over and before is not None:
-            self.cut_off.append(CutOff(before, self.state, len(self.points)))
+            self.cut_off.append(CutOff(before, self.state, len(self.points), self.began))
         self.state = msgspec.convert(body["to"], RunState)
         self.life.append(record)
         if self.state in ("checking", *WAITING):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -10,13 +11,21 @@ from typing import TYPE_CHECKING
 
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import ENGINE
-from hilcell.journal.journal import NeverBegan, Record, StorageError, is_there, read_journal
+from hilcell.journal.journal import (
+    NeverBegan,
+    Record,
+    StorageError,
+    is_there,
+    read_journal,
+    session_began_s,
+)
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
 
 JOURNAL = "journal.sqlite"
 CALIBRATION = "calibration.json"
+CLOCKS_APART_S = 1.0  # a disk's times are coarser than those of records
 _FETCH = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
 
 
@@ -70,7 +79,7 @@ def find_run(runs: Path, name: str) -> Path:
         return Path(name)
     folders = run_folders(runs)
     if name == "last" and folders:
-        return newest_first(runs)[0]
+        return _last_begun(runs)
     meant = [folder for folder in folders if folder.name == name]
     meant = meant or [folder for folder in folders if name and folder.name.startswith(name)]
     if len(meant) == 1:
@@ -108,12 +117,28 @@ def newest_first(runs: Path) -> list[Path]:
     return sorted(run_folders(runs), key=_written_s, reverse=True)
 
 
+def _last_begun(runs: Path) -> Path:
+    """Return the run that was last started or resumed; a revocation writes later than that.
+
+    No session began after its journal was last written, so few of many journals are opened.
+    """
+    last, last_s = Path(), -math.inf
+    for folder in newest_first(runs):
+        written_s = _written_s(folder)
+        if written_s < last_s - CLOCKS_APART_S:
+            break
+        if (begun_s := session_began_s(folder / JOURNAL, written_s)) > last_s:
+            last, last_s = folder, begun_s
+    return last
+
+
 def _written_s(folder: Path) -> float:
     """Return when a journal was last written; of one that must not be looked at, long ago."""
-    try:
-        return (folder / JOURNAL).stat().st_mtime
-    except OSError:
-        return 0.0
+    written_s = 0.0
+    for name in (JOURNAL, f"{JOURNAL}-wal"):
+        with suppress(OSError):  # there is no second file where the engine has ended by itself
+            written_s = max(written_s, (folder / name).stat().st_mtime)
+    return written_s
 
 
 def read_log(folder: Path) -> Log:

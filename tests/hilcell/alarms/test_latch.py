@@ -172,6 +172,18 @@ def test_a_crash_stands_until_it_is_acknowledged_in_a_later_screen_too() -> None
         assert standing(latch) == []
 
 
+def test_a_refused_resume_does_not_count_a_crash_twice() -> None:
+    refused = (*BEGUN, event("retake asked", key="grid/1"), ended(BEAM, 6, "running"))
+    latch = Latch()
+    for rows in (BEGUN, refused[:-1], refused, (*refused, *refused[-1:])):
+        latch.take(alarms(*rows))
+        assert ("HC-J05", "fault", 1) in standing(latch)
+    latch.take(alarms(*refused, *BEGUN, live=True), "t9")
+    assert ("HC-J05", "fault", 1) in standing(latch)
+    (crash,) = [each for each in latch.standing() if each.alarm.code == "HC-J05"]
+    assert crash.alarm.seq == 5, "its time is that of the last record before the resume"
+
+
 def test_an_acknowledged_crash_is_over_once_the_run_goes_on() -> None:
     latch = Latch()
     latch.take(alarms(*BEGUN))

@@ -12,7 +12,8 @@ from hilcell.calibration.file import write_calibration
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import write_targets
 from hilcell.journal.index import read_index
-from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log
+from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.runs import CALIBRATION, JOURNAL, find_run, read_log
 from hilcell.run.cell_lock import lock_of_name, locked
 from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
@@ -167,3 +168,19 @@ def test_the_index_notices_a_revoked_one(runs: Path) -> None:
     (after,) = read_index(runs)
     assert (before.facts.revoked, after.facts.revoked) == ("", "x")
     assert (runs / "1-made" / JOURNAL).exists()
+
+
+def test_last_is_the_run_last_started_or_resumed_not_last_annotated(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    finished(runs, "2-made", MADE)
+    assert main(["revoke", "1-made", "--runs", str(runs), "--reason", "wrong reflector"]) == 0
+    assert find_run(runs, "last").name == "2-made"
+    journal = RunJournal(runs / "1-made" / JOURNAL, "1-made", create=False)
+    body = {"machine": "run", "from": "finished", "to": "checking", "trigger": "reopen"}
+    journal.append("state", "", body)
+    try:
+        assert find_run(runs, "last").name == "1-made", "resumed, its engine lives"
+    finally:
+        journal.close()
+    assert find_run(runs, "last").name == "1-made"
