@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+from pathlib import Path
 
 from hilcell.calibration.in_use import standing_of
 from hilcell.clean import encodable
@@ -10,6 +12,7 @@ from hilcell.commands.output import print_json, print_message
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.index import row_of
+from hilcell.journal.journal import StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL, find_run, read_log
 from hilcell.ports import HilcellError
@@ -29,8 +32,11 @@ def revoke(args: argparse.Namespace) -> int:
             f"run {folder.name} is revoked already: {before}; its reason is kept", code="HC-J09"
         )
     cell = f"cell {log.cell.name}"
+    _check_permission(folder)
     with locked(lock_of_name(folder.parent, log.cell.name), cell, folder.name):
-        journal = RunJournal(folder / JOURNAL, encodable(folder.name), create=False)
+        name = encodable(folder.name)
+        again = f"hilcell revoke {name}"
+        journal = RunJournal(folder / JOURNAL, name, create=False, again=again)
         try:
             body = {"what": REVOKED, "reason": args.reason, "operator": args.operator}
             journal.append("event", "", body)
@@ -46,3 +52,14 @@ def revoke(args: argparse.Namespace) -> int:
     left = f"current is {current}" if current else none
     print_message(f"the calibration of run {folder.name} is revoked; {left}")
     return 0
+
+
+def _check_permission(folder: Path) -> None:
+    """Raise `StorageError` where a record cannot be added; the lock lies beside the run."""
+    for place in (folder / JOURNAL, folder, folder.resolve().parent):
+        if not os.access(place, os.W_OK):
+            raise StorageError(
+                f"run {folder.name}: its calibration is not revoked: no permission to write "
+                f"{place}; ask the owner of that for it, or revoke as the owner, then "
+                f"`hilcell revoke {encodable(folder.name)}` again"
+            )

@@ -124,8 +124,10 @@ def chain(before: bytes, record: Record) -> bytes:
 class Journal:
     """A run's journal, open for writing. Safe to use from several threads."""
 
-    def __init__(self, path: Path, run: str, *, create: bool) -> None:
+    def __init__(self, path: Path, run: str, *, create: bool, again: str = "") -> None:
+        """``again`` is the command to repeat once a failed disk is mended; usually ``resume``."""
         self.path, self.run = path, run
+        self._again = again or f"hilcell resume {run}"
         self._lock = threading.Lock()
         self._listeners: list[Callable[[Record], None]] = []
         if not create and not path.is_file():
@@ -183,7 +185,7 @@ class Journal:
             except sqlite3.Error as error:
                 raise StorageError(
                     f"journal {self.path}: record {record.seq} could not be stored: {error}; "
-                    f"make room or mend the disk, then `hilcell resume {self.run}`",
+                    f"make room or mend the disk, then `{self._again}`",
                     code="HC-J01",
                 ) from error
             for file in self._files:

@@ -14,9 +14,9 @@ from hilcell.journal.log import Log
 class RunJournal(Journal):
     """The journal of a run, open for writing, with the log of all its records."""
 
-    def __init__(self, path: Path, run: str, *, create: bool) -> None:
+    def __init__(self, path: Path, run: str, *, create: bool, again: str = "") -> None:
         self.log = Log()
-        super().__init__(path, run, create=create)
+        super().__init__(path, run, create=create, again=again)
 
     def _take(self, record: Record) -> None:
         self.log.take(record)

@@ -2,6 +2,9 @@
 
 import json
 import shutil
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import msgspec
@@ -11,7 +14,8 @@ import pytest
 from hilcell.calibration.file import write_calibration
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import write_targets
-from hilcell.journal.index import read_index
+from hilcell.journal.index import read_index, row_of
+from hilcell.journal.journal import StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, find_run, read_log
 from hilcell.run.cell_lock import lock_of_name, locked
@@ -184,3 +188,44 @@ def test_last_is_the_run_last_started_or_resumed_not_last_annotated(
     finally:
         journal.close()
     assert find_run(runs, "last").name == "1-made"
+
+
+REVOKE = """
+import os, sys
+from hilcell.cell import addresses
+from hilcell.commands.cli import main
+revoke = ["revoke", "2-made", "--runs", sys.argv[1], "--reason", "a crash"]
+assert [main(revoke), main(revoke)] == [0, 2]  # nothing can be loaded without rights
+os.chmod(sys.argv[2], 0o555)
+os.getuid() or os.setuid(65534)  # root may write everywhere
+revoke[1] = "1-made"
+sys.exit(main(revoke))
+"""
+
+
+@pytest.mark.parametrize("closed", ["1-made/journal.sqlite", "1-made", "."])
+def test_a_missing_permission_is_named_with_the_next_act(closed: str) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        runs = Path(name)
+        for made in ("1-made", "2-made"):
+            finished(runs, made, MADE)
+        for each in (runs, *runs.rglob("*")):
+            each.chmod(0o777)
+        place = runs / closed
+        words = [sys.executable, "-c", REVOKE, str(runs), str(place)]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        place.chmod(0o777)
+        assert done.returncode == 7
+        assert f"not revoked: no permission to write {place};" in done.stderr
+        assert "then `hilcell revoke 1-made` again" in done.stderr
+        assert "resume" not in done.stderr
+        assert not row_of(runs / "1-made").facts.revoked
+
+
+def test_a_full_disk_names_the_command_to_repeat(runs: Path) -> None:
+    name = "1-made"
+    journal = RunJournal(runs / name / JOURNAL, name, create=False, again=f"hilcell revoke {name}")
+    journal._base.execute("PRAGMA query_only=ON")  # as a disk that takes nothing
+    with pytest.raises(StorageError, match="then `hilcell revoke 1-made`"):
+        journal.append("event", "", {"what": "x"})
+    journal.close()
