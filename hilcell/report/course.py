@@ -7,14 +7,12 @@ from collections.abc import Iterator, Mapping
 from operator import itemgetter
 from typing import Any
 
-import msgspec
-
-from hilcell.journal.curve_record import CurveRecord
+from hilcell.journal.event_words import after, happened_words
+from hilcell.journal.key_words import in_words, key_words
 from hilcell.journal.log import Log
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.method import chosen_poses_words
-from hilcell.report.wording import facts_of
 
 # Routine, or in a table of its own: counted, not listed.
 ROUTINE = ("connected", "closed", "tracker proven", "slide proven", "stream", "link")
@@ -111,7 +109,7 @@ def _words(facts: Facts, log: Log, kind: str, body: Mapping[str, Any]) -> list[s
     if _starts(kind, body):
         return [_start(facts, log)]
     if kind == "state" and body["machine"] == "run":
-        reason = f": {body['reason']}" if body.get("reason") else ""
+        reason = after(in_words(str(body.get("reason") or ""), facts.log))
         if body["to"] in STATES:
             return [f"{STATES[body['to']]}{reason}."]
         return [f"Goes on{reason}."] if log.state not in ("idle", *AT_WORK) else []
@@ -133,34 +131,22 @@ def _start(facts: Facts, log: Log) -> str:
 def _cut_off(log: Log) -> str:
     """Return how the session before ended, which did not end by itself."""
     newest = [*log.points][-1:]
-    after = f" after {newest[0]}" if newest else " before its first point"
+    since = f" after {key_words(newest[0], log)}" if newest else " before its first point"
     return (
-        f"Engine stopped without notice (killed, or power lost){after}, while the run was "
+        f"Engine stopped without notice (killed, or power lost){since}, while the run was "
         f"{log.state}."
     )
 
 
 def _happened(facts: Facts, body: Mapping[str, Any]) -> str:
-    """Return an event in words; one of no known kind by its name and its plain facts."""
+    """Return an event as a sentence: a step by what it does, others in the words of the screen."""
     match body["what"]:
         case "step":
-            name = str(body["name"])
             steps = STEPS if facts.cell.has_rail else STEPS | WITHOUT_RAIL
-            return steps.get(name, name.replace("-", " ").capitalize()) + "."
-        case "curve":
-            words = msgspec.convert(body, CurveRecord).words.replace("urad", "µrad")
-            return f"Curve of {words}."
+            name = str(body["name"])
+            words = steps.get(name, name.replace("-", " "))
         case "poses chosen":
-            return f"Poses chosen: {chosen_poses_words(facts, body)}."
-        case "station held":
-            tries = f", after {body['tries']} approaches" if body["tries"] > 1 else ""
-            return f"Slide held at {body['station']}{tries}: strip {body['strip_mm']:.3f} mm."
-        case "retake asked":
-            return f"{body['key']} is to be measured again."
-        case "outlier measured again":
-            return f"{body['key']} stood out from the others and is measured again."
-        case "first pass":
-            return f"First pass of {body['key']} at {body['speed_percent']:g} % speed."
-    more = facts_of(body)
-    what = str(body["what"])
-    return f"{what[:1].upper()}{what[1:]}{': ' if more else ''}{more}."
+            words = f"poses chosen: {chosen_poses_words(facts, body)}"
+        case _:
+            words = happened_words(body, facts.log).replace("urad", "µrad")
+    return f"{words[:1].upper()}{words[1:]}."

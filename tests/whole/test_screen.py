@@ -15,10 +15,10 @@ import pytest
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.journal import StorageError, read_journal
 from hilcell.journal.log import Log
+from hilcell.journal.point_words import short_words
 from hilcell.journal.runs import JOURNAL, read_log, run_folders
 from hilcell.run import client
 from hilcell.run.client import order
-from hilcell.tui.text.words import short_words
 from tests.whole.bench import LIMIT_S, SMALL, command, sets, simulation, sweep, wait_gone
 from tests.whole.golden import GoldenRuns
 from tests.whole.terminal import Terminal

@@ -21,6 +21,7 @@ from textual.widgets import Input, Label
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.errors import HilcellError
+from hilcell.journal.point_words import procedure_words
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
@@ -28,7 +29,6 @@ from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
 from hilcell.tui.text import start as text
 from hilcell.tui.text.lines import section
 from hilcell.tui.text.run import duration, moves
-from hilcell.tui.text.words import procedure_words
 from hilcell.tui.widgets import Choice, TextField, TextPanel
 
 BEFORE_PROCEDURE = (("cell", "paper", "a built-in cell, or a TOML file"),)

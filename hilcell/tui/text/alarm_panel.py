@@ -9,7 +9,9 @@ from __future__ import annotations
 from textual.content import Content
 
 from hilcell.alarms import Latched
+from hilcell.journal.key_words import in_words
 from hilcell.journal.log import Log
+from hilcell.journal.point_words import point_words
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
 from hilcell.tui.text.alarm_words import (
@@ -25,8 +27,6 @@ from hilcell.tui.text.alarm_words import (
 from hilcell.tui.text.deviation import deviation_of
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.frame import BORDERS, DOUBLE, ends, fitted, framed
-from hilcell.tui.text.key_words import in_words
-from hilcell.tui.text.words import point_words
 
 STATES = ("fault", "gone")  # of a run whose alarm takes the points' place
 MOST, LEAST = 8, 2  # rows of what an alarm means, and of what was found

@@ -10,11 +10,11 @@ from textual.content import Content
 
 from hilcell.alarms import Alarm, Latched
 from hilcell.clean import harmless
+from hilcell.journal.key_words import in_words
 from hilcell.journal.log import Log
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.frame import ends, fitted, wrapped
-from hilcell.tui.text.key_words import in_words
 from hilcell.tui.text.run import duration
 
 LABEL = 7  # columns of `What`, `Where`

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from textual.content import Content
 
 from hilcell.alarms import Alarm, Latch, Latched
+from hilcell.journal.key_words import in_words
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
@@ -21,7 +22,6 @@ from hilcell.tui.text.alarm_words import (
 )
 from hilcell.tui.text.devices import lamp, lamps_of, locks
 from hilcell.tui.text.frame import ends
-from hilcell.tui.text.key_words import in_words
 
 
 def alarm_page(alarms: Sequence[Alarm], latch: Latch, context: AlarmContext, width: int) -> Content:

@@ -12,6 +12,7 @@ from operator import attrgetter
 
 from textual.content import Content
 
+from hilcell.journal.point_words import step_words
 from hilcell.run.forecast import Ahead
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
@@ -20,7 +21,6 @@ from hilcell.tui.text.devices import NAMES, locks
 from hilcell.tui.text.events import event_lines
 from hilcell.tui.text.lines import justified, section
 from hilcell.tui.text.run import duration
-from hilcell.tui.text.words import step_words
 
 SCREEN = 24  # rows, which everything above takes
 LEAST, MOST = 4, 17  # rows of the block

@@ -13,6 +13,7 @@ from textual.content import Content
 
 from hilcell.geometry.sequential import Outcome
 from hilcell.journal.log import Point
+from hilcell.journal.point_words import point_words
 from hilcell.journal.ways_sent import AS_SENT, WAYS
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots.scale import step_at_least
@@ -21,7 +22,6 @@ from hilcell.tui.text.deviation import Deviation, deviation_of
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import figure, large
 from hilcell.tui.text.lines import bar, placed, ruled, signed_bar
-from hilcell.tui.text.words import point_words
 
 FULL_ROWS, SMALL_ROWS = 6, 3
 STALE_S = 30.0  # two points of a run are rarely so far apart

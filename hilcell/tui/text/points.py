@@ -10,10 +10,10 @@ from textual.content import Content
 from hilcell.calibration.errors import counting, errors_of
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
+from hilcell.journal.point_words import point_words, short_words
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.text.deviation import BAD_STATES, Deviation, PointRow, expanded_of, row_of
 from hilcell.tui.text.digits import figure
-from hilcell.tui.text.words import point_words, short_words
 from hilcell.tui.widgets import Column, Row
 
 WIDE, WIDE_WITH_BARS = 119, 128  # from here on, nominal and measured places too

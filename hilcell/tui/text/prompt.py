@@ -6,13 +6,13 @@ import msgspec
 from textual.content import Content
 
 from hilcell.clean import harmless
+from hilcell.journal.key_words import in_words
 from hilcell.run.protocol import PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import large
 from hilcell.tui.text.frame import BORDERS, SINGLE, fitted, framed, wrapped
-from hilcell.tui.text.key_words import in_words
 from hilcell.tui.text.site import site_of
 from hilcell.tui.text.sketch import sketch
 

@@ -12,10 +12,10 @@ from textual.content import Content
 
 from hilcell.clean import harmless
 from hilcell.journal.log import Log
+from hilcell.journal.point_words import procedure_words
 from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.result import own_words, words_in
 from hilcell.tui.text.sheets import sheet_lines
-from hilcell.tui.text.words import procedure_words
 
 LABEL = 13  # columns of a name
 NAMES = {  # of the summary, by the name shown

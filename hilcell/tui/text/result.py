@@ -17,17 +17,17 @@ from hilcell.calibration.pose_test import ISO
 from hilcell.cell.devices import load_entry
 from hilcell.clean import harmless
 from hilcell.errors import HilcellError
+from hilcell.journal.key_words import in_words
 from hilcell.journal.log import Log
 from hilcell.journal.old_keys import id_of_key
+from hilcell.journal.point_words import short_words
 from hilcell.journal.ways_sent import AS_SENT, CORRECTED, PAPER
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure
 from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines
-from hilcell.tui.text.key_words import in_words
 from hilcell.tui.text.sheets import Table, sheet_lines
-from hilcell.tui.text.words import short_words
 
 NO_FIGURES = "Finished. This procedure measures nothing that is judged."
 RECHECK = "recheck"

@@ -9,11 +9,11 @@ from typing import Any
 from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
+from hilcell.journal.point_words import part_words, procedure_words, step_words
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.lines import bar, justified, placed
-from hilcell.tui.text.words import part_words, procedure_words, step_words
 
 STATES = {
     "looking": ("LOOKING", "label"),

@@ -10,11 +10,11 @@ from textual.content import Content
 
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
+from hilcell.journal.point_words import step_words
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.frame import ends, fitted, wrapped
 from hilcell.tui.text.lines import section
 from hilcell.tui.text.run import badge, duration, simulation_block
-from hilcell.tui.text.words import step_words
 
 NUMBERS = 9  # columns of `points`, and of `takes`
 NOTHING_MOVES = "nothing moves before you start"

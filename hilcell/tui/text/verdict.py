@@ -15,6 +15,7 @@ from textual.content import Content
 from hilcell.alarms import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, code_of_verdict
 from hilcell.clean import harmless
+from hilcell.journal.key_words import in_words
 from hilcell.journal.outcome import run_outcome
 from hilcell.journal.set_ups import PROVEN
 from hilcell.tui.engine.run_view import RunView
@@ -22,7 +23,6 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure
 from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines, is_small
-from hilcell.tui.text.key_words import in_words
 
 ROWS = 16
 VALIDATION = "validation"  # its verdicts are shown by station

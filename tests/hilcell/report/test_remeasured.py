@@ -111,17 +111,21 @@ def test_every_start_of_an_engine_stands_in_the_course(tmp_path: Path) -> None:
     writer.validated("S1100", "before", AFTER_MM)
     writer.state("run", "checking")  # the first engine was killed
     writer.state("run", "running")
-    writer.state("run", "faulted", reason="Rail: no answer")
+    writer.state("run", "faulted", reason="Tracker: measure validate/S300/chosen/049: no beam")
     writer.state("run", "checking")  # resumed
     found = course(read_facts(writer.left()))
     assert found is not None
     words = [row[1] for row in found.rows]
     assert words[0] == "A. Technician starts the run, job J-17, unattended: session 1."
     killed, goes_on = words[1:3]
-    assert killed.startswith("Engine stopped without notice (killed, or power lost) after valid")
+    assert killed.startswith(
+        "Engine stopped without notice (killed, or power lost) after target 4 as sent at S1100, "
+    )
     assert goes_on == "Goes on in session 2, 4 points are kept."
-    assert words[3:] == ["Stopped by a fault: Rail: no answer.",
-                         "Goes on in session 3, 4 points are kept."]  # fmt: skip
+    assert words[3:] == [
+        "Stopped by a fault: Tracker: measure corrected target 50 at S300: no beam.",
+        "Goes on in session 3, 4 points are kept.",
+    ]
     assert found.note.startswith("3 starts of an engine")
 
 
@@ -132,6 +136,11 @@ def test_steps_and_events_are_sentences(tmp_path: Path) -> None:
         {"what": "station held", "station": "S300", "tries": 2, "strip_mm": 300.004},
         {"what": "step", "name": "own-step", "number": 2, "of": 2},
         {"what": "retake asked", "key": TARGET.key},
+        {"what": "tracker moved", "set_up": 1, "invalid": ["grid/0-0-0"], "moved_mm": 0.31},
+        {"what": "no reading", "key": "grid/1-0-0", "tries": 3, "reason": "no beam"},
+        {"what": "first pass", "key": "sweep/A1/up", "speed_percent": 10.0},
+        {"what": "station decided", "station": "S300", "mean_U_mm": 0.04},
+        {"what": "axes not swept", "reason": "too far from the tracker"},
         {"what": "screen lost", "after_s": 2.0},
     ]
     for event in events:
@@ -144,10 +153,15 @@ def test_steps_and_events_are_sentences(tmp_path: Path) -> None:
     assert found is not None
     assert [row[1] for row in found.rows[1:]] == [
         "Vertices of the grid. 2 points.",
-        "Slide held at S300, after 2 approaches: strip 300.004 mm.",
+        "Rail held at S300: 300.00 mm by the strip, 2nd approach.",
         "Own step.",
-        f"{TARGET.key} is to be measured again.",
-        "Screen lost: after 2.0000 s.",
+        "Re-measurement asked of corrected target 3 at S1100.",
+        "Tracker moved by 0.310 mm: 1 point is measured again.",
+        "No reading of grid point 1-0-0 at S1100: no beam.",
+        "First pass of sweep of A1 up.",
+        "Enough targets at S300.",
+        "Axes not swept: too far from the tracker.",
+        "Screen lost.",
         "Paused: operator.",
         "Goes on.",
         "Run finished.",

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.journal.point_id import PointId
+from hilcell.journal.point_words import point_words, short_words
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.deviation import Deviation
@@ -22,7 +23,6 @@ from hilcell.tui.text.newest import (
     newest_shown,
     point_lines,
 )
-from hilcell.tui.text.words import point_words, short_words
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, status, validated
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)

@@ -13,7 +13,7 @@ import msgspec
 from hilcell.journal.log import Log
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import SEAT, PointId
-from hilcell.tui.text.words import KINDS, NEST_KINDS, point_words, target_words
+from hilcell.journal.point_words import KINDS, NEST_KINDS, point_words, target_words
 
 _POINT_KINDS = (*KINDS, "validate", "sign")
 _KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(_POINT_KINDS)})/[^\s,;:()]*[^\s,;:().]")
