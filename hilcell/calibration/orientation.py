@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -75,19 +75,58 @@ def seats_of(log: Log) -> Array | None:
 
 
 def turned_of(log: Log, points: Sequence[Point], seats: Array) -> Turned:
-    """Return the errors of tool points with a nominal orientation, all reflectors measured."""
-    numbers = range(1, len(seats) + 1)
-    known = [
-        point
-        for point in points
-        if point.nominal_deg is not None and all(log.find(point.id.at_seat(n)) for n in numbers)
-    ]
+    """Return the errors of tool points with a nominal orientation, all reflectors measured.
+
+    Of a pose that was measured again those of the last time.
+    """
+    return _turned(log, [times[-1] for times in _times(log, points, len(seats))], seats)
+
+
+def turned_each_time(log: Log, point: Point, seats: Array) -> Turned:
+    """Return the errors of one tool point, each time that it was measured."""
+    return _turned(log, [each for times in _times(log, [point], len(seats)) for each in times],
+                   seats)  # fmt: skip
+
+
+def largest_turned(log: Log, points: Sequence[Point], seats: Array) -> Turned:
+    """Return the errors as `turned_of` does, each target by its largest measured one.
+
+    It is the rule of `hilcell.calibration.errors.targets` for positions.
+    """
+    measured = _times(log, points, len(seats))
+    every = _turned(log, [each for times in measured for each in times], seats)
+    ends = np.cumsum([0, *map(len, measured)])
+    angles_deg = every.angles_deg
+    chosen = [begin + int(np.argmax(angles_deg[begin:end])) for begin, end in pairwise(ends)]
+    return Turned(
+        [every.points[n] for n in chosen], every.error_rad[chosen], every.reading_rad2[chosen]
+    )
+
+
+def _times(log: Log, points: Sequence[Point], count: int) -> list[list[list[Point]]]:
+    """Return the ``count`` reflectors of each pose, for each time that it was measured.
+
+    A reflector that was measured fewer times than others keeps its last value.
+    """
+    found = []
+    for point in points:
+        ids = [point.id.at_seat(n) for n in range(1, count + 1)]
+        if point.nominal_deg is None or not all(log.find(id) for id in ids):
+            continue
+        seen = [[*log.repeated.get(id.key, ()), log.point(id)] for id in ids]
+        times = range(max(map(len, seen)))
+        found.append([[each[min(n, len(each) - 1)] for each in seen] for n in times])
+    return found
+
+
+def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> Turned:
+    """Return the errors of poses; each has its reflectors, the tool point first."""
+    known = [each[0] for each in poses]
     if not known:
         return Turned([], np.zeros((0, 3)), np.zeros((0, 3, 3)))
     T_W_L = log.matrix("world")
-    every = [[log.point(point.id.at_seat(n)) for point in known] for n in numbers]
-    seen_mm = np.stack([apply(T_W_L, positions_mm(each)) for each in every], axis=1)
-    own_mm2 = np.stack([covariances_mm2(each, T_W_L[:3, :3]) for each in every], axis=1)
+    seen_mm = np.stack([apply(T_W_L, positions_mm(each)) for each in poses])
+    own_mm2 = np.stack([covariances_mm2(each, T_W_L[:3, :3]) for each in poses])
     R = orientations(seats, seen_mm)
     levers = turn_levers(seats, R)
     nominal = from_zyx(np.array([point.nominal_deg for point in known], dtype=float))
@@ -96,14 +135,17 @@ def turned_of(log: Log, points: Sequence[Point], seats: Array) -> Turned:
 
 
 def validated_turns(log: Log, stations: Sequence[str]) -> dict[str, Turned]:
-    """Return the errors at ``stations`` by the way of sending, as far as they were measured."""
+    """Return the errors at ``stations`` by the way of sending, as far as they were measured.
+
+    Each target counts by its largest measured error.
+    """
     seats = seats_of(log)
     if seats is None:
         return {}
     found = {}
     for how in HOWS:
         points = [p for name in stations for p in log.select("validate", name, how=how)]
-        turned = turned_of(log, points, seats)
+        turned = largest_turned(log, points, seats)
         if len(turned):
             found[how] = turned
     return found
@@ -180,7 +222,7 @@ def _validated(
     calibration: Calibration, log: Log, station: str, seats: Array
 ) -> tuple[Array, Array]:
     """Return the errors and bounds, (N,) each in deg, of a station's corrected targets."""
-    turned = turned_of(log, log.select("validate", station, how=HOW), seats)
+    turned = largest_turned(log, log.select("validate", station, how=HOW), seats)
     if not len(turned):
         return np.zeros(0), np.zeros(0)
     T_W_B = np.array(calibration.stations[station].T_W_B)

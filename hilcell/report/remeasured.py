@@ -1,11 +1,13 @@
 """Points measured more than once: both values, why, and which counts.
 
-Of a target the larger error counts (`hilcell.calibration.errors.counting`): to re-measure only
-large errors would make the figures smaller than the robot is. Of every other point the later does.
+Of a target the larger error counts, of position (`hilcell.calibration.errors.counting`) and of
+orientation (`hilcell.calibration.orientation.largest_turned`) alike: to re-measure only large
+errors would make the figures smaller than the robot is. Of every other point the later does.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from operator import attrgetter
@@ -15,8 +17,11 @@ import numpy as np
 
 from hilcell.calibration.decision import Judged, guard_of, judged, limits_of
 from hilcell.calibration.errors import counting, errors_of, validation
+from hilcell.calibration.orientation import seats_of, turned_each_time
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log, Point
+from hilcell.journal.point_words import point_words
+from hilcell.ports import Array
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
 
@@ -33,7 +38,8 @@ ROUNDING_MM = 1e-6
 class Repeat:
     """Two measurements of one point, one after the other, and why there are two.
 
-    Errors |e| in mm are None where the point has no nominal place.
+    Errors |e| in mm are None where the point has no nominal place, the tool's turns in deg where
+    its orientation was not measured.
     """
 
     first: Point
@@ -42,6 +48,8 @@ class Repeat:
     first_mm: float | None
     again_mm: float | None
     counts: str
+    first_deg: float | None = None
+    again_deg: float | None = None
 
     @property
     def apart_mm(self) -> float:
@@ -50,39 +58,62 @@ class Repeat:
 
 
 REPEATS: tuple[Column[Repeat], ...] = (
-    Column("point", attrgetter("again.key")),
-    Column("at", attrgetter("again.station")),
+    Column("point", lambda row: point_words(row.again.id, row.again.station)),
     Column("why", attrgetter("why")),
     Column("counts", attrgetter("counts")),
     Column("error first", attrgetter("first_mm"), "mm", ".4f"),
     Column("error again", attrgetter("again_mm"), "mm", ".4f"),
     Column("apart", attrgetter("apart_mm"), "mm", ".4f"),
 )
+TURNS: tuple[Column[Repeat], ...] = (
+    Column("turned first", attrgetter("first_deg"), "°", ".4f"),
+    Column("turned again", attrgetter("again_deg"), "°", ".4f"),
+)
 
 
 def remeasured(facts: Facts) -> Sheet | None:
     """Return the points that were measured more than once, with both values."""
-    note = "Every value stays in the journal. Of a target the larger error counts, whatever the "
-    note += "reason; of other points the later value."
+    found = repeats(facts)
+    turned = any(each.again_deg is not None for each in found)
+    what = "error of position and that of orientation count" if turned else "error counts"
+    note = f"Every value stays in the journal. Of a target the larger {what}, whatever the reason; "
+    note += "of other points the later value."
     earlier = " ".join(_judged_by_the_later(facts.log))
-    return sheet("Points measured more than once", REPEATS, repeats(facts), f"{note} {earlier}")
+    columns = (*REPEATS, *TURNS) if turned else REPEATS
+    return sheet("Points measured more than once", columns, found, f"{note} {earlier}".rstrip())
 
 
 def repeats(facts: Facts) -> list[Repeat]:
     """Return each pair of successive measurements of one point, in the order of the later ones."""
     pairs = list(_pairs(facts))
     counted = {key: _counted(facts.log, key) for key in {again.key for _, again, _ in pairs}}
-    return [
-        Repeat(
-            first,
-            again,
-            why,
-            _error_mm(facts.log, first),
-            _error_mm(facts.log, again),
-            _which(counted[again.key], first, again),
+    seats, times = seats_of(facts.log), Counter[str]()
+    found = []
+    for first, again, why in pairs:
+        turns = _turns_deg(facts.log, again.key, seats)[times[again.key] :][:2]
+        times[again.key] += 1
+        found.append(
+            Repeat(
+                first,
+                again,
+                why,
+                _error_mm(facts.log, first),
+                _error_mm(facts.log, again),
+                _which(counted[again.key], first, again),
+                *(turns if len(turns) == 2 else ()),
+            )
         )
-        for first, again, why in pairs
-    ]
+    return found
+
+
+def _turns_deg(log: Log, key: str, seats: Array | None) -> list[float]:
+    """Return by how much a target's tool was turned, each time that it was measured."""
+    point = log.points.get(key)
+    if seats is None or point is None or point.id.kind != "validate":
+        return []
+    tool = log.find(point.id.at_seat(1))
+    found: list[float] = turned_each_time(log, tool, seats).angles_deg.tolist() if tool else []
+    return found
 
 
 def _counted(log: Log, key: str) -> Point | None:

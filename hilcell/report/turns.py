@@ -46,7 +46,8 @@ def orientation(facts: Facts) -> Sheet | None:
     note = (
         "The tool's pose is the rigid fit of its reflectors, where they were found on the flange; "
     )
-    note += "about axis 6 it counts from the controller's zero. Error: the angle of one rotation."
+    note += "about axis 6 it counts from the controller's zero. Error: the angle of one rotation; "
+    note += "of a target measured again the larger one counts."
     becomes = facts.log.verdicts.get("fit", {}).get("orientation")
     return sheet("Orientation", ORIENTATION, rows, f"{note} Orientation {becomes}.")
 

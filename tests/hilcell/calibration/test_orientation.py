@@ -8,7 +8,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.orientation import MOVED_MM, moved_on_flange_mm, seats_of, turned_of
+from hilcell.calibration.orientation import (
+    MOVED_MM,
+    largest_turned,
+    moved_on_flange_mm,
+    seats_of,
+    turned_of,
+)
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.rotations import from_rotvec, from_zyx
@@ -63,6 +69,19 @@ def test_errors_are_rotation_vectors_in_world_from_nominal_to_actual() -> None:
     sigma_rad = np.sqrt(np.diagonal(turned.reading_rad2, axis1=1, axis2=2))
     assert (sigma_rad > 0.01 / 250.0).all()
     assert (sigma_rad < 0.01 / 80.0).all()
+
+
+@pytest.mark.parametrize("order", [(3e-4, 1e-4), (1e-4, 3e-4), (1e-4, 3e-4, 2e-4)])
+def test_of_a_pose_measured_again_the_largest_turn_counts(order: tuple[float, ...]) -> None:
+    other, id = ids("validate", 2)
+    poses = [(other, from_rotvec([0.0, 2e-4, 0.0]) @ ORIENTED)]
+    poses += [(id, from_rotvec([0.0, 0.0, each]) @ ORIENTED) for each in order]
+    log = logged(poses, {"validate": SEATS_MM})
+    turned = largest_turned(log, log.select("validate"), SEATS_MM)
+    assert [each.id for each in turned.points] == [other, id]
+    np.testing.assert_allclose(turned.error_rad, [[0.0, 2e-4, 0.0], [0.0, 0.0, 3e-4]], atol=1e-9)
+    latest = turned_of(log, log.select("validate"), SEATS_MM)
+    np.testing.assert_allclose(latest.error_rad[1], [0.0, 0.0, order[-1]], atol=1e-9)
 
 
 def test_a_pose_whose_reflectors_were_not_all_seen_counts_not() -> None:

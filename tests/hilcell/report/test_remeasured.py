@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hilcell.calibration.errors import validation
+from hilcell.calibration.orientation import validated_turns
+from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.point_id import PointId
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
@@ -37,7 +40,7 @@ def test_both_values_and_why(tmp_path: Path, what: str, why: str) -> None:
     found = remeasured(retaken(tmp_path / "r", 0.01, what))
     assert found is not None
     (row,) = [dict(zip(found.headers, row, strict=True)) for row in found.rows]
-    assert (row["point"], row["at"], row["why"]) == (TARGET.key, "S1100", why)
+    assert (row["point"], row["why"]) == ("corrected target 3 at S1100", why)
     assert (row["error first mm"], row["error again mm"]) == ("0.3000", "0.0100")
     assert (row["apart mm"], row["counts"]) == ("0.3002", "first")
 
@@ -56,7 +59,7 @@ def test_a_larger_later_value_counts(tmp_path: Path) -> None:
     facts = retaken(tmp_path / "r", 0.5)
     found = remeasured(facts)
     assert found is not None
-    assert found.rows[0][3] == "again"
+    assert found.rows[0][2] == "again"
     assert validation(facts.log, ["S1100"])["chosen"].figures.max == pytest.approx(0.5)
 
 
@@ -78,7 +81,7 @@ def test_of_three_values_the_largest_counts(tmp_path: Path) -> None:
         writer.validated("S1100", "chosen", [(error_mm, 0.0, 0.0)])
     found = remeasured(writer.facts())
     assert found is not None
-    assert [row[3] for row in found.rows] == ["again", "first"]
+    assert [row[2] for row in found.rows] == ["again", "first"]
 
 
 def test_of_another_point_the_later_counts(tmp_path: Path) -> None:
@@ -89,7 +92,7 @@ def test_of_another_point_the_later_counts(tmp_path: Path) -> None:
         )
     found = remeasured(writer.facts())
     assert found is not None
-    assert [row[3] for row in found.rows] == ["again"]
+    assert [row[2] for row in found.rows] == ["again"]
 
 
 def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
@@ -99,7 +102,7 @@ def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
     writer.point(TARGET, (200.0, 100.0, 1040.0), "S1100", nominal_mm=(200.0, 100.0, 1040.0))
     found = remeasured(writer.facts())
     assert found is not None
-    assert found.rows[0][2:4] == ["measured before the tracker was found moved", "again"]
+    assert found.rows[0][1:3] == ["measured before the tracker was found moved", "again"]
 
 
 def test_nothing_measured_twice_is_no_table(tmp_path: Path) -> None:
@@ -166,3 +169,32 @@ def test_steps_and_events_are_sentences(tmp_path: Path) -> None:
         "Goes on.",
         "Run finished.",
     ]
+
+
+SEATS_MM = np.array([[98.0, 0.0, 127.0], [-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]])
+
+
+def test_of_an_orientation_the_larger_value_counts_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("hilcell.calibration.orientation", "hilcell.report.remeasured"):
+        monkeypatch.setattr(f"{module}.seats_of", lambda log: SEATS_MM)  # as a base frame finds it
+    writer = Writer(tmp_path / "r").began()
+    for turn_rad in (1e-3, 2e-4):
+        R = from_rotvec([0.0, 0.0, turn_rad])
+        for seat, at_mm in enumerate(SEATS_MM, start=1):
+            nominal_deg = (0.0, 0.0, 0.0) if seat == 1 else None
+            writer.point(
+                TARGET.at_seat(seat), R @ at_mm, "S1100", nominal_deg=nominal_deg,
+                nominal_mm=tuple(at_mm) if seat == 1 else None,
+            )  # fmt: skip
+    facts = writer.facts()
+    found = remeasured(facts)
+    assert found is not None
+    rows = [dict(zip(found.headers, row, strict=True)) for row in found.rows]
+    assert {(row["turned first °"], row["turned again °"]) for row in rows} == {
+        ("0.0573", "0.0115")
+    }
+    assert "larger error of position and that of orientation count" in found.note
+    turned = validated_turns(facts.log, ["S1100"])["chosen"]
+    assert turned.figures["max_deg"] == pytest.approx(0.0573, abs=1e-4)
