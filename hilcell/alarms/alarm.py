@@ -83,6 +83,7 @@ def alarms_of(
         return []
     session = [record for record in log.events if record.seq > log.began]
     moments = [*_temperature(log), *_verdicts(log), *_events(log, session), *_strip(log, session)]
+    moments += _devices(log, session) if live else []
     moments += [*_cut_off(log), *_end(log, session, live=live)]
     moments += _lost(log) if lost and not live else []
     moments.sort(key=lambda moment: moment.seq)
@@ -157,6 +158,18 @@ def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
                 yield _Moment(_cell("HC-R12", "link", log.link.text), t, seq)
             case "outlier measured again" | "curve":
                 yield from _of_points(body, t, seq)
+
+
+def _devices(log: Log, session: list[Record]) -> Iterator[_Moment]:
+    """Yield the devices that are lost while the run waits: the next motion would be refused."""
+    lost: dict[str, Record] = {}
+    for record in session if log.state in ("paused", "suspended") else ():
+        if record.body["what"] == "device lost":
+            lost[record.body["device"]] = record
+        elif record.body["what"] == "device back":
+            lost.pop(record.body["device"], None)
+    for record in lost.values():
+        yield from _moments(record.body, record.t, record.seq, cause="watched")
 
 
 def _of_points(body: dict[str, Any], t: str, seq: int) -> Iterator[_Moment]:

@@ -40,12 +40,14 @@ class DeviceMonitor:
     def __init__(self) -> None:
         self.moving = False
         self.reason = ""  # why the device is lost
+        self.error: DeviceError | None = None  # by which it is
         self.text = ""
         self.taken_s: float | None = None
 
     def show(self, text: str, taken_s: float) -> None:
         """Take a reading."""
-        self.text, self.taken_s, self.reason = text, taken_s, ""
+        self.text, self.taken_s = text, taken_s
+        self.reason, self.error = "", None
 
     @contextmanager
     def watch(self, *, moving: bool = False) -> Iterator[None]:
@@ -53,10 +55,11 @@ class DeviceMonitor:
         self.moving = moving
         try:
             yield
-        except NoReading:
-            raise  # the device is well
+        except NoReading:  # the device is well
+            self.reason, self.error = "", None
+            raise
         except DeviceError as error:
-            self.reason = str(error)
+            self.reason, self.error = str(error), error
             raise
         finally:
             self.moving = False
@@ -88,13 +91,13 @@ class CellMonitor:
         )
         self._refreshed_s = 0.0
 
-    def refresh(self) -> None:
+    def refresh(self, *, at_once: bool = False) -> None:
         """Read rail and robot where the last readings grow old; called while nothing moves.
 
         A device that fails is lost, not at fault: the next motion's interlocks judge it.
         """
         now_s = time.monotonic()
-        if now_s - self._refreshed_s < REFRESH_S:
+        if now_s - self._refreshed_s < REFRESH_S and not at_once:
             return
         self._refreshed_s = now_s
         for device in (self.devices.rail, self.devices.robot):
@@ -102,6 +105,13 @@ class CellMonitor:
                 device.read()
             except DeviceError:
                 continue  # its status says so
+
+    @property
+    def lost(self) -> dict[str, DeviceError]:
+        """Return, by name, the devices that did not answer when they were last asked."""
+        monitors = {"rail": self.rail, "robot": self.robot, "tracker": self.tracker}
+        errors = {name: monitor.error for name, monitor in monitors.items()}
+        return {name: error for name, error in errors.items() if error is not None}
 
     def take_rail(self, reading: RailReading) -> RailReading:
         """Show a reading of the rail, which carries the strip's."""
@@ -143,9 +153,10 @@ class WatchedRail:
 
     @contextmanager
     def _watch(self, *, moving: bool = False) -> Iterator[None]:
-        with self._monitor.rail.watch(moving=moving), self._monitor.strip.watch(moving=moving):
+        with self._monitor.rail.watch(moving=moving):
             try:
-                yield
+                with self._monitor.strip.watch(moving=moving):
+                    yield
             except StripLost as lost:
                 self._monitor.strip.reason = str(lost)
                 raise

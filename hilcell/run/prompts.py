@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
@@ -131,8 +132,11 @@ def passes(prompt: Prompt, look: Look) -> bool:
     return look.seen_mm is not None and look.seen_mm <= prompt.limit_mm
 
 
-def refusal(prompt: Prompt, look: Look) -> str:
-    """Return why an answer is refused."""
+def refusal(prompt: Prompt, look: Look, lost: Mapping[str, DeviceError]) -> str:
+    """Return why an answer is refused; ``lost`` are the devices that do not answer, by name."""
+    if lost:
+        found = "; ".join(f"{name} is lost: {error.summary}" for name, error in lost.items())
+        return f"{found}; mend that; where it stays lost, stop the run and resume it"
     if prompt.by_itself or prompt.expected_mm is None:
         return f"{prompt.place} is not as it was: {look.reason}"
     if look.seen_mm is None:

@@ -167,7 +167,7 @@ class Runner:
             devices=self._worker.monitor.status(),
             link=self._link(),
             interlocks=overview(self._cell, self._sight()),
-            prompt=self._asking.status(),
+            prompt=self._worker.prompt(),
             retakes=list(self.log.retakes),
         )
 

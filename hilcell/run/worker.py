@@ -10,17 +10,20 @@ from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
+import msgspec
+
 from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all
 from hilcell.cell.file import Cell
 from hilcell.journal.run_journal import RunJournal
-from hilcell.ports import Clock, Identity, NoReading, Stopped
+from hilcell.ports import Clock, DeviceError, Identity, NoReading, Stopped
 from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.device_status import CellMonitor
 from hilcell.run.pause_gate import REST_S, PauseGate
 from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
+from hilcell.run.protocol import PromptStatus
 from hilcell.run.same_cell import NONE, Changes, accepted, changed_assets
 from hilcell.run.unattended_wait import UnattendedWait
 
@@ -105,8 +108,16 @@ class Worker:
         self._send, self._unattended = send, unattended
         self._wait = UnattendedWait(clock, cell.plan.unattended_wait_s)
         self._changes = replace(changes, askable=changes.askable and not unattended)
+        self._lost: dict[str, DeviceError] = {}  # as the journal has it
         self._locks = ExitStack()
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
+
+    def prompt(self) -> PromptStatus | None:
+        """Return the prompt; an answer to it would be refused while a device is lost."""
+        status = self.asking.status()
+        if status is None or not self.monitor.lost:
+            return status
+        return msgspec.structs.replace(status, ready=False)
 
     def start(self) -> None:
         """Begin."""
@@ -202,6 +213,17 @@ class Worker:
         """Keep the devices' readings fresh while the run waits."""
         self._check_end()
         self.monitor.refresh()
+        self._note_lost()
+
+    def _note_lost(self) -> None:
+        """Journal which devices are lost while the run waits, and which are back."""
+        before, self._lost = self._lost, self.monitor.lost
+        for name in before.keys() - self._lost.keys():
+            self._journal.append("event", "", {"what": "device back", "device": name})
+        for name, error in self._lost.items():
+            if name not in before:
+                facts = {"device": name, "reason": str(error), "error": error.facts()}
+                self._journal.append("event", "", {"what": "device lost"} | facts)
 
     def _check_end(self) -> None:
         """Leave here when a stop or an abort was asked for."""
@@ -234,6 +256,8 @@ class Worker:
                 self.asking.close("another answer came first")
                 return seen
             if self._unattended and self._wait.over:
+                for error in self._lost.values():
+                    raise error
                 raise unanswered(prompt, cause) from cause
 
     def _waited(self, looked_s: float) -> tuple[Answers, bool]:
@@ -254,14 +278,16 @@ class Worker:
         try:
             seen = look()
             self.asking.saw(seen)
-            proven = bool(answers or alone) and passes(prompt, seen)
+            self.monitor.refresh(at_once=bool(answers))
+            self._note_lost()
+            proven = bool(answers or alone) and passes(prompt, seen) and not self._lost
             if proven:
                 self._send(Proven("answer" if answers else "look"))
                 while not self.leave.wait(REST_S):
                     self._check_end()
                 why = ""
             elif answers:
-                why = refusal(prompt, seen)
+                why = refusal(prompt, seen, self._lost)
                 self._journal.append("event", "", {"what": "answer refused", "reason": why})
         finally:
             for answer in answers:

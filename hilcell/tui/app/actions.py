@@ -9,11 +9,15 @@ from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.screens.base import Application
+from hilcell.tui.text.prompt import lost_devices
 from hilcell.tui.text.refusals import no_answer_reason, pause_command
 
 if TYPE_CHECKING:
     from hilcell.run.protocol import Command
     from hilcell.tui.engine.session import Session
+
+
+NOT_SEEN = "the tracker sees the reflector in its place"
 
 
 class RunActions:
@@ -65,9 +69,9 @@ class RunActions:
         if refused := no_answer_reason(session.view):
             self._application.show_notice(refused)
         elif session.view.prompt.check and not session.view.prompt.ready:
-            self._application.show_notice(
-                "Enter works when the tracker sees the reflector in its place", for_now=True
-            )
+            lost = lost_devices(session.view)
+            waits = f"no device is lost; now: {lost}" if lost else NOT_SEEN
+            self._application.show_notice(f"Enter works when {waits}", for_now=True)
         elif not self._application.key_is_deliberate:
             self._application.show_notice(
                 "Enter in one burst with other keys is no answer: press it by itself"

@@ -146,7 +146,7 @@ def _figure(value_mm: float) -> str:
 
 def _seen(prompt: PromptStatus, view: RunView, glyphs: Glyphs) -> list[Content]:
     """Return who sees the reflector, and how old that is; devices that are lost come first."""
-    lost = "" if view.stale else _lost(view)
+    lost = "" if view.stale else lost_devices(view)
     if lost:
         return [Content.styled(f"{glyphs.lost} {lost}", "bold $fault"), *_last_look(prompt, view)]
     if prompt.age_s is None:
@@ -165,7 +165,7 @@ def _seen(prompt: PromptStatus, view: RunView, glyphs: Glyphs) -> list[Content]:
     return [Content.styled(f"{shape} {words}", "$ask"), ago]
 
 
-def _lost(view: RunView) -> str:
+def lost_devices(view: RunView) -> str:
     """Return which devices are lost while the run waits; "" where none is."""
     devices = view.status.devices if view.status is not None else {}
     names = [name for name, device in devices.items() if device.state == "lost"]

@@ -118,6 +118,7 @@ ORDINARY = {
     "visited once more",
     "seated",
     "screen back",
+    "device back",
     "stream",
     "no poses chosen",
     "changes accepted",
@@ -125,7 +126,7 @@ ORDINARY = {
 ALARMING = {
     "no reading", "safe stop", "closed", "command refused", "screen lost", "answer refused",
     "retake refused", "outlier measured again", "station held", "link",
-    "curve",
+    "curve", "device lost",
 }  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from hilcell.alarms import Alarm, Latch
 from hilcell.alarms.catalogue import Severity
+from hilcell.errors import DeviceError
 from tests.hilcell.alarms.journals import (
     BEAM,
     BEGUN,
@@ -197,3 +198,22 @@ def test_a_crash_of_a_run_that_has_finished_since_is_a_notice() -> None:
     done = (CLOSED, state("finished"), ended(None, 0, "finished"))
     crash = alarms(*BEGUN, *BEGUN, *done)
     assert [(each.code, each.severity, each.seq) for each in crash] == [("HC-J05", "notice", 4)]
+
+
+def test_a_device_that_is_lost_while_the_run_waits_stands_until_it_is_back() -> None:
+    gone = DeviceError("HC-R01", "Rail", "read", "link lost")
+    asking = (*BEGUN, asks("grid/1", BEAM))
+    lost = (*asking, event("device lost", device="rail", reason=str(gone), error=gone.facts()))
+    latch = Latch()
+    latch.take(alarms(*lost, live=True), "t1")
+    (rail,) = [each for each in latch.standing() if each.alarm.code == "HC-R01"]
+    assert (rail.severity, rail.gone, rail.alarm.cause) == ("fault", "", "watched")
+    latch.acknowledge()
+    assert ("HC-R01", "fault", 1) in standing(latch), "acknowledged, and still lost"
+    latch.take(alarms(*lost, event("device back", device="rail"), live=True), "t2")
+    assert "HC-R01" not in [code for code, *_ in standing(latch)]
+    again = alarms(*lost, event("device back", device="robot"), live=True)
+    assert "HC-R01" in [alarm.code for alarm in again], "another device is back"
+    assert "HC-R01" not in [alarm.code for alarm in alarms(*lost)], "nobody watches any more"
+    went_on = alarms(*lost, state("running"), live=True)
+    assert "HC-R01" not in [alarm.code for alarm in went_on]
