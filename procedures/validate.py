@@ -18,6 +18,8 @@ from hilcell.calibration.influence import NoBound
 from hilcell.calibration.noticed import suspicions_of
 from hilcell.calibration.orientation import (
     MOVED_MM,
+    check_turn_limit,
+    largest_turn,
     moved_on_flange_mm,
     turn_coverages,
     validated_turns,
@@ -66,6 +68,7 @@ class Validate:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse targets out of reach, and limits that nothing could keep."""
         check_limits(cell)
+        check_turn_limit(cell)
         here, points, spans = cell.station_named(cell.grid.station), 0, []
         for name, poses in target_poses(cell, seed).items():
             station = cell.station_named(name)
@@ -137,14 +140,16 @@ class Validate:
             )  # fmt: skip
 
     def _judge(self, session: CellSession) -> None:
-        limits = limits_of(session.cell)
+        limits, places = limits_of(session.cell), _places(session.cell)
         for where, figures in self._figures(session.log).items():
             chosen, shown = figures["chosen"], figures.get("decision", {})
+            turned = validated_turns(session.log, places[where]).get("chosen")
             found = judged(
                 chosen["mean"],
                 chosen["max"],
                 limits,
                 guard_of(session.log, figures["points"]),
+                turn=largest_turn(session.log, turned),
                 also=shown.get("outcome", "accepted"),
                 words=shown.get("text", ""),
             )

@@ -177,7 +177,9 @@ def _verdicts(calibration: Calibration) -> Iterator[str]:
         figures = (each.mean_mm, each.max_mm, each.mean_U_mm or 0.0, each.max_U_mm or 0.0)
         if not all(0 <= figure <= MOST_MM for figure in figures):
             yield f"{at}: {', '.join(f'{each:g}' for each in figures)}, wanted 0 .. {MOST_MM:g} mm"
-        elif not (each.mean_tolerance_mm > 0 and each.max_tolerance_mm > 0):
+        elif each.turn is not None and not all(0 <= deg <= MOST_TURN_DEG for deg in each.turn):
+            yield f"{at}: orientation {each.turn}, wanted 0 .. {MOST_TURN_DEG:g} deg"
+        elif not all(limit is None or limit > 0 for limit in each.limits):
             yield f"{at}: a tolerance that is not above 0"
         elif each.holds and not judged_again(each).holds:
             yield f"{at}: is said to hold, but its figures do not: {each.figures}"

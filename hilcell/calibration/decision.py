@@ -7,7 +7,8 @@ this one rule, the sequential one of a quick plan takes its limits from it.
 
 U is that of the measurement (`measurement_budget`). |e| never changes by more than the
 position measured, so u of one coordinate, along e, bounds that of a single 3D error, and of the
-largest of many; in their mean the noise of readings averages.
+largest of many; in their mean the noise of readings averages. The largest error of orientation is
+judged by the same rule where the cell states a limit of it (deg).
 """
 
 from __future__ import annotations
@@ -34,10 +35,13 @@ RULE = (
 
 
 class Limits(NamedTuple):
-    """Limits of mean and largest 3D error, mm."""
+    """Limits of mean and largest 3D error, mm, and of the largest error of orientation, deg; None
+    where that is not judged.
+    """
 
     mean_mm: float
     max_mm: float
+    max_deg: float | None = None
 
 
 class Guard(NamedTuple):
@@ -47,13 +51,22 @@ class Guard(NamedTuple):
     max_mm: float
 
 
+class Turn(NamedTuple):
+    """The largest error of orientation and its expanded uncertainty, deg."""
+
+    max_deg: float
+    U_deg: float
+
+
+UNKNOWN_TURN = Turn(math.nan, math.nan)  # accepts nothing
 NO_GUARD = Guard(0.0, 0.0)  # before anything is measured
 
 
-class Judged(msgspec.Struct, frozen=True):
+class Judged(msgspec.Struct, frozen=True, omit_defaults=True):
     """Figures against their limits, as verdicts in journals and calibration files have them.
 
-    U is None in verdicts of earlier versions, which did not add it.
+    U is None in verdicts of earlier versions, which did not add it. Orientation has figures where
+    it was judged.
     """
 
     holds: bool
@@ -65,20 +78,45 @@ class Judged(msgspec.Struct, frozen=True):
     max_U_mm: float | None = None
     outcome: Outcome | None = None
     decision: str = ""
+    max_deg: float | None = None
+    max_tolerance_deg: float | None = None
+    max_U_deg: float | None = None
+
+    @property
+    def limits(self) -> Limits:
+        """Return the limits that it was judged by."""
+        return Limits(self.mean_tolerance_mm, self.max_tolerance_mm, self.max_tolerance_deg)
+
+    @property
+    def turn(self) -> Turn | None:
+        """Return the orientation that was judged, None where it was not; a figure that is not
+        stated is NaN.
+        """
+        if self.max_tolerance_deg is None:
+            return None
+        stated = (math.nan if each is None else each for each in (self.max_deg, self.max_U_deg))
+        return Turn(*stated)
 
     @property
     def figures(self) -> str:
         """Return the figures beside their limits."""
+        turned = ""
+        if self.turn is not None:
+            turned = (
+                f"; orientation {_with_u(*self.turn)} deg at most, wanted <= "
+                f"{self.max_tolerance_deg:g}"
+            )
         return (
             f"mean {_with_u(self.mean_mm, self.mean_U_mm)} mm, wanted <= "
             f"{self.mean_tolerance_mm:g}; largest {_with_u(self.max_mm, self.max_U_mm)} mm, wanted "
-            f"<= {self.max_tolerance_mm:g}"
+            f"<= {self.max_tolerance_mm:g}{turned}"
         )
 
 
 def limits_of(cell: Cell) -> Limits:
     """Return the limits that a cell states."""
-    return Limits(cell.validation.mean_tolerance_mm, cell.validation.max_tolerance_mm)
+    stated = cell.validation
+    return Limits(stated.mean_tolerance_mm, stated.max_tolerance_mm, stated.max_tolerance_deg)
 
 
 def check_limits(cell: Cell) -> None:
@@ -113,7 +151,9 @@ def guard_of(log: Log, count: int) -> Guard:
 
 def limits_within(limits: Limits, guard: Guard) -> Limits:
     """Return the limits that a measured figure must keep: less U, which may leave nothing."""
-    return Limits(limits.mean_mm - guard.mean_mm, limits.max_mm - guard.max_mm)
+    return limits._replace(
+        mean_mm=limits.mean_mm - guard.mean_mm, max_mm=limits.max_mm - guard.max_mm
+    )
 
 
 def judged(
@@ -122,20 +162,26 @@ def judged(
     limits: Limits,
     guard: Guard,
     *,
+    turn: Turn | None = None,
     also: Outcome = "accepted",
     words: str = "",
 ) -> Judged:
     """Return the decision on mean and largest error.
 
-    ``also`` is the outcome of another test that must accept as well, ``words`` what it says.
+    ``turn`` is the error of orientation where that was measured; it is judged where ``limits`` has
+    a limit of it. ``also`` is the outcome of another test that must accept as well, ``words`` what
+    it says.
     """
-    outcome = gravest(
-        [
-            also,
-            outcome_of(mean_mm, limits.mean_mm, guard.mean_mm),
-            outcome_of(max_mm, limits.max_mm, guard.max_mm),
-        ]
-    )
+    outcomes = [
+        also,
+        outcome_of(mean_mm, limits.mean_mm, guard.mean_mm),
+        outcome_of(max_mm, limits.max_mm, guard.max_mm),
+    ]
+    oriented: tuple[float | None, ...] = ()
+    if turn is not None and limits.max_deg is not None:
+        outcomes.append(outcome_of(turn.max_deg, limits.max_deg, turn.U_deg))
+        oriented = (turn.max_deg, limits.max_deg, turn.U_deg)
+    outcome = gravest(outcomes)
     return Judged(
         outcome == "accepted",
         mean_mm,
@@ -145,7 +191,8 @@ def judged(
         guard.mean_mm,
         guard.max_mm,
         outcome,
-        words or WORDS[outcome],
+        words if words and outcome == also else WORDS[outcome],
+        *oriented,
     )
 
 
@@ -154,9 +201,8 @@ def judged_again(stated: Judged, limits: Limits | None = None) -> Judged:
 
     What a verdict of earlier versions does not state counts as nought.
     """
-    own = Limits(stated.mean_tolerance_mm, stated.max_tolerance_mm)
     guard = Guard(stated.mean_U_mm or 0.0, stated.max_U_mm or 0.0)
-    return judged(stated.mean_mm, stated.max_mm, limits or own, guard)
+    return judged(stated.mean_mm, stated.max_mm, limits or stated.limits, guard, turn=stated.turn)
 
 
 def judged_errors(log: Log, errors_mm: Array) -> Judged:
@@ -165,11 +211,11 @@ def judged_errors(log: Log, errors_mm: Array) -> Judged:
     return judged(found.mean, found.max, limits_of(log.cell), guard_of(log, len(errors_mm)))
 
 
-def outcome_of(value_mm: float, limit_mm: float, U_mm: float) -> Outcome:
-    """Return the decision on one figure; NaN is rejected."""
-    if value_mm <= limit_mm - U_mm:
+def outcome_of(value: float, limit: float, U: float) -> Outcome:
+    """Return the decision on one figure, all in one unit; NaN is rejected."""
+    if value <= limit - U:
         return "accepted"
-    return "undecided" if value_mm <= limit_mm + U_mm else "rejected"
+    return "undecided" if value <= limit + U else "rejected"
 
 
 def gravest(outcomes: Sequence[Outcome]) -> Outcome:
@@ -184,5 +230,5 @@ WORDS: dict[Outcome, str] = {
 }
 
 
-def _with_u(value_mm: float, U_mm: float | None) -> str:
-    return f"{value_mm:.4f}" if U_mm is None else f"{value_mm:.4f} + U {U_mm:.4f}"
+def _with_u(value: float, U: float | None) -> str:
+    return f"{value:.4f}" if U is None else f"{value:.4f} + U {U:.4f}"

@@ -3,6 +3,9 @@
 The pose of the tool is the rigid fit of its reflectors, where the calibration has found them on the
 flange. An error is a rotation vector in {W}: actual = exp(vector) nominal. Its bound has the parts
 that turn a corrected target: model and visit, the frames, and in a validation the readings.
+
+U of a measured orientation has the readings, the stated limits of tracker and reflectors, each
+reflector by itself, and the turn of {W}. A shift that all reflectors share turns nothing.
 """
 
 from __future__ import annotations
@@ -15,10 +18,14 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from hilcell.calibration.bounds import HOW, driven_poses, lines_in_use, lines_in_validation
+from hilcell.calibration.contribution import expanded_mm
+from hilcell.calibration.decision import UNKNOWN_TURN, Turn
 from hilcell.calibration.errors import HOWS
 from hilcell.calibration.form import Calibration
+from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, world_covariance
 from hilcell.calibration.frames import measured_of
 from hilcell.calibration.influence import Influence, NoBound
+from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import seats_mm
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.orientation import orientations, turn_levers
@@ -28,11 +35,12 @@ from hilcell.geometry.statistics import (
     effective_freedom,
     figures_of,
     lengths_mm,
+    rectangular_variance,
     trace_freedom,
 )
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
-from hilcell.ports import Array
+from hilcell.ports import Array, HilcellError
 
 TURNS = slice(3, 6)  # of an influence's covariance
 MOVED_MM = 0.03  # of reflectors against each other: at 150 mm it turns the tool by 0.01 deg
@@ -40,13 +48,15 @@ MOVED_MM = 0.03  # of reflectors against each other: at 150 mm it turns the tool
 
 @dataclass(frozen=True, eq=False)
 class Turned:
-    """Tool points of N targets, their errors of orientation (N, 3) in rad, axes of {W}, and the
-    covariances (N, 3, 3) that the readings give them.
+    """Tool points of N targets, their errors of orientation (N, 3) in rad, axes of {W}, the
+    covariances (N, 3, 3) that the readings give them, and those of 1 mm^2 in each coordinate of
+    each reflector.
     """
 
     points: list[Point]
     error_rad: Array
     reading_rad2: Array
+    per_mm2_rad2: Array
 
     def __len__(self) -> int:
         return len(self.points)
@@ -99,7 +109,10 @@ def largest_turned(log: Log, points: Sequence[Point], seats: Array) -> Turned:
     angles_deg = every.angles_deg
     chosen = [begin + int(np.argmax(angles_deg[begin:end])) for begin, end in pairwise(ends)]
     return Turned(
-        [every.points[n] for n in chosen], every.error_rad[chosen], every.reading_rad2[chosen]
+        [every.points[n] for n in chosen],
+        every.error_rad[chosen],
+        every.reading_rad2[chosen],
+        every.per_mm2_rad2[chosen],
     )
 
 
@@ -123,15 +136,17 @@ def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> Turned:
     """Return the errors of poses; each has its reflectors, the tool point first."""
     known = [each[0] for each in poses]
     if not known:
-        return Turned([], np.zeros((0, 3)), np.zeros((0, 3, 3)))
+        return Turned([], np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
     T_W_L = log.matrix("world")
     seen_mm = np.stack([apply(T_W_L, positions_mm(each)) for each in poses])
     own_mm2 = np.stack([covariances_mm2(each, T_W_L[:3, :3]) for each in poses])
     R = orientations(seats, seen_mm)
     levers = turn_levers(seats, R)
     nominal = from_zyx(np.array([point.nominal_deg for point in known], dtype=float))
-    reading_rad2 = np.sum(levers @ own_mm2 @ np.swapaxes(levers, -1, -2), axis=1)
-    return Turned(known, to_rotvec(R @ np.swapaxes(nominal, 1, 2)), reading_rad2)
+    reading_rad2, per_mm2_rad2 = (
+        np.sum(levers @ each @ np.swapaxes(levers, -1, -2), axis=1) for each in (own_mm2, np.eye(3))
+    )
+    return Turned(known, to_rotvec(R @ np.swapaxes(nominal, 1, 2)), reading_rad2, per_mm2_rad2)
 
 
 def validated_turns(log: Log, stations: Sequence[str]) -> dict[str, Turned]:
@@ -149,6 +164,53 @@ def validated_turns(log: Log, stations: Sequence[str]) -> dict[str, Turned]:
         if len(turned):
             found[how] = turned
     return found
+
+
+def largest_turn(log: Log, turned: Turned | None) -> Turn:
+    """Return the largest error of orientation and its U; no numbers where none was measured."""
+    if turned is None or not len(turned):
+        return UNKNOWN_TURN
+    return Turn(float(turned.angles_deg.max()), float(expanded_deg(log, turned).max()))
+
+
+def expanded_deg(log: Log, turned: Turned) -> Array:
+    """Return U (N,) of each angle: along the axis about which it is least certain."""
+    stated = log.cell.uncertainty
+    covariance_rad2 = turned.reading_rad2 + _stated_mm2(log.cell) * turned.per_mm2_rad2
+    if len(floor_points(log)) == FLOOR_NESTS:
+        centring_mm2 = rectangular_variance(stated.smr_centring_limit_mm)
+        covariance_rad2 = covariance_rad2 + world_covariance(log, np.zeros(3), centring_mm2)[3:, 3:]
+    return _expanded_deg(covariance_rad2)
+
+
+def check_turn_limit(cell: Cell) -> None:
+    """Raise `HilcellError` where the stated uncertainties alone leave nothing of the limit."""
+    limit_deg = cell.validation.max_tolerance_deg
+    if limit_deg is None:
+        return
+    levers = turn_levers(cell.robot.seats_mm, np.eye(3)[None])
+    per_mm2_rad2 = np.sum(levers @ np.swapaxes(levers, -1, -2), axis=1)
+    (least_deg,) = _expanded_deg(_stated_mm2(cell) * per_mm2_rad2)
+    if not limit_deg > least_deg:
+        raise HilcellError(
+            f"validation.max_tolerance_deg {limit_deg:g}: nothing could be accepted, the tracker "
+            f"and the reflectors' centring alone have U = {least_deg:.4f} deg (k = 2); wanted "
+            "more, or reflectors further apart",
+            code="HC-C10",
+        )
+
+
+def _stated_mm2(cell: Cell) -> float:
+    """Return the variance of one coordinate of a reflector by the stated limits."""
+    limits_mm = (cell.uncertainty.tracker_limit_mm, cell.uncertainty.smr_centring_limit_mm)
+    return sum(map(rectangular_variance, limits_mm))
+
+
+def _expanded_deg(covariances_rad2: Array) -> Array:
+    """Return U (N,) along the axis of the largest variance of each covariance (N, 3, 3)."""
+    u_rad = np.sqrt(np.linalg.eigvalsh(covariances_rad2)[:, -1])
+    expanded: Array = np.degrees([expanded_mm(each) for each in u_rad])
+    return expanded
 
 
 def moved_on_flange_mm(log: Log) -> float:

@@ -87,11 +87,16 @@ def out_of_tolerance(calibration: Calibration, limits: Limits | None = None) -> 
     if limits is not None:
         reasons += [
             f"validation at {place} had another tolerance than the cell given, which has mean "
-            f"{limits.mean_mm:g} and largest {limits.max_mm:g} mm: {each.figures}"
+            f"{limits.mean_mm:g} and largest {limits.max_mm:g} mm{_of_orientation(limits)}: "
+            f"{each.figures}"
             for place, each in calibration.verdicts.items()
-            if limits != (each.mean_tolerance_mm, each.max_tolerance_mm)
+            if limits != each.limits
         ]
     return reasons + [f"{key} did not hold: {words}" for key, words in calibration.failed.items()]
+
+
+def _of_orientation(limits: Limits) -> str:
+    return "" if limits.max_deg is None else f", orientation {limits.max_deg:g} deg"
 
 
 def _not_current(standing: Standing) -> Iterator[str]:
@@ -134,7 +139,7 @@ def _age(calibration: Calibration, now: datetime, max_age_days: float) -> str:
 def _other_cell(calibration: Calibration, cell: Cell, calibrated: Cell | None) -> str:
     """Say that the cell differs; in its tolerance alone is no other cell, and judged apart."""
     found, verdicts = calibration.provenance.digest, calibration.verdicts or {}
-    limits = {Limits(v.mean_tolerance_mm, v.max_tolerance_mm) for v in verdicts.values()}
+    limits = {each.limits for each in verdicts.values()}
     if found in {cell.digest, *(_judged_by(cell, each) for each in limits or {OLD_DEFAULT})}:
         return ""
     changed = differences(calibrated, cell) if calibrated is not None else ""
@@ -148,7 +153,10 @@ def _other_cell(calibration: Calibration, cell: Cell, calibrated: Cell | None) -
 def _judged_by(cell: Cell, limits: Limits) -> str:
     """Return the digest of a cell as it would be with other limits."""
     table = msgspec.structs.replace(
-        cell.validation, mean_tolerance_mm=limits.mean_mm, max_tolerance_mm=limits.max_mm
+        cell.validation,
+        mean_tolerance_mm=limits.mean_mm,
+        max_tolerance_mm=limits.max_mm,
+        max_tolerance_deg=limits.max_deg,
     )
     return msgspec.structs.replace(cell, validation=table).digest
 

@@ -53,6 +53,7 @@ from hilcell.cell.tables import (
     Speed,
     Step,
     Sweep,
+    Turn,
     Wait,
     refuse_descending,
 )
@@ -205,12 +206,16 @@ class SurveyTable(Frozen, frozen=True, kw_only=True):
 
 
 class ValidationTable(Frozen, frozen=True, kw_only=True):
-    """Random targets: per grid cell at the grid's station, in all at the other stations."""
+    """Random targets: per grid cell at the grid's station, in all at the other stations.
+
+    ``max_tolerance_deg`` is of the tool's orientation, which is judged where it is stated.
+    """
 
     per_cell: Count = 5
     others: Annotated[int, Meta(ge=1, le=100_000)] = 150
     mean_tolerance_mm: Size = 0.15
     max_tolerance_mm: Size = 0.4
+    max_tolerance_deg: Turn | None = None
 
 
 class CampaignTable(Frozen, frozen=True, kw_only=True):
@@ -377,6 +382,11 @@ class Cell(Frozen, frozen=True, kw_only=True):
                 "robot.more_smr_mm: one reflector is carried by hand (layout.reflectors), and the "
                 "tool's orientation wants all of them mounted"
             )
+        if self.validation.max_tolerance_deg is not None and not self.robot.more_smr_mm:
+            yield (
+                "validation.max_tolerance_deg: one reflector measures no orientation; state the "
+                "others on the flange in robot.more_smr_mm, or leave the limit out"
+            )
 
     @cached_property
     def surroundings(self) -> Surroundings | None:
@@ -409,6 +419,8 @@ class Cell(Frozen, frozen=True, kw_only=True):
         values["robot"].pop("envelope")
         if not self.robot.more_smr_mm:  # as in files that know no such key
             values["robot"].pop("more_smr_mm")
+        if self.validation.max_tolerance_deg is None:
+            values["validation"].pop("max_tolerance_deg")
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)

@@ -11,7 +11,7 @@ from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.journal.outcome import run_outcome
 from hilcell.journal.point_id import CONTROL
 from hilcell.ports import Array
-from hilcell.report import pose_test, tables
+from hilcell.report import pose_test, tables, turns
 from hilcell.report.budget_table import ERROR_SUM, TARGET_SUM, budget_sheet
 from hilcell.report.certificate import (
     certificate,
@@ -48,7 +48,6 @@ from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
 from hilcell.report.target_budget import TargetBudget, bounds_sheet, target_budget
 from hilcell.report.templates import environment
-from hilcell.report.turns import orientation, orientation_words
 from hilcell.report.volume import volume_sheet
 from hilcell.report.worst import worst
 
@@ -86,7 +85,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             pose_sheets=pose_test.sheets(facts),
             station_sheets=present(
                 tables.accuracy(facts),
-                orientation(facts),
+                turns.orientation(facts),
                 tables.stations(facts),
                 tables.touches(facts),
                 tables.frames(facts),
@@ -126,12 +125,13 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
         "sentence": sentence(facts),
         "conformity": conformity_words(facts),
         "results": results_sheet(facts),
+        "turn_results": turns.results_sheet(facts),
         "strip": strip(nearest_results(facts, targets), facts.inputs.simulated),
         "uncertainty": uncertainty_words(facts, budget),
         "item": item_facts(facts, measured(facts)),
         "validity": validity_facts(facts),
         "instruments": instruments(facts),
-        "turns": orientation_words(facts),
+        "turns": turns.orientation_words(facts),
         "conditions": conditions_words(facts),
         "method": procedure_words(facts),
     }

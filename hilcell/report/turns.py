@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from operator import itemgetter
+from operator import attrgetter, itemgetter
+from typing import NamedTuple
 
+import numpy as np
+
+from hilcell.calibration.decision import outcome_of
 from hilcell.calibration.errors import OTHERS, places
 from hilcell.calibration.orientation import Turned, validated_turns
 from hilcell.geometry.statistics import Figures
 from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
+from hilcell.report.first_page import OUTCOMES, judged_places
 
 # A place, the way of sending, how many targets, their figures.
 Oriented = tuple[str, str, int, Mapping[str, float]]
@@ -26,6 +31,49 @@ ORIENTATION: tuple[Column[Oriented], ...] = (
     Column("targets", itemgetter(2), form="d"),
     *(Column(name, _angle(name), "°", ".4f") for name in Figures._fields),
 )
+
+
+class Result(NamedTuple):
+    """The largest error of orientation that was judged, deg; None where it is not known."""
+
+    name: str
+    limit_deg: float
+    before_deg: float | None
+    after_deg: float
+    U_deg: float
+
+    @property
+    def verdict(self) -> str:
+        """Return whether it keeps the limit, by the decision rule."""
+        return OUTCOMES[outcome_of(self.after_deg, self.limit_deg, self.U_deg)]
+
+
+RESULTS: tuple[Column[Result], ...] = (
+    Column("orientation of the tool", attrgetter("name")),
+    Column("limit", attrgetter("limit_deg"), "°", ".3f"),
+    Column("before", attrgetter("before_deg"), "°", ".4f"),
+    Column("after", attrgetter("after_deg"), "°", ".4f"),
+    Column("U", attrgetter("U_deg"), "°", ".4f"),
+    Column("after may be at most", lambda row: row.limit_deg - row.U_deg, "°", ".4f"),
+    Column("verdict", attrgetter("verdict"), form="s"),
+)
+
+
+def results_sheet(facts: Facts) -> Sheet | None:
+    """Return the orientation nearest to its limit, where one is stated, for the first page."""
+    return sheet("Results, orientation at the worst station", RESULTS, _worst(facts))
+
+
+def _worst(facts: Facts) -> list[Result]:
+    turns = {name: each.turn for name, each in judged_places(facts).items()}
+    known = {name: turn for name, turn in turns.items() if turn is not None}
+    limit_deg = facts.cell.validation.max_tolerance_deg
+    if not known or limit_deg is None:
+        return []
+    place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
+    before = validated_turns(facts.log, [place]).get("before")
+    before_deg = None if before is None else before.figures["max_deg"]
+    return [Result(f"Largest at {place}", limit_deg, before_deg, *known[place])]
 
 
 def oriented(facts: Facts) -> Iterator[tuple[str, str, Turned]]:

@@ -45,6 +45,7 @@ SMALL = {
 SEATS = {
     "robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]",
     "plan.grid_orientations": "[[20.0, 65.0, 0.0]]",
+    "validation.max_tolerance_deg": "0.1",
 }
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from fakes.faults import Faults
 from fakes.plant import Plant
@@ -17,9 +19,13 @@ from hilcell.calibration.frames import Frames
 from hilcell.geometry.rotations import from_zyx, to_rotvec
 from hilcell.journal.log import commanded_rad
 from hilcell.journal.runs import read_log
+from procedures.validate import Validate
 from tests.whole.bench import command, cut, end_of, events
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
+
+if TYPE_CHECKING:
+    from hilcell.run.cell_session import CellSession
 
 HOLE = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,{:.3f},{:.3f},{:.3f},{:.6f},{:.6f},{:.6f}\n"
 PROGRAM = "DEF drill()\nLIN {{X {:.3f},Y {:.3f},Z {:.3f},A {:.4f},B {:.4f},C {:.4f}}}\nEND\n"
@@ -42,6 +48,42 @@ def test_the_orientation_is_corrected_as_measured(golden: GoldenRuns) -> None:
     assert "validate_idw_seats" not in points
     verdicts = {e["key"]: e for e in run.events if e["kind"] == "verdict"}
     assert verdicts["orientation"]["holds"]
+
+
+def test_a_limit_of_orientation_is_judged_like_those_of_position(
+    golden: GoldenRuns, tmp_path: Path
+) -> None:
+    """The run's own targets, by the limit that they keep, and by one that U leaves nothing of."""
+    run = golden["seats"]
+    stated = read_log(run.folder).verdicts["validation.BASE"]
+    assert (stated["holds"], stated["outcome"]) == (True, "accepted")
+    assert stated["max_tolerance_deg"] == 0.1
+    assert 0.002 < stated["max_U_deg"] < 0.03
+    chosen = run.result["validation"]["BASE"]["chosen"]
+    assert stated["max_deg"] == pytest.approx(chosen["orientation"]["max_deg"])
+    assert read_calibration(run.folder / "calibration.json").verdicts is not None
+    limited = Limited(run.folder, stated["max_deg"])
+    Validate()._judge(cast("CellSession", limited))
+    judged = limited.verdicts["validation.BASE"]
+    assert (judged["holds"], judged["outcome"]) == (False, "undecided")
+    out = tmp_path / "report.html"
+    done = command("report", "seats", "--runs", run.runs, "-o", out)
+    assert done.returncode == 0, done.stderr
+    assert "Results, orientation at the worst station" in out.read_text("utf-8")
+
+
+class Limited:
+    """The session of a finished run whose cell limits the orientation otherwise."""
+
+    def __init__(self, folder: Path, limit_deg: float) -> None:
+        self.log = read_log(folder)
+        table = replace(self.log.cell.validation, max_tolerance_deg=limit_deg)
+        self.cell = replace(self.log.cell, validation=table)
+        self.verdicts: dict[str, dict[str, Any]] = {}
+
+    def verdict(self, key: str, **facts: Any) -> None:
+        """Keep a verdict instead of journalling it."""
+        self.verdicts[key] = facts
 
 
 def test_each_reading_stands_by_itself_in_the_journal(golden: GoldenRuns, tmp_path: Path) -> None:

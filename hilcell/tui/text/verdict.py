@@ -7,13 +7,16 @@ targets: never one word for both. A run that ended before has no verdict.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 from textual.content import Content
 
 from hilcell.alarms import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, code_of_verdict
+from hilcell.calibration.decision import Turn
 from hilcell.clean import harmless
 from hilcell.journal.key_words import in_words
 from hilcell.journal.outcome import run_outcome
@@ -47,7 +50,9 @@ class _Place(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Errors (mm) of one station's targets; ``mean_U_mm`` is the mean's expanded uncertainty."""
+    """Errors (mm) of one station's targets; ``mean_U_mm`` is the mean's expanded uncertainty,
+    ``turn`` the error of orientation where that was judged.
+    """
 
     name: str
     targets: int
@@ -57,6 +62,7 @@ class Station:
     max_mm: float
     mean_U_mm: float
     outcome: str
+    turn: Turn | None = None
 
     @property
     def sure_mm(self) -> float:
@@ -74,6 +80,7 @@ class Verdict:
     mean_limit_mm: float
     max_limit_mm: float
     floor_mm: float
+    max_limit_deg: float | None = None
 
     @property
     def worst_mean(self) -> Station:
@@ -84,6 +91,14 @@ class Verdict:
     def worst_single(self) -> Station:
         """Return the station of the largest single error."""
         return max(self.stations, key=lambda each: gravest(each.max_mm))
+
+    def turn_is_kept(self, turn: Turn | None, *, sure: bool = False) -> bool:
+        """Whether an error of orientation, with its U if ``sure``, keeps its limit, or was not
+        judged.
+        """
+        if turn is None or self.max_limit_deg is None:
+            return True
+        return turn.max_deg + (turn.U_deg if sure else 0.0) <= self.max_limit_deg
 
 
 def verdict_of(view: RunView) -> Verdict | None:
@@ -107,6 +122,7 @@ def verdict_of(view: RunView) -> Verdict | None:
         mean_limit_mm=limits.mean_tolerance_mm,
         max_limit_mm=limits.max_tolerance_mm,
         floor_mm=max(floors, default=math.nan),
+        max_limit_deg=limits.max_tolerance_deg,
     )
 
 
@@ -128,8 +144,16 @@ def _station(view: RunView, name: str, place: _Place) -> Station:
     max_mm = by[1] if isinstance(by[1], float) else place.chosen.max
     return Station(
         name, place.points, place.before.mean, mean_mm, place.chosen.p95, max_mm,
-        math.nan if U_mm is None else float(U_mm), str(outcome),
+        math.nan if U_mm is None else float(U_mm), str(outcome), _turn(judged),
     )  # fmt: skip
+
+
+def _turn(judged: Mapping[str, Any]) -> Turn | None:
+    """Return the error of orientation of a verdict, None where it judged none."""
+    if judged.get("max_tolerance_deg") is None:
+        return None
+    stated = (judged.get(key) for key in ("max_deg", "max_U_deg"))
+    return Turn(*(each if isinstance(each, float) else math.nan for each in stated))
 
 
 # -- drawing ---------------------------------------------------------------------------------------
@@ -188,7 +212,7 @@ def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
 def _is_doubtful(each: Station, found: Verdict) -> bool:
     """Whether a station was judged as pass although a figure of it is over its limit."""
     kept = each.mean_mm <= found.mean_limit_mm and each.max_mm <= found.max_limit_mm
-    return each.outcome == "accepted" and not kept
+    return each.outcome == "accepted" and not (kept and found.turn_is_kept(each.turn))
 
 
 def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
@@ -231,10 +255,21 @@ def _facts(
     return [
         *doubtful[:1],
         Content.assemble((" true mean, 95 % sure: ", "$label"), bound, (floor, "$label")),
+        *_orientation(found),
         _written(view, found, glyphs),
         _drift(view, glyphs, standing),
         Content.assemble((" next: ", "$label"), NEXT),
     ]
+
+
+def _orientation(found: Verdict) -> list[Content]:
+    """Return the largest error of orientation beside its limit, where one is stated."""
+    turns = {each.name: each.turn for each in found.stations if each.turn is not None}
+    if not turns:
+        return []
+    name, turn = max(turns.items(), key=lambda each: gravest(each[1].max_deg))
+    words = f"{turn.max_deg:.4f}° at {harmless(name)}, limit {found.max_limit_deg:g}°"
+    return [Content.assemble((" orientation, worst: ", "$label"), words)]
 
 
 def _severity(alarm: Alarm) -> int:
@@ -273,8 +308,13 @@ def _reason(each: Station, found: Verdict) -> str:
     over = [
         f"{n} {figure(value)} over {limit:.3f}" for n, value, limit in judged if not value <= limit
     ]
+    if not found.turn_is_kept(each.turn) and each.turn is not None:
+        over.append(f"orientation {each.turn.max_deg:.4f}° over {found.max_limit_deg:g}°")
     if over:
         return ", ".join(over)
+    if not found.turn_is_kept(each.turn, sure=True) and each.turn is not None:
+        turned = f"orientation {each.turn.max_deg:.4f}°, U {each.turn.U_deg:.4f}°"
+        return f"{turned}: not shown below {found.max_limit_deg:g}°"
     U = f", U {each.mean_U_mm:.3f}" if math.isfinite(each.mean_U_mm) else ""
     return f"mean {figure(each.mean_mm)}{U}: not shown below {found.mean_limit_mm:.3f}"
 

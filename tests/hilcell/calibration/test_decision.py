@@ -3,12 +3,14 @@
 import math
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from hilcell.calibration.decision import (
     Guard,
     Judged,
     Limits,
+    Turn,
     check_limits,
     guard_of,
     judged,
@@ -64,8 +66,44 @@ def test_a_verdict_is_judged_again_by_other_limits() -> None:
     assert judged_again(old).holds  # it was simply accepted then
 
 
+ORIENTED = LIMITS._replace(max_deg=0.05)
+
+
+@pytest.mark.parametrize(
+    ("turn", "outcome"),
+    [
+        (Turn(0.039, 0.01), "accepted"),
+        (Turn(0.041, 0.01), "undecided"),
+        (Turn(0.061, 0.01), "rejected"),
+        (Turn(math.nan, 0.01), "rejected"),
+        (Turn(0.01, math.nan), "rejected"),
+    ],
+)
+def test_orientation_keeps_its_limit_by_the_same_rule(turn: Turn, outcome: Outcome) -> None:
+    found = judged(0.01, 0.02, ORIENTED, GUARD, turn=turn)
+    assert (found.outcome, found.holds) == (outcome, outcome == "accepted")
+    assert judged_again(found) == found or math.isnan(sum(turn))
+    assert f"orientation {turn.max_deg:.4f} + U {turn.U_deg:.4f} deg at most" in found.figures
+    read = msgspec.json.decode(msgspec.json.encode(found), type=Judged)  # NaN is null there
+    assert judged_again(read).outcome == outcome
+
+
+def test_orientation_is_judged_only_where_it_is_limited_and_measured() -> None:
+    far = Turn(9.0, 0.01)
+    for found in (judged(0.01, 0.02, LIMITS, GUARD, turn=far), judged(0.01, 0.02, ORIENTED, GUARD)):
+        assert found.holds
+        assert found.turn is None
+        assert "max_deg" not in msgspec.to_builtins(found)
+    assert "orientation" not in judged(0.01, 0.02, LIMITS, GUARD).figures
+
+
+def test_the_words_of_another_test_are_its_own() -> None:
+    found = judged(0.01, 0.02, ORIENTED, GUARD, turn=Turn(9.0, 0.01), words="shown by 32 targets")
+    assert found.decision == "out of tolerance, the uncertainty taken off"
+
+
 def test_what_is_left_of_a_tolerance() -> None:
-    assert limits_within(LIMITS, GUARD) == pytest.approx((0.1, 0.3))
+    assert limits_within(LIMITS, GUARD)[:2] == pytest.approx((0.1, 0.3))
 
 
 @pytest.mark.parametrize("name", ["mean", "max"])

@@ -8,8 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.decision import UNKNOWN_TURN
 from hilcell.calibration.orientation import (
     MOVED_MM,
+    check_turn_limit,
+    expanded_deg,
+    largest_turn,
     largest_turned,
     moved_on_flange_mm,
     seats_of,
@@ -21,10 +25,12 @@ from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.journal.journal import Kind, Record
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
-from hilcell.ports import Array
+from hilcell.ports import Array, HilcellError
+from procedures.validate import Validate
 from tests.hilcell.run.bed import PLAN
 
-CELL = load_cell("paper", {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"})
+SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
+CELL = load_cell("paper", SEATS)
 SEATS_MM = CELL.robot.seats_mm
 ORIENTED = from_zyx([10.0, 70.0, 5.0])
 
@@ -84,6 +90,31 @@ def test_of_a_pose_measured_again_the_largest_turn_counts(order: tuple[float, ..
     np.testing.assert_allclose(latest.error_rad[1], [0.0, 0.0, order[-1]], atol=1e-9)
 
 
+def test_the_uncertainty_of_an_orientation_covers_reflectors_that_are_seen_elsewhere() -> None:
+    """By Monte Carlo: noise of the readings and stated limits, drawn for every reflector."""
+    stated, rng = CELL.uncertainty, np.random.default_rng(90210)
+    limits_mm = np.array([stated.tracker_limit_mm, stated.smr_centring_limit_mm])
+    (id,) = ids("validate", 1)
+    exact = logged([(id, ORIENTED)], {"validate": SEATS_MM})
+    turned = turned_of(exact, exact.select("validate"), SEATS_MM)
+    (U_deg,) = expanded_deg(exact, turned)
+    turns_deg = []
+    for _ in range(400):
+        off_mm = rng.normal(0.0, 0.01, (3, 3))
+        off_mm += rng.uniform(-1.0, 1.0, (2, 3, 3)).T.swapaxes(0, 1) @ limits_mm
+        log = logged([(id, ORIENTED)], {"validate": SEATS_MM + off_mm})
+        turns_deg.append(np.degrees(turned_of(log, log.select("validate"), SEATS_MM).error_rad[0]))
+    sigma_deg = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(turns_deg).T))[-1])
+    assert pytest.approx(2.0 * sigma_deg, rel=0.15) == U_deg
+    assert largest_turn(exact, turned) == (turned.figures["max_deg"], U_deg)
+
+
+def test_an_orientation_that_was_not_measured_is_no_number() -> None:
+    log = logged([(ids("validate", 1)[0], ORIENTED)], {"validate": SEATS_MM[:2]})
+    none = turned_of(log, log.select("validate"), SEATS_MM)
+    assert largest_turn(log, None) is largest_turn(log, none) is UNKNOWN_TURN
+
+
 def test_a_pose_whose_reflectors_were_not_all_seen_counts_not() -> None:
     id = ids("validate", 1)[0]
     log = logged([(id, ORIENTED)], {"validate": SEATS_MM[:2]})
@@ -99,3 +130,14 @@ def test_a_reflector_that_was_knocked_is_seen(shift_mm: float, moved: bool) -> N
     found_mm = moved_on_flange_mm(log)
     assert found_mm == pytest.approx(shift_mm, abs=1e-6)
     assert (found_mm > MOVED_MM) == moved
+
+
+def test_a_limit_that_nothing_could_keep_is_refused_before_anything_moves() -> None:
+    """Stated 0.015 and 0.0127 mm, rectangular, turn this triangle by up to U = 0.0115 deg."""
+    narrow, wide = (
+        load_cell("paper", SEATS | {"validation.max_tolerance_deg": text})
+        for text in ("0.0114", "0.0116")
+    )
+    check_turn_limit(wide)
+    with pytest.raises(HilcellError, match=r"max_tolerance_deg 0\.0114: .* U = 0\.0115 deg"):
+        Validate().plan(narrow, 1)

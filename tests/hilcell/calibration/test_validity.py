@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from hilcell.calibration.decision import Guard, Limits, judged
+from hilcell.calibration.decision import Guard, Limits, Turn, judged, limits_of
 from hilcell.calibration.form import Calibration, Update
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import load_cell
@@ -108,6 +108,24 @@ def test_another_tolerance_than_the_cell_s() -> None:
         check_fitness(made, NOW, cell=CELL)
     assert check_fitness(made, NOW, cell=CELL, accept_out_of_tolerance=True)
     assert not check_fitness(made, NOW, cell=load_cell("paper", wide))
+
+
+def test_another_limit_of_orientation_than_the_cell_s() -> None:
+    limited = {
+        "robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]",
+        "validation.max_tolerance_deg": "0.05",
+    }
+    today = load_cell("paper", limited)
+    made = validated(0.01, digest=today.digest)
+    with pytest.raises(Unfit, match=r"another tolerance .*, orientation 0\.05 deg: mean"):
+        check_fitness(made, NOW, cell=today)
+    found = judged(0.01, 0.1, limits_of(today), Guard(0.04, 0.05), turn=Turn(0.01, 0.01))
+    was = msgspec.structs.replace(made, verdicts={"S1100": found})
+    assert not check_fitness(was, NOW, cell=today)
+    del limited["validation.max_tolerance_deg"]
+    with pytest.raises(Unfit) as refusal:  # the same cell, judged by another limit
+        check_fitness(was, NOW, cell=load_cell("paper", limited))
+    assert "another cell" not in str(refusal.value)
 
 
 def test_another_verdict_that_does_not_hold() -> None:

@@ -412,3 +412,16 @@ def test_a_station_that_cannot_be_read_hides_no_other(tmp_path: Path) -> None:
     found = "\n".join(error.value.problems)
     assert "station[0].rail_mm" in found
     assert "station[2].rail_mm: station S1900: rail_mm 91900.0 is outside" in found
+
+
+LIMIT = "validation.max_tolerance_deg"
+
+
+def test_a_limit_of_orientation_wants_reflectors_and_is_of_the_cell_where_it_is_stated() -> None:
+    three = load_cell("paper", SEATS)
+    assert three.validation.max_tolerance_deg is None
+    assert load_cell("paper", SEATS | {LIMIT: "0.05"}).digest != three.digest
+    (problem,) = refused({LIMIT: "0.05"})
+    assert "validation.max_tolerance_deg: one reflector measures no orientation" in problem
+    for value in ("0.0", "-0.05", "nan", "181.0"):
+        assert refused(SEATS | {LIMIT: value})

@@ -205,3 +205,46 @@ def test_a_terminal_of_79_columns_keeps_the_stations() -> None:
     assert "mean as sent" in text
     assert "…" not in text
     assert max(map(len, text.split("\n"))) <= 78
+
+
+@pytest.mark.parametrize(
+    ("max_deg", "U_deg", "outcome", "said"),
+    [
+        (0.08, 0.01, "rejected", "S300: orientation 0.0800° over 0.05°"),
+        (0.045, 0.01, "undecided", "S300: orientation 0.0450°, U 0.0100°: not shown below 0.05°"),
+    ],
+)
+def test_an_orientation_over_its_limit_is_the_reason(
+    max_deg: float, U_deg: float, outcome: str, said: str
+) -> None:
+    view = finished("intolerant", PLACES | {"S1100": PLACES["S1900"]})
+    limited(view, max_deg=max_deg, max_U_deg=U_deg, outcome=outcome, holds=False)
+    found = verdict_of(view)
+    assert found is not None
+    assert reason_words(found) == said
+    assert said in " ".join(verdict_lines(view, found, UNICODE, 79, ROWS + 5).plain.split())
+
+
+def test_an_orientation_in_its_limit_is_shown_and_a_pass_beside_one_over_it_is_doubted() -> None:
+    view = finished("done", PLACES | {"S1100": PLACES["S1900"]})
+    limited(view, max_deg=0.0123, max_U_deg=0.01)
+    found = verdict_of(view)
+    assert found is not None
+    text = verdict_lines(view, found, UNICODE, 79).plain
+    assert "orientation, worst: 0.0123° at S300, limit 0.05°" in text
+    assert "pass?" not in text
+    limited(view, max_deg=None, max_U_deg=None)  # no number in the journal
+    found = verdict_of(view)
+    assert found is not None
+    assert "pass?" in verdict_lines(view, found, UNICODE, 79).plain
+
+
+def limited(view: RunView, **judged: object) -> None:
+    """State a limit of orientation in a run's cell, and what S300 was judged by."""
+    seats = {"more_smr_mm": [[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]}
+    cell = dict(view.log.inputs.cell)
+    cell["validation"] |= {"max_tolerance_deg": 0.05}
+    cell["robot"] |= seats
+    view.log.plan = msgspec.structs.replace(view.log.inputs, cell=cell)
+    view.log._cell = None
+    view.log.verdicts["validation.S300"] |= {"max_tolerance_deg": 0.05} | judged
