@@ -34,6 +34,8 @@ STEPS = {
     "sign-check": "Sign of the correction proved on a target",
     "validate": "Targets before and after the correction",
     "closing": "First poses and floor nests checked at the end",
+    "base-of-test": "Base frame {B} by turning axes 1 and 6",
+    "iso9283": "Cycles of the pose test of ISO 9283",
     "paper-rows": "Figures of the paper compared",
 }
 WITHOUT_RAIL = {

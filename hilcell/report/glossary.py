@@ -16,16 +16,22 @@ WORDS = (
     ("{W}", r"\{W\}", "world frame, of the floor nests"),
     ("{B}", r"\{B\}", "base frame of the robot"),
     ("A, B, C", r"\bA °", "angles about z, y and x, turned in this order"),
-    ("Station", r"\bS\d+\b|\b[Ss]tations\b", "place of the robot, on a rail held by the strip"),
+    ("Station", r"\bS\d+\b|\b[Ss]tations\b", "place of the robot on the rail, held by the strip"),
     ("Touch pose", r"[Tt]ouch pose", "pose measured to find where the slide came to rest"),
     ("SMR", r"\bSMR\b", "spherically mounted retroreflector, seen by the tracker"),
     ("RMS, rms", r"\b(rms|RMS)\b", "root mean square"),
     ("p95", r"\bp95\b", "95 % of the figures are below it"),
     ("IDW", r"\b(IDW|idw)\b", "error as the mean of the vertices' errors by inverse distance"),
 )  # fmt: skip
+WITHOUT_RAIL = {"Station": "place of the robot, on the floor"}
 
 
-def words_of(html: str) -> list[tuple[str, str]]:
-    """Return the words that stand in a page, with their meaning."""
+def words_of(html: str, has_rail: bool = True) -> list[tuple[str, str]]:
+    """Return the words that stand in a page, with their meaning in such a cell."""
     text = re.sub(r"<[^>]*>", " ", html)
-    return [(name, meaning) for name, pattern, meaning in WORDS if re.search(pattern, text)]
+    own = {} if has_rail else WITHOUT_RAIL
+    return [
+        (name, own.get(name, meaning))
+        for name, pattern, meaning in WORDS
+        if re.search(pattern, text)
+    ]

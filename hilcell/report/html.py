@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import partial
 
 from hilcell import __version__
 from hilcell.calibration.errors import places, validation
@@ -78,7 +79,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             pages=pages or {},
             parts=PARTS,
             stops=STOPS,
-            words_of=words_of,
+            words_of=partial(words_of, has_rail=facts.cell.has_rail),
             controls=sum(each.group == CONTROL for each in facts.log.points.values()),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             certificate=certificate(facts, budget, targets),
@@ -99,7 +100,8 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             budget_sheet=budget_sheet(budget, targets),
             bounds_sheet=bounds_sheet(targets),
             sums=(ERROR_SUM, TARGET_SUM),
-            method_sheets=present(models(facts), tables.verdicts(facts)),
+            models=models(facts),
+            verdicts=tables.verdicts(facts),
             targets=targets,
             record_sheets=present(
                 course(facts),

@@ -171,7 +171,8 @@ def posed(facts: Facts) -> list[Posed]:
 def frames(facts: Facts) -> Sheet | None:
     """Return every measured frame as position and Z-Y-X angles in {W}."""
     note = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X."
-    return sheet("Frames", FRAMES, posed(facts), note)
+    named = Column[Posed]("frame", lambda row: row.name.replace("_", " ").replace(".", ", "))
+    return sheet("Frames", (named, *FRAMES[1:]), posed(facts), note)
 
 
 CIRCLES: tuple[Column[tuple[str, float, float]], ...] = (

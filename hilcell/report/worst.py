@@ -10,8 +10,6 @@ import numpy as np
 
 from hilcell.calibration.errors import errors_of, targets
 from hilcell.journal.log import Log, Point
-from hilcell.journal.point_id import PointId
-from hilcell.journal.point_words import point_words
 from hilcell.ports import Array
 from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.facts import Facts
@@ -94,7 +92,7 @@ def _row(log: Log, rank: int, point: Point, before: Point | None, budget: Target
     found = errors_of(log, [point])
     return Worst(
         rank,
-        point_words(PointId("target", number=point.id.number), point.station),
+        f"{(point.id.number or 0) + 1} at {point.station}",
         found.nominal_mm[0],
         float(errors_of(log, [before]).norms_mm[0]) if before is not None else None,
         found.error_mm[0],

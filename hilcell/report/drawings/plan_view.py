@@ -56,7 +56,8 @@ class _Plan:
         parts = [
             *self._rail(), *self._volumes(), *self._nests(), *self._tracker(), *self._bar(),
         ]  # fmt: skip
-        title = "The cell in plan view: rail, stations, volumes, tracker"
+        where = "rail, stations, volumes" if self._cell.has_rail else "robot, volume"
+        title = f"The cell in plan view: {where}, tracker"
         return svg(WIDTH_MM, round(self._height, 2), title, parts, simulated)
 
     def _at(self, xy_mm: Array) -> tuple[float, float]:

@@ -85,7 +85,8 @@ addEventListener("load", async () => {
   const verdicts = [...document.querySelectorAll(".first .sheet td:last-child")].map(box);
   document.documentElement.dataset.seen = JSON.stringify({
     blocked, images, drawings, sheets, verdicts, width: document.documentElement.scrollWidth,
-    first: document.querySelector(".first")?.offsetHeight ?? 0});
+    first: document.querySelector(".first")?.offsetHeight ?? 0,
+    signatures: document.querySelector(".signatures")?.offsetHeight ?? 0});
 });
 </script>"""
 
@@ -95,11 +96,10 @@ class Seen:
     """A page as it was shown: what its policy blocked, its images, the boxes of its drawings.
 
     ``images`` have their ``width`` in pixels, 0 where they were not shown, and their ``box``;
-    a box is left, top, width, height. ``sheets`` are those of each table's
-    section and of the table in it, ``verdicts`` of the last cells of page 1. ``width`` is that of
-    the page, which a printer shrinks
-    to its paper, ``first`` the height of its first sheet. ``pixels`` are (rows, columns, 3), of
-    0 to 255.
+    a box is left, top, width, height. ``sheets`` are those of each table's section and of the table
+    in it, ``verdicts`` of the last cells of page 1. ``width`` is that of the page, which a printer
+    shrinks to its paper, ``first`` the height of its first sheet, ``signatures`` that of the row to
+    sign in. ``pixels`` are (rows, columns, 3), of 0 to 255.
     """
 
     blocked: list[str]
@@ -109,6 +109,7 @@ class Seen:
     verdicts: list[list[float]]
     width: int
     first: int
+    signatures: int
     pixels: Array
 
     def inked(self, box: list[float]) -> float:
