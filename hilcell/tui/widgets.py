@@ -55,9 +55,17 @@ class TextPanel(Static):
         """Show content, where it differs from what is shown."""
         wanted = Content(content) if isinstance(content, str) else content
         safe = safe_content(wanted, plain=cast("HasGlyphs", self.app).glyphs.plain)
-        if self.content_shown is None or not same_content(safe, self.content_shown):
+        before = self.content_shown
+        if before is None or not same_content(safe, before):
             self.content_shown = safe
-            self.update(safe)
+            self.update(safe, layout=self._rows_may_change(before, safe))
+
+    def _rows_may_change(self, before: Content | None, now: Content) -> bool:
+        """Whether the screen is to be laid out again: that costs more than the text itself."""
+        height, wraps = self.styles.height, self.styles.text_wrap != "nowrap"
+        if height is not None and not height.is_auto:
+            return False
+        return before is None or wraps or before.plain.count("\n") != now.plain.count("\n")
 
 
 def same_content(one: Content, other: Content) -> bool:

@@ -87,6 +87,7 @@ class HilcellApp(App[int]):
         self.actions = RunActions(self)
         self.key_is_deliberate = True
         self._last_key_s = -math.inf  # when the last key came
+        self._shown_s = -math.inf  # when the run was last shown
         self._collector: GarbageCollector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
         for palette in (*PALETTES, IN_SIXTEEN):
@@ -263,11 +264,12 @@ class HilcellApp(App[int]):
 
         for session in self.open_runs.live:
             session.tick(utc_now())
-        if self.open_runs.live:
+        now_s = time.monotonic()
+        if self.open_runs.live and now_s - self._shown_s >= TICK_S / 2:
             self._show()
         if self._collector is not None:
             at_rest = all(session.view.at_rest for session in self.open_runs.live)
-            self._collector.tick(at_rest=at_rest, now_s=time.monotonic())
+            self._collector.tick(at_rest=at_rest, now_s=now_s)
 
     def on_unmount(self) -> None:
         """Leave the process as it was found."""
@@ -275,6 +277,7 @@ class HilcellApp(App[int]):
             self._collector.end()
 
     def _show(self) -> None:
+        self._shown_s = time.monotonic()
         if isinstance(self.page, BaseScreen):  # also under a question: nothing may seem fresh
             self.page.show_again()
 

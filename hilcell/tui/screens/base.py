@@ -128,7 +128,8 @@ class BaseScreen(Screen[None]):
     @property
     def is_shown(self) -> bool:
         """Whether every part is built and the screen is open: messages come before and after."""
-        built = self.built.is_set() and bool(self.query("#keys"))  # parts are taken down first
+        keys = self.query_one_optional("#keys") if self.built.is_set() else None
+        built = keys is not None  # parts are taken down first
         return built and self.app.is_running and self in self.app.screen_stack
 
     @property
@@ -173,7 +174,7 @@ class BaseScreen(Screen[None]):
         self.panel("keys").show(self.key_line())
         if self._notice_state is not None and self._notice_state != _notice_state(view):
             self.show_notice("")
-        if view is not None and self.query("#banner"):
+        if view is not None and self.query_one_optional("#banner") is not None:
             from hilcell.tui.text import run as run_text  # reads journals: not for the first screen
 
             self.set_class(run_text.is_simulated(view), "simulated")

@@ -21,8 +21,9 @@ from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
 from hilcell.tui.text.alarm_words import alarm_line
 from hilcell.tui.text.below import block_rows
+from hilcell.tui.text.deviation import PointRow
+from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
-from hilcell.tui.text.footer import KeyOf, footer_lines
 from hilcell.tui.text.lines import justified
 from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines
 from hilcell.tui.text.points import PointRows, columns_for, filtered
@@ -33,6 +34,7 @@ from hilcell.tui.text.verdict import verdict_lines, verdict_of
 from hilcell.tui.widgets import Table, TextPanel
 
 LEFT = 79  # columns of the lines that are alike at every width, beside the simulation's edge
+SLOTS = ("stop", *(slot.name for slot in (*ACTS, *VIEWS)))
 LINES = ("identity", "step", "progress", "lamps", "interlock")
 HIDE_POINTS = ("verdict", "alarm")
 BOXES = ("deviation", "prompt", *HIDE_POINTS)  # of which one is shown
@@ -62,6 +64,8 @@ class RunScreen(FilterScreen):
         start = point_filter or PointFilter()
         self.bad_only, self.worst_first, self._chosen = start.bad_only, start.worst_first, start.key
         self._table = PointRows()
+        self._footer: tuple[object, Content] = (None, Content(""))  # drawn when a slot changes
+        self._rows: list[PointRow] = []  # of all points
         self._points_seen: tuple[object, ...] = ()
         self._wide = WidePanels()
         self._result: tuple[object, Result | None] = (None, None)  # of which end record
@@ -176,7 +180,8 @@ class RunScreen(FilterScreen):
         """Show the newest point of a live run, or the one that was chosen."""
         table = self.query_one(Table)
         newest = not table.rows or (view.live and table.cursor == len(table.rows) - 1)
-        point = newest_shown(view) if newest else chosen_shown(view, table.key)
+        known = self._table.deviation
+        point = newest_shown(view, known) if newest else chosen_shown(view, table.key, known)
         lines = point_lines(point, self.application.glyphs, self.left_width, rows)
         self.panel("deviation").show(lines)
 
@@ -233,8 +238,8 @@ class RunScreen(FilterScreen):
         if state == self._points_seen:
             return
         self._points_seen = state
-        points = self._table.rows(view.log)
-        found = filtered(points, self.filter_text, bad_only=self.bad_only, worst=self.worst_first)
+        self._rows = [*self._table.rows(view.log)]
+        found = filtered(self._rows, self.filter_text, bad_only=self.bad_only, worst=self.worst_first)
         rows.empty = "no such point" if self.filter_text else "no points yet"
         if self.bad_only and view.log.points:
             all_key = shown(self.application.keymap["bad"][0])
@@ -250,11 +255,11 @@ class RunScreen(FilterScreen):
 
     def _show_wide(self, view: RunView) -> None:
         """Show the panels beside and under the points, where the terminal has room for them."""
-        rows, side = [*self._table.rows(view.log)], self.panel("side")
+        side, below = self.panel("side"), self.panel("below")
         if side.display:
-            self._wide.show_side(side, view, rows, look_of(self), self.app.theme)
-        below, glyphs = self.panel("below"), self.application.glyphs
-        self._wide.show_below(below, view, rows, glyphs, self.app.size.height)
+            self._wide.show_side(side, view, self._rows, look_of(self), self.app.theme)
+        height = self.app.size.height
+        self._wide.show_below(below, view, self._rows, self.application.glyphs, height)
 
     @property
     def _height(self) -> int:
@@ -274,7 +279,11 @@ class RunScreen(FilterScreen):
         """Return the footer: slots that keep their places; in a text box, its own keys."""
         if isinstance(self.focused, Input):
             return super().key_line()
-        return footer_lines(self.key_of, self.left_width)
+        slots = {name: self.key_of(name) for name in SLOTS}
+        state = (slots, self.left_width)
+        if state != self._footer[0]:
+            self._footer = (state, footer_lines(slots.__getitem__, self.left_width))
+        return self._footer[1]
 
     def key_of(self, name: str) -> KeyOf:
         """Return one slot of the footer as it is now."""

@@ -7,12 +7,13 @@ A value that is old is grey and says so. ``FULL_ROWS`` rows in all, fewer where 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from textual.content import Content
 
 from hilcell.geometry.sequential import Outcome
-from hilcell.journal.log import Point
+from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import point_words
 from hilcell.journal.ways_sent import AS_SENT, WAYS
 from hilcell.tui.engine.run_view import RunView
@@ -23,6 +24,7 @@ from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import figure, large
 from hilcell.tui.text.lines import bar, placed, ruled, signed_bar
 
+DeviationOf = Callable[[Log, Point], Deviation | None]
 FULL_ROWS, SMALL_ROWS = 6, 3
 STALE_S = 30.0  # two points of a run are rarely so far apart
 RAW_SCALE_MM = 2.0
@@ -52,7 +54,7 @@ class Shown:
     word: str = ""  # where there is no limit: why
 
 
-def newest_shown(view: RunView) -> Shown:
+def newest_shown(view: RunView, deviation: DeviationOf = deviation_of) -> Shown:
     """Return the newest point of a live run; never one of an earlier step in bright digits."""
     point = view.newest
     if point is None:
@@ -61,19 +63,21 @@ def newest_shown(view: RunView) -> Shown:
     age = f"{short_age(age_s)} ago" if age_s <= STALE_S else f"{short_age(age_s)} old"
     old = view.newest_is_old or not age_s <= STALE_S or view.stale
     which = "last point" if view.newest_is_old else "newest point"
-    return _shown(view, point, which, age, stale=old)
+    return _shown(view, point, which, age, deviation, stale=old)
 
 
-def chosen_shown(view: RunView, key: str) -> Shown:
+def chosen_shown(view: RunView, key: str, deviation: DeviationOf = deviation_of) -> Shown:
     """Return the point that was chosen in the table."""
     point = view.log.points.get(key)
     if point is None:
         return Shown("no point measured yet", None, "")
-    return _shown(view, point, "chosen point", "", stale=False)
+    return _shown(view, point, "chosen point", "", deviation, stale=False)
 
 
-def _shown(view: RunView, point: Point, which: str, remark: str, *, stale: bool) -> Shown:
-    found = deviation_of(view.log, point)
+def _shown(
+    view: RunView, point: Point, which: str, remark: str, deviation: DeviationOf, *, stale: bool
+) -> Shown:
+    found = deviation(view.log, point)
     word = f"{WAYS.get(point.id.how, AS_SENT)}: no limit"
     return Shown(f"{which}: {point_words(point.id, point.station)}", found, remark, stale, word)
 

@@ -12,7 +12,14 @@ from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import point_words, short_words
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.text.deviation import BAD_STATES, Deviation, PointRow, expanded_of, row_of
+from hilcell.tui.text.deviation import (
+    BAD_STATES,
+    Deviation,
+    PointRow,
+    deviation_of,
+    expanded_of,
+    row_of,
+)
 from hilcell.tui.text.digits import figure
 from hilcell.tui.widgets import Column, Row
 
@@ -82,10 +89,16 @@ class PointRows:
         U_mm: float | None = None  # computed once, and only for new rows
         for key, point in log.points.items():
             row = self._found.get(key)
-            if row is None or row.point != point or row.deviation is None:
+            if row is None or row.point is not point or _has_deviation_now(log, row):
                 U_mm = expanded_of(log) if U_mm is None else U_mm
                 row = self._found[key] = row_of(log, point, U_mm)
             yield row
+
+    def deviation(self, log: Log, point: Point) -> Deviation | None:
+        """Return the deviation of a point, as its row has it."""
+        row = self._found.get(point.key)
+        known = row is not None and row.point is point and not _has_deviation_now(log, row)
+        return row.deviation if row is not None and known else deviation_of(log, point)
 
     def drawn(self, found: PointRow, waiting: Collection[str], width: int) -> Row:
         """Return the cells of one point."""
@@ -94,6 +107,11 @@ class PointRows:
         if known is None or known[0] is not found or known[1:3] != (waits, width):
             known = self._drawn[key] = (found, waits, width, to_row(found, waiting, width))
         return known[3]
+
+
+def _has_deviation_now(log: Log, row: PointRow) -> bool:
+    """Whether a row was made before {W} was known."""
+    return row.deviation is None and row.point.nominal_mm is not None and "world" in log.frames
 
 
 def filtered(

@@ -1,0 +1,75 @@
+"""The screen does little while nothing changes but the ages of the readings, as most of the time."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from typing import Any
+
+import pytest
+from textual.pilot import Pilot
+from textual.screen import Screen
+
+from hilcell.tui.screens import run
+from hilcell.tui.text import deviation, points
+from tests.hilcell.tui.all_screens import isolated
+from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle, text_of
+from tests.hilcell.tui.sample_runs import sample_runs
+
+__all__ = ["isolated"]
+SIZES = ((80, 24), (140, 45))
+SOON = timedelta(seconds=0.3)
+COSTLY = (  # each as its caller finds it
+    (Screen, "_refresh_layout"),
+    (points, "expanded_of"),
+    (deviation, "expanded_of"),
+    (run, "footer_lines"),
+)
+
+pytestmark = pytest.mark.usefixtures("isolated")
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("owner", "name"), COSTLY)
+def test_ages_alone_lay_nothing_out_and_compute_no_budget(
+    owner: Any, name: str, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = counted(monkeypatch, owner, name)
+
+    async def let_time_pass(app: RecordingApp, pilot: Pilot[int]) -> None:
+        before = text_of(app)
+        calls.clear()
+        app.recorded.tick(sample_runs()["running"].now + SOON)
+        app._show()
+        await settle(pilot)
+        assert text_of(app) != before
+        assert not calls
+
+    run_app(let_time_pass, "running", size=size)
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> list[str]:
+    """Return a list that grows with every call of a function or a method."""
+    calls: list[str] = []
+    original = getattr(owner, name)
+
+    def count(*args: Any, **facts: Any) -> Any:
+        calls.append(name)
+        return original(*args, **facts)
+
+    monkeypatch.setattr(owner, name, count)
+    return calls
+
+
+def test_the_tick_leaves_a_screen_that_was_shown_just_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    shows = counted(monkeypatch, run.RunScreen, "show")
+
+    async def tick(app: RecordingApp, pilot: Pilot[int]) -> None:
+        app._show()
+        shows.clear()
+        super(RecordingApp, app)._tick()
+        assert not shows
+        app._shown_s -= 1.0  # the engine has been silent for a second
+        super(RecordingApp, app)._tick()
+        assert shows
+
+    run_app(tick, "running", size=SIZES[0])
