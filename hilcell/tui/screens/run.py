@@ -239,7 +239,8 @@ class RunScreen(FilterScreen):
             return
         self._points_seen = state
         self._rows = [*self._table.rows(view.log)]
-        found = filtered(self._rows, self.filter_text, bad_only=self.bad_only, worst=self.worst_first)
+        order = {"bad_only": self.bad_only, "worst": self.worst_first}
+        found = filtered(self._rows, self.filter_text, **order)
         rows.empty = "no such point" if self.filter_text else "no points yet"
         if self.bad_only and view.log.points:
             all_key = shown(self.application.keymap["bad"][0])
@@ -247,7 +248,7 @@ class RunScreen(FilterScreen):
         rows.follow = not self.worst_first
         rows.show_rows(
             [self._table.drawn(each, waiting, wide) for each in found],
-            columns_for(wide, bad_only=self.bad_only, worst=self.worst_first),
+            columns_for(wide, **order),
         )
         if self._chosen in view.log.points:
             rows.choose(self._chosen)

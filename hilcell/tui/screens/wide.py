@@ -26,6 +26,7 @@ class WidePanels:
     def __init__(self) -> None:
         self._scale: Scale | None = None
         self._side_seen: tuple[object, ...] = ()
+        self._below_place = (0, 0)  # columns and rows
         self._drawn_s = {"side": -math.inf, "below": -math.inf}
 
     def show_side(
@@ -47,10 +48,12 @@ class WidePanels:
         """Show interlocks, next steps and events on a terminal of this height."""
         room = block_rows(height, live=view.live)
         panel.display = room > 0 and view.log.plan is not None
-        if not panel.display or (panel.content_shown is not None and self._early("below")):
-            return
-        errors_mm = {row.point.key: row.norm_mm for row in rows if row.deviation is not None}
         width = panel.size.width or 79
+        place = (width, room)
+        if not panel.display or (place == self._below_place and self._early("below")):
+            return
+        self._below_place = place
+        errors_mm = {row.point.key: row.norm_mm for row in rows if row.deviation is not None}
         panel.show(Content("\n").join(below_lines(view, errors_mm, glyphs, width, room)))
 
     def _early(self, name: str) -> bool:

@@ -175,13 +175,50 @@ def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     return [*lines, Content(""), *_grey(words)]
 
 
+def pose_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
+    """Return AP_p and RP_l of each pose, and the limits that are stated."""
+    lines = [section("figures", WIDTH), _heads("AP_p", "RP_l", "n")]
+    for name, figures in of.figures_by_pose.items():
+        visits = f"{len(of.poses[name].error_mm):>{NUMBER}}"
+        lines.append(row(name, figures).append(Content.styled(visits, "$label")))
+    table = of.log.cell.iso9283
+    stated = (table.ap_limit_mm, table.rp_limit_mm)
+    if any(each is not None for each in stated):
+        lines.append(row("limit", stated))
+        words = ""
+    else:
+        words = "No limits are stated (iso9283.ap_limit_mm, iso9283.rp_limit_mm). "
+    words += "AP_p: from the commanded place to the visits' mean (ISO 9283, 7.2.1)."
+    return [*lines, Content(""), *_grey(words)]
+
+
+def recheck_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
+    """Return |e| now and its predicted bound, mean and largest, and the worst targets."""
+    now_mm, bounds_mm = of.rechecked_mm
+    lines = [section("figures", WIDTH), _heads("mean", "95 %", "max")]
+    lines += [marked(look, each.ink, row(each.name, _three(each.y))) for each in plot.series]
+    if not len(bounds_mm):
+        return [*lines, Content(""), *_grey("The calibration predicts no bound of these targets.")]
+    lines += [Content(""), section("worst targets", WIDTH), _heads("bound", "", "now")]
+    for n in np.argsort(-now_mm, kind="stable")[:MOST_WORST].tolist():
+        lines.append(row(f"target {n + 1}", (float(bounds_mm[n]), None, float(now_mm[n]))))
+    over = int(np.sum(~(now_mm <= bounds_mm)))
+    words = f"{over} of {len(now_mm)} targets over their bound; 95 % are expected below it."
+    return [*lines, Content(""), *_grey(words)]
+
+
 def strip_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return mean and largest of the strip's residual, by station, and its limit."""
     lines = [section("figures", WIDTH), _heads("mean", "", "max")]
     for name, values in of.strip_mm.items():
         lines.append(row(name, (float(values.mean()), None, float(np.abs(values).max()))))
-    lines.append(row("limit", (None, None, of.log.cell.rail.held_within_mm)))
-    words = "max: largest distance from the station, either way."
+    rail = of.log.cell.rail
+    lines.append(row("approached", (None, None, rail.strip_tolerance_mm)))
+    lines.append(row("held within", (None, None, rail.held_within_mm)))
+    words = (
+        "max: largest distance from the station, either way. An approach ends within the "
+        "tolerance; a slide at rest may read up to twice as far off."
+    )
     return [*lines, Content(""), *_grey(words)]
 
 
@@ -216,5 +253,7 @@ FIGURES = {
     "sorted": error_figures,
     "repeatability": repeat_figures,
     "strip": strip_figures,
+    "pose accuracy": pose_figures,
+    "re-check": recheck_figures,
     "sweeps": sweep_figures,
 }

@@ -6,19 +6,22 @@ A plot is chosen by its number, and turned by its pick: a station, or a swept ax
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from hilcell.calibration.errors import HOWS, counting, errors_of
-from hilcell.geometry.statistics import from_mean_mm
+from hilcell.calibration.errors import HOWS, Errors, counting, errors_of
+from hilcell.calibration.pose_test import ISO, attained
+from hilcell.calibration.rechecked import KIND as RECHECK
+from hilcell.calibration.rechecked import rechecked
+from hilcell.geometry.statistics import bounds95_mm, from_mean_mm, repeatability_mm
 from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.journal.ways_sent import WAYS
-from hilcell.ports import Array
+from hilcell.ports import Array, HilcellError
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Mark, Plot, Series
 from hilcell.tui.plots.scale import Scale, even_scale, log_scale, step_at_least
@@ -32,6 +35,7 @@ PLACES = (LIVE, AS_SENT, PAPER, OTHER)
 SHARES = (0, 25, 50, 75, 95)  # percent
 MOST_TICKS = 5
 MOST_PLACES = len(PLACES)
+VISITS = 0.3  # half the room of a pose's visits, in shares of that of the pose
 STROKE = 80  # marks of a line from the bottom of a spectrum
 
 Target = tuple[str, int]  # station and number
@@ -112,10 +116,40 @@ class Measured:
     def visits_mm(self) -> dict[str, Array]:
         """Return the distances of repeated readings from their mean, by place."""
         groups: dict[str, list[Point]] = {}
-        for kind in ("repeat", "repeatability"):
+        for kind in ("repeat", "repeatability", ISO):
             for point in self.log.measured(kind):
                 groups.setdefault(_place(point.id), []).append(point)
         return {name: from_mean_mm(positions_mm(points)) for name, points in groups.items()}
+
+    @cached_property
+    def poses(self) -> dict[str, Errors]:
+        """Return the errors of a pose test at each pose so far."""
+        return attained(self.log) if {"world", "base"} <= self.log.frames.keys() else {}
+
+    @cached_property
+    def figures_by_pose(self) -> dict[str, tuple[float, float]]:
+        """Return AP_p and RP_l (mm) by pose; RP_l is NaN before the second visit."""
+        found = {}
+        for name, each in self.poses.items():
+            distances_mm = from_mean_mm(each.error_mm)
+            rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else math.nan
+            found[name] = (float(np.linalg.norm(each.error_mm.mean(axis=0))), rp_mm)
+        return found
+
+    @cached_property
+    def rechecked_mm(self) -> tuple[Array, Array]:
+        """Return |e| of the re-checked targets so far (N,), and the predicted bounds, 95 %.
+
+        Without bounds (0,) where the calibration does not predict them yet.
+        """
+        points = self.log.select(RECHECK)
+        if not points or "world" not in self.log.frames:
+            return np.zeros(0), np.zeros(0)
+        try:
+            found = rechecked(self.log)
+        except HilcellError:
+            return errors_of(self.log, points).norms_mm, np.zeros(0)
+        return np.linalg.norm(found.errors_mm, axis=1), bounds95_mm(found.each_mm2)
 
     @property
     def swept(self) -> tuple[str, ...]:
@@ -124,6 +158,8 @@ class Measured:
 
 
 def _place(id: PointId) -> str:
+    if id.kind == ISO:
+        return f"pose {id.pose}"
     return f"{id.how} {id.way}" if id.kind == "repeat" else f"place {(id.place or 0) + 1}"
 
 
@@ -163,6 +199,39 @@ def _limit(log: Log, found: Errors3D) -> tuple[tuple[float, ...], str]:
     return limits, "limit of each target"
 
 
+def poses_plot(of: Measured, pick: str = "") -> Plot:
+    """Return AP_p of the poses of a pose test so far, over |e| of each visit."""
+    poses = of.poses
+    at = {name: (n + 0.5) / max(len(poses), 1) for n, name in enumerate(poses)}
+    norms_mm = {name: np.linalg.norm(found.error_mm, axis=1) for name, found in poses.items()}
+    spread = {name: np.linspace(-VISITS, VISITS, len(each)) for name, each in norms_mm.items()}
+    x = [at[name] + spread[name] / max(len(poses), 1) for name in poses]
+    visits = Series("each visit", AS_SENT, _joined(x), _joined(norms_mm.values()))
+    ap_mm = np.array([ap_mm for ap_mm, _ in of.figures_by_pose.values()])
+    series = (visits, Series("AP_p", LIVE, np.array([*at.values()]), ap_mm)) if poses else ()
+    limit_mm = of.log.cell.iso9283.ap_limit_mm
+    ticks = tuple((share, name) for name, share in at.items())
+    limits = () if limit_mm is None else (limit_mm,)
+    return Plot("pose accuracy AP_p, mm", "pose", ticks, series, limits, "limit of AP_p")
+
+
+def recheck_plot(of: Measured, pick: str = "") -> Plot:
+    """Return |e| of the targets of a re-check, beside the bound that the calibration predicts."""
+    found_mm, bounds_mm = of.rechecked_mm
+    count = max(len(found_mm), 1)
+    x = (np.arange(count) + 0.5) / count
+    series = [Series("now", LIVE, x, found_mm)] if len(found_mm) else []
+    if len(bounds_mm):
+        series.insert(0, Series("95 % bound", PAPER, x, bounds_mm))
+    title = "|e| of the re-checked targets, mm"
+    return Plot(title, "re-checked target", _counted(count), tuple(series))
+
+
+def _joined(arrays: Iterable[Array]) -> Array:
+    found: Array = np.concatenate([np.zeros(0), *arrays])
+    return found
+
+
 def repeat_plot(of: Measured, pick: str = "") -> Plot:
     """Return how far repeated readings of a place lie from their mean."""
     values = of.visits_mm
@@ -177,14 +246,17 @@ def repeat_plot(of: Measured, pick: str = "") -> Plot:
 
 
 def strip_plot(of: Measured, pick: str = "") -> Plot:
-    """Return the strip's reading less the station's value at every point, in its own scale."""
+    """Return the strip's reading less the station's value at every point, in its own scale.
+
+    The limit is that of a slide that is held: twice the tolerance to which it was approached.
+    """
     shown = [each for name, each in of.strip_mm.items() if pick in ("", name)]
     values = np.concatenate([np.zeros(0), *shown])
     x = (np.arange(len(values)) + 0.5) / max(len(values), 1)
     within_mm = of.log.cell.rail.held_within_mm
     series = (Series("strip", LIVE, x, values),) if len(values) else ()
     return Plot("strip's reading less the station's, mm", "point", _counted(len(values)), series,
-                (within_mm, -within_mm))  # fmt: skip
+                (within_mm, -within_mm), "station held within")  # fmt: skip
 
 
 def sweep_plot(of: Measured, pick: str = "") -> Plot:
@@ -254,13 +326,20 @@ TABS = (
     Tab("strip", strip_plot, _stops),
 )
 OF_ROBOT = TABS[:-1]
+POSES = Tab("pose accuracy", poses_plot, _no_picks, may_be_log=True)
+RECHECKED = Tab("re-check", recheck_plot, _no_picks, may_be_log=True)
+OF_PROCEDURE = {ISO: (POSES, TABS[2]), RECHECK: (RECHECKED,)}  # before that of the strip
 SWEEPS = Tab("sweeps", sweep_plot, _axes)
 MOST_TABS = len(TABS) + 1
 
 
 def tabs_of(log: Log) -> tuple[Tab, ...]:
     """Return the plots of a run: of the strip where there is a rail, of sweeps that were made."""
-    tabs = TABS if log.plan is None or log.cell.has_rail else OF_ROBOT
+    has_rail = log.plan is None or log.cell.has_rail
+    own = OF_PROCEDURE.get(log.plan.procedure) if log.plan is not None else None
+    if own is not None:
+        return (*own, TABS[-1]) if has_rail else own
+    tabs = TABS if has_rail else OF_ROBOT
     return (*tabs, SWEEPS) if log.curves else tabs
 
 

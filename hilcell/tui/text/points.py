@@ -207,7 +207,7 @@ def point_page(view: RunView, key: str) -> Content:
             facts.append(("limit, mm", f"{found.limit_mm:.3f}, U {found.U_mm:.3f} (k = 2)"))
         facts += _repeated(view.log, point)
         point = counting(view.log, point)
-    facts += _measured(point)
+    facts += _measured(point, has_rail=view.has_rail)
     return Content("\n").join(
         Content.assemble((f"{name:<28}", "$label"), text) for name, text in facts
     )
@@ -227,29 +227,31 @@ def _repeated(log: Log, point: Point) -> list[tuple[str, str]]:
     return [("|e| first, then again, mm", ", ".join(texts))]
 
 
-def _measured(point: Point) -> list[tuple[str, str]]:
+def _measured(point: Point, *, has_rail: bool) -> list[tuple[str, str]]:
     facts = [
         ("reading, tracker {L}, mm", _numbers(point.xyz_mm, 4)),
         ("standard deviation, mm", f"{_numbers(point.std_mm, 4)}   rms {rms(point.std_mm):.4f}"),
         ("samples", str(point.samples)),
         ("reflector", point.reflector),
         ("air", _air(point)),
-        ("readings", _readings(point)),
+        ("readings", _readings(point, has_rail=has_rail)),
         ("session", str(point.session)),
     ]
     if point.commanded_deg is not None:
         facts.append(("joints commanded, deg", _numbers(point.commanded_deg, 3)))
     if point.joints_deg is not None:
         facts.append(("joints read back, deg", _numbers(point.joints_deg, 3)))
-    if point.rail_mm is not None and point.strip_mm is not None:
+    if has_rail and point.rail_mm is not None and point.strip_mm is not None:
         facts.append(("rail / strip, mm", f"{point.rail_mm:.3f} / {point.strip_mm:.2f}"))
     return facts
 
 
-def _readings(point: Point) -> str:
+def _readings(point: Point, *, has_rail: bool) -> str:
     if (times := point.readings) is None:
         return "times not recorded"
     known = {"tracker": times.tracker, "rail": times.rail, "robot": times.robot}
+    if not has_rail:
+        del known["rail"]
     ages = ", ".join(f"{name} {each.age_s:.2f}" for name, each in known.items() if each)
     settled_s = times.settled_s
     rest = "" if settled_s is None else f"; at rest for {settled_s:.2f} s when measured"

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from textual.content import Content
 
+from hilcell.calibration.pose_test import ISO
+from hilcell.calibration.rechecked import KIND as RECHECK
 from hilcell.journal.log import Log
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
@@ -20,10 +23,19 @@ from hilcell.tui.text.deviation import PointRow
 from hilcell.tui.text.lines import section
 from hilcell.tui.text.map import NO_POINT, Volume, map_lines
 from hilcell.tui.text.plot_figures import mark_of
-from hilcell.tui.text.plots import Errors3D, mean_of, target_plot
+from hilcell.tui.text.plots import (
+    Errors3D,
+    Measured,
+    mean_of,
+    poses_plot,
+    recheck_plot,
+    target_plot,
+)
 
 MAP_ROWS, LEAST_PLOT = 22, 9
-KINDS = ("grid", "validate")
+KINDS = ("grid", "validate", ISO, RECHECK)
+PLOTS = {ISO: poses_plot, RECHECK: recheck_plot}  # of procedures that have a plot of their own
+TITLES = {ISO: "|e| of the poses", RECHECK: "|e| re-checked"}
 NOTHING_YET = "the map and the errors appear with the first target"
 SHOWN = ("before", "chosen")  # the paper's method has a place on the page of plots
 Rows = list[PointRow]
@@ -65,7 +77,7 @@ def volume_of(log: Log, targets: Rows) -> Volume:
         _rail_axis(log),
         last if shown[last] is newest else NO_POINT,
         planned_targets(log) if after else 0,
-        "|e| after correction" if after else "|e| as sent",
+        TITLES.get(newest.point.id.kind, "|e| after correction" if after else "|e| as sent"),
         stations,
         newest.point.station,
     )
@@ -111,13 +123,23 @@ def _plot(
     log: Log, targets: Rows, width: int, height: int, look: Look, before: Scale | None
 ) -> tuple[Lines, Scale]:
     """Return |e| at the newest station, as sent and corrected, with its legend."""
-    station = max(targets, key=lambda row: log.recorded(row.point)).point.station
+    newest = max(targets, key=lambda row: log.recorded(row.point)).point
+    if own := PLOTS.get(newest.id.kind):
+        return _drawn(own(Measured(log), ""), width, height, look, before)
+    station = newest.station
     found = _errors(log, [row for row in targets if row.point.station == station])
     limits = () if found.grid else (log.cell.validation.max_tolerance_mm,)
     plot = target_plot(found, limits, "limit")
-    scale = log_scale(plot.values, plot.limits, before)
     what = "grid point" if found.grid else "target"
-    head = section(f"|e| at {station}, {what} by {what}, mm", width)
+    plot = replace(plot, title=f"|e| at {station}, {what} by {what}, mm")
+    return _drawn(plot, width, height, look, before)
+
+
+def _drawn(
+    plot: Plot, width: int, height: int, look: Look, before: Scale | None
+) -> tuple[Lines, Scale]:
+    scale = log_scale(plot.values, plot.limits, before)
+    head = section(plot.title, width)
     drawn = draw(plot, scale, width, max(height - 2, 5), look, named=False)
     return [head, _legend(plot, look, width), *drawn], scale
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import msgspec
@@ -13,62 +15,73 @@ from hilcell.journal.journal import Record
 from hilcell.tui.widgets import Column, Row
 
 PROCEDURE = 13
-NARROW = (
-    Column("", 1),
-    Column("begun UTC", 16),
-    Column("procedure", PROCEDURE),
-    Column("state", 16),
-    Column("points", 6, right=True),
-    Column("before", 6, right=True),
-    Column("after", 6, right=True),
-    Column("job", 6),
-)
-WIDE = (
-    *NARROW[:-1],
-    Column("max mm", 6, right=True),
-    Column("job", 12),
-    Column("operator", 12),
-    Column("cell", 12),
-    Column("kind", 9),
-    Column("run", 36),
-)
-WIDE_FROM = 130
+_BEGUN, _DATE = Column("begun UTC", 16), Column("begun", 10)
+_ALWAYS = 63  # columns of date with time, procedure, verdict and operator, and of the edges
 _RUN_TONES = {"finished": "", "aborted": "label", "faulted": "fault"}
 
 
-def columns_for(width: int) -> tuple[Column, ...]:
-    """Return the columns that fit; mean |e| before and after in mm."""
-    return WIDE if width >= WIDE_FROM else NARROW
+@dataclass(frozen=True, slots=True)
+class _Cell:
+    """One column of the history: its text, and what goes first where there is little room."""
+
+    column: Column
+    text: Callable[[RunRow], str]
+    rank: int = 0  # 0: always there
 
 
-def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
-    """Return the cells of one run; ``marked`` are those to be compared."""
-    state = "LIVE " + run.state if run.live else "engine gone" if run.gone else run.condition
+def _outcome(run: RunRow) -> str:
+    """Return the verdict of a run that has finished, the state of every other."""
     if run.finished and not run.live:
-        state = run.verdict.partition(";")[0]
-    mark = "*" if run.name in marked else ""
-    begun = run.begun[:16].replace("T", " ")
-    tone = (
-        "live" if run.live else "fault" if run.exit in (1, 3) else _RUN_TONES.get(run.state, "ask")
-    )
-    head = (
-        mark,
-        begun,
-        run.procedure or run.name[-PROCEDURE:],
-        state,
-        str(run.points or ""),
-        _mm(run.before_mean_mm),
-        _mm(run.chosen_mean_mm),
-    )
-    if width < WIDE_FROM:
-        return Row(run.name, (*head, run.job), tone)
-    kind = "simulated" if run.simulated else "real"
-    tail = (_mm(run.chosen_max_mm), run.job, run.operator, run.cell, kind, run.name)
-    return Row(run.name, head + tail, tone)
+        return run.verdict.partition(";")[0]
+    return "LIVE " + run.state if run.live else "engine gone" if run.gone else run.condition
 
 
 def _mm(value: float | None) -> str:
     return "" if value is None else f"{value:.3f}"
+
+
+_CELLS = (
+    _Cell(Column("procedure", PROCEDURE), lambda run: run.procedure or run.name[-PROCEDURE:]),
+    _Cell(Column("verdict or state", 16), _outcome),
+    _Cell(Column("operator", 10), attrgetter("operator")),
+    _Cell(Column("points", 6, right=True), lambda run: str(run.points or ""), 3),
+    _Cell(Column("before", 6, right=True), lambda run: _mm(run.before_mean_mm), 2),
+    _Cell(Column("after", 6, right=True), lambda run: _mm(run.chosen_mean_mm), 1),
+    _Cell(Column("max mm", 6, right=True), lambda run: _mm(run.chosen_max_mm), 5),
+    _Cell(Column("job", 12), attrgetter("job"), 4),
+    _Cell(Column("cell", 12), attrgetter("cell"), 6),
+    _Cell(Column("kind", 9), lambda run: "simulated" if run.simulated else "real", 7),
+    _Cell(Column("run", 36), attrgetter("name"), 8),
+)
+
+
+def _cells_for(width: int) -> list[_Cell]:
+    """Return the columns that fit, in their order."""
+    free = width - _ALWAYS
+    left_out = False
+    kept = {0}
+    for cell in sorted(_CELLS, key=attrgetter("rank")):
+        if cell.rank and not left_out:
+            free -= cell.column.width + 1
+            left_out = free < 0
+            kept |= set() if left_out else {cell.rank}
+    return [cell for cell in _CELLS if cell.rank in kept]
+
+
+def columns_for(width: int) -> tuple[Column, ...]:
+    """Return the columns that fit; mean |e| before and after in mm."""
+    begun = _BEGUN if width >= _ALWAYS else _DATE
+    return Column("", 1), begun, *(cell.column for cell in _cells_for(width))
+
+
+def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
+    """Return the cells of one run; ``marked`` are those to be compared."""
+    tone = (
+        "live" if run.live else "fault" if run.exit in (1, 3) else _RUN_TONES.get(run.state, "ask")
+    )
+    begun = run.begun.replace("T", " ")[: columns_for(width)[1].width]
+    texts = (cell.text(run) for cell in _cells_for(width))
+    return Row(run.name, ("*" if run.name in marked else "", begun, *texts), tone)
 
 
 COLUMNS = (

@@ -145,6 +145,7 @@ def test_the_strip_is_shown_less_its_station_between_its_limits() -> None:
     assert plot.series[0].y == pytest.approx([0.0, 0.02])
     within_mm = 2.0 * of.log.cell.rail.strip_tolerance_mm
     assert plot.limits == (within_mm, -within_mm)
+    assert plot.limit_name == "station held within"
 
 
 @pytest.mark.parametrize("tab", TABS, ids=lambda tab: tab.name)

@@ -1,7 +1,8 @@
-"""The screen does little while nothing changes but the ages of the readings, as most of the time."""
+"""The screen does little while nothing changes but the ages of the readings."""
 
 from __future__ import annotations
 
+import math
 from datetime import timedelta
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.screen import Screen
 
-from hilcell.tui.screens import run
+from hilcell.tui.screens import run, wide
 from hilcell.tui.text import deviation, points
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle, text_of
@@ -73,3 +74,16 @@ def test_the_tick_leaves_a_screen_that_was_shown_just_now(monkeypatch: pytest.Mo
         assert shows
 
     run_app(tick, "running", size=SIZES[0])
+
+
+def test_the_rows_below_fill_their_width_however_soon_they_are_drawn_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(wide, "REDRAW_S", math.inf)
+
+    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+        rule = next(line for line in text_of(app).splitlines() if "─ interlocks ─" in line)
+        assert rule.partition("│")[0].endswith("─")
+        assert len(rule.partition("│")[0]) == app.screen.query_one("#left").size.width + 1
+
+    run_app(look, "running", size=(160, 40))

@@ -15,9 +15,6 @@ from hilcell.tui.screens.history import COLUMNS as COMPARED
 from hilcell.tui.screens.history import change_row
 from hilcell.tui.text.tables import (
     COLUMNS,
-    NARROW,
-    WIDE,
-    WIDE_FROM,
     columns_for,
     history_row,
     record_row,
@@ -89,7 +86,10 @@ def test_the_records_of_every_run_are_one_line_each(name: str) -> None:
 # -- the history -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("width", [60, 80, WIDE_FROM, 200])
+WIDTHS = (58, 60, 61, 79, 80, 100, 119, 120, 130, 138, 200)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
 def test_the_history_fits_its_columns(width: int) -> None:
     for run in RUNS:
         row = history_row(run, (), width)
@@ -115,9 +115,20 @@ def test_the_history_tells_how_a_run_ended() -> None:
     assert [history_row(run, (), 200).tone for run in RUNS[:2]] == ["", "fault"]
 
 
-def test_a_screen_of_eighty_columns_holds_the_history() -> None:
-    for columns, width in ((NARROW, 80), (WIDE, 200)):
-        assert sum(column.width + 1 for column in columns) <= width
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_history_always_has_date_procedure_verdict_and_operator(width: int) -> None:
+    columns = columns_for(width)
+    assert sum(column.width + 1 for column in columns) <= width - 1, "beside the simulation's edge"
+    found = dict(
+        zip([each.title for each in columns], history_row(RUNS[0], (), width).cells, strict=True)
+    )
+    date = found.get("begun UTC") or found["begun"]
+    assert date.startswith("2026-03-04")
+    assert found["procedure"] == "calibrate"
+    assert found["verdict or state"] == "in tolerance"
+    assert found["operator"] == "Ann"
+    if width >= 80:
+        assert found["after"] == "0.110"
 
 
 def test_a_comparison_tells_stations_apart_in_80_columns() -> None:

@@ -1,0 +1,89 @@
+"""A pose test and a re-check have plots of their own: as the screen draws their runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.journal.log import Log
+from hilcell.journal.runs import read_records
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.plots.draw import Look
+from hilcell.tui.text.deviation import row_of
+from hilcell.tui.text.plot_page import Choice, plot_lines
+from hilcell.tui.text.plots import Measured, tabs_of
+from hilcell.tui.text.points import point_page
+from hilcell.tui.text.side import side_lines
+from tests.whole.bench import SMALL, hilcell, sets
+from tests.whole.golden import GoldenRuns
+
+LOOK = Look()
+
+
+def view_of(runs: Path, *words: str) -> RunView:
+    """Return the view of a run that was done in a cell of its own."""
+    done = hilcell("run", *words, "--unattended", "--name", "R", "--runs", runs)
+    assert done.returncode == 0, done.stderr
+    view = RunView("R")
+    for record in read_records(runs / "R"):
+        view.take(record)
+    return view
+
+
+def page(of: Measured, tab: int = 0) -> str:
+    """Return the page of plots on a terminal of 120 columns."""
+    lines = plot_lines(of, Choice(tab=tab), 119, 26, LOOK)
+    assert max(line.cell_length for line in lines) <= 119
+    return "\n".join(line.plain for line in lines)
+
+
+def beside(view: RunView) -> str:
+    """Return the map and the plot of a wide terminal."""
+    rows = [row_of(view.log, point) for point in view.log.points.values()]
+    lines, _ = side_lines(view, rows, 58, 42, LOOK)
+    return "\n".join(line.plain for line in lines)
+
+
+@pytest.mark.timeout(180)
+def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
+    short = SMALL | {"base_frame.points": "5", "iso9283.cycles": "3", "iso9283.ap_limit_mm": "3"}
+    view = view_of(tmp_path, "iso9283", "--cell", "fixed", *sets(short))
+    of, log = Measured(view.log), view.log
+    assert log.end is not None
+    wanted = log.end["result"]["iso9283"]["poses"]
+    found = of.figures_by_pose
+    assert found.keys() == wanted.keys()
+    for name, figures in found.items():
+        np.testing.assert_allclose(figures, (wanted[name]["ap_mm"], wanted[name]["rp_mm"]))
+    assert [tab.name for tab in tabs_of(log)] == ["pose accuracy", "repeatability"]
+    for words in ("pose accuracy AP_p, mm", "P5", "limit of AP_p", "limit        3.000"):
+        assert words in page(of), words
+    assert "pose P3" in page(of, 1)
+    for words in ("map: |e| of the poses", "15 targets", "pose accuracy AP_p, mm"):
+        assert words in beside(view), words
+    text = point_page(view, next(point.key for point in log.select("iso9283"))).plain
+    assert "rail" not in text.replace("rails", "")
+
+
+@pytest.mark.timeout(300)
+def test_a_recheck_shows_each_target_with_its_bound(golden: GoldenRuns, tmp_path: Path) -> None:
+    words = SMALL | {"recheck.calibration": str(golden["small"].folder)}
+    view = view_of(tmp_path, "recheck", "--seed", "1", *sets(words))
+    of, log = Measured(view.log), view.log
+    assert log.end is not None
+    wanted = log.end["result"]["recheck"]["poses"]
+    now_mm, bounds_mm = of.rechecked_mm
+    np.testing.assert_allclose(now_mm, [each["error_mm"] for each in wanted])
+    np.testing.assert_allclose(bounds_mm, [each["bound_mm"] for each in wanted])
+    assert [tab.name for tab in tabs_of(log)] == ["re-check", "strip"]
+    for text in ("|e| of the re-checked targets, mm", "95 % bound", "worst targets"):
+        assert text in page(of), text
+    assert "map: |e| re-checked" in beside(view)
+
+
+def test_before_its_first_pose_a_plot_says_so() -> None:
+    of = Measured(Log())
+    assert of.poses == {}
+    assert [len(each) for each in of.rechecked_mm] == [0, 0]
