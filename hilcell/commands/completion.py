@@ -1,6 +1,7 @@
 """``completion``: a script by which bash, zsh, fish or tcsh completes commands, options and names.
 
-Files are completed where an argument's name is that of a file; cells, procedures and runs by name.
+Files are completed where an argument's name is that of a file; cells, procedures and runs by name,
+alarms by code.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from importlib.metadata import entry_points
 
 import shtab
 
+from hilcell.alarms.catalogue import catalogue
 from hilcell.cell.source import built_in_cells
 from hilcell.commands.cli import whole_parser
 from hilcell.commands.output import print_data
@@ -19,17 +21,20 @@ from hilcell.commands.output import print_data
 Completer = dict[str, str | dict[str, str]]  # by shell, as shtab has it
 _FILE = re.compile(r"FILE|OUT|TARGETS|HOLES|\.csv|\.toml")
 _FOLDER = re.compile(r"DIR|FOLDER")
-# The C locale draws the table of runs in ASCII; three lines of it are its head.
-_NAMES = "LC_ALL=C hilcell runs 2>/dev/null | tail -n +4 | cut -s -d'|' -f2"
+# The lines of the table of runs are bars in ASCII, or box characters; three of it are its head.
+_LISTED = "hilcell runs 2>/dev/null | LC_ALL=C sed '1,3d; s/│/|/g' | cut -s -d'|'"
+_NAMES, _CELLS_OF_RUNS = f"{_LISTED} -f2", f"{_LISTED} -f4 | sort -u"
 _CELLS = " ".join(sorted(built_in_cells()))
 PREAMBLE = {
     "bash": f"""
 _hilcell_run() {{ compgen -W "last $({_NAMES})" -- "$1"; }}
 _hilcell_cell() {{ compgen -W "{_CELLS}" -- "$1"; compgen -f -X '!*.toml' -- "$1"; }}
+_hilcell_cell_of_runs() {{ compgen -W "$({_CELLS_OF_RUNS})" -- "$1"; }}
 """,
     "zsh": f"""
 _hilcell_run() {{ compadd last $({_NAMES}) }}
 _hilcell_cell() {{ compadd {_CELLS}; _files -g '*.toml' }}
+_hilcell_cell_of_runs() {{ compadd $({_CELLS_OF_RUNS}) }}
 """,
 }
 _NAMED: dict[str, Completer] = {
@@ -37,6 +42,7 @@ _NAMED: dict[str, Completer] = {
     "CALIBRATION": {"bash": "_hilcell_run", "zsh": "_hilcell_run"},
     "CELL": {"bash": "_hilcell_cell", "zsh": "_hilcell_cell"},
 }
+_CELL_OF_RUNS: Completer = {"bash": "_hilcell_cell_of_runs", "zsh": "_hilcell_cell_of_runs"}
 
 
 def completion(args: argparse.Namespace) -> int:
@@ -45,7 +51,9 @@ def completion(args: argparse.Namespace) -> int:
     for action in _actions(parser):
         if action.dest == "procedure":
             action.choices = sorted(entry_points(group="hilcell.procedures").names)
-        elif (by := _completed_by(str(action.metavar or ""))) is not None:
+        elif action.metavar == "CODE":
+            action.choices = sorted(catalogue())
+        elif (by := _completed_by(action)) is not None:
             action.complete = by  # type: ignore[attr-defined] # the attribute that shtab reads
     print_data(shtab.complete(parser, args.shell, preamble=PREAMBLE.get(args.shell, "")))
     return 0
@@ -59,8 +67,11 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
             yield from _actions(command)
 
 
-def _completed_by(name: str) -> Completer | None:
-    """Return what completes an argument of this name; None for words of no list."""
+def _completed_by(action: argparse.Action) -> Completer | None:
+    """Return what completes an argument; None for words of no list."""
+    name = str(action.metavar or "")
+    if (action.dest, name) == ("cell", "NAME"):
+        return _CELL_OF_RUNS
     if name in _NAMED:
         return _NAMED[name]
     if _FOLDER.search(name):

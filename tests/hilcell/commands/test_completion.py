@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.commands.cli import main
+from tests.hilcell.commands.finished_runs import MADE, finished
 
 BIN = Path(sys.executable).parent
 ASK = """
@@ -36,11 +37,16 @@ def completed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
         (["check", "mi"], ["mine.toml"]),
         (["plan", "ho"], ["holes.csv"]),
         (["show", "la"], ["last"]),
+        (["show", "1-m"], ["1-made"]),
+        (["runs", "--cell", "pap"], ["paper"]),
+        (["runs", "--cell", "six"], []),
+        (["explain", "HC-J0"], [f"HC-J0{number}" for number in range(1, 10)]),
     ],
 )
 def test_bash_completes(completed: Path, words: list[str], wanted: list[str]) -> None:
     Path(completed, "holes.csv").touch()
     Path(completed, "mine.toml").touch()
+    finished(completed, "1-made", MADE)
     answer = subprocess.run(
         ["bash", "-c", ASK, "bash", "hilcell", *words],
         cwd=completed, env={"PATH": f"{BIN}:/usr/bin:/bin", "HILCELL_RUNS": str(completed)},
