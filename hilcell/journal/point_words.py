@@ -35,6 +35,7 @@ KINDS = {
     "pose": ("chosen pose", "pose"),
     "repeatability": ("repeated pose", "repeat"),
     "revisit": ("revisited pose", "revisit"),
+    "closing": ("closing pose", "closing"),
     "reversal": ("reversed pose", "reverse"),
     "recheck": ("re-checked target", "target"),
     "target": ("target", "target"),

@@ -16,6 +16,7 @@ from hilcell.report.facts import Facts
 from hilcell.report.target_budget import TargetBudget
 
 MOST = 10
+NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +93,7 @@ def _row(log: Log, rank: int, point: Point, before: Point | None, budget: Target
     found = errors_of(log, [point])
     return Worst(
         rank,
-        f"{(point.id.number or 0) + 1} at {point.station}",
+        f"{(point.id.number or 0) + 1} at {point.station}".replace(" ", NO_BREAK),
         found.nominal_mm[0],
         float(errors_of(log, [before]).norms_mm[0]) if before is not None else None,
         found.error_mm[0],

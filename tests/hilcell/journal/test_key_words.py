@@ -25,6 +25,7 @@ def log() -> Log:
         ("measure validate/S300/chosen/049/seat2.",
          "measure corrected target 50, seat 2 at S300."),
         ("measure held/S300/1-0/P1", "measure proof of the hold: nest P1 at S300"),
+        ("visited once more: closing/0-1-0", "visited once more: closing pose 0-1-0"),
         ("measure control/2-0/F3", "measure check of floor nest F3"),
         ("robot.sweep sweep/A1/up", "robot.sweep sweep of A1 up"),
         ("Cell: verdict validation.S1900", "Cell: validation at S1900"),
