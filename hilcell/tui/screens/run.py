@@ -11,6 +11,7 @@ from textual.containers import Horizontal, Vertical
 from textual.content import Content
 from textual.widgets import Input
 
+from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
 from hilcell.tui.screens.pages import FilterScreen
@@ -135,10 +136,21 @@ class RunScreen(FilterScreen):
         return "verdict" if known else ""
 
     def _result_of(self, view: RunView) -> Result | None:
-        """Return the result of a run without a validation; read once, its table is imported."""
-        if self._result[0] is not view.log.end:
-            self._result = (view.log.end, result_of(view))
+        """Return the result of a run without a validation, once it is read."""
+        end = view.log.end
+        if self._result[0] is not end:
+            self._result = (end, None)
+            if end is not None and verdict_of(view) is None:
+                self.application.start_task(self._read_result(view))
         return self._result[1]
+
+    async def _read_result(self, view: RunView) -> None:
+        """Read the result off the thread that takes keys: its procedure is imported."""
+        end = view.log.end
+        found = await run_in_thread(result_of, view)
+        if view.log.end is end:
+            self._result = (end, found)
+            self.show_again()
 
     def _show_middle(self, view: RunView) -> None:
         """Show the newest point or what stands in its place, and the status under the points."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from datetime import timedelta
 from typing import Any
 
@@ -11,7 +12,7 @@ from textual.pilot import Pilot
 from textual.screen import Screen
 
 from hilcell.tui.screens import run, wide
-from hilcell.tui.text import deviation, points
+from hilcell.tui.text import deviation, points, result
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle, text_of
 from tests.hilcell.tui.sample_runs import sample_runs
@@ -87,3 +88,22 @@ def test_the_rows_below_fill_their_width_however_soon_they_are_drawn_again(
         assert len(rule.partition("│")[0]) == app.screen.query_one("#left").size.width + 1
 
     run_app(look, "running", size=(160, 40))
+
+
+def test_a_procedure_is_imported_off_the_thread_that_takes_keys(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    threads: list[threading.Thread] = []
+
+    def load(group: str, name: str) -> None:
+        threads.append(threading.current_thread())
+        raise LookupError(name)
+
+    monkeypatch.setattr(result, "load_entry", load)
+    monkeypatch.setattr(run, "verdict_of", lambda view: None)
+
+    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+        assert threads
+        assert threading.main_thread() not in threads
+
+    run_app(look, "done", size=SIZES[0])
