@@ -18,10 +18,11 @@ from hilcell.calibration.pose_test import (
     commanded_mm,
     judgement,
     pose_test,
+    turn_words,
     velocity_percent,
 )
 from hilcell.cell.file import Cell
-from hilcell.compensation.correction import corrected
+from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply
 from hilcell.geometry.pose_test import CYCLE
 from hilcell.journal.log import Log
@@ -34,7 +35,7 @@ from hilcell.run.procedure import Procedure, Span, Step, Table
 from procedures.base_frame import BaseFrame
 from procedures.durations import closing, measure_s, robot_moves_s, step
 from procedures.home import Home
-from procedures.plan import check_targets, poses_at
+from procedures.plan import angles_deg, check_targets, poses_at
 from procedures.recheck import use
 from procedures.station import HoldStation
 from procedures.world_frame import WorldFrame
@@ -75,8 +76,8 @@ class PoseTest:
     name = ISO
     needs = "the base frame, the station held"
     moves = "the robot from pose to pose of the cycle"
-    measures = "the flange reflector at five poses, cycle after cycle"
-    yields = "AP, RP, AD and RD of ISO 9283, positions only"
+    measures = "the reflectors on the flange at five poses, cycle after cycle"
+    yields = "AP, RP, AD and RD of ISO 9283, of positions and, with several reflectors, of angles"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse poses out of reach, and ways of the cycle that are not clear."""
@@ -87,24 +88,28 @@ class PoseTest:
         check_path(cell, station, before_rad, joints_rad, "way of the ISO 9283 cycle")
         percent = np.full(len(joints_rad), velocity_percent(cell))
         moves_s = robot_moves_s(cell, before_rad, joints_rad, percent)
-        at_each_s = cell.settle.robot_s + measure_s(cell, cell.tracker.samples)
-        cycles, visits = cell.iso9283.cycles, cell.iso9283.cycles * len(CYCLE)
+        seats = len(cell.robot.seats_mm)
+        at_each_s = cell.settle.robot_s + seats * measure_s(cell, cell.tracker.samples)
+        cycles, points = cell.iso9283.cycles, cell.iso9283.cycles * len(CYCLE) * seats
         cycle_s = float(moves_s.sum()) + len(CYCLE) * at_each_s
-        spans = [Span("cycle", visits, cycles * cycle_s)]
-        return step(self.name, visits, [*spans, *closing(cell, carried=True, points=visits)])
+        spans = [Span("cycle", points, cycles * cycle_s)]
+        return step(self.name, points, [*spans, *closing(cell, carried=True, points=points)])
 
     def perform(self, session: CellSession) -> None:
         """Measure every visit, prove the tracker, judge the limits that are stated."""
         station = session.cell.station_named(session.cell.grid.station)
         joints_rad = commands_rad(session.cell, calibration_in(session.log) is not None)
         at_mm = np.array([commanded_mm(session.cell)[name] for name in CYCLE])
-        nominal_mm = apply(session.frames.base_in_world(station), at_mm)
+        T_W_B = session.frames.base_in_world(station)
+        nominal_mm = apply(T_W_B, at_mm)
+        nominal_deg = angles_deg(T_W_B, poses_at(session.cell, at_mm))
         percent = velocity_percent(session.cell)
         for id, n in visits(session.cell):
             straight = Straight(joints_rad[n - 1], percent)
             session.flange_point(
-                id, station, joints_rad[n], nominal_mm=nominal_mm[n], straight=straight
-            )
+                id, station, joints_rad[n], nominal_mm=nominal_mm[n], nominal_deg=nominal_deg[n],
+                seats=True, straight=straight,
+            )  # fmt: skip
         session.close_step(carried=True)
         if judged := judgement(pose_test(session.log)):
             session.verdict(ISO, **judged)
@@ -140,7 +145,7 @@ def commands_rad(cell: Cell, calibrated: bool) -> Array:
     poses = poses_at(cell, np.array([commanded_mm(cell)[name] for name in CYCLE]))
     if calibrated:
         calibration = calibration_named(cell, ISO)
-        poses[:, :3, 3] = corrected(calibration.grid(), poses, calibration.error_model())
+        poses = corrected_poses(calibration.grid(), poses, calibration.error_model())
     return check_targets(cell, cell.station_named(cell.grid.station), poses, WHAT)
 
 
@@ -171,8 +176,9 @@ def pose_words(result: dict[str, Any]) -> str:
     return (
         f"The robot {tested}: AP_p {worst['ap_mm']:.3f} mm at worst ({worst['ap_pose']}), RP_l "
         f"{worst['rp_mm']:.3f} mm ({worst['rp_pose']}); distance {way['from']}-{way['to']}: AD "
-        f"{way['ad_mm']:+.4f} mm (U {way['ad_u95_mm']:.4f}), RD ±{way['rd_mm']:.4f} mm. Departures "
-        f"from ISO 9283: {'; '.join(found['deviations'])}."
+        f"{way['ad_mm']:+.4f} mm (U {way['ad_u95_mm']:.4f}), RD ±{way['rd_mm']:.4f} mm."
+        f"{turn_words(found.get('orientation', {}))} Departures from ISO 9283: "
+        f"{'; '.join(found['deviations'])}."
     )
 
 

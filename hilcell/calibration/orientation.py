@@ -76,7 +76,8 @@ class Turned:
 
 def seats_of(log: Log) -> Array | None:
     """Return where the reflectors (K, 3) are on the flange; None where the run cannot tell."""
-    if not log.cell.robot.more_smr_mm or not {"world", "base"} <= log.frames.keys():
+    framed = {"world", "base"} <= log.frames.keys()
+    if not (log.cell.robot.more_smr_mm and framed and log.select("grid")):
         return None
     try:
         return seats_mm(measured_of(log))
@@ -175,12 +176,21 @@ def largest_turn(log: Log, turned: Turned | None) -> Turn:
 
 def expanded_deg(log: Log, turned: Turned) -> Array:
     """Return U (N,) of each angle: along the axis about which it is least certain."""
+    return _expanded_deg(turned_rad2(log, turned))
+
+
+def turned_rad2(log: Log, turned: Turned, *, readings: bool = True) -> Array:
+    """Return the covariances (N, 3, 3) of measured orientations, axes of {W}; those that many
+    attainments of a pose share are without the noise of ``readings``.
+    """
     stated = log.cell.uncertainty
-    covariance_rad2 = turned.reading_rad2 + _stated_mm2(log.cell) * turned.per_mm2_rad2
+    covariance_rad2 = _stated_mm2(log.cell) * turned.per_mm2_rad2
+    if readings:
+        covariance_rad2 = covariance_rad2 + turned.reading_rad2
     if len(floor_points(log)) == FLOOR_NESTS:
         centring_mm2 = rectangular_variance(stated.smr_centring_limit_mm)
         covariance_rad2 = covariance_rad2 + world_covariance(log, np.zeros(3), centring_mm2)[3:, 3:]
-    return _expanded_deg(covariance_rad2)
+    return covariance_rad2
 
 
 def check_turn_limit(cell: Cell) -> None:

@@ -3,6 +3,9 @@
 AP compares with the commanded pose in {B}. Where {B} was measured in the run, its uncertainty is
 AP's too; where a calibration gave it, that of {W} is, by which the tracker finds it again. RP, AD
 and RD need no frame.
+
+With several reflectors on the flange the orientation is measured as well. RP of its angles needs no
+more; AP needs to know where the reflectors are on the flange, and only a calibration does.
 """
 
 from __future__ import annotations
@@ -17,7 +20,9 @@ from hilcell.calibration.contribution import combined_mm, expanded_mm
 from hilcell.calibration.errors import Errors, errors_of
 from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of
+from hilcell.calibration.orientation import Turned, turned_of, turned_rad2
 from hilcell.cell.file import Cell
+from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.pose_test import (
     CYCLE,
@@ -29,6 +34,7 @@ from hilcell.geometry.pose_test import (
     cube_side_mm,
     distance_figures,
     pose_figures,
+    turn_figures,
 )
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point, variances_mm2
@@ -37,8 +43,9 @@ from hilcell.ports import Array
 ISO = "iso9283"  # kind of the points, key of result and verdict
 STANDARD_CYCLES = 30
 RATED_PERCENT = 100.0
-NOT_MEASURED = ["AP_a", "AP_b", "AP_c", "RP_a", "RP_b", "RP_c"]
+ANGLES = ("a", "b", "c")
 LIMITS = ("ap", "rp", "ad", "rd")
+TURN_LIMITS = ("ap", "rp")  # of angles
 PAUSED = ("paused", "suspended")  # states of a run
 
 
@@ -80,7 +87,7 @@ def pose_test(log: Log) -> dict[str, Any]:
         name: _pose(log, name, _figures(each), corrected=bool(corrected_by))
         for name, each in clouds.items()
     }
-    distance = _distance(log, clouds)
+    distance, turns = _distance(log, clouds), _turns(log)
     worst = {key: max(poses, key=lambda name: poses[name][f"{key}_mm"]) for key in ("ap", "rp")}
     found = {
         **_conditions(log),
@@ -97,10 +104,15 @@ def pose_test(log: Log) -> dict[str, Any]:
             for key, name in worst.items()
             for what in ("mm", "u95_mm", "pose")
         },
-        "not_measured": NOT_MEASURED,
-        "deviations": [*_deviations(cell, corrected=bool(corrected_by)), *interruptions(log)],
+        "orientation": turns,
+        "not_measured": _not_measured(turns),
+        "deviations": [
+            *_deviations(cell, corrected=bool(corrected_by), turns=turns),
+            *interruptions(log),
+        ],
     }
-    limits = {f"{key}_limit_mm": getattr(cell.iso9283, f"{key}_limit_mm") for key in LIMITS}
+    names = [f"{key}_limit_mm" for key in LIMITS] + [f"{key}_limit_deg" for key in TURN_LIMITS]
+    limits = {name: getattr(cell.iso9283, name) for name in names}
     return found | {"limits": {key: value for key, value in limits.items() if value is not None}}
 
 
@@ -188,7 +200,86 @@ def _conditions(log: Log) -> dict[str, Any]:
     }
 
 
-def _deviations(cell: Cell, *, corrected: bool) -> Iterator[str]:
+def _turns(log: Log) -> dict[str, dict[str, Any]]:
+    """Return AP and RP of the angles a, b, c (deg) by pose; nothing with one reflector."""
+    if not log.cell.robot.more_smr_mm:
+        return {}
+    known, found = _known_seats(log), {}
+    seats = log.cell.robot.seats_mm if known is None else known
+    for name, points in _visits(log).items():
+        turned = turned_of(log, points, seats)
+        if len(turned) > 1:
+            found[name] = _angles(log, turned, known=known is not None)
+    return found
+
+
+def _known_seats(log: Log) -> Array | None:
+    """Return where the reflectors (K, 3) are on the flange, by the calibration that is tested."""
+    used = calibration_in(log)
+    model = None if used is None else used.learnt_model()
+    seats = model.state.smr_mm if isinstance(model, Kinematic) else np.zeros((0, 3))
+    return seats if len(seats) == len(log.cell.robot.seats_mm) else None
+
+
+def _angles(log: Log, turned: Turned, *, known: bool) -> dict[str, Any]:
+    """Return the angles' characteristics, axes of {B}.
+
+    Reflectors that are elsewhere on the flange than stated turn every attainment alike: in RP that
+    cancels, in AP it does not.
+    """
+    R = log.matrix("base")[:3, :3]
+    found = turn_figures(turned.error_rad @ R)
+    rp_deg, rp_u_deg = np.degrees(found.rp_rad), np.degrees(found.rp_u_rad)
+    figures = {
+        "count": found.count,
+        "rp_deg": dict(zip(ANGLES, rp_deg.tolist(), strict=True)),
+        "rp_u95_deg": dict(zip(ANGLES, (2.0 * rp_u_deg).tolist(), strict=True)),
+    }
+    if not known:
+        return figures
+    shared_rad2 = R.T @ turned_rad2(log, turned, readings=False).mean(axis=0) @ R
+    u_rad = np.sqrt(found.s_rad**2 / found.count + np.diag(shared_rad2))
+    ap_deg, ap_u_deg = np.degrees(found.ap_rad), np.degrees(u_rad)
+    return figures | {
+        "ap_deg": dict(zip(ANGLES, ap_deg.tolist(), strict=True)),
+        "ap_u95_deg": dict(zip(ANGLES, (2.0 * ap_u_deg).tolist(), strict=True)),
+    }
+
+
+def worst_turn(turns: Mapping[str, Any], key: str) -> tuple[str, str, float, float] | None:
+    """Return pose, angle, AP or RP by ``key`` and its U, deg, where figure and U are most; None
+    where it was not measured.
+    """
+    found = [
+        (pose, angle, abs(value), each[f"{key}_u95_deg"][angle])
+        for pose, each in turns.items()
+        for angle, value in each.get(f"{key}_deg", {}).items()
+    ]
+    return max(found, key=lambda each: np.nan_to_num(each[2] + each[3], nan=np.inf), default=None)
+
+
+def turn_words(turns: Mapping[str, Any]) -> str:
+    """Return the worst AP and RP of angles in a sentence; "" where none was measured."""
+    worst = [(key, worst_turn(turns, key)) for key in TURN_LIMITS]
+    said = [
+        f"{key.upper()}_{each[1]} {'±' if key == 'rp' else ''}{each[2]:.4f}° (U {each[3]:.4f}, "
+        f"{each[0]})"
+        for key, each in worst if each is not None
+    ]  # fmt: skip
+    return f" Worst of the angles: {', '.join(said)}." if said else ""
+
+
+def _not_measured(turns: Mapping[str, Any]) -> list[str]:
+    """Return the characteristics that the test leaves out."""
+    return [
+        f"{key.upper()}_{angle}"
+        for key in TURN_LIMITS
+        for angle in ANGLES
+        if worst_turn(turns, key) is None
+    ]
+
+
+def _deviations(cell: Cell, *, corrected: bool, turns: Mapping[str, Any]) -> Iterator[str]:
     """Yield in what the test departs from the standard's own conditions."""
     table, speed_percent = cell.iso9283, velocity_percent(cell)
     if table.cycles != STANDARD_CYCLES:
@@ -204,7 +295,10 @@ def _deviations(cell: Cell, *, corrected: bool) -> Iterator[str]:
     if corrected:
         yield "the commanded poses carry a correction: the robot with its calibration is tested"
     yield "distances are taken from the pose cycle, not from a cycle of their own"
-    yield "orientations were not measured: the test takes the position of one reflector"
+    if not turns:
+        yield "orientations were not measured: the test takes the position of one reflector"
+    elif worst_turn(turns, "ap") is None:
+        yield "AP_a, AP_b and AP_c were not measured: no calibration says where the reflectors are"
 
 
 def interruptions(log: Log) -> Iterator[str]:
@@ -230,16 +324,19 @@ def _times(count: int) -> str:
 def judgement(result: Mapping[str, Any]) -> dict[str, Any]:
     """Return the verdict on the stated limits, {} without any: a figure and its U keep a limit."""
     found = {
-        "ap": (result["worst"]["ap_mm"], result["worst"]["ap_u95_mm"]),
-        "rp": (result["worst"]["rp_mm"], result["worst"]["rp_u95_mm"]),
-        "ad": (abs(result["distance"]["ad_mm"]), result["distance"]["ad_u95_mm"]),
-        "rd": (result["distance"]["rd_mm"], result["distance"]["rd_u95_mm"]),
+        ("ap", "mm"): (result["worst"]["ap_mm"], result["worst"]["ap_u95_mm"]),
+        ("rp", "mm"): (result["worst"]["rp_mm"], result["worst"]["rp_u95_mm"]),
+        ("ad", "mm"): (abs(result["distance"]["ad_mm"]), result["distance"]["ad_u95_mm"]),
+        ("rd", "mm"): (result["distance"]["rd_mm"], result["distance"]["rd_u95_mm"]),
     }
+    for key in TURN_LIMITS:
+        worst = worst_turn(result.get("orientation", {}), key)
+        found[key, "deg"] = (math.nan, math.nan) if worst is None else worst[2:]
     facts: dict[str, Any] = {}
-    for key, (figure_mm, u95_mm) in found.items():
-        limit_mm = result["limits"].get(f"{key}_limit_mm")
-        if limit_mm is None:
+    for (key, unit), (figure, u95) in found.items():
+        limit = result["limits"].get(f"{key}_limit_{unit}")
+        if limit is None:
             continue
-        facts |= {f"{key}_mm": figure_mm, f"{key}_u95_mm": u95_mm, f"{key}_limit_mm": limit_mm}
-        facts["holds"] = facts.get("holds", True) and figure_mm + u95_mm <= limit_mm
+        facts |= {f"{key}_{unit}": figure, f"{key}_u95_{unit}": u95, f"{key}_limit_{unit}": limit}
+        facts["holds"] = facts.get("holds", True) and figure + u95 <= limit
     return facts

@@ -387,6 +387,14 @@ class Cell(Frozen, frozen=True, kw_only=True):
                 "validation.max_tolerance_deg: one reflector measures no orientation; state the "
                 "others on the flange in robot.more_smr_mm, or leave the limit out"
             )
+        test = self.iso9283
+        if not self.robot.more_smr_mm and (test.ap_limit_deg, test.rp_limit_deg) != (None, None):
+            yield "iso9283: one reflector measures no angles (ap_limit_deg, rp_limit_deg)"
+        elif test.ap_limit_deg is not None and not test.calibration:
+            yield (
+                "iso9283.ap_limit_deg: AP of angles wants iso9283.calibration, which knows where "
+                "the reflectors are on the flange"
+            )
 
     @cached_property
     def surroundings(self) -> Surroundings | None:

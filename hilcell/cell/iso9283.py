@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from hilcell.cell.tables import Frozen, Percent, Size
+from hilcell.cell.tables import Frozen, Percent, Size, Turn
 
 Mass = Annotated[float, Meta(ge=0, le=10_000)]
 Minutes = Annotated[float, Meta(ge=0, le=100_000)]
@@ -17,7 +17,8 @@ class Iso9283Table(Frozen, frozen=True, kw_only=True):
 
     ``velocity_percent`` of the rated velocity, None for `robot.speed_percent`. ``calibration``: a
     run whose correction the commanded poses carry, "" for the robot as it is. Limits of AP_p, RP_l,
-    AD and RD are judged where they are stated.
+    AD and RD are judged where they are stated, and with several reflectors on the flange those of
+    the largest AP and RP of an angle (deg); AP of angles wants a calibration.
     """
 
     cycles: Annotated[int, Meta(ge=3, le=1000)] = 30
@@ -30,3 +31,5 @@ class Iso9283Table(Frozen, frozen=True, kw_only=True):
     rp_limit_mm: Size | None = None
     ad_limit_mm: Size | None = None
     rd_limit_mm: Size | None = None
+    ap_limit_deg: Turn | None = None
+    rp_limit_deg: Turn | None = None

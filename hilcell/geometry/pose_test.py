@@ -1,4 +1,4 @@
-"""The characteristics of ISO 9283:1998 from attained positions: AP and RP (7.2), AD and RD (7.3).
+"""The characteristics of ISO 9283:1998 from attained poses: AP and RP (7.2), AD and RD (7.3).
 
 Positions (n, 3) in mm, axes of the base; each attained n times. u are standard uncertainties that
 the scatter of n attainments alone gives (GUM 4.2.3); systematic ones are the caller's.
@@ -85,6 +85,35 @@ def pose_figures(attained_mm: Array, commanded_mm: Array) -> PoseFigures:
         repeatability_mm(l_mm),
         len(attained_mm),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class TurnFigures:
+    """Angles a, b, c of one pose, each (3,) in rad: rotations about x, y, z of the base, from the
+    commanded orientation to the attained ones.
+    """
+
+    ap_rad: Array  # the mean less the commanded angle
+    s_rad: Array  # standard deviation of one attainment
+    count: int
+
+    @property
+    def rp_rad(self) -> Array:
+        """Return the repeatabilities RP_a, RP_b, RP_c = +-3 S (7.2.2)."""
+        return 3.0 * self.s_rad
+
+    @property
+    def rp_u_rad(self) -> Array:
+        """Return u of RP from the scatter."""
+        return self.rp_rad / math.sqrt(2.0 * (self.count - 1))
+
+
+def turn_figures(turns_rad: Array) -> TurnFigures:
+    """Return AP_a, AP_b, AP_c (7.2.1) and RP (7.2.2) of rotation vectors (n, 3), axes of the base.
+
+    Of errors as small as a robot's the three angles are the vector's coordinates.
+    """
+    return TurnFigures(turns_rad.mean(axis=0), turns_rad.std(axis=0, ddof=1), len(turns_rad))
 
 
 @dataclass(frozen=True, slots=True)

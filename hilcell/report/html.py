@@ -127,7 +127,7 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
         "sentence": sentence(facts),
         "conformity": conformity_words(facts),
         "results": results_sheet(facts),
-        "turn_results": turns.results_sheet(facts),
+        "turn_results": pose_test.turn_results(facts) or turns.results_sheet(facts),
         "strip": strip(nearest_results(facts, targets), facts.inputs.simulated),
         "uncertainty": uncertainty_words(facts, budget),
         "item": item_facts(facts, measured(facts)),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hilcell.calibration.decision import RULE
-from hilcell.calibration.pose_test import ISO, LIMITS, attained
+from hilcell.calibration.pose_test import ANGLES, ISO, LIMITS, TURN_LIMITS, attained, worst_turn
 from hilcell.geometry.pose_test import CORNERS, CYCLE, PLANE
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.report.columns import Column, Sheet, present, sheet
@@ -32,26 +32,27 @@ class Result(NamedTuple):
 
     name: str
     where: str
-    value_mm: float
-    U_mm: float
-    limit_mm: float | None
+    value: float
+    U: float
+    limit: float | None
 
     @property
     def verdict(self) -> str:
         """Return whether the value and its U keep the limit."""
-        if self.limit_mm is None:
+        if self.limit is None:
             return "not judged"
-        return "in" if self.value_mm + self.U_mm <= self.limit_mm else "out"
+        return "in" if self.value + self.U <= self.limit else "out"
 
 
-RESULTS: tuple[Column[Result], ...] = (
-    Column("characteristic", lambda row: row.name),
-    Column("at", lambda row: row.where),
-    Column("value", lambda row: row.value_mm, "mm", ".3f"),
-    Column("U", lambda row: row.U_mm, "mm", ".3f"),
-    Column("limit", lambda row: row.limit_mm, "mm", ".3f"),
-    Column("verdict", lambda row: row.verdict, form="s"),
-)
+def _results_in(unit: str, form: str) -> tuple[Column[Result], ...]:
+    return (
+        Column("characteristic", lambda row: row.name),
+        Column("at", lambda row: row.where),
+        Column("value", lambda row: row.value, unit, form),
+        Column("U", lambda row: row.U, unit, form),
+        Column("limit", lambda row: row.limit, unit, form),
+        Column("verdict", lambda row: row.verdict, form="s"),
+    )
 
 
 def tests_poses(facts: Facts) -> bool:
@@ -61,7 +62,9 @@ def tests_poses(facts: Facts) -> bool:
 
 def results_sheet(facts: Facts) -> Sheet | None:
     """Return the worst characteristics, for the first page."""
-    return sheet("Results, at the worst pose", RESULTS, _results(facts.result[ISO]))
+    return sheet(
+        "Results, at the worst pose", _results_in("mm", ".3f"), _results(facts.result[ISO])
+    )
 
 
 def _results(found: Mapping[str, Any]) -> Iterator[Result]:
@@ -129,6 +132,12 @@ def sheets(facts: Facts) -> list[Sheet]:
     return present(
         sheet("Test conditions", CONDITIONS, _conditions(found)),
         sheet("Pose accuracy and repeatability", POSES, found["poses"].items(), POSES_NOTE),
+        sheet(
+            "Accuracy and repeatability of angles",
+            TURNS,
+            found.get("orientation", {}).items(),
+            TURNS_NOTE,
+        ),
         sheet("Distance accuracy and repeatability", DISTANCE, [found["distance"]], DISTANCE_NOTE),
         Sheet("Departures from the standard", ["", "departure"], departures, words=2),
     )
@@ -159,7 +168,8 @@ def _conditions(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         (f"{celsius[0]:.1f} to {celsius[1]:.1f} °C at the tracker" if celsius else "not measured"),
     )
     yield "Tracker noise", f"{found['tracker_noise_mm']:.4f} mm of one coordinate, 1 σ"
-    yield "Orientations", f"not measured: {', '.join(found['not_measured'])}"
+    missing = found["not_measured"]
+    yield "Orientations", f"not measured: {', '.join(missing)}" if missing else "measured"
 
 
 def _load(load_kg: float | None, rated_kg: float | None) -> str:
@@ -198,6 +208,42 @@ POSES_NOTE = (
     "the commanded one. RP_l = mean of l + 3 S_l, l the distance from the barycentre; RP robot: "
     "the tracker's noise taken off."
 )
+
+
+def _angle(key: str, angle: str) -> Callable[[Pose], float | None]:
+    return lambda row: row[1].get(key, {}).get(angle)
+
+
+TURNS: tuple[Column[Pose], ...] = (
+    Column("pose", itemgetter(0)),
+    *(
+        Column(name.format(angle), _angle(key, angle), "°", form)
+        for key, name, form in (
+            ("ap_deg", "AP_{}", "+.4f"), ("ap_u95_deg", "U(AP_{})", ".4f"),
+            ("rp_deg", "RP_{} ±", ".4f"), ("rp_u95_deg", "U(RP_{})", ".4f"),
+        )
+        for angle in ANGLES
+    ),
+)  # fmt: skip
+TURNS_NOTE = (
+    "a, b, c: rotations about x, y, z of {B} from the commanded orientation. AP: their mean; RP = "
+    "±3 S of them. AP is blank where no calibration says where the reflectors are on the flange."
+)
+
+
+def turn_results(facts: Facts) -> Sheet | None:
+    """Return the worst angles beside their limits, for the first page."""
+    if not tests_poses(facts):
+        return None
+    found = facts.result[ISO]
+    rows = [
+        Result(
+            f"{key.upper()}_{each[1]}", each[0], *each[2:], found["limits"].get(f"{key}_limit_deg")
+        )
+        for key in TURN_LIMITS
+        if (each := worst_turn(found.get("orientation", {}), key)) is not None
+    ]
+    return sheet("Results, angles at the worst pose", _results_in("°", ".4f"), rows)
 
 
 def _way(key: str) -> Callable[[Mapping[str, Any]], float]:

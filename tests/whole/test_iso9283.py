@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hilcell.cell.file import load_cell
 from hilcell.geometry.statistics import lengths_mm
@@ -130,6 +131,40 @@ def test_stated_limits_make_a_verdict(ran: Ran) -> None:
     sheet = results_sheet(facts)
     assert sheet is not None
     assert [row[-1] for row in sheet.rows] == ["not judged", "out", "not judged", "not judged"]
+
+
+SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
+
+
+def test_several_reflectors_give_the_repeatability_of_angles(tmp_path: Path) -> None:
+    """Against scipy's Kabsch rotations of the exported readings."""
+    limits = {"iso9283.rp_limit_deg": "0.5", "iso9283.cycles": "3"}
+    with simulation(values=SHORT | SEATS, name="fixed") as cell:
+        done = run(cell, tmp_path, "angles", SEATS | limits)
+    end = end_of(done)
+    assert end["exit"] == 0, done.stderr
+    assert judge(events(done.stdout)) == []
+    found = end["result"]["iso9283"]
+    assert found["not_measured"] == ["AP_a", "AP_b", "AP_c"]
+    whole = exported(tmp_path, "angles", tmp_path / "angles.json")
+    R_W_B = np.array(whole["frames"]["base"]["matrix"])[:3, :3]
+    at_mm = {
+        point["key"]: [point[f"world_{axis}_mm"] for axis in "xyz"]
+        for point in whole["points"] if point["key"].startswith("iso9283/")
+    }  # fmt: skip
+    assert len(at_mm) == 3 * 5 * 3
+    for name, each in found["orientation"].items():
+        keys = [f"iso9283/{name}/{cycle:03}" for cycle in range(3)]
+        seen = np.array([[at_mm[k], at_mm[f"{k}/seat2"], at_mm[f"{k}/seat3"]] for k in keys])
+        seen -= seen.mean(axis=1, keepdims=True)
+        turns = [Rotation.align_vectors(one @ R_W_B, seen[0] @ R_W_B)[0] for one in seen]
+        angles_deg = np.array([turn.as_rotvec(degrees=True) for turn in turns])
+        rp_deg = 3.0 * angles_deg.std(axis=0, ddof=1)
+        assert list(each["rp_deg"].values()) == pytest.approx(rp_deg, abs=1e-5, rel=1e-2)
+        assert "ap_deg" not in each
+    page = report_of(tmp_path, "angles")
+    for title in ("Accuracy and repeatability of angles", "Results, angles at the worst pose"):
+        assert title in page
 
 
 def test_a_load_above_the_rated_one_is_refused(tmp_path: Path) -> None:

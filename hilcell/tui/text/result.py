@@ -59,8 +59,18 @@ class _Distance(msgspec.Struct):
     rd_u95_mm: float = math.nan
 
 
+class _Angles(msgspec.Struct):
+    """Of a, b and c, deg; AP is empty where the reflectors' places are not known."""
+
+    rp_deg: dict[str, float]
+    rp_u95_deg: dict[str, float]
+    ap_deg: dict[str, float] = {}
+    ap_u95_deg: dict[str, float] = {}
+
+
 class _PoseTest(msgspec.Struct):
     poses: dict[str, _Pose]
+    orientation: dict[str, _Angles] = {}
     distance: _Distance | None = None
     limits: dict[str, float] = {}
 
@@ -148,13 +158,22 @@ def _of_test(test: _PoseTest, *, passed: bool) -> Result:
         [name, *map(figure, (each.ap_mm, each.ap_u95_mm, each.rp_mm, each.rp_u95_mm))]
         for name, each in test.poses.items()
     ]
+    turned = test.orientation
+    if turned:
+        headers += ["AP_abc °", "RP_abc °"]
+        for row, name in zip(rows, test.poses, strict=True):
+            row.extend(_worst_angles(turned.get(name)))
     if test.limits:
         headers.append("verdict")
-        for row, each in zip(rows, test.poses.values(), strict=True):
+        for row, (name, each) in zip(rows, test.poses.items(), strict=True):
             kept = _keeps(each.ap_mm + each.ap_u95_mm, ap_mm)
             kept &= _keeps(each.rp_mm + each.rp_u95_mm, rp_mm)
+            kept &= _angles_keep(turned.get(name), test.limits)
             row.append("pass" if kept else "FAIL")
-        limits = [_limit(ap_mm), "", _limit(rp_mm), "", ""]
+        limits = [_limit(ap_mm), "", _limit(rp_mm), ""]
+        if turned:
+            limits += [_limit(test.limits.get(f"{key}_limit_deg")) for key in ("ap", "rp")]
+        limits.append("")
         rows.append(["limit", *limits])
     text = _distance_words(test.distance, ad_mm, rd_mm) if test.distance is not None else ""
     words, stated, role = (("ISO",), "no limits stated", "label")
@@ -174,6 +193,26 @@ def _distance_words(found: _Distance, ad_mm: float | None, rd_mm: float | None) 
     return (
         f"distance {found.first}-{found.to}: AD {ad} mm (U {found.ad_u95_mm:.3f}), "
         f"RD ±{rd} mm (U {found.rd_u95_mm:.3f}){said}"
+    )
+
+
+def _worst_angles(found: _Angles | None) -> list[str]:
+    """Return the largest AP and RP of a pose's angles, as far as they were measured."""
+    parts = [] if found is None else [found.ap_deg, found.rp_deg]
+    shown = [f"{max(map(abs, each.values())):.4f}" if each else "-" for each in parts]
+    return shown or ["-", "-"]
+
+
+def _angles_keep(found: _Angles | None, limits: dict[str, float]) -> bool:
+    """Whether each angle and its U keep the limits that are stated; unknown ones do not."""
+    if found is None:
+        found = _Angles({}, {})
+    ap = found.ap_deg, found.ap_u95_deg, limits.get("ap_limit_deg")
+    rp = found.rp_deg, found.rp_u95_deg, limits.get("rp_limit_deg")
+    return all(
+        limit is None
+        or (bool(value) and all(abs(value[n]) + U.get(n, math.nan) <= limit for n in value))
+        for value, U, limit in (ap, rp)
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -20,7 +21,8 @@ from hilcell.calibration.orientation import (
     turned_of,
 )
 from hilcell.cell.file import load_cell
-from hilcell.geometry.frames import zyx_from_pose
+from hilcell.geometry.frames import apply, zyx_from_pose
+from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.journal.journal import Kind, Record
 from hilcell.journal.log import Log
@@ -141,3 +143,16 @@ def test_a_limit_that_nothing_could_keep_is_refused_before_anything_moves() -> N
     check_turn_limit(wide)
     with pytest.raises(HilcellError, match=r"max_tolerance_deg 0\.0114: .* U = 0\.0115 deg"):
         Validate().plan(narrow, 1)
+
+
+def test_no_layout_of_reflectors_tells_the_zero_of_axis_6() -> None:
+    """A wrong zero and reflectors that are mounted further round give the same readings."""
+    arm, rng, zero_rad = CELL.robot.arm(), np.random.default_rng(606), 7e-4
+    flange = replace(arm, tool=np.eye(4))
+    joints_rad = rng.uniform(-1.0, 1.0, (20, 6))
+    wrong_rad = joints_rad + zero_rad * np.eye(6)[5]
+    turn = from_rotvec(arm.sign[5] * zero_rad * np.eye(3)[2])
+    seats_mm = rng.uniform(-200.0, 200.0, (5, 3))
+    right, wrong = (forward(flange, each) for each in (joints_rad, wrong_rad))
+    for one, other in zip(wrong, right, strict=True):
+        np.testing.assert_allclose(apply(one, seats_mm), apply(other, seats_mm @ turn.T), atol=1e-9)

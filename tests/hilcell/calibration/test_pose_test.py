@@ -43,6 +43,32 @@ def test_a_limit_is_kept_with_the_uncertainty(limits: dict[str, float], holds: b
     assert limits.items() <= judged.items()
 
 
+ANGLES = {
+    "P1": {
+        "ap_deg": {"a": 0.01, "b": -0.05, "c": 0.0},
+        "ap_u95_deg": {"a": 0.01, "b": 0.01, "c": 0.01},
+        "rp_deg": {"a": 0.03, "b": 0.01, "c": 0.01},
+        "rp_u95_deg": {"a": 0.004, "b": 0.002, "c": 0.002},
+    }
+}
+
+
+@pytest.mark.parametrize(
+    ("limits", "holds"),
+    [
+        ({"ap_limit_deg": 0.061}, True),  # of either sign
+        ({"ap_limit_deg": 0.055}, False),  # AP_b keeps it, AP_b + U does not
+        ({"rp_limit_deg": 0.035}, True),
+        ({"rp_limit_deg": 0.033}, False),
+    ],
+)
+def test_the_worst_angle_keeps_its_limit_or_not(limits: dict[str, float], holds: bool) -> None:
+    judged = judgement(result(**limits) | {"orientation": ANGLES})
+    assert judged["holds"] is holds
+    assert limits.items() <= judged.items()
+    assert judgement(result(**limits))["holds"] is False  # limited and not measured
+
+
 def test_without_limits_there_is_no_verdict() -> None:
     assert judgement(result()) == {}
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hilcell.geometry.pose_test import (
     CYCLE,
@@ -13,7 +14,9 @@ from hilcell.geometry.pose_test import (
     cube_side_mm,
     distance_figures,
     pose_figures,
+    turn_figures,
 )
+from hilcell.geometry.rotations import to_rotvec
 
 CENTRE_MM = np.array([1850.0, 10.0, 950.0])
 POSES_MM = cube_poses_mm(CENTRE_MM, 900.0)
@@ -93,3 +96,19 @@ def test_stated_uncertainties_are_the_scatter_of_many_tests() -> None:
     for name, u in (("ad_mm", "ad_u_mm"), ("rd_mm", "rd_u_mm")):
         spread = np.std([getattr(each, name) for each in ways])
         assert np.mean([getattr(each, u) for each in ways]) == pytest.approx(spread, rel=0.1)
+
+
+def test_accuracy_and_repeatability_of_angles_by_scipy() -> None:
+    """Attained orientations of a robot, made and read by scipy, in axes of the base."""
+    rng = np.random.default_rng(41711)
+    commanded = Rotation.from_euler("ZYX", [10.0, 70.0, 5.0], degrees=True)
+    wanted_deg, scatter_deg = np.array([0.05, -0.03, 0.08]), np.array([0.01, 0.02, 0.005])
+    angles_deg = wanted_deg + rng.normal(size=(30, 3)) * scatter_deg
+    attained = Rotation.from_euler("xyz", angles_deg, degrees=True) * commanded
+    turns_rad = to_rotvec(attained.as_matrix() @ commanded.as_matrix().T)
+    found = turn_figures(turns_rad)
+    peer_deg = (attained * commanded.inv()).as_euler("xyz", degrees=True)
+    assert np.degrees(found.ap_rad) == pytest.approx(peer_deg.mean(axis=0), abs=2e-4)
+    assert np.degrees(found.rp_rad) == pytest.approx(3.0 * peer_deg.std(axis=0, ddof=1), abs=2e-4)
+    u = found.rp_u_rad / found.rp_rad
+    assert u == pytest.approx([1.0 / math.sqrt(2.0 * 29.0)] * 3)
