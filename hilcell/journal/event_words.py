@@ -32,7 +32,8 @@ def happened_words(body: Mapping[str, Any], log: Log) -> str:
     what = str(body.get("what"))
     match what:
         case "step":
-            name = step_words(str(body.get("name")))
+            has_rail = log.plan is None or log.cell.has_rail
+            name = step_words(str(body.get("name")), has_rail=has_rail)
             return f"step {body.get('number')} of {body.get('of')} begins: {name}"
         case "station held":
             tries = int(body.get("tries", 1))

@@ -22,6 +22,7 @@ _STEPS = {
     "closing": "Closing visits",
     "iso9283": "ISO 9283 test",
 }
+_WITHOUT_RAIL = {"home": "Park the robot"}
 KINDS = {
     "world": ("floor nest", "nest"),
     "control": ("check of floor nest", "check"),
@@ -51,9 +52,10 @@ def procedure_words(name: str) -> str:
     return _PROCEDURES.get(name, name.replace("-", " ").capitalize())
 
 
-def step_words(name: str) -> str:
-    """Return a step's name in words."""
-    return _STEPS.get(name, name.replace("-", " ").capitalize())
+def step_words(name: str, *, has_rail: bool) -> str:
+    """Return a step's name in words; without a rail the robot alone is homed."""
+    names = _STEPS if has_rail else _STEPS | _WITHOUT_RAIL
+    return names.get(name, name.replace("-", " ").capitalize())
 
 
 def part_words(id: PointId) -> str:

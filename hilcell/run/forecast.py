@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 from hilcell.journal.journal import Record
 from hilcell.journal.point_id import CONTROL
@@ -42,6 +42,14 @@ class Ahead:
     kind: str
     measured: int
     takes_s: float
+
+
+class UnderWay(NamedTuple):
+    """The measurements of the part under way: taken, planned, and whether they are of nests."""
+
+    taken: int
+    planned: int
+    of_nests: bool
 
 
 class _Step:
@@ -207,13 +215,14 @@ class Forecast:
         return found
 
     @property
-    def span(self) -> tuple[int, int] | None:
-        """Return how many measurements of the part under way are taken, and of how many."""
+    def span(self) -> UnderWay | None:
+        """Return how far the part under way is; None where nothing in it is measured."""
         step = self._step
         if step is None or not step.counts_control:
             return None
-        planned = step.spans[step.at].measured
-        return (step.taken[step.at], planned) if planned else None
+        found = step.spans[step.at]
+        of_nests = found.kind.endswith(READINGS)
+        return UnderWay(step.taken[step.at], found.measured, of_nests) if found.measured else None
 
     # -- what happened ------------------------------------------------------------------------
 

@@ -81,25 +81,28 @@ class RunActions:
 
     def retake(self, key: str) -> None:
         """Re-measure a point: in the live run, or by opening a finished one again."""
+        from hilcell.journal.key_words import in_words, key_words
         from hilcell.run.retake import retake_refusal
 
         session = self._application.session
         if session is None:
             return
-        refused = retake_refusal(session.view.log, key) if key else "no point is chosen"
+        log = session.view.log
+        refused = retake_refusal(log, key) if key else "no point is chosen"
+        point = key_words(key, log) if key in log.points else key
         if refused:
-            self._application.show_notice(refused)
+            self._application.show_notice(in_words(refused, log))
         elif session.view.live:
             self._application.ask(
                 "Re-measure this point?",
-                f"{key}: before the robot's next point; it moves there.",
+                f"{point}: before the robot's next point; it moves there.",
                 "re-measure",
                 lambda: self._command("retake", key=key),
             )
         else:
             self._application.ask(
                 "Open this run again and re-measure the point?",
-                f"{key}: the devices are connected, the control points proved, the robot moves.",
+                f"{point}: the devices are connected, the control points proved, the robot moves.",
                 "re-measure",
                 lambda: self.resume("--retake", key),
             )

@@ -293,9 +293,15 @@ class HilcellApp(App[int]):
             try:
                 await work
             except HilcellError as error:
-                self.show_notice(str(error))
+                self._show_error(error)
 
         self.run_worker(guarded(), exit_on_error=True)
+
+    def _show_error(self, error: HilcellError) -> None:
+        """Show an error as a notice, with points in words."""
+        from hilcell.journal.key_words import in_words
+
+        self.show_notice(str(error) if self.view is None else in_words(str(error), self.view.log))
 
     # -- keys ---------------------------------------------------------------------------------
 
@@ -381,7 +387,7 @@ class HilcellApp(App[int]):
                 if reply == "yes":
                     act()
             except HilcellError as error:
-                self.show_notice(str(error))
+                self._show_error(error)
 
         self.push_screen(Confirm(title, text, yes), replied)
 

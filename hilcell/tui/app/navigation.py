@@ -50,10 +50,11 @@ class OpeningScreen(BaseScreen):
         super().on_mount()
 
 
+SCREENS = ("run", "pages", "plots", "history", "start", "help")
 LATER = (
     "hilcell.tui.engine.session",
     "hilcell.journal.index",
-    *(f"hilcell.tui.screens.{name}" for name in ("run", "pages", "plots", "history", "start")),
+    *(f"hilcell.tui.screens.{name}" for name in SCREENS),
 )
 
 
@@ -79,6 +80,7 @@ PAGES = ("alarms", "interlocks", "help", "log", "plots", "report", "history")
 def page_of(name: str, session: Session | None) -> BaseScreen:
     """Return the page of an action of `PAGES`; only help and history need no run."""
     from hilcell.tui.screens import history, pages, plots
+    from hilcell.tui.screens.help import HelpPage
 
     if name == "report" and session is not None:
         return pages.ReportPage(session.folder)
@@ -89,7 +91,7 @@ def page_of(name: str, session: Session | None) -> BaseScreen:
         "plots": plots.PlotPage,
         "history": history.HistoryPage,
     }
-    return found.get(name, pages.HelpPage)()
+    return found.get(name, HelpPage)()
 
 
 HINT = "what to do?   ^p or Backspace: back   Esc: STOP"

@@ -18,6 +18,7 @@ import msgspec
 from hilcell.errors import HilcellError
 
 LISTS_WORDS = "--help` lists what there is"  # the end of `hilcell.commands.parser`'s errors
+OPTION = "argument --"  # before the name of a field whose entry is refused
 REASON = "hilcell: "
 MOST_LINES = 7  # of an engine's log are shown
 EXIT_REASONS = {  # exits that the journal may not hold
@@ -134,7 +135,7 @@ async def run_command(*arguments: str) -> str:
         reason = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
         words, _, hint = reason.partition("\n")
         if hint.endswith(LISTS_WORDS):  # of a command line, which nobody wrote here
-            reason = words.partition(": ")[2]
+            reason = words.partition(": ")[2].removeprefix(OPTION)
         raise HilcellError(reason.removeprefix(REASON))
     return out.decode(errors="replace") + err.decode(errors="replace")
 

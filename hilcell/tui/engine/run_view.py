@@ -21,7 +21,7 @@ from hilcell.run.states import RUN
 if TYPE_CHECKING:
     from hilcell.alarms import Alarm
     from hilcell.journal.journal import Record
-    from hilcell.run.forecast import Ahead
+    from hilcell.run.forecast import Ahead, UnderWay
 
 STALE_S = 2.0
 MOST_RECORDS = 2000
@@ -57,7 +57,7 @@ class RunView:
     last: Point | None = None
     newest: Point | None = None  # that is no proof of nests; drawn large
     newest_t: str = ""  # when its record was written
-    span: tuple[int, int] | None = None  # measured and planned of the part under way
+    span: UnderWay | None = None  # how far the part under way is
     step: dict[str, Any] = field(default_factory=dict)
     measured: dict[int, set[str]] = field(default_factory=dict)  # keys of points by step
 

@@ -19,6 +19,7 @@ from textual.widgets import Input
 from hilcell.tui.keys import BY_NAME, Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.terminal.themes import NAMES
+from hilcell.tui.text.refusals import pause_command
 from hilcell.tui.widgets import TextPanel
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from hilcell.tui.engine.run_view import RunView
     from hilcell.tui.engine.session import Session
     from hilcell.tui.text.alarm_words import AlarmContext
+
+
+PAUSE_WORDS = {"proceed": "go on", "resume": "resume"}  # by what the key does
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,11 +236,9 @@ class BaseScreen(Screen[None]):
         """Return the current label of an action."""
         view = self.application.view
         if name == "pause" and view is not None:
-            if not view.live:
-                return "resume"
             if view.prompt is not None:
                 return "answer"
-            return "pause" if view.state == "running" else "go on"
+            return PAUSE_WORDS.get(pause_command(view), "pause")
         return BY_NAME[name].label
 
 

@@ -13,7 +13,7 @@ from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.keys import shown
 from hilcell.tui.screens.base import Page
-from hilcell.tui.screens.pages import FilterScreen
+from hilcell.tui.screens.pages import CHOOSE, FilterScreen
 from hilcell.tui.text.tables import columns_for, history_row
 from hilcell.tui.widgets import Column, Row, Table, TextPanel
 
@@ -33,6 +33,7 @@ class HistoryPage(FilterScreen, Page):
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
         *Page.fixed,
         ("Enter", "open"),
+        CHOOSE,
     )
 
     def __init__(self) -> None:

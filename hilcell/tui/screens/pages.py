@@ -1,4 +1,4 @@
-"""Pages over a run: alarms, interlocks, help, one point, report and event log."""
+"""Pages over a run: alarms, interlocks, one point, report and event log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.text.alarms import alarm_page, interlock_page
 from hilcell.tui.text.frame import wrapped
-from hilcell.tui.text.help import help_lines
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.report import report_lines
 from hilcell.tui.text.tables import COLUMNS, record_row
@@ -30,7 +29,7 @@ from hilcell.tui.widgets import Row, Table, TextField, TextPanel
 class TextPage(Page):
     """A page of text that scrolls."""
 
-    fixed = (*Page.fixed, ("up down", "scroll"))
+    fixed = (*Page.fixed, ("▲▼", "scroll"))
 
     def body(self) -> ComposeResult:
         """Build one text that scrolls."""
@@ -72,17 +71,6 @@ class InterlockPage(TextPage):
         return interlock_page(view, self.application.glyphs) if view is not None else Content("")
 
 
-class HelpPage(TextPage):
-    """The meaning of the keys and of the lines."""
-
-    title_text = "Help"
-    footer = ("stop", "quit")
-
-    def text(self, view: RunView | None) -> Content:
-        """Return the help."""
-        return help_lines(self.application.keymap, self.application.glyphs)
-
-
 class DetailPage(TextPage):
     """One point, with everything that is known of it."""
 
@@ -102,10 +90,13 @@ class DetailPage(TextPage):
         self.application.actions.retake(self._key)
 
 
+CHOOSE = ("▲▼", "move")
+
+
 class FilterScreen(BaseScreen):
     """A screen with rows and a filter; ``filter_text`` is what was typed."""
 
-    in_box = (("Enter", "to the rows"),)
+    in_box = (("Enter", "to the rows"),)  # from the filter
     filter_text = ""
 
     def filter_box(self, hint: str) -> Input:
@@ -141,6 +132,7 @@ class LogPage(FilterScreen, Page):
     """Element 13: the newest two thousand records; the journal keeps all."""
 
     title_text = "Event log"
+    fixed = (*Page.fixed, CHOOSE)
     footer = ("stop", "find", "pause", "quit")
 
     def __init__(self) -> None:

@@ -55,6 +55,11 @@ class RunScreen(FilterScreen):
     """One run, live or past."""
 
     footer = ("stop", "quit")  # while a filter is typed
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("▲▼", "choose a point"),
+        ("Enter", "open the point, or answer the question"),
+        ("q", "back from the points to the verdict or the alarm, or to the run behind"),
+    )
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "enter", "answer", show=False),
         Binding("q,backspace", "back", show=False, priority=True),
@@ -191,9 +196,12 @@ class RunScreen(FilterScreen):
     def _show_deviation(self, view: RunView, rows: int) -> None:
         """Show the newest point of a live run, or the one that was chosen."""
         table = self.query_one(Table)
-        newest = not table.rows or (view.live and table.cursor == len(table.rows) - 1)
+        last = table.follow and table.cursor >= len(table.rows) - 1
+        newest = not table.rows or (view.live and last)
         known = self._table.deviation
-        point = newest_shown(view, known) if newest else chosen_shown(view, table.key, known)
+        point = newest_shown(view, known)
+        if not newest:
+            point = chosen_shown(view, table.key, known, chosen=not last)
         lines = point_lines(point, self.application.glyphs, self.left_width, rows)
         self.panel("deviation").show(lines)
 

@@ -21,12 +21,15 @@ from textual.widgets import Input, Label
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.errors import HilcellError
-from hilcell.journal.point_words import procedure_words
+from hilcell.journal.point_words import procedure_words, step_words
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.keys import BY_NAME, shown
 from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
 from hilcell.tui.text import start as text
+from hilcell.tui.text.footer import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
+from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
 from hilcell.tui.text.lines import section
 from hilcell.tui.text.run import duration, moves
 from hilcell.tui.widgets import Choice, TextField, TextPanel
@@ -40,6 +43,7 @@ AFTER_PROCEDURE = (
 FIELDS = (*BEFORE_PROCEDURE, *AFTER_PROCEDURE)
 WATCHED = ("yes, I am here", "no, unattended")
 SPEEDS = ("max", "100", "10", "1")
+VIEWS = ("history", "theme", "help", "quit")  # in the footer's second row
 FIRST = "calibrate"
 QUIET_S = 0.4  # without a change, before the plan is computed
 FIELDS_WIDTH, PLAN_FROM = 42, 76  # columns
@@ -49,8 +53,8 @@ BEFORE_FROM = 22  # rows
 class StartScreen(BaseScreen):
     """The fields on the left, the plan on the right; nothing moves before a yes."""
 
-    footer = ("history", "help", "theme", "quit")
-    fixed = in_box = (("Enter", "start"), ("Tab", "next field"), ("up down", "choose"))
+    footer = ("help", "history", "theme", "quit")
+    fixed = in_box = (("Enter", "start"), ("Tab", "next field"), ("▲▼", "choose"))
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("down", "turn(1)", show=False, priority=True),  # in the order typed
         Binding("up", "turn(-1)", show=False, priority=True),
@@ -113,7 +117,7 @@ class StartScreen(BaseScreen):
         left = FIELDS_WIDTH if planned else wide
         attended = self.query_one("#attended", Choice).value == WATCHED[0]
         before = text.before_lines(self._checked, wide, attended=attended)
-        before = before if high >= BEFORE_FROM else []
+        before = before if self._is_roomy else []
         rows = high - len(before) - (6 if before else 4)
         self.panel("banner").show(text.banner(self._checked, glyphs, wide))
         self.panel("who").show(section("what and who", left - 1))
@@ -132,8 +136,39 @@ class StartScreen(BaseScreen):
         self.panel("end").show(text.end_line(self._checked, speed))
         summary = self._summaries.get(self.query_one("#procedure", Choice).value, "")
         self.panel("summary").show(Content.styled(summary, "$label").truncate(wide, ellipsis=True))
-        self.panel("summary").display = bool(before)
+        self._show_summary()
         self.panel("keys").show(self.key_line())
+
+    @property
+    def _is_roomy(self) -> bool:
+        """Whether there is room for what to do before, a summary and a footer of two rows."""
+        return self.app.size.height >= BEFORE_FROM and self.line_width >= FULL_WIDTH
+
+    def _show_summary(self) -> None:
+        """Show the procedure's summary, where no notice needs its row."""
+        self.panel("summary").display = self._is_roomy and not self.panel("notice").display
+
+    def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
+        """Show a notice in the place of the summary."""
+        super().show_notice(text, for_now=for_now, over=over)
+        if self.is_shown:
+            self._show_summary()
+
+    def key_line(self) -> Content:
+        """Return the form's keys, then the actions; a letter does nothing in a text field."""
+        if not self._is_roomy:
+            return super().key_line()
+        acts = [
+            KeyOf(key, word, works=True) for key, word in (*self.fixed, (PALETTE_KEY, EVERY_ACTION))
+        ]
+        views = []
+        typing = isinstance(self.focused, Input)
+        for name in VIEWS:
+            label = self.label(name)
+            works = self.application.allowed(name) and (BY_NAME[name].everywhere or not typing)
+            key = shown(self.application.keymap[name][0])
+            views.append(KeyOf(key, FOOTER_WORDS.get(label, label), works))
+        return form_footer(acts, views, self.line_width)
 
     async def _read_summaries(self) -> None:
         self._summaries = await run_in_thread(summaries, self._names)
@@ -197,12 +232,12 @@ class StartScreen(BaseScreen):
     async def _check(self) -> None:
         """Compute the plan of the fields as they stand."""
         change, request = self._changes, self.request()
-        cell, plan, refused = None, None, ""
+        plan, refused = None, ""
         try:
             plan = await process.dry_run(request)
-            cell = await run_in_thread(_cell_of, request)
         except HilcellError as error:
             refused = str(error) or "refused without a reason"
+        cell = await run_in_thread(_cell_of, request)
         if change != self._changes or not self.is_shown:
             return  # of earlier fields
         self._request = request
@@ -252,7 +287,7 @@ def _lines(lines: list[Content]) -> Content:
 
 
 def _cell_of(request: process.RunRequest) -> Cell | None:
-    """Return the cell of a plan that stands; None where its file has gone meanwhile."""
+    """Return the cell of a plan; None where its file cannot be read."""
     pairs = (setting.partition("=") for setting in request.settings)
     with suppress(HilcellError):
         return load_cell(request.cell, {name: value for name, _, value in pairs})
@@ -291,7 +326,12 @@ def plan_summary(request: process.RunRequest, plan: dict[str, Any]) -> Content:
     who = (
         "somebody is here to be asked" if request.attended else "unattended: a question is a fault"
     )
-    notes = [f"{step['name']}: {step['note']}\n" for step in plan["steps"] if step.get("note")]
+    has_rail = bool(plan.get("rail", True))
+    notes = [
+        f"{step_words(step['name'], has_rail=has_rail)}: {step['note']}\n"
+        for step in plan["steps"]
+        if step.get("note")
+    ]
     return Content.assemble(
         (f"Start {procedure_words(plan['procedure'])} on cell {plan['cell']}?\n", "bold $ask"),
         f"job {request.job or '-'}, operator {request.operator or '-'}\n",

@@ -93,7 +93,7 @@ ASCII = Glyphs(
     },
     fresh="*", moving=">", stale="o", lost="X", locked="#", gone="=", warned="!", newest="<",
     done="v", full="#", empty=".", mark="V", rule="-", over_left="<", over_right=">",
-    degree=" deg", plus_minus="+-", delta="d", dot="|", plain=True,
+    degree="", plus_minus="+-", delta="d", dot="|", plain=True,
 )  # fmt: skip
 
 _PLAIN = str.maketrans(

@@ -14,7 +14,7 @@ from hilcell.journal.key_words import in_words
 from hilcell.journal.log import Log
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.frame import ends, fitted, wrapped
+from hilcell.tui.text.frame import ends, fitted, hanging, wrapped
 from hilcell.tui.text.run import duration
 
 LABEL = 7  # columns of `What`, `Where`
@@ -110,9 +110,7 @@ def where_words(alarm: Alarm, log: Log) -> str:
 
 def part(name: str, text: str, width: int, style: str = "", most: int = 0) -> list[Content]:
     """Return a part of an alarm with its name before it, in as many lines as it needs."""
-    first, *rest = wrapped(text, width - LABEL, style, most)
-    head = Content.styled(f"{name:<{LABEL}}", "$label").append(first)
-    return [head, *(line.pad_left(LABEL) for line in rest)]
+    return hanging(Content.styled(f"{name:<{LABEL}}", "$label"), text, width, style, most)
 
 
 def present_step(latched: Latched) -> int:

@@ -92,7 +92,8 @@ def air(view: RunView, glyphs: Glyphs) -> Content:
         return Content("")
     if view.last.temperature_c is None or drift is None:
         return Content.styled("air not measured", "$label")
-    text = f"{view.last.temperature_c:.1f} °C {drift:+.1f} K".replace("-", "−")
+    celsius = f"{view.last.temperature_c:.1f} {glyphs.degree}C"
+    text = f"{celsius} {drift:+.1f} K".replace("-", "−")
     within = abs(drift) <= DRIFT_LIMIT_K
     return Content.styled(text if within else f"{glyphs.warned} {text}", "" if within else "$ask")
 

@@ -48,6 +48,7 @@ WORDS = {  # by label: shorter here
     "interlocks": "locks",
     "history": "runs",
 }
+PALETTE_KEY, EVERY_ACTION = "^p", "every action"
 NARROW = ("pause", "acknowledge", "help")  # stay, beside STOP, where there is no room for all
 FULL_WIDTH = 79
 
@@ -69,6 +70,21 @@ def footer_lines(state: Callable[[str], KeyOf], width: int) -> Content:
         return first.append(_row([Slot(name, 0) for name in NARROW], state)).truncate(width)
     first = first.append(_row(ACTS, state, padded=True))
     return Content("\n").join([first, Content(" ").append(_row(VIEWS, state))]).truncate(2 * width)
+
+
+def form_footer(acts: Sequence[KeyOf], views: Sequence[KeyOf], width: int) -> Content:
+    """Return the two rows of a form: its own keys, then the actions from there."""
+    rows = []
+    for keys, pad, gap in ((acts, " ", "  "), (views, "", " ")):
+        parts = [
+            Content.assemble(
+                (f"{pad}{each.key}{pad}", _key_style(works=each.works)),
+                (f" {each.word}{gap}", "" if each.works else "$stale"),
+            )
+            for each in keys
+        ]
+        rows.append(Content(" ").join([Content(""), Content("").join(parts)]).truncate(width))
+    return Content("\n").join(rows)
 
 
 def _stop(stop: KeyOf) -> Content:

@@ -51,3 +51,10 @@ def wrapped(text: str, width: int, style: str = "", most: int = 0) -> list[Conte
         rest = Content(" ").join(lines[most - 1 :]).truncate(width, ellipsis=True)
         lines = [*lines[: most - 1], rest]
     return [line.rstrip().stylize(style) if style else line.rstrip() for line in lines]
+
+
+def hanging(head: Content, text: str, width: int, style: str = "", most: int = 0) -> list[Content]:
+    """Return a text after its head; lines after the first stand under the first one's text."""
+    indent = head.cell_length
+    first, *rest = wrapped(text, width - indent, style, most)
+    return [head.append(first), *(line.pad_left(indent) for line in rest)]

@@ -66,12 +66,15 @@ def newest_shown(view: RunView, deviation: DeviationOf = deviation_of) -> Shown:
     return _shown(view, point, which, age, deviation, stale=old)
 
 
-def chosen_shown(view: RunView, key: str, deviation: DeviationOf = deviation_of) -> Shown:
-    """Return the point that was chosen in the table."""
+def chosen_shown(
+    view: RunView, key: str, deviation: DeviationOf = deviation_of, *, chosen: bool = True
+) -> Shown:
+    """Return the point under the table's cursor; not ``chosen``: the cursor only stood there."""
     point = view.log.points.get(key)
     if point is None:
         return Shown("no point measured yet", None, "")
-    return _shown(view, point, "chosen point", "", deviation, stale=False)
+    which = "chosen point" if chosen else "last point"
+    return _shown(view, point, which, "", deviation, stale=False)
 
 
 def _shown(

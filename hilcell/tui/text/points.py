@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from textual.content import Content
@@ -118,22 +119,34 @@ def filtered(
     points: Iterable[PointRow], wanted: str, *, bad_only: bool, worst: bool
 ) -> list[PointRow]:
     """Return the points that match all words, only bad ones and worst first where asked."""
-    words = wanted.lower().split()
+    words = [_pattern(word) for word in wanted.lower().split()]
     rows = [
         row
         for row in points
         if (not bad_only or row.state in (*BAD_STATES, "again"))
-        and all(word in _searched(row) for word in words)
+        and all(word.search(_searched(row)) for word in words)
     ]
     if worst:
         rows.sort(key=_badness, reverse=True)
     return rows
 
 
+def _pattern(word: str) -> re.Pattern[str]:
+    """Return what a word of a filter matches: letters anywhere, a number as a whole only."""
+    found = re.escape(word)
+    return re.compile(rf"(?<!\d){found}(?!\d)" if word[0].isdecimal() else found)
+
+
 def _searched(row: PointRow) -> str:
-    """Return what a filter finds: the point's key, its name in words, its station, its state."""
-    point = row.point
-    return f"{point.key} {point_words(point.id)} {point.station} {row.state}".lower()
+    """Return what a filter finds: the point's names in words, its station, its state."""
+    id, said = row.point.id, _said(row.deviation, row.state)[0]
+    return f"{short_words(id)} {point_words(id)} {row.point.station} {row.state} {said}".lower()
+
+
+def _said(deviation: Deviation | None, state: str) -> tuple[str, str]:
+    """Return the word of a state as its row shows it, and its tone."""
+    judged = deviation is not None and deviation.limit_mm is not None
+    return _STATES["in" if state == "ok" and judged else state]
 
 
 def _badness(row: PointRow) -> tuple[bool, float]:
@@ -145,9 +158,8 @@ def _badness(row: PointRow) -> tuple[bool, float]:
 def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
     """Return the cells of one point; ``waiting`` names those that are to be re-measured."""
     point, deviation = found.point, found.deviation
-    judged = deviation is not None and deviation.limit_mm is not None
     state = "waits" if point.key in waiting else found.state
-    said, tone = _STATES["in" if state == "ok" and judged else state]
+    said, tone = _said(deviation, state)
     stations, name = width >= STATIONS_FROM, short_words(point.id)
     cells = [(name if stations else f"{name} {point.station}".rstrip(), "")]
     cells += [(point.station, "label")] if stations else []

@@ -109,9 +109,18 @@ def _coordinates(prompt: PromptStatus, view: RunView) -> Content:
     for nests in (layout.standing, layout.slide):
         for nest in nests:
             if nest.name == prompt.place:
-                xyz = f"x {nest.x_mm:.0f}  y {nest.y_mm:.0f}  z {nest.z_mm:.0f}"
-                return Content.assemble(("at   ", "$label"), xyz)
+                return _at(nest.x_mm, nest.y_mm, nest.z_mm)
     return Content("")
+
+
+def _at(x_mm: float, y_mm: float, z_mm: float) -> Content:
+    """Return coordinates with their unit, closer together where the column is narrow."""
+    for head, gap in (("at   ", "  "), ("at ", " "), ("", " ")):
+        xyz = gap.join((f"x {x_mm:.0f}", f"y {y_mm:.0f}", f"z {z_mm:.0f}"))
+        line = Content.assemble((head, "$label"), f"{xyz} mm")
+        if line.cell_length <= RIGHT:
+            break
+    return line
 
 
 def is_ready(prompt: PromptStatus, view: RunView) -> bool:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
+from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import part_words, procedure_words, step_words
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import Glyphs
@@ -45,7 +47,7 @@ SHORT = 4
 GAP = 3  # between the parts of a row
 BAR, BESIDE_BAR = 43, 36
 ROOMY = 100  # columns for the badge beside a notice of the run behind
-MOST_OF_A_NAME = 20
+MOST_OF_A_NAME, LEAST_OF_A_NAME = 20, 8
 
 
 def block(text: str, tone: str) -> Content:
@@ -134,24 +136,40 @@ def identity(view: RunView, width: int) -> Content:
         begun = NO_PLAN_TEXTS[view.engine]
         return Content(f" run {view.run}: {view.trouble or begun}").truncate(width, ellipsis=True)
     run = _labelled("run", view.run[-SHORT:])  # its last letters differ between runs
-    parts = [_labelled("cell", short(str(plan.cell.get("name", "?"))))]
-    parts += [_labelled("job", short(plan.job))] if plan.job else []
-    parts += [_labelled("operator", short(plan.operator))] if plan.operator else []
-    parts += [Content.styled("unattended" if plan.unattended else "attended", "$label")]
+    names = {"cell": str(plan.cell.get("name", "?")), "job": plan.job, "operator": plan.operator}
+    attended = Content.styled("unattended" if plan.unattended else "attended", "$label")
     line = Content.assemble(" ", (procedure_words(plan.procedure), "bold"))
-    for part in parts:
-        if line.cell_length + GAP + part.cell_length + GAP + run.cell_length < width:
-            line = line.append(" " * GAP).append(part)
+    room = width - line.cell_length - GAP - run.cell_length - 1
+    for part in _fitting(names, attended, room):
+        line = line.append(" " * GAP).append(part)
     return justified(line, run, width - 1)
+
+
+def _fitting(names: Mapping[str, str], attended: Content, room: int) -> list[Content]:
+    """Return the parts that fit: long names are shortened before one is left out."""
+    for last, most in product(([attended], []), range(MOST_OF_A_NAME, LEAST_OF_A_NAME - 1, -1)):
+        parts = [_labelled(name, short(text, most)) for name, text in names.items() if text]
+        if _length(*parts, *last) <= room:
+            return [*parts, *last]
+    shown: list[Content] = []
+    for part in parts:
+        if _length(*shown, part) <= room:
+            shown.append(part)
+    return shown
+
+
+def _length(*parts: Content) -> int:
+    """Return the columns of parts with the gaps before them."""
+    return sum(GAP + part.cell_length for part in parts)
 
 
 def _labelled(name: str, value: str) -> Content:
     return Content.assemble((f"{name} ", "$label"), value)
 
 
-def short(name: str) -> str:
+def short(name: str, most: int = MOST_OF_A_NAME) -> str:
     """Return a name that leaves room for others on its line."""
-    return Content(name).truncate(MOST_OF_A_NAME, ellipsis=True).plain
+    return Content(name).truncate(most, ellipsis=True).plain
 
 
 def step(view: RunView, width: int) -> Content:
@@ -160,17 +178,23 @@ def step(view: RunView, width: int) -> Content:
     if plan is None or not now:
         return Content.styled(" no step yet", "$label")
     number, of = int(now["number"]), int(now["of"])
-    head = Content.assemble(
-        (f" Step {number} of {of}  ", "$label"), (step_words(str(now["name"])), "bold")
-    )
+    name = step_words(str(now["name"]), has_rail=view.has_rail)
+    head = Content.assemble((f" Step {number} of {of}  ", "$label"), (name, "bold"))
     if view.state in ("done", "intolerant"):
         return justified(head.append(": finished"), _counted(_planned(view)), width - 1)
-    if view.last is not None and not (view.newest_is_old and view.last is view.newest):
-        words = part_words(view.last.id)
-        head = head.append(f": {words}" if words else "")
+    words = _part(view)
+    head = head.append(f": {words}" if words else "")
     count = _counted(_of_step(view, number))
     room = width - 2 - count.cell_length if count.cell_length else width
     return justified(head.truncate(room, ellipsis=True), count, width - 1)
+
+
+def _part(view: RunView) -> str:
+    """Return the part of the step under way, by its last point; "" where the count is of others."""
+    if view.last is None or (view.newest_is_old and view.last is view.newest):
+        return ""
+    of_nests = view.span is not None and view.span.of_nests
+    return "" if view.last.id.group == CONTROL and not of_nests else part_words(view.last.id)
 
 
 def _counted(found: tuple[int, int]) -> Content:
@@ -185,7 +209,7 @@ def _planned(view: RunView) -> tuple[int, int]:
 def _of_step(view: RunView, number: int) -> tuple[int, int]:
     """Return how many of the part under way are measured, and planned; of the step else."""
     if view.span is not None:
-        return view.span
+        return view.span.taken, view.span.planned
     steps = view.log.plan.steps if view.log.plan is not None else []
     planned = steps[number - 1]["points"] if number <= len(steps) else 0
     if not planned and (sweeps := sweeps_of(steps[number - 1 : number])):
@@ -249,7 +273,9 @@ def following(view: RunView) -> Content:
     if plan is None or not now or not view.live:
         return Content("")
     number = int(now["number"])
-    words = step_words(plan.steps[number]["name"]) if number < len(plan.steps) else "the end"
+    words = "the end"
+    if number < len(plan.steps):
+        words = step_words(plan.steps[number]["name"], has_rail=view.has_rail)
     known = bool(view.ahead) and view.state == "running" and not view.stale
     left_s = sum(part.takes_s for part in view.ahead if part.step == number)
     when = f", in {duration(left_s)}" if known else ""

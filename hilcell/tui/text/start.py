@@ -10,7 +10,9 @@ from textual.content import Content
 
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
-from hilcell.journal.point_words import step_words
+from hilcell.journal.key_words import in_words
+from hilcell.journal.log import Log
+from hilcell.journal.point_words import procedure_words, step_words
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.frame import ends, fitted, wrapped
 from hilcell.tui.text.lines import section
@@ -18,6 +20,7 @@ from hilcell.tui.text.run import badge, duration, simulation_block
 
 NUMBERS = 9  # columns of `points`, and of `takes`
 NOTHING_MOVES = "nothing moves before you start"
+REFUSED = " refused before anything moves"  # after the procedure, in a plan's refusal
 FEW = 4  # nests that are named one by one
 
 
@@ -52,7 +55,10 @@ def banner(checked: Checked, glyphs: Glyphs, width: int) -> Content:
 
 
 def plan_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
-    """Return the steps with their points and durations; steps that do nothing are left out."""
+    """Return the steps with their points and durations, numbered as in the run.
+
+    Where room is short, steps that do nothing are left out first.
+    """
     plan, room = checked.plan, width - 2 * NUMBERS
     if checked.refused:
         reasons = _refusals(checked, glyphs, width, rows - 1)
@@ -61,32 +67,26 @@ def plan_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[
         return [section("plan", width), Content.styled("  is being checked ...", "$label")]
     names = f"{' points':─>{NUMBERS}}{'takes':>{NUMBERS}}"
     lines = [section("plan", room).append(Content.styled(names, "$label"))]
-    steps = [step for step in plan["steps"] if step["points"] or step["duration_s"]]
-    most = rows - len(lines) - 1
+    steps, most = [*enumerate(plan["steps"], start=1)], rows - len(lines) - 1
+    if len(steps) > most:
+        steps = [(n, step) for n, step in steps if step["points"] or step["duration_s"]]
     shown = steps if len(steps) <= most else steps[: max(most - 1, 0)]
-    lines += [
-        Content(
-            _row(
-                f"{n:>2} {step_words(step['name'])}",
-                _points(step),
-                duration(step["duration_s"]),
-                room,
-            )
-        )
-        for n, step in enumerate(shown, start=1)
-    ]
+    lines += [_step_line(n, step, checked, room) for n, step in shown]
     if len(shown) < len(steps):
         lines.append(Content.styled(f"   and {len(steps) - len(shown)} more steps", "$label"))
-    total = _row("   all", str(plan["points"]), duration(plan["duration_s"]), room)
+    count = f"   all {len(plan['steps'])} steps"
+    total = _row(count, str(plan["points"]), duration(plan["duration_s"]), room)
     return [*lines, Content.styled(total, "bold")]
+
+
+def _step_line(number: int, step: dict[str, Any], checked: Checked, room: int) -> Content:
+    name = step_words(step["name"], has_rail=checked.has_rail)
+    takes = duration(step["duration_s"]) if step["duration_s"] else "-"
+    return Content(_row(f"{number:>2} {name}", str(step["points"] or "-"), takes, room))
 
 
 def _row(name: str, points: str, takes: str, room: int) -> str:
     return f"{harmless(name)[:room]:<{room}}{points:>{NUMBERS}}{takes:>{NUMBERS}}"
-
-
-def _points(step: dict[str, Any]) -> str:
-    return str(step["points"] or "-")
 
 
 def check_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
@@ -106,7 +106,7 @@ def check_lines(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list
 
 def _refusals(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
     """Return each line of a refusal whole, where ``rows`` are enough; else each one's beginning."""
-    texts = [harmless(text) for text in map(str.strip, checked.refused.splitlines()) if text]
+    texts = [harmless(text) for text in refused_words(checked) if text]
     whole = [wrapped(text, width - 2) for text in texts]
     if sum(map(len, whole)) > rows:
         most = max(rows // max(len(texts), 1), 1)
@@ -116,6 +116,22 @@ def _refusals(checked: Checked, glyphs: Glyphs, width: int, rows: int) -> list[C
         lines.append(Content.styled(f"{glyphs.warned} ", "bold $ask").append(first))
         lines += [line.pad_left(2) for line in rest]
     return lines
+
+
+def refused_words(checked: Checked) -> list[str]:
+    """Return the lines of a refusal; those of a plan name procedure, steps and points in words."""
+    first, *rest = map(str.strip, checked.refused.splitlines() or [""])
+    name, refused, why = first.partition(REFUSED)
+    if not refused:
+        return [first, *rest]
+    begin = f"{procedure_words(name)}{refused}{why}"
+    return [begin, *(_in_words(line, checked) for line in rest)]
+
+
+def _in_words(line: str, checked: Checked) -> str:
+    step, colon, reason = line.partition(": ")
+    words = step_words(step, has_rail=checked.has_rail) if colon else step
+    return f"{words}{colon}{in_words(reason, Log())}"
 
 
 def before_lines(checked: Checked, width: int, *, attended: bool) -> list[Content]:
@@ -152,11 +168,14 @@ def start_line(checked: Checked, width: int) -> Content:
     words = "robot and rail will move" if checked.has_rail else "robot will move"
     key = Content.styled(" Enter ", "bold $on-ask on $ask-fill")
     line = key.append(Content.styled(f" start: {words}", "bold"))
-    if checked.simulated:
-        line = line.append(Content.styled(" in simulation only: ", "$sim")).append(
-            simulation_block()
-        )
-    return fitted(line, width)
+    if not checked.simulated:
+        return fitted(line, width)
+    only = Content.styled(" in simulation only: ", "$sim"), simulation_block()
+    whole = Content("").join([line, *only])
+    if whole.cell_length <= width:
+        return fitted(whole, width)
+    short = Content("").join([key.append(Content.styled(" start: ", "bold")), simulation_block()])
+    return fitted(short, width)
 
 
 def end_line(checked: Checked, speed: str) -> Content:

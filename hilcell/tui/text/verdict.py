@@ -321,7 +321,8 @@ def _reason(each: Station, found: Verdict) -> str:
 
 def _written(view: RunView, found: Verdict, glyphs: Glyphs) -> Content:
     celsius = view.log.temperatures_c()
-    air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} °C" if celsius else ""
+    unit = f"{glyphs.degree}C"
+    air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {unit}" if celsius else ""
     if not view.log.calibrates:
         return Content.styled(f" no calibration file was to be written{air}", "$label")
     if view.calibration_lost:

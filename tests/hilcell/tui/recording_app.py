@@ -26,10 +26,10 @@ from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.session import Session
 from hilcell.tui.keys import ACTIONS, Keymap
 from hilcell.tui.screens.base import Application, BaseScreen, Options
+from hilcell.tui.screens.help import HelpPage
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import (
     AlarmPage,
-    HelpPage,
     InterlockPage,
     LogPage,
     ReportPage,
@@ -148,6 +148,14 @@ async def _round(pilot: Pilot[int]) -> None:
             running: asyncio.Event = screen._update_timer._active
             if running.is_set():  # else the screen above would paint all again, each time
                 screen._on_timer_update()
+
+
+async def until(pilot: Pilot[int], true: Callable[[], object]) -> None:
+    """Wait until something is so; an application that has ended by an error ends the wait."""
+    while not true():
+        assert pilot.app._exception is None, pilot.app._exception
+        assert pilot.app.is_running, "the application has ended"
+        await pilot.pause()
 
 
 async def press(pilot: Pilot[int], *keys: str) -> None:

@@ -14,8 +14,9 @@ from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.engine.session import utc_now
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.screens.base import BaseScreen, Confirm
+from hilcell.tui.screens.help import HelpPage
 from hilcell.tui.screens.history import HistoryPage
-from hilcell.tui.screens.pages import DetailPage, HelpPage, LogPage
+from hilcell.tui.screens.pages import DetailPage, LogPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.tui.text.footer import ACTS, VIEWS
@@ -453,7 +454,8 @@ def test_a_point_is_re_measured_after_a_question(state: str) -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "end", "r")
         assert isinstance(app.screen, Confirm)
-        assert "grid/0-0-4" in text_of(app)
+        assert "grid point 0-0-4 at S1100: " in text_of(app)
+        assert "grid/0-0-4" not in text_of(app)
         await press(pilot, "n", "r", "y")
 
     app = run_app(act, state)
@@ -480,7 +482,7 @@ def test_a_point_that_may_not_be_re_measured_says_why() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "home", "r")
         assert isinstance(app.screen, RunScreen)
-        assert "world/F1: only grid, repeatability, validation" in text_of(app)
+        assert "floor nest F1: only grid, repeatability, validation" in text_of(app)
 
     assert run_app(act, "running").recorded.asked == []
 

@@ -64,7 +64,7 @@ def test_a_refusal_says_why(asked: RunRequest) -> None:
 
 
 def test_a_value_that_is_refused_comes_without_the_usage_of_a_command() -> None:
-    with pytest.raises(HilcellError, match=r"^argument --seed: a whole number") as refused:
+    with pytest.raises(HilcellError, match=r"^seed: a whole number") as refused:
         asyncio.run(dry_run(RunRequest("paper", "home", seed="-1")))
     assert "\n" not in str(refused.value)
 

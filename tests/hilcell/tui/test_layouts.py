@@ -47,7 +47,8 @@ def test_a_letter_of_any_layout_acts_and_is_shown(tmp_path: Path) -> None:
     file = keys_file(tmp_path, LETTERS)
     asyncio.run(press_letters())
     for letter in LETTERS:
-        lines = help_lines(load_keys(keys_file(tmp_path, (letter,))), ASCII).plain.splitlines()
+        keymap = load_keys(keys_file(tmp_path, (letter,)))
+        lines = help_lines(keymap, ASCII, {}, 79).plain.splitlines()
         assert any(line.startswith(f"{letter} ") and "journal" in line for line in lines)
 
 
@@ -61,4 +62,4 @@ def test_such_a_key_in_a_real_terminal(tmp_path: Path, letter: str) -> None:
         terminal.press(letter)
         terminal.shows("Event log")
         terminal.press("q?")
-        terminal.shows(f"{letter:<12}every record of the journal")
+        terminal.shows(f"{letter:<10}log          every record of the journal")

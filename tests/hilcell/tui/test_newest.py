@@ -125,6 +125,11 @@ def test_a_chosen_point_says_that_it_is_chosen() -> None:
     assert chosen_shown(view, "none").deviation is None
 
 
+def test_a_point_that_nobody_chose_is_the_last_one() -> None:
+    found = chosen_shown(view_after(measuring()), "grid/0-0-4", chosen=False)
+    assert found.name == "last point: grid point 0-0-4 at S1100"
+
+
 @given(ANY, ANY, ANY, st.one_of(st.none(), st.floats(1e-3, 1e3)), st.integers(20, 200))
 def test_any_deviation_fits_any_width(
     dx: float, dy: float, dz: float, limit: float | None, width: int

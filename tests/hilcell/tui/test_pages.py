@@ -143,7 +143,7 @@ def test_the_worst_and_the_bad_are_found_with_a_key() -> None:
         await press(pilot, "b")
         assert [row.key for row in rows.rows] == ["validate/S1100/chosen/001"]
         assert " bad by |e| " in text_of(app)
-        await press(pilot, "slash", *"idw", "enter")
+        await press(pilot, "slash", *"paper", "enter")
         assert "no such point is bad; b shows all" in text_of(app)
         await press(pilot, "slash", "ctrl+u", "enter", "b", "w")
         assert " point  " in text_of(app)

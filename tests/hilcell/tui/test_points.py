@@ -130,6 +130,20 @@ def test_points_stand_in_the_order_in_which_they_were_measured() -> None:
     ]
 
 
+def test_a_filter_matches_the_words_shown() -> None:
+    story = measuring()
+    for number in (4, 5, 14, 15):
+        story.point(
+            PointId("validate", station="S1100", how="chosen", number=number), (1.0, 2.0, 3.0)
+        )
+    log = log_of(story)
+    assert keys_of(log, "corrected 5") == ["validate/S1100/chosen/004"]
+    assert keys_of(log, "corrected 15 s11") == ["validate/S1100/chosen/014"]
+    assert keys_of(log, "chosen") == []
+    assert keys_of(log, "grid 0-0-3") == ["grid/0-0-3"]
+    assert keys_of(log, "nest f1") == ["world/F1"]
+
+
 def test_worst_first_puts_points_with_a_tolerance_before_raw_ones() -> None:
     log = log_of(validated(worst_mm=1.2))
     rows = filtered(PointRows().rows(log), "", bad_only=False, worst=True)
@@ -151,7 +165,7 @@ def test_a_point_that_is_no_number_is_the_worst_of_all() -> None:
 @pytest.mark.parametrize(
     ("wanted", "found"),
     [("grid", 5), ("GRID", 5), ("0-0-3", 1), ("s1100 grid", 5), ("grid s300", 0), ("ok", 8),
-     ("world f2", 1), ("", 8), ("   ", 8), ("[/nope]", 0), ("\x1b[31m", 0)],
+     ("floor f2", 1), ("", 8), ("   ", 8), ("[/nope]", 0), ("\x1b[31m", 0)],
 )  # fmt: skip
 def test_filters(wanted: str, found: int) -> None:
     assert len(keys_of(log_of(measuring()), wanted)) == found

@@ -39,7 +39,7 @@ def test_the_task_is_beside_the_plan() -> None:
     found = text(PROMPT, seating())
     for words in (
         "? Seat the reflector in P1", "from above, to scale", "Take it out of F1",
-        "Seat it in P1", "at   x 350  y -350  z 60", "off its place, mm", "limit", "5.00",
+        "Seat it in P1", "at x 350 y -350 z 60 mm", "off its place, mm", "limit", "5.00",
         "● tracker sees it", "0.3 s ago", "Enter  measure it here", "nothing moves", " tracker ",
     ):  # fmt: skip
         assert words in found, words

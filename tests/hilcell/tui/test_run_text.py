@@ -14,9 +14,10 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.run.forecast import UnderWay
 from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import EngineState, RunView
-from hilcell.tui.terminal.capabilities import UNICODE, to_ascii
+from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.deviation import Deviation
@@ -192,7 +193,7 @@ def test_the_step_is_shown_in_words_with_the_count_of_its_part() -> None:
     line = run_text.step(view, 79).plain
     assert line.startswith(" Step 5 of 7  Robot grid")
     assert line.endswith(" 5 of 8")
-    view.span = (50, 75)
+    view.span = UnderWay(50, 75, of_nests=False)
     assert run_text.step(view, 79).plain.endswith(" 50 of 75")
     assert run_text.step(view_of("done"), 79).plain.startswith(" Step 7 of 7  Validation: finished")
     assert run_text.step(view_of("checking"), 79).plain == " no step yet"
@@ -214,7 +215,12 @@ def test_a_part_of_a_validation_is_named() -> None:
     assert ": corrected targets at S1100" in run_text.step(view, 79).plain
     story.point(PointId("control", nest="F1"), commanded_deg=None)
     view.take(story.records[-1])
+    view.span = UnderWay(2, 3, of_nests=True)
+    assert run_text.step(view, 79).plain.endswith(" 2 of 3")
     assert "Validation: floor nests" in run_text.step(view, 79).plain
+    for span in (UnderWay(4, 8, of_nests=False), None):  # the count is of others
+        view.span = span
+        assert "floor nests" not in run_text.step(view, 79).plain
 
 
 def test_running_is_never_bright_where_nothing_is_heard() -> None:
@@ -385,3 +391,21 @@ def test_a_start_that_was_refused_has_lost_no_engine() -> None:
     end = {"state": "idle", "exit": 6, "reason": "the cell is in use", "result": {}}
     view.take(Record(2, plan.t, "end", "", end))
     assert view.state == "idle"
+
+
+@pytest.mark.parametrize("width", [79, 90])
+def test_the_operator_stands_beside_a_long_job(width: int) -> None:
+    view = view_of("running")
+    assert view.log.plan is not None
+    view.log.plan = msgspec.structs.replace(view.log.plan, job="J" * 21, operator="Anna Öberg")
+    line = run_text.identity(view, width).plain
+    assert "operator Anna Öberg" in line
+    assert "job JJJJ" in line
+    assert ("attended" in line) == (width == 90)
+    assert len(line) < width
+
+
+def test_the_air_has_one_blank_before_its_unit_in_ascii() -> None:
+    view = view_of("running")
+    assert "22.5 °C +0.0 K" in devices.air(view, UNICODE).plain
+    assert to_ascii(devices.air(view, ASCII).plain) == "22.5 C +0.0 K"

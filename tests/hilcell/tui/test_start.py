@@ -13,7 +13,7 @@ from textual.pilot import Pilot
 from hilcell.cell.file import load_cell
 from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
-from hilcell.tui.screens.start import PlanSummary, StartScreen
+from hilcell.tui.screens.start import PlanSummary, StartScreen, plan_summary
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text import start as text
 from tests.hilcell.tui.all_screens import PLAN, isolated
@@ -26,6 +26,7 @@ from tests.hilcell.tui.recording_app import (
     settle,
     text_of,
     type_ahead,
+    until,
 )
 from tests.hilcell.tui.sample_runs import BEGAN
 
@@ -75,11 +76,9 @@ def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch
     async def run() -> None:
         app = RecordingApp(options(RUNS))
         async with app.run_test(size=SIZE) as pilot:
-            while "calibrate" not in waits:
-                await pilot.pause()
+            await until(pilot, lambda: "calibrate" in waits)
             type_ahead(app, "down")
-            while "home" not in waits:
-                await pilot.pause()
+            await until(pilot, lambda: "home" in waits)
             waits["home"].set()
             waits["calibrate"].set()  # late: its fields are no more
             await settle(pilot)
@@ -130,9 +129,11 @@ def test_the_plan_fits_and_ends_with_the_sum(rows: int) -> None:
     lines = text.plan_lines(CHECKED, UNICODE, 37, rows)
     assert len(lines) <= rows
     assert {line.cell_length for line in lines[:2]} == {37}
-    assert lines[-1].plain.split() == ["all", "21", "2:42"]
+    assert lines[-1].plain.split() == ["all", "7", "steps", "21", "2:42"]
     left_out = any("more steps" in line.plain for line in lines)
     assert left_out == (rows < 8)  # six steps do something
+    assert any(line.plain.startswith(" 6 Fit") for line in lines) == (rows > 8)
+    assert any(line.plain.startswith(" 7 Validation") for line in lines) == (rows >= 8)
 
 
 def test_what_to_see_to_names_the_nests() -> None:
@@ -161,3 +162,73 @@ def test_a_real_cell_has_no_simulation_on_its_page() -> None:
         assert "SIMULATION" not in line.plain
     assert "start: robot will move" in text.start_line(real, 80).plain
     assert "SIMULATION" in text.banner(CHECKED, UNICODE, 80).plain
+
+
+def test_a_form_that_cannot_be_built_ends_its_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    async def run() -> None:
+        app = RecordingApp(options(RUNS))
+        async with app.run_test(size=SIZE) as pilot:
+            await until(pilot, lambda: False)
+
+    monkeypatch.setattr(text, "before_lines", fail)
+    with pytest.raises((AssertionError, ZeroDivisionError)):
+        asyncio.run(run())
+
+
+def test_the_footer_keeps_the_keys_that_a_text_field_silences(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    planned(monkeypatch)
+
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        for field in ("procedure", "operator"):
+            assert app.focused is not None
+            assert app.focused.id == field
+            acts, views = text_of(app).splitlines()[-2:]
+            assert acts.endswith(" Enter  start   Tab  next field   ▲▼  choose   ^p  every action")
+            assert views.endswith("h runs t theme ? help ^q quit")
+            await press(pilot, "tab")
+
+    run_app(act, size=SIZE)
+
+
+@pytest.mark.parametrize("width", range(40, 100))
+def test_the_mark_of_a_simulation_is_never_cut(width: int) -> None:
+    line = text.start_line(CHECKED, width).plain.rstrip()
+    assert line.endswith("▒ SIMULATION ▒")
+    assert " start: " in line
+
+
+def test_a_cell_without_a_rail_parks_its_robot() -> None:
+    fixed = text.Checked(PLAN | {"rail": False}, "", load_cell("fixed"), BEGAN)
+    lines = [line.plain for line in text.plan_lines(fixed, UNICODE, 37, 20)]
+    assert lines[1].startswith(" 1 Park the robot")
+    assert not any("rail" in line for line in lines)
+    assert text.plan_lines(CHECKED, UNICODE, 37, 20)[1].plain.startswith(" 1 Home the rail")
+
+
+def test_a_refused_plan_names_steps_and_points_in_words() -> None:
+    refused = (
+        "calibrate refused before anything moves\n"
+        "robot-grid: grid/0-0-4: out of reach\n"
+        "sign-check: no target"
+    )
+    said = text.refused_words(text.Checked(refused=refused))
+    assert said == [
+        "Calibration refused before anything moves",
+        "Robot grid: grid point 0-0-4: out of reach",
+        "Sign check: no target",
+    ]
+    assert text.refused_words(text.Checked(refused="plan.x: unknown key")) == [
+        "plan.x: unknown key"
+    ]
+
+
+def test_the_question_names_the_steps_that_do_nothing_in_words() -> None:
+    step = {"name": "station-frames", "points": 0, "duration_s": 0.0, "note": "on the floor"}
+    plan = PLAN | {"steps": [step]}
+    said = plan_summary(process.RunRequest("fixed", "calibrate"), plan).plain
+    assert "Station frames: on the floor" in said

@@ -1,0 +1,36 @@
+"""The help page, made of the keys that the screens really have."""
+
+from __future__ import annotations
+
+from textual.content import Content
+
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.screens.base import BaseScreen
+from hilcell.tui.screens.history import HistoryPage
+from hilcell.tui.screens.pages import LogPage, TextPage
+from hilcell.tui.screens.plots import PlotPage
+from hilcell.tui.screens.run import RunScreen
+from hilcell.tui.screens.start import StartScreen
+from hilcell.tui.text.help import help_lines
+
+SCREENS: dict[str, type[BaseScreen]] = {  # those whose keys are explained, by their titles
+    "the run": RunScreen,
+    "a new run": StartScreen,
+    "the plots": PlotPage,
+    "the runs": HistoryPage,
+    "the log": LogPage,
+    "other pages": TextPage,
+}
+
+
+class HelpPage(TextPage):
+    """The meaning of the keys and of the lines."""
+
+    title_text = "Help"
+    footer = ("stop", "quit")
+
+    def text(self, view: RunView | None) -> Content:
+        """Return the help."""
+        fixed = {title: (*each.fixed, *each.in_box) for title, each in SCREENS.items()}
+        app, width = self.application, self.line_width - 1  # beside the scroll bar
+        return help_lines(app.keymap, app.glyphs, fixed, width)
