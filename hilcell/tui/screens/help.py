@@ -31,6 +31,12 @@ class HelpPage(TextPage):
 
     def text(self, view: RunView | None) -> Content:
         """Return the help."""
-        fixed = {title: (*each.fixed, *each.in_box) for title, each in SCREENS.items()}
+        fixed = {title: keys_of(each) for title, each in SCREENS.items()}
         app, width = self.application, self.line_width - 1  # beside the scroll bar
         return help_lines(app.keymap, app.glyphs, fixed, width)
+
+
+def keys_of(screen: type[BaseScreen]) -> list[tuple[str, str]]:
+    """Return the keys of a screen that cannot be rebound, and those of its filter."""
+    of_filter = [each for each in screen.in_box if each not in screen.fixed]
+    return [*screen.fixed, *((key, f"in the filter: {words}") for key, words in of_filter)]

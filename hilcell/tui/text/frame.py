@@ -8,6 +8,7 @@ from textual.content import Content
 
 SINGLE, DOUBLE = tuple("┌─┐│└┘"), tuple("╔═╗║╚╝")
 Shape = tuple[str, ...]
+LEAST_BESIDE = 8  # columns of a text beside its head
 BORDERS = 4  # columns: a border and a space at either side
 
 
@@ -54,7 +55,12 @@ def wrapped(text: str, width: int, style: str = "", most: int = 0) -> list[Conte
 
 
 def hanging(head: Content, text: str, width: int, style: str = "", most: int = 0) -> list[Content]:
-    """Return a text after its head; lines after the first stand under the first one's text."""
+    """Return a text after its head; lines after the first stand under the first one's text.
+
+    Where there is no room beside the head, the text stands under it.
+    """
     indent = head.cell_length
+    if width - indent < LEAST_BESIDE:
+        return [head, *wrapped(text, width, style, most)]
     first, *rest = wrapped(text, width - indent, style, most)
     return [head.append(first), *(line.pad_left(indent) for line in rest)]
