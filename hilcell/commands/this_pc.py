@@ -163,7 +163,11 @@ def _file_system(folder: Path, mounts: Path) -> str:
     """Return the kind of file system that ``folder`` lies on; "" where it is not known."""
     lines = [line.split() for line in mounts.read_text("utf-8", "replace").splitlines()] if (
         mounts.exists()) else []  # fmt: skip
-    points = {fields[1]: fields[2] for fields in lines if len(fields) > 2}  # the last mount counts
+    # The last mount counts; spaces in names are written as octal numbers (proc(5)).
+    points = {
+        re.sub(r"\\([0-7]{3})", lambda found: chr(int(found[1], 8)), fields[1]): fields[2]
+        for fields in lines if len(fields) > 2
+    }  # fmt: skip
     resolved = folder.resolve()
     nearest = next(
         (str(each) for each in (resolved, *resolved.parents) if str(each) in points), ""

@@ -50,8 +50,8 @@ class _Place(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Errors (mm) of one station's targets; ``mean_U_mm`` is the mean's expanded uncertainty,
-    ``turn`` the error of orientation where that was judged.
+    """Errors (mm) of one station's targets; expanded uncertainties are NaN where not stated.
+    ``turn`` is the error of orientation where that was judged.
     """
 
     name: str
@@ -61,6 +61,7 @@ class Station:
     p95_mm: float
     max_mm: float
     mean_U_mm: float
+    max_U_mm: float
     outcome: str
     turn: Turn | None = None
 
@@ -138,13 +139,13 @@ def _places(view: RunView) -> dict[str, _Place]:
 def _station(view: RunView, name: str, place: _Place) -> Station:
     judged = view.log.verdicts.get(f"validation.{name}", {})
     outcome = judged.get("outcome") or ("accepted" if judged.get("holds", True) else "rejected")
-    U_mm = judged.get("mean_U_mm")
+    mean_U_mm, max_U_mm = (_number(judged.get(f"{name}_U_mm")) for name in ("mean", "max"))
     by = (judged.get("mean_mm"), judged.get("max_mm"))  # the figures that it was judged by
     mean_mm = by[0] if isinstance(by[0], float) else place.chosen.mean
     max_mm = by[1] if isinstance(by[1], float) else place.chosen.max
     return Station(
         name, place.points, place.before.mean, mean_mm, place.chosen.p95, max_mm,
-        math.nan if U_mm is None else float(U_mm), str(outcome), _turn(judged),
+        mean_U_mm, max_U_mm, str(outcome), _turn(judged),
     )  # fmt: skip
 
 
@@ -154,6 +155,10 @@ def _turn(judged: Mapping[str, Any]) -> Turn | None:
         return None
     stated = (judged.get(key) for key in ("max_deg", "max_U_deg"))
     return Turn(*(each if isinstance(each, float) else math.nan for each in stated))
+
+
+def _number(stated: float | None) -> float:
+    return math.nan if stated is None else float(stated)
 
 
 # -- drawing ---------------------------------------------------------------------------------------
@@ -189,10 +194,17 @@ def _head(found: Verdict) -> Head:
     word, stated = words_of(found)
     mean, single = found.worst_mean, found.worst_single
     figures = (
-        Figure("worst mean |e|, mm", mean.mean_mm, f"at {mean.name}", found.mean_limit_mm),
-        Figure("worst single |e|, mm", single.max_mm, f"at {single.name}", found.max_limit_mm),
-    )
+        Figure("worst mean |e|, mm", mean.mean_mm, f"at {mean.name}", found.mean_limit_mm,
+               _where_stated(mean.mean_U_mm)),
+        Figure("worst single |e|, mm", single.max_mm, f"at {single.name}", found.max_limit_mm,
+               _where_stated(single.max_U_mm)),
+    )  # fmt: skip
     return Head((word,), stated, "passed" if found.passed else "fault", figures)
+
+
+def _where_stated(U_mm: float) -> float:
+    """Return an uncertainty; 0 for none, as the verdict's own decision takes it."""
+    return 0.0 if math.isnan(U_mm) else U_mm
 
 
 def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
+import sys
 import time
 from importlib import resources
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from hilcell.cell.addresses import THIS_MACHINE
+from hilcell.cell.addresses import THIS_MACHINE, places
 from hilcell.commands import doctor, this_pc
 from hilcell.commands.cli import main
 from hilcell.run.cell_lock import lock_of_device, locked
@@ -47,17 +50,23 @@ def test_a_missing_package_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (found.state, found.found.rpartition(" ")[2]) == ("wrong", "nosuchpackage")
 
 
+def test_an_older_python_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(this_pc, "LEAST_PYTHON", (sys.version_info[0], sys.version_info[1] + 1))
+    assert this_pc.python().state == "wrong"
+
+
 @pytest.mark.parametrize(
-    ("environment", "columns", "state"),
+    ("environment", "columns", "rows", "state"),
     [
-        ({"TERM": "xterm"}, 80, "ok"),
-        ({"TERM": "xterm"}, 59, "warning"),
-        ({"TERM": "xterm", "LC_ALL": "C"}, 80, "warning"),
-        ({}, 80, "warning"),
+        ({"TERM": "xterm"}, 60, 15, "ok"),
+        ({"TERM": "xterm"}, 59, 24, "warning"),
+        ({"TERM": "xterm"}, 80, 14, "warning"),
+        ({"TERM": "xterm", "LC_ALL": "C"}, 80, 24, "warning"),
+        ({}, 80, 24, "warning"),
     ],
 )
-def test_terminals(environment: dict[str, str], columns: int, state: str) -> None:
-    assert this_pc.terminal(environment, columns, 24).state == state
+def test_terminals(environment: dict[str, str], columns: int, rows: int, state: str) -> None:
+    assert this_pc.terminal(environment, columns, rows).state == state
 
 
 @pytest.mark.parametrize(("operstate", "state"), [("up", "ok"), ("down", "warning")])
@@ -89,6 +98,26 @@ def test_a_shared_disk_is_wrong(tmp_path: Path) -> None:
     assert this_pc.disk(tmp_path, mounts).state == "ok"
 
 
+def test_the_nearest_mount_counts_whatever_its_name(tmp_path: Path) -> None:
+    """The kernel writes a space in the name of a mount as \\040 (proc(5))."""
+    share, mounts = tmp_path.resolve() / "my runs", tmp_path / "mounts"
+    share.mkdir()
+    written = str(share).replace(" ", r"\040")
+    mounts.write_text(f"/dev/sda / ext4 rw 0 0\nserver:/x {written} cifs rw 0 0\n")
+    assert this_pc.disk(share / "more", mounts).state == "wrong"
+    mounts.write_text(f"server:/ / nfs rw 0 0\n/dev/sdb {written} ext4 rw 0 0\n")
+    assert this_pc.disk(share, mounts).state == "ok"
+
+
+@pytest.mark.parametrize(("free_bytes", "state"), [(1_100_000_000, "ok"), (900_000_000, "wrong")])
+def test_a_disk_needs_a_gigabyte(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_bytes: int, state: str
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free_bytes))
+    found = this_pc.disk(tmp_path, tmp_path / "no mounts")
+    assert (found.state, f"{free_bytes / 1e9:.1f} GB free" in found.found) == (state, True)
+
+
 def test_a_folder_that_is_none_is_wrong(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
@@ -100,6 +129,15 @@ def test_a_clock_behind_the_newest_run_is_wrong(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     os.utime(tmp_path / "run", (time.time() + 3600.0,) * 2)
     assert this_pc.clock(tmp_path).state == "wrong"
+
+
+@pytest.mark.parametrize(("answer", "state"), [(0, "ok"), (5, "warning"), (-1, "warning")])
+def test_a_clock_that_nothing_sets_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: int, state: str
+) -> None:
+    kernel = SimpleNamespace(adjtimex=lambda _: answer)
+    monkeypatch.setattr(this_pc.ctypes, "CDLL", lambda _: kernel)
+    assert this_pc.clock(tmp_path).state == state
 
 
 def test_a_pc_that_wakes_late_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,6 +164,31 @@ def test_a_device_that_a_run_uses_is_left_alone() -> None:
         assert "20260101-1" in found.found
         with pytest.raises(BlockingIOError):
             server.accept()
+
+
+def test_a_port_that_may_only_be_read_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ttyUSB0").touch()
+    assert doctor._file("rail", tmp_path / "ttyUSB0").state == "ok"
+    monkeypatch.setattr(os, "access", lambda _, mode: mode == os.R_OK)
+    assert doctor._file("rail", tmp_path / "ttyUSB0").state == "wrong"
+
+
+def test_a_driver_that_names_no_place_is_not_called_wrong() -> None:
+    [place] = places({"usb_serial": "A1"})
+    assert doctor._in_use_or("tracker", place).state == "ok"
+
+
+def test_a_cell_without_a_rail_has_no_place_of_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text((resources.files("hilcell.cells") / "fixed.toml").read_text("utf-8")
+                    .partition("[simulation]")[0])  # fmt: skip
+    main(["doctor", "--json", "--runs", str(tmp_path), "--cell", str(cell)])
+    checks = [each["check"] for each in json.loads(capsys.readouterr().out)["checks"]]
+    assert not [check for check in checks if "rail" in check]
 
 
 @pytest.mark.parametrize("place", ["can99", "/dev/nosuchport"])

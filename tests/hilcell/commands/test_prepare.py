@@ -15,6 +15,7 @@ from hilcell.calibration.volume import Volume
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import write_targets
+from hilcell.geometry.frames import pose_from_zyx
 from hilcell.planning.holes import NORMALS
 from tests.hilcell.calibration.calibrations import LIMITS, calibration
 from tests.hilcell.commands.finished_runs import MADE, finished
@@ -23,7 +24,7 @@ from tests.hilcell.commands.workplace import read_corrected
 DIGEST = load_cell("paper").digest
 INSIDE = [(0.0, 0.0, 1200.0), (0.0, 50.0, 1250.0), (50.0, -50.0, 1100.0)]
 FILES = ["S1100.csv", "S1100.dat", "S1100.src", "sheet.html", "summary.json"]
-OUTSIDE = (0.0, 600.0, 1200.0)  # reached from S1100 all the same
+OUTSIDE = (0.0, 460.0, 1200.0)  # by some 13 mm; reached from S1100 all the same
 
 
 def made(folder: Path, **changes: Any) -> Path:
@@ -85,6 +86,18 @@ def test_holes_that_compensate_refuses_are_refused_with_the_reason(
     leaning = holes(tmp_path, *INSIDE, lean=0.1)
     assert main(["plan", str(leaning), "--calibration", str(file)]) == 2
     assert "from the calibrated orientation at S1100, wanted <= 2 deg" in capsys.readouterr().err
+
+
+def test_the_volume_turns_with_the_base() -> None:
+    one = calibration()
+    T = pose_from_zyx(100.0, 200.0, 0.0, 40.0, 0.0, 10.0)
+    turned = msgspec.structs.replace(one.stations["S1100"], T_W_B=T.tolist())
+    volume = Volume(msgspec.structs.replace(one, stations={"S1100": turned}))
+    pose = T @ pose_from_zyx(1850.0, 0.0, 950.0, 0.0, 75.0, 0.0)
+    assert volume.takes("S1100", pose).item()
+    np.testing.assert_allclose(volume.orientation("S1100"), pose[:3, :3], atol=1e-12)
+    aside = pose @ pose_from_zyx(0.0, 0.0, 0.0, 2.1, 0.0, 0.0)
+    assert not volume.takes("S1100", aside).item()
 
 
 def test_free_stations_are_not_calibrated(
@@ -155,6 +168,9 @@ def test_a_calibration_that_failed_plans_and_prepares_nothing(
     if command == "prepare":
         _, _, (stamp,) = read_corrected(tmp_path / "out" / "S1100.csv")
         assert "; OUT OF TOLERANCE (accepted)" in stamp
+        page = (tmp_path / "out" / "sheet.html").read_text("utf-8")
+        assert "OUT OF TOLERANCE, accepted" in page
+        assert "accepted although validation at S1100" in page
 
 
 def test_another_cell_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,7 +2,10 @@
 
 import csv
 import json
+import math
 import re
+from datetime import UTC, datetime, timedelta
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +14,20 @@ import numpy as np
 import pytest
 
 from drivers.program_krl.reader import read_program
+from hilcell.calibration.budget import DRILL
+from hilcell.calibration.influence import ASSUMED, Influence, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import inverse, pose_from_zyx, poses_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
 from hilcell.planning.holes import NORMALS
-from tests.hilcell.calibration.calibrations import T_W_B, calibration
+from tests.hilcell.calibration.calibrations import STAMP, T_W_B, calibration
 from tests.hilcell.commands.test_prepare import FILES, INSIDE, holes, made, planned, prepare
 from tests.hilcell.report.browser import browse
 
 CELL = load_cell("paper")
+TILT = np.radians(75.0)  # of the calibrated tool
 
 
 @pytest.fixture
@@ -98,7 +104,46 @@ def test_nothing_of_it_is_corrected_again(
 
 def test_the_program_says_what_a_stroke_would_add(out: Path) -> None:
     source = (out / "S1100.src").read_text("latin-1")
-    assert re.search(r"; a stroke of 20 mm along z of the tool adds at most 0\.\d{3} mm", source)
+    """The errors change by (0, 0.1, -0.2) of 1.2 mm over 450 mm in z, z and x of the base."""
+    change_mm = 1.2 / 450.0 * 20.0 * np.array([0.0, 0.1 * np.cos(TILT), -0.2 * np.sin(TILT)])
+    along_mm = change_mm @ [np.sin(TILT), 0.0, np.cos(TILT)]
+    across_mm = np.sqrt(change_mm @ change_mm - along_mm**2)
+    found = re.search(
+        r"; a stroke of 20 mm along z of the tool adds at most (.*) mm across \(position\) and "
+        r"(.*) mm along \(depth\)", source,
+    )  # fmt: skip
+    assert found is not None
+    assert [float(each) for each in found.groups()] == pytest.approx(
+        [across_mm, abs(along_mm)], abs=6e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "settings", "sooner"),
+    [
+        (["--temperature", "22.5"], {}, True),
+        ([], {"uncertainty.drill_offset_mm": "[0.0, 0.0, 250.0]"}, False),
+    ],
+)
+def test_bounds_are_those_of_the_stated_air_and_drill(
+    out: Path, tmp_path: Path, words: list[str], settings: dict[str, str], sooner: bool
+) -> None:
+    one = calibration(digest=load_cell("paper", settings).digest)
+    assert one.uncertainty is not None
+    turned = Influence(DRILL, ASSUMED, "", "", "tool", motion(0.0, 1e-4**2))
+    lines = [*one.uncertainty.lines, turned]
+    file = made(
+        tmp_path,
+        provenance=one.provenance,
+        uncertainty=msgspec.structs.replace(one.uncertainty, lines=lines),
+    )
+    source = tmp_path / "holes.csv"
+    words += [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+    other = tmp_path / "other"
+    assert main(["prepare", str(source), "--calibration", str(file), "-o", str(other), *words]) == 0
+    for one, stated in zip(rows(out / "S1100.csv"), rows(other / "S1100.csv"), strict=True):
+        lower, higher = (stated, one) if sooner else (one, stated)
+        assert float(lower["bound95_mm"]) < float(higher["bound95_mm"])
 
 
 def test_the_sheet_has_stations_holes_bounds_and_conditions(out: Path) -> None:
@@ -106,8 +151,11 @@ def test_the_sheet_has_stations_holes_bounds_and_conditions(out: Path) -> None:
     listed = rows(out / "S1100.csv")
     places = [page.index(f'<td class="words">{row["name"]}</td>') for row in listed]
     assert places == sorted(places)
+    nominal_mm = {f"H{n}": each for n, each in enumerate(INSIDE, start=1)}
     for row in listed:
         assert f"<td>{float(row['bound95_mm']):.3f}</td>" in page
+        command_mm = [float(row[f"{axis}_mm"]) for axis in "xyz"]
+        assert f"<td>{math.dist(command_mm, nominal_mm[row['name']]):.3f}</td>" in page
     for words in (
         "1. Station S1100", "1100.00 ± 0.01", "20.0 to 25.0 °C", "180 days after it was written",
         "released by, date", "a collision", "hilcell run recheck", "S1100.src, S1100.dat",
@@ -116,6 +164,33 @@ def test_the_sheet_has_stations_holes_bounds_and_conditions(out: Path) -> None:
     assert "SIMULATED" not in page
     assert "<script" not in page
     assert "http" not in page.replace("http-equiv", "")
+
+
+def test_the_sheet_says_until_when_it_holds(tmp_path: Path) -> None:
+    written = datetime.now(UTC) - timedelta(days=10.0)
+    made(
+        tmp_path,
+        provenance=calibration(digest=CELL.digest, written=f"{written:{STAMP}}").provenance,
+    )
+    assert prepare(tmp_path, holes(tmp_path, *INSIDE), "--max-age", "30") == 0
+    page = (tmp_path / "out" / "sheet.html").read_text("utf-8")
+    until = (written + timedelta(days=30.0)).astimezone()
+    assert f"{until:%Y-%m-%d}, 30 days after it was written" in page
+    assert "OUT OF TOLERANCE" not in page
+
+
+def test_programs_and_sheet_say_what_the_strip_must_read(tmp_path: Path) -> None:
+    """The strip's zero is not the rail's."""
+    cell, text = tmp_path / "cell.toml", resources.files("hilcell.cells") / "paper.toml"
+    cell.write_text(text.read_text("utf-8").replace("strip_mm = 1100.0", "strip_mm = 1100.37"))
+    digest = load_cell(str(cell)).digest
+    made(tmp_path, provenance=calibration(digest=digest).provenance)
+    assert prepare(tmp_path, holes(tmp_path, *INSIDE), "--cell", str(cell)) == 0
+    assert "the strip must read 1100.37 mm" in (tmp_path / "out" / "S1100.src").read_text()
+    page = (tmp_path / "out" / "sheet.html").read_text("utf-8")
+    assert "strip must read 1100.37 ± 0.01 mm" in page
+    (facts,) = json.loads((tmp_path / "out" / "summary.json").read_text())["stations"]
+    assert (facts["rail_mm"], facts["strip_mm"]) == (1100.0, 1100.37)
 
 
 def test_a_simulated_calibration_marks_sheet_and_programs(tmp_path: Path) -> None:
@@ -139,21 +214,40 @@ def test_names_of_holes_act_nowhere(tmp_path: Path) -> None:
     assert len(read_program("S1100.src", src, ("S1100.dat", dat)).targets) == 6
 
 
-def test_each_station_has_a_program_of_its_own(tmp_path: Path) -> None:
-    one = calibration(digest=CELL.digest)
+def made_for_two(folder: Path, other: str, digest: str) -> Path:
+    """Write a calibration of S1100 and one more station beside it; return holes for both."""
+    one = calibration(digest=digest)
     beside = pose_from_zyx(0.0, 800.0, 0.0, 0.0, 0.0, 0.0)
-    other = msgspec.structs.replace(
+    at_other = msgspec.structs.replace(
         one.stations["S1100"], T_W_B=(beside @ T_W_B).tolist(), strip_mm=1900.0
     )
     stated = one.uncertainty
     assert stated is not None
     made(
-        tmp_path,
-        stations={"S1100": one.stations["S1100"], "S1900": other},
-        uncertainty=msgspec.structs.replace(stated, stations={"S1100": [], "S1900": []}),
+        folder,
+        provenance=one.provenance,
+        stations={"S1100": one.stations["S1100"], other: at_other},
+        uncertainty=msgspec.structs.replace(stated, stations={"S1100": [], other: []}),
     )
     far = [(x, y + 1100.0, z) for x, y, z in INSIDE]
-    assert prepare(tmp_path, holes(tmp_path, *far, *INSIDE)) == 0
+    return holes(folder, *far, *INSIDE)
+
+
+def test_stations_whose_names_differ_by_case_alone_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their files would replace one another on the controller, and on many a PC."""
+    cell, text = tmp_path / "cell.toml", resources.files("hilcell.cells") / "paper.toml"
+    cell.write_text(text.read_text("utf-8").replace('"S1900"', '"s1100"'))
+    source = made_for_two(tmp_path, "s1100", load_cell(str(cell)).digest)
+    assert prepare(tmp_path, source, "--cell", str(cell)) == 2
+    assert "two stations would both write s1100.csv" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_each_station_has_a_program_of_its_own(tmp_path: Path) -> None:
+    source = made_for_two(tmp_path, "S1900", CELL.digest)
+    assert prepare(tmp_path, source) == 0
     src = {name: (tmp_path / "out" / f"{name}.src").read_text() for name in ("S1100", "S1900")}
     assert "; 1 of 3: H" in src["S1100"]
     assert "the strip must read 1900.00 mm" in src["S1900"]

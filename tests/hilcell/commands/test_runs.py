@@ -22,6 +22,8 @@ SUSPECTED = {"suspicions": {"holds": False, "suspected": ["tracker moved by 0.3 
         (MADE, 0, "in tolerance", "current"),
         (MADE | REJECTED, 1, "out of tolerance", "not validated"),
         (MADE | UNDECIDED, 1, "undecided", "undecided"),
+        (MADE | UNDECIDED | {"validation.S300": REJECTED["validation.S1100"]}, 1,
+         "out of tolerance", "not validated"),
         (MADE | SUSPECTED, 1, "suspected", "suspected"),
         (MADE | REJECTED | SUSPECTED, 1, "out of tolerance; suspected", "not validated"),
         (MADE | {"suspicions": {"suspected": []}}, 0, "in tolerance", "current"),
@@ -31,10 +33,13 @@ SUSPECTED = {"suspicions": {"holds": False, "suspected": ["tracker moved by 0.3 
         ({"backlash": {"holds": False}}, 1, "out of tolerance", ""),
         ({"backlash": {}}, 0, "done", ""),  # a check that holds judges no robot
         ({"iso9283": {}}, 0, "in tolerance", ""),
+        ({"iso9283": {}}, 1, "out of tolerance", ""),  # by something else than its limits
+        ({"targets": {}}, 0, "in tolerance", "current"),
+        ({"targets": {"holds": False}}, 1, "out of tolerance", ""),  # nothing was folded in
         ({}, 0, "done", ""),
         ({}, 1, "out of tolerance", ""),
     ],
-)
+)  # fmt: skip
 def test_a_verdict_in_words(
     tmp_path: Path, verdicts: dict[str, Any], code: int, said: str, stands: str
 ) -> None:

@@ -21,7 +21,7 @@ PLACES = {
 }
 
 
-def finished(state: str, places: dict[str, dict[str, float]], U_mm: float = 0.01) -> RunView:
+def finished(state: str, places: dict[str, dict[str, float]], U_mm: float = 0.005) -> RunView:
     """Return a run that has ended with these errors."""
     view = view_of(state)
     validation: dict[str, Any] = {
@@ -54,7 +54,7 @@ def test_the_worst_mean_and_the_worst_single_are_named_with_their_stations() -> 
     assert "● at S300, limit 0.120     ▲ at S1100, limit 0.300" in lines[4]
     assert "in tolerance" in lines[5]
     assert "▒ SIMULATION ▒" in lines[6]
-    assert "true mean, 95 % sure: below 0.123 mm at S300" in "\n".join(lines)
+    assert "true mean, 95 % sure: below 0.118 mm at S300" in "\n".join(lines)
 
 
 def test_a_failure_says_its_reason_and_steps() -> None:
@@ -104,11 +104,31 @@ def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
 
 
 def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
-    view = finished("intolerant", PLACES)
+    view = finished("intolerant", PLACES, U_mm=0.01)
     view.log.verdicts["validation.S300"] |= {"holds": False, "outcome": "undecided"}
     found = verdict_of(view)
     assert found is not None
     assert reason_words(found) == "S300: mean 0.113, U 0.010: not shown below 0.120"
+    assert "▲ at S300, limit 0.120" in verdict_lines(view, found, UNICODE, 79).plain
+
+
+def test_a_largest_error_that_is_not_shown_to_hold_is_no_plain_one() -> None:
+    view = finished("intolerant", PLACES | {"S1100": {"mean": 0.05, "p95": 0.1, "max": 0.298}})
+    view.log.verdicts["validation.S1100"] |= {
+        "holds": False, "outcome": "undecided", "max_U_mm": 0.005,
+    }  # fmt: skip
+    found = verdict_of(view)
+    assert found is not None
+    assert "▲ at S1100, limit 0.300" in verdict_lines(view, found, UNICODE, 79).plain
+
+
+def test_what_states_no_uncertainty_is_shown_by_its_figure() -> None:
+    view = finished("done", PLACES)
+    for body in view.log.verdicts.values():
+        body.pop("mean_U_mm", None)
+    found = verdict_of(view)
+    assert found is not None
+    assert "● at S300, limit 0.120" in verdict_lines(view, found, UNICODE, 79).plain
 
 
 def test_a_nan_is_the_worst_and_fails() -> None:

@@ -1,0 +1,28 @@
+"""The word for a run, from its log: the same that the list of runs has from its index."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hilcell.journal.index import row_of
+from hilcell.journal.outcome import run_outcome
+from hilcell.journal.point_id import PointId
+from hilcell.journal.runs import read_log
+from tests.hilcell.report.journals import Writer
+
+
+@pytest.mark.parametrize(
+    ("points", "end", "said"),
+    [(1, 0, "measured"), (0, 0, "done"), (1, 1, "out of tolerance"), (1, None, "")],
+)
+def test_a_run_that_judged_nothing(tmp_path: Path, points: int, end: int | None, said: str) -> None:
+    writer = Writer(tmp_path / "r").began()
+    for number in range(points):
+        writer.point(PointId("noise", number=number), (1.0, 2.0, 3.0))
+    if end is not None:
+        writer.state("run", "finished")
+        writer.journal.append("end", "", {"state": "finished", "exit": end, "result": {}})
+    writer.journal.close()
+    assert run_outcome(read_log(tmp_path / "r")) == row_of(tmp_path / "r").verdict == said
