@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import shutil
@@ -136,7 +137,7 @@ def test_a_clock_that_nothing_sets_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: int, state: str
 ) -> None:
     kernel = SimpleNamespace(adjtimex=lambda _: answer)
-    monkeypatch.setattr(this_pc.ctypes, "CDLL", lambda _: kernel)
+    monkeypatch.setattr(ctypes, "CDLL", lambda _: kernel)
     assert this_pc.clock(tmp_path).state == state
 
 

@@ -119,30 +119,33 @@ def test_the_program_says_what_a_stroke_would_add(out: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "settings", "sooner"),
+    ("words", "settings", "smaller"),
     [
         (["--temperature", "22.5"], {}, True),
         ([], {"uncertainty.drill_offset_mm": "[0.0, 0.0, 250.0]"}, False),
     ],
 )
 def test_bounds_are_those_of_the_stated_air_and_drill(
-    out: Path, tmp_path: Path, words: list[str], settings: dict[str, str], sooner: bool
+    out: Path, tmp_path: Path, words: list[str], settings: dict[str, str], smaller: bool
 ) -> None:
-    one = calibration(digest=load_cell("paper", settings).digest)
-    assert one.uncertainty is not None
+    known = calibration(digest=load_cell("paper", settings).digest)
+    assert known.uncertainty is not None
     turned = Influence(DRILL, ASSUMED, "", "", "tool", motion(0.0, 1e-4**2))
-    lines = [*one.uncertainty.lines, turned]
+    lines = [*known.uncertainty.lines, turned]
     file = made(
         tmp_path,
-        provenance=one.provenance,
-        uncertainty=msgspec.structs.replace(one.uncertainty, lines=lines),
+        provenance=known.provenance,
+        uncertainty=msgspec.structs.replace(known.uncertainty, lines=lines),
     )
     source = tmp_path / "holes.csv"
-    words += [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+    words = [
+        *words,
+        *(word for key, value in settings.items() for word in ("--set", f"{key}={value}")),
+    ]
     other = tmp_path / "other"
     assert main(["prepare", str(source), "--calibration", str(file), "-o", str(other), *words]) == 0
     for one, stated in zip(rows(out / "S1100.csv"), rows(other / "S1100.csv"), strict=True):
-        lower, higher = (stated, one) if sooner else (one, stated)
+        lower, higher = (stated, one) if smaller else (one, stated)
         assert float(lower["bound95_mm"]) < float(higher["bound95_mm"])
 
 

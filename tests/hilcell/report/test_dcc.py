@@ -2,23 +2,31 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from dsi_unit import DsiUnit
 
+from hilcell.calibration.bounds import Coverage
+from hilcell.calibration.decision import guard_of
+from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.point_id import PointId
 from hilcell.report import dcc
 from hilcell.report.dcc import dcc_bytes
 from hilcell.report.dcc_elements import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, real
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import results_at
+from hilcell.report.target_budget import TargetBudget
 from hilcell.writing import NotWritten
 from tests.hilcell.report.dcc_structure import DCC, SI, faults
 from tests.hilcell.report.journals import DEVICES, plan_record, validated_run
 
 TRACKER = {"kind": "tracker", "device": "Tracker", "model": "AT901", "serial": "402871"}
+PASSED = {"holds": True, "mean_mm": 0.2, "mean_tolerance_mm": 0.35, "max_mm": 0.3,
+          "max_tolerance_mm": 0.6}  # fmt: skip
 PARTIES = {
     "laboratory": "Muster GmbH", "laboratory_address": "Messweg 4", "country": "DE",
     "customer": "A & B <Aero>",
@@ -88,6 +96,94 @@ def test_figures_are_those_of_the_report_with_u_and_k(tmp_path: Path) -> None:
     assert texts(root, conformity) == verdicts
 
 
+def test_each_figure_has_the_uncertainty_of_its_own_limit(tmp_path: Path) -> None:
+    facts = run(tmp_path / "r")
+    root, guard = parsed(facts), guard_of(facts.log, 4)
+    assert guard.max_mm - guard.mean_mm > 0.001
+    for series in ("S1100, before", "S1100, after, chosen"):
+        found = [
+            float(U)
+            for name in ("mean", "p95", "largest")
+            for _, _, U, _ in figures(root, series, f"hilcell_{name}")
+        ]
+        wanted_mm = [guard.mean_mm, guard.max_mm, guard.max_mm]
+        assert found == pytest.approx(wanted_mm, abs=5.1e-5)
+
+
+def test_each_series_says_whether_it_is_before_or_after_adjustment(tmp_path: Path) -> None:
+    root = parsed(run(tmp_path / "r"))
+    found = {
+        "".join(each.find(f"{DCC}name").itertext()).strip(): texts(each, ".//dcc:status")
+        for each in root.iter(f"{DCC}list") if each.get("refType") in {
+            "hilcell_before", "hilcell_chosen"}
+    }  # fmt: skip
+    after, before = ["afterAdjustment"], ["beforeAdjustment"]
+    assert found["S1100, before"] == found["S300, before"] == before
+    assert found["S1100, after, chosen"] == found["S300, after, chosen"] == after
+
+
+def test_a_figure_within_its_uncertainty_of_the_limit_does_not_conform(tmp_path: Path) -> None:
+    """0.2 mm with U 0.03 keeps no limit of 0.21: neither pass nor fail in the report."""
+    writer = validated_run(tmp_path / "r", simulated=False)
+    body = PASSED | {
+        "holds": False, "outcome": "undecided", "mean_tolerance_mm": 0.21, "mean_U_mm": 0.03,
+    }  # fmt: skip
+    writer.journal.append("verdict", "validation.S1100", body)
+    writer.state("calibration", "validated")
+    facts = writer.facts()
+    assert [each.verdict for each in results_at(facts, "S1100")] == ["not shown", "pass"]
+    conformity = ".//dcc:quantity/dcc:measurementMetaData//dcc:conformity"
+    assert texts(parsed(facts), conformity) == ["noPass", "pass"]
+
+
+def test_bounds_and_the_share_that_keeps_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    errors_mm = np.array([0.01, 0.02, 0.03, 0.09])
+    coverage = Coverage(errors_mm, np.full(4, 0.05))
+    in_use: Any = SimpleNamespace(radii_mm=np.array([0.04, 0.08]))
+    budget = TargetBudget(in_use={"S1100": in_use}, coverage={"S1100": coverage})
+    monkeypatch.setattr(dcc, "target_budget", lambda *_: budget)
+    root = parsed(run(tmp_path / "r"))
+    assert faults(root) == []
+    found = {ref: figures(root, "S1100", f"hilcell_{ref}")[0][:2]
+             for ref in ("boundMean", "boundLargest", "inside")}  # fmt: skip
+    assert found == {
+        "boundMean": ("0.0600", MM), "boundLargest": ("0.0800", MM), "inside": ("75.0", PERCENT),
+    }  # fmt: skip
+
+
+def test_the_air_has_its_units_and_both_its_ends(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r", simulated=False)
+    writer.air = {"temperature_c": 24.5, "pressure_mbar": 990.0, "humidity_percent": 60.0}
+    writer.validated("S1900", "before", [(1.0, 0.0, 0.0)])
+    writer.journal.append("verdict", "validation.S1100", PASSED)
+    writer.state("calibration", "validated")
+    found = {
+        q.get("refType"): (q.findtext(f".//{SI}value"), q.findtext(f".//{SI}unit"))
+        for q in parsed(writer.facts()).iter(f"{DCC}quantity")
+        if q.get("refType", "").startswith("basic_")
+    }
+    assert found == {
+        "basic_temperatureMin": ("22.00", CELSIUS), "basic_temperatureMax": ("24.50", CELSIUS),
+        "basic_pressureMin": ("990.0", HECTOPASCAL), "basic_pressureMax": ("1013.0", HECTOPASCAL),
+        "basic_humidityRelativeMin": ("45.0", PERCENT),
+        "basic_humidityRelativeMax": ("60.0", PERCENT),
+    }  # fmt: skip
+
+
+def test_a_revoked_calibration_is_not_valid(tmp_path: Path) -> None:
+    assert texts(parsed(run(tmp_path / "r")), ".//dcc:valid") == []
+    writer = validated_run(tmp_path / "s", simulated=False)
+    writer.journal.append("verdict", "validation.S1100", PASSED)
+    writer.state("calibration", "validated")
+    writer.journal.append("event", "", {"what": REVOKED, "reason": "wrong reflector"})
+    root = parsed(writer.facts())
+    assert "Revoked: wrong reflector" in texts(root, ".//dcc:statement/dcc:declaration")
+    assert texts(root, ".//dcc:valid") == ["false"]
+    assert texts(root, ".//dcc:statements//dcc:conformity") == []
+
+
 def test_parties_item_instruments_and_air_are_named(tmp_path: Path) -> None:
     facts = run(tmp_path / "r", tracker_certificate="TC-1", smr_certificate="SC-2")
     root = parsed(facts)
@@ -136,6 +232,7 @@ def test_a_simulated_run_traces_to_nothing_and_conforms_to_nothing(tmp_path: Pat
     assert faults(root) == []
     assert texts(root, ".//dcc:conformity") == []
     assert texts(root, ".//dcc:traceable") == ["false"]
+    assert texts(root, ".//dcc:valid") == ["false"]
     first = texts(root, ".//dcc:statement/dcc:declaration")[0]
     assert first.startswith("Simulation. No machine moved")
     assert "TC-1" not in texts(root, ".//dcc:value")
@@ -173,9 +270,7 @@ def test_a_larger_repeated_error_is_the_certificates(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r", simulated=False)
     id = PointId("validate", station="S1100", how="chosen", number=0)
     writer.point(id, (0.05, 0.0, 900.0), "S1100", nominal_mm=(0.0, 0.0, 900.0))
-    body = {"holds": True, "mean_mm": 0.2, "mean_tolerance_mm": 0.3, "max_mm": 0.3,
-            "max_tolerance_mm": 0.6}  # fmt: skip
-    writer.journal.append("verdict", "validation.S1100", body)
+    writer.journal.append("verdict", "validation.S1100", PASSED)
     writer.state("calibration", "validated")
     found = figures(parsed(writer.facts()), "S1100, after, chosen", "hilcell_mean")
     assert found[0][0] == "0.2000"
