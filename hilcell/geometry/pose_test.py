@@ -65,8 +65,9 @@ class PoseFigures:
         """Return RP_l less the measurement's noise, the trace of its covariance; 0 where that
         explains all. Mean squares subtract; distances keep the shape of their distribution.
         """
-        share = 1.0 - noise_mm2 / float(np.trace(self.scatter_mm2))
-        return self.rp_mm * math.sqrt(max(0.0, share))
+        whole_mm2 = float(np.trace(self.scatter_mm2))
+        share = 1.0 - noise_mm2 / whole_mm2 if whole_mm2 > noise_mm2 else 0.0
+        return self.rp_mm * math.sqrt(share)
 
     def along(self, covariance_mm2: Array) -> float:
         """Return the standard deviation that a covariance (3, 3) has along AP."""

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.decision import UNKNOWN_TURN
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.influence import ASSUMED, Frame, Influence, Uncertainty, motion
 from hilcell.calibration.orientation import (
     MOVED_MM,
     check_turn_limit,
@@ -18,10 +20,12 @@ from hilcell.calibration.orientation import (
     largest_turned,
     moved_on_flange_mm,
     seats_of,
+    turn_bounds_deg,
     turned_of,
 )
 from hilcell.cell.file import load_cell
-from hilcell.geometry.frames import apply, zyx_from_pose
+from hilcell.compensation.model import Prediction, Turn
+from hilcell.geometry.frames import apply, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.journal.journal import Kind, Record
@@ -29,20 +33,27 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
 from procedures.validate import Validate
+from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.run.bed import PLAN
 
 SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
 CELL = load_cell("paper", SEATS)
 SEATS_MM = CELL.robot.seats_mm
 ORIENTED = from_zyx([10.0, 70.0, 5.0])
+TRACKER = np.eye(4)  # {W} is its frame
 
 
-def logged(poses: list[tuple[PointId, Array]], seats_mm: dict[str, Array]) -> Log:
+def logged(
+    poses: list[tuple[PointId, Array]],
+    seats_mm: dict[str, Array],
+    world: Array = TRACKER,
+    std_mm: tuple[float, float, float] = (0.01, 0.01, 0.01),
+) -> Log:
     """Return a log of poses (3, 3); ``seats_mm`` (3, 3) are the reflectors by kind."""
     plan = PLAN | {"cell": msgspec.to_builtins(CELL)}
     records: list[tuple[Kind, str, dict[str, Any]]] = [
         ("plan", "", plan),
-        ("frame", "world", {"matrix": np.eye(4).tolist()}),
+        ("frame", "world", {"matrix": world.tolist()}),
     ]
     for number, (id, R) in enumerate(poses):
         for seat, at_mm in enumerate(seats_mm[id.kind], start=1):
@@ -50,7 +61,7 @@ def logged(poses: list[tuple[PointId, Array]], seats_mm: dict[str, Array]) -> Lo
             body = {
                 "id": msgspec.to_builtins(each), "group": each.group, "station": "S1100",
                 "reflector": "SMR", "xyz_mm": (R @ at_mm + 100.0 * number).tolist(),
-                "std_mm": [0.01] * 3, "samples": 1, "session": 1, "frame": "tracker",
+                "std_mm": [*std_mm], "samples": 1, "session": 1, "frame": "tracker",
                 "nominal_deg": zyx_from_pose(_pose(ORIENTED))[3:].tolist() if seat == 1 else None,
             }  # fmt: skip
             records.append(("point", each.key, body))
@@ -115,6 +126,60 @@ def test_an_orientation_that_was_not_measured_is_no_number() -> None:
     log = logged([(ids("validate", 1)[0], ORIENTED)], {"validate": SEATS_MM[:2]})
     none = turned_of(log, log.select("validate"), SEATS_MM)
     assert largest_turn(log, None) is largest_turn(log, none) is UNKNOWN_TURN
+
+
+def test_what_a_reading_turns_has_the_axes_of_world() -> None:
+    """The tracker's noise is unlike in its axes, and they are not those of {W}."""
+    id, Q = ids("validate", 1)[0], from_rotvec([0.0, 0.3, 0.9])
+    own, turned = (
+        turned_of(log, log.select("validate"), SEATS_MM).reading_rad2[0]
+        for log in (
+            logged([(id, ORIENTED)], {"validate": SEATS_MM}, world, std_mm=(0.03, 0.01, 0.002))
+            for world in (TRACKER, _pose(Q))
+        )
+    )
+    np.testing.assert_allclose(turned, Q @ own @ Q.T, rtol=1e-6)
+    assert np.abs(turned - own).max() > 0.1 * np.abs(own).max()
+
+
+class Turning:
+    """A model that knows no error, and the orientation's about x of the base to ``sigma_rad``."""
+
+    sigma_rad = 2e-5
+
+    def predict(self, poses: Array) -> Prediction:
+        known = np.broadcast_to(np.diag([self.sigma_rad**2, 0.0, 0.0]), (len(poses), 3, 3))
+        zeros = np.zeros((len(poses), 3))
+        return Prediction(zeros, np.zeros_like(known), Turn(zeros, known))
+
+
+def test_a_bound_adds_model_and_frames_in_the_axes_of_world(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The base is turned by 30 deg: its x is {W}'s (cos 30, sin 30), about which all three turn.
+    Shifts, and what turns the tool alone, do not count.
+    """
+    monkeypatch.setattr(Calibration, "error_model", lambda _: Turning())
+    one, s = calibration(), Turning.sigma_rad
+    T_W_B = pose_from_zyx(0.0, 0.0, 0.0, 30.0, 0.0, 0.0)
+    about = T_W_B[:3, 0]
+    parts: list[tuple[Frame, Array]] = [
+        ("world", s**2 * np.outer(about, about)),
+        ("base", np.diag([s**2, 0.0, 0.0])),
+        ("tool", np.eye(3)),
+    ]
+    lines = [
+        Influence(frame, ASSUMED, "", "", frame, motion(1.0, turn_rad2))
+        for frame, turn_rad2 in parts
+    ]
+    made = msgspec.structs.replace(
+        one,
+        stations={"S1100": msgspec.structs.replace(one.stations["S1100"], T_W_B=T_W_B.tolist())},
+        uncertainty=Uncertainty(lines, {"S1100": []}, 0.0, 0.0),
+    )
+    bounds_deg = turn_bounds_deg(made, "S1100", T_W_B[None])
+    assert bounds_deg is not None
+    assert bounds_deg.tolist() == pytest.approx([np.degrees(1.95996 * np.sqrt(3.0) * s)], rel=1e-4)
 
 
 def test_a_pose_whose_reflectors_were_not_all_seen_counts_not() -> None:

@@ -103,6 +103,11 @@ def test_collinear_slide_nests_are_refused() -> None:
         ("robot.more_smr_mm", "[[0.0, 90.0, 0.0]]", "2 .. 5 reflectors besides smr_mm are wanted"),
         (
             "robot.more_smr_mm",
+            "[[0, 90, 0], [0, 200, 0], [0, 300, 0], [90, 0, 0], [200, 0, 0], [300, 0, 0]]",
+            "2 .. 5 reflectors besides smr_mm are wanted, found 6",
+        ),
+        (
+            "robot.more_smr_mm",
             "[[98.0, 45.0, 127.0], [0.0, 200.0, 0.0]]",
             "reflectors 1 and 2 are 45.0 mm apart, wanted at least 50 mm",
         ),

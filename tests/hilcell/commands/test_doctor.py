@@ -102,12 +102,12 @@ def test_a_shared_disk_is_wrong(tmp_path: Path) -> None:
 def test_the_nearest_mount_counts_whatever_its_name(tmp_path: Path) -> None:
     """The kernel writes a space in the name of a mount as \\040 (proc(5))."""
     share, mounts = tmp_path.resolve() / "my runs", tmp_path / "mounts"
-    share.mkdir()
+    (share / "more").mkdir(parents=True)
     written = str(share).replace(" ", r"\040")
     mounts.write_text(f"/dev/sda / ext4 rw 0 0\nserver:/x {written} cifs rw 0 0\n")
     assert this_pc.disk(share / "more", mounts).state == "wrong"
     mounts.write_text(f"server:/ / nfs rw 0 0\n/dev/sdb {written} ext4 rw 0 0\n")
-    assert this_pc.disk(share, mounts).state == "ok"
+    assert this_pc.disk(share / "more", mounts).state == "ok"
 
 
 @pytest.mark.parametrize(("free_bytes", "state"), [(1_100_000_000, "ok"), (900_000_000, "wrong")])

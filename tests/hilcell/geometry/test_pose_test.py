@@ -62,6 +62,8 @@ def test_the_measurement_s_noise_is_taken_off() -> None:
     assert found.rp_mm > 1.08 * wanted_mm
     assert found.rp_without_mm(3 * 0.01**2) == pytest.approx(wanted_mm, rel=0.03)
     assert found.rp_without_mm(1.0) == 0.0
+    always_there = pose_figures(np.ones((4, 3)), np.zeros(3))
+    assert always_there.rp_without_mm(0.01**2) == always_there.rp_without_mm(0.0) == 0.0
 
 
 def test_accuracy_and_repeatability_of_a_distance() -> None:

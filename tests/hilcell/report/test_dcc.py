@@ -246,6 +246,10 @@ def test_the_same_journal_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_a_run_without_a_judged_calibration_has_no_certificate(tmp_path: Path) -> None:
     with pytest.raises(NotWritten, match="its calibration is unknown; wanted one whose targets"):
         dcc_bytes(validated_run(tmp_path / "r").facts())
+    writer = validated_run(tmp_path / "s")  # killed after the first verdict
+    writer.journal.append("verdict", "validation.S1100", PASSED)
+    with pytest.raises(NotWritten, match="its calibration is unknown"):
+        dcc_bytes(writer.facts())
 
 
 def test_no_figure_that_is_none_is_certified(tmp_path: Path) -> None:
