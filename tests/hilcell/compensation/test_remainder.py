@@ -103,8 +103,12 @@ def test_a_model_with_it_adds_the_mean_and_shrinks_its_covariance() -> None:
 
     this, _ = one_pass(6)
     remainder = Remainder([this], MODEL_MM**2)
-    mean_mm, left = remainder.at(this.poses)
-    found = WithRemainder(Nothing(), remainder).predict(this.poses)
+    aside = this.poses.copy()
+    aside[:, 2, 3] += 40.0
+    both = np.concatenate([this.poses, aside])
+    mean_mm, left = remainder.at(both)
+    assert left.min() < 0.5 * left.max()
+    found = WithRemainder(Nothing(), remainder).predict(both)
     np.testing.assert_allclose(found.error_mm, 1.0 + mean_mm)
     np.testing.assert_allclose(found.covariance_mm2, left[:, None, None] * np.eye(3))
 
