@@ -16,8 +16,9 @@ from collections.abc import Callable
 from fakes.faults import Faults, Vanished
 from fakes.krl import KrlError
 from fakes.krl_controller import KrlController
-from fakes.listener import Listener
+from fakes.listener import HOST, Listener
 from fakes.segments import Segments
+from fakes.site import Site
 
 READ, WRITE = 0, 1
 IDLE_S = 30.0
@@ -44,6 +45,15 @@ class C3Server:
         self._closing = threading.Event()
         self._listener = Listener("c3", self._serve, limit=MAX_CLIENTS, port=port)
         self.port = self._listener.port
+
+    @property
+    def address(self) -> dict[str, object]:
+        """Return where it listens, as options of the driver."""
+        return {"host": HOST, "port": self.port}
+
+    def restore(self) -> None:
+        """Put the controller right, as an operator does."""
+        self._controller.restore()
 
     def start(self) -> None:
         """Begin to serve."""
@@ -146,3 +156,11 @@ def _parse(request: bytes) -> tuple[int, str, str] | None:
         return kind, name.decode("ascii"), text.decode("ascii")
     except (struct.error, UnicodeDecodeError):
         return None
+
+
+def serve(site: Site, port: int) -> C3Server:
+    """Return the robot of a simulated cell behind C3 Bridge."""
+    plant = site.plant
+    harms = (plant.lose_zero, plant.slip_mount, plant.lose_motion)
+    controller = KrlController(site.cell, plant.robot, site.faults, *harms)
+    return C3Server(controller, site.faults, site.time.catch_up, port=port)

@@ -16,8 +16,9 @@ from fakes.emscon_device import Answer, EmsconDevice, Later
 from fakes.emscon_packets import COMMAND, HEAD, Change, Command, Status, reply, status_change
 from fakes.emscon_stream import SampleStream
 from fakes.faults import Faults, Vanished
-from fakes.listener import Listener
+from fakes.listener import HOST, Listener
 from fakes.segments import Segments
+from fakes.site import Site
 from fakes.time import PlantTime
 
 LONGEST = 4096
@@ -37,6 +38,14 @@ class EmsconServer:
         self._closing = threading.Event()
         self._listener = Listener("emscon", self._serve, port=port)
         self.port = self._listener.port
+
+    @property
+    def address(self) -> dict[str, object]:
+        """Return where it listens, as options of the driver."""
+        return {"host": HOST, "port": self.port}
+
+    def restore(self) -> None:
+        """Leave the tracker as it is: its faults pass by themselves."""
 
     def start(self) -> None:
         """Begin to serve."""
@@ -198,3 +207,11 @@ class _Session:
             return None
         packet, self._pending = self._pending[:size], self._pending[size:]
         return packet
+
+
+def serve(site: Site, port: int) -> EmsconServer:
+    """Return the tracker of a simulated cell behind emScon."""
+    plant = site.plant
+    streams = None if plant.streams is None else (plant.streams, site.time)
+    device = EmsconDevice(site.cell, plant.tracker, site.faults, streams)
+    return EmsconServer(device, site.faults, site.time, port=port)

@@ -1,7 +1,4 @@
-"""A whole simulated cell in one process: plant, device servers, control channel.
-
-A cell without a rail has no server of one.
-"""
+"""A whole simulated cell in one process: plant, simulated devices, control channel."""
 
 from __future__ import annotations
 
@@ -13,17 +10,11 @@ from typing import Any
 
 from msgspec import Struct
 
-from fakes.c3_server import C3Server
 from fakes.control import ControlServer, truth_of
-from fakes.emscon_device import EmsconDevice
-from fakes.emscon_server import EmsconServer
 from fakes.faults import Faults, load_faults
-from fakes.krl_controller import KrlController
-from fakes.listener import HOST
 from fakes.plant import Plant
-from fakes.rail_server import RailServer
-from fakes.rail_truth import RailTruth
 from fakes.replay_plant import ReplayPlant
+from fakes.site import SimulatedDevice, Site, servers_of
 from fakes.time import PlantTime
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
@@ -60,45 +51,41 @@ class Host:
         faults = load_faults(order.faults)
         time = PlantTime(math.inf if order.speed is None else order.speed)
         plant = _plant(cell, order, time, faults)
-        harms = (plant.lose_zero, plant.slip_mount, plant.lose_motion)
-        controller = KrlController(cell, plant.robot, faults, *harms)
-        self._rail: RailServer | None = None
-        if isinstance(plant.rail, RailTruth):
-            self._rail = RailServer(plant.rail, faults, cell, time, port=ports.rail)
-        self._robot = C3Server(controller, faults, time.catch_up, port=ports.robot)
-        streams = None if plant.streams is None else (plant.streams, time)
-        device = EmsconDevice(cell, plant.tracker, faults, streams)
-        self._tracker = EmsconServer(device, faults, time, port=ports.tracker)
+        site = Site(cell, plant, faults, time)
+        self._devices: dict[str, SimulatedDevice] = {
+            table: serve(site, getattr(ports, table)) for table, serve in servers_of(cell).items()
+        }
         self._control = ControlServer(
             time,
             faults,
             addresses=self.addresses,
             truth=lambda asked: _truth(plant, asked, order),
             seat=plant.seat,
-            restore=controller.restore,
+            restore=self._restore,
             quit_=self.end,
             port=ports.control,
         )
 
     def addresses(self) -> dict[str, Any]:
         """Return where everything listens, and how time passes."""
-        rail = self._rail
-        return {
-            "rail": {"channel": f"socket://{HOST}:{rail.port}"} if rail is not None else {},
-            "robot": {"host": HOST, "port": self._robot.port},
-            "tracker": {"host": HOST, "port": self._tracker.port},
-            "control": self._control.address,
-            "speed": self._order.speed,
-        }
+        found = {table: device.address for table, device in self._devices.items()}
+        return found | {"control": self._control.address, "speed": self._order.speed}
 
     def run(self) -> None:
         """Serve until `end`."""
         with ExitStack() as stack:
-            of_rail = () if self._rail is None else (self._rail,)
-            for server in (*of_rail, self._robot, self._tracker, self._control):
+            servers: list[SimulatedDevice | ControlServer] = [
+                *self._devices.values(),
+                self._control,
+            ]
+            for server in servers:
                 stack.callback(server.close)
                 server.start()
             self._ended.wait()
+
+    def _restore(self) -> None:
+        for device in self._devices.values():
+            device.restore()
 
     def end(self) -> None:
         """End the simulated cell; may come from any thread."""

@@ -19,12 +19,15 @@ from fakes import rail_drive, rail_strip
 from fakes.canopen_sdo import HEADER, abort_reply
 from fakes.canopen_slave import SYNC_COB_ID, CanopenSlave
 from fakes.faults import Faults, Value
+from fakes.listener import HOST
 from fakes.rail_drive import RailDrive
 from fakes.rail_strip import RailStrip
 from fakes.rail_truth import RailTruth
+from fakes.site import Site
 from fakes.slcan_gateway import SlcanGateway
 from fakes.time import PlantTime
 from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError
 
 LOOK_PERIOD_S = 0.01
 IDLE_S = 0.5
@@ -54,6 +57,14 @@ class RailServer:
         self._closing = threading.Event()
         self._wake, self._waker = socket.socketpair()
         self._thread = threading.Thread(target=self._run, name="rail server")
+
+    @property
+    def address(self) -> dict[str, object]:
+        """Return the channel, as an option of the driver."""
+        return {"channel": f"socket://{HOST}:{self.port}"}
+
+    def restore(self) -> None:
+        """Leave the bus as it is: the driver resets a drive's fault."""
 
     @property
     def port(self) -> int:
@@ -202,3 +213,11 @@ class RailServer:
 
 def _number(value: Value, default: int) -> int:
     return default if value is True else int(value)
+
+
+def serve(site: Site, port: int) -> RailServer:
+    """Return the rail of a simulated cell on its bus; raises `SettingsError` without a slide."""
+    rail = site.plant.rail
+    if not isinstance(rail, RailTruth):
+        raise SettingsError("rail", ["this cell has no slide to simulate"])
+    return RailServer(rail, site.faults, site.cell, site.time, port=port)

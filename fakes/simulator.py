@@ -21,6 +21,7 @@ import msgspec
 from fakes.exercises import FaultExercise, exercises_of
 from fakes.faults import load_faults
 from fakes.machine import machine_of
+from fakes.site import servers_of
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped
@@ -72,7 +73,9 @@ class PaperCell:
             }
             self._process, answer = _start(msgspec.json.encode(order) + b"\n")
             self._control = Control(answer["control"])
-        self.options: dict[str, dict[str, object]] = {name: answer[name] for name in DEVICES}
+        self.options: dict[str, dict[str, object]] = {
+            name: answer.get(name, {}) for name in DEVICES
+        }
         self.address: str = attach or answer["control"]
         self._speed = math.inf if answer["speed"] is None else float(answer["speed"])
 
@@ -83,6 +86,7 @@ class PaperCell:
             _host_and_port(cell.simulation.address)
         else:
             machine_of(cell)
+            servers_of(cell)
 
     def clock(self, stop: threading.Event) -> SimulatedClock:
         """Return the cell's clock; its waits end when ``stop`` is set."""

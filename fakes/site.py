@@ -1,0 +1,72 @@
+"""Simulated devices, found by entry points: their place in the cell and their few duties.
+
+The device that speaks the wire of a driver is found by the driver's name, in
+``hilcell.simulated_rails``, ``hilcell.simulated_robots`` and ``hilcell.simulated_trackers``: a
+function ``serve(site, port)`` that opens its port and returns the device, not yet started.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from fakes.faults import Faults
+from fakes.plant import Plant
+from fakes.replay_plant import ReplayPlant
+from fakes.time import PlantTime
+from hilcell.cell.devices import TABLES, load_entry
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """One simulated cell: its plant, its faults and its time."""
+
+    cell: Cell
+    plant: Plant | ReplayPlant
+    faults: Faults
+    time: PlantTime
+
+
+class SimulatedDevice(Protocol):
+    """A device on its wire."""
+
+    @property
+    def address(self) -> dict[str, object]:
+        """Return where it listens, as options of the driver."""
+
+    def start(self) -> None:
+        """Begin to serve."""
+
+    def restore(self) -> None:
+        """Put right what faults have done, as a person at the device would."""
+
+    def close(self) -> None:
+        """Stop serving."""
+
+
+Serve = Callable[[Site, int], SimulatedDevice]
+
+
+def servers_of(cell: Cell) -> dict[str, Serve]:
+    """Return what serves each device of a cell, by table; a cell without a rail has none of one.
+
+    Raises `SettingsError` for drivers that nothing simulates.
+    """
+    found: dict[str, Serve] = {}
+    problems: list[str] = []
+    for table, group in TABLES:
+        driver = getattr(cell, table).driver
+        if table == "rail" and not cell.has_rail:
+            continue
+        try:
+            found[table] = load_entry(f"simulated_{group}", driver)
+        except SettingsError as error:
+            problems += [
+                f"{table}.driver: nothing simulates its wire: {each}" for each in error.problems
+            ]
+    if problems:
+        raise SettingsError("simulation", problems)
+    return found
