@@ -17,8 +17,8 @@ from hilcell.calibration.in_use import calibration_in, calibration_named, record
 from hilcell.calibration.rechecked import doubt, recheck_result, rechecked_run
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
+from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import apply
-from hilcell.geometry.inverse import ReachError
 from hilcell.journal.calibration_facts import USED
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId

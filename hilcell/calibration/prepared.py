@@ -10,8 +10,9 @@ from hilcell.calibration.form import Calibration
 from hilcell.cell.file import Cell
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.compensation.targets import as_listed
+from hilcell.geometry.closed_form import status_of
 from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.inverse import posture, status_of
+from hilcell.geometry.inverse import posture
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array
 

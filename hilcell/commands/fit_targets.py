@@ -31,8 +31,8 @@ from hilcell.fit.robot_targets import (
     write_poses,
 )
 from hilcell.fit.tool_errors import controller_of
+from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import zyx_from_pose
-from hilcell.geometry.inverse import ReachError
 from hilcell.ports import Array
 
 NOMINAL = "nominal"

@@ -13,7 +13,7 @@ from typing import Any
 
 from hilcell.cell.devices import load_entry
 from hilcell.compensation.stamp import Stamp
-from hilcell.geometry.inverse import Ints
+from hilcell.geometry.closed_form import Ints
 from hilcell.ports import Array
 
 GROUP = "program_writers"

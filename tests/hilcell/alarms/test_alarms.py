@@ -12,7 +12,7 @@ from hilcell.alarms import Alarm, alarms_of
 from hilcell.cell.devices import ConnectFailed
 from hilcell.cell.settings import SettingsError
 from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
-from hilcell.geometry.inverse import ReachError
+from hilcell.geometry.closed_form import ReachError
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.log import Log
