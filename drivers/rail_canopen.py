@@ -18,13 +18,13 @@ from msgspec import Meta
 
 from drivers import cia402, cia406, nmt, rail_setup
 from drivers.can_link import CanLink, open_bus
+from drivers.channel import parse_channel
 from drivers.drive import Drive, Limits
 from drivers.node_watch import NodeWatch
 from drivers.pdo import configure
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.rail_setup import Expected
 from drivers.sdo import SdoChannel
-from drivers.slcan_bus import check_channel
 from drivers.standstill import READINGS, Standstill, Windows
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
@@ -75,7 +75,7 @@ class CanopenRail:
 
         def __post_init__(self) -> None:
             if self.interface == "slcan":
-                check_channel(self.channel)
+                parse_channel(self.channel)
             if len({self.drive_node, self.strip_node, self.heartbeat_node}) < 3:
                 raise ValueError("drive_node, strip_node and heartbeat_node must differ")
             if not self.travel_min_mm < self.travel_max_mm:

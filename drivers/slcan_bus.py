@@ -16,10 +16,11 @@ import threading
 import time
 from collections.abc import Callable
 from typing import Any
-from urllib.parse import urlsplit
 
 import can
 import serial
+
+from drivers.channel import Socket, parse_channel
 
 CONNECT_S = 5.0
 SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count
@@ -160,33 +161,13 @@ class SlcanBus(can.BusABC):
             self._close_port()
 
 
-def check_channel(channel: str) -> None:
-    """Raise `ValueError` for a channel that is not ``socket://HOST:PORT`` or ``PATH[@BAUD]``."""
-    if "://" in channel:
-        _host_and_port(channel)
-    path, at, baud = channel.partition("@")
-    if not path or (at and not (baud.isascii() and baud.isdecimal())):
-        raise ValueError(f"channel: socket://HOST:PORT or PATH[@BAUD] is wanted, found {channel!r}")
-
-
-def _host_and_port(channel: str) -> tuple[str, int]:
-    url = urlsplit(channel)
-    try:
-        port = url.port
-    except ValueError:  # none that could be one
-        port = None
-    if url.scheme != "socket" or not url.hostname or not port:
-        raise ValueError(f"channel: socket://HOST:PORT is wanted, found {channel!r}")
-    return url.hostname, port
-
-
 def _open(channel: str) -> tuple[int, Callable[[], Any]]:
-    """Open ``socket://HOST:PORT`` or a serial line ``PATH[@BAUD]``; return its file and its end."""
-    if channel.startswith("socket://"):
-        link = socket.create_connection(_host_and_port(channel), CONNECT_S)
+    """Open a channel; return its file and its end."""
+    place = parse_channel(channel)
+    if isinstance(place, Socket):
+        link = socket.create_connection((place.host, place.port), CONNECT_S)
         # A frame must not wait for the acknowledgement of the one before.
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return link.fileno(), link.close
-    path, _, baud = channel.partition("@")
-    port = serial.serial_for_url(path, baudrate=int(baud or 115_200), timeout=0)  # type: ignore[no-untyped-call] # pyserial's
+    port = serial.Serial(place.path, place.baud, timeout=0)
     return port.fileno(), port.close
