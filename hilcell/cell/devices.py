@@ -181,9 +181,10 @@ def check_options(cell: Cell) -> None:
     Raises `SettingsError` with all problems.
     """
     problems: list[str] = []
+    stand_ins = {} if cell.simulation is None else _stand_ins(cell)
     for table, group in TABLES:
         try:
-            driver_options(cell, table, group, {})
+            driver_options(cell, table, group, stand_ins.get(table, {}))
         except SettingsError as error:
             key = "driver" if error.source == group else "options"
             problems += [f"{table}.{key}: {line}" for line in error.problems]
@@ -197,7 +198,7 @@ def check_options(cell: Cell) -> None:
     if not problems:
         problems += [
             f"{' and '.join(tables)} share the address {place}; give each its own"
-            for place, tables in device_places(cell, {}).items()
+            for place, tables in device_places(cell, stand_ins).items()
             if len(tables) > 1
         ]
     try:
@@ -206,6 +207,24 @@ def check_options(cell: Cell) -> None:
         problems.append(str(error))
     if problems:
         raise SettingsError(cell.name, problems)
+
+
+def _stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
+    """Return a place for each device that the file gives none: a simulated cell fills it in."""
+    found: dict[str, dict[str, object]] = {}
+    for n, (table, group) in enumerate(TABLES, start=1):
+        shared = getattr(cell, table)
+        try:
+            known = load_entry(group, shared.driver).Options.__struct_fields__
+        except SettingsError:
+            continue  # reported where its options are checked
+        places_of_none = {"host": "127.0.0.1", "channel": f"socket://127.0.0.1:{n}"}
+        found[table] = {
+            key: place
+            for key, place in places_of_none.items()
+            if key in known and key not in shared.options
+        }
+    return found
 
 
 def _simulator_problems(simulator: type[SimulatedCell], cell: Cell) -> list[str]:

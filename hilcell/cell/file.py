@@ -27,7 +27,7 @@ from hilcell.cell.room import RoomTable
 from hilcell.cell.settings import (
     SettingsError,
     convert,
-    override,
+    override_all,
     refuse,
 )
 from hilcell.cell.source import built_in_cells, folder_of, parsed, read_source
@@ -450,8 +450,7 @@ def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
     changed = overrides or {}
     text = read_source(where)
     values = parsed(text, where)
-    for key, value in changed.items():
-        override(values, key, value)
+    override_all(values, changed)
     try:
         cell = convert(completed(values), Cell, where)
         stated = with_certificates(cell.uncertainty, folder_of(where))
@@ -470,7 +469,6 @@ def located(where: str, problems: Iterable[str], overrides: Mapping[str, str]) -
 def stated_drivers(where: str, overrides: Mapping[str, str]) -> dict[str, str]:
     """Return the driver that a cell file states in each table, sound or not."""
     values = parsed(read_source(where), where)
-    for key, value in overrides.items():
-        override(values, key, value)
+    override_all(values, overrides)
     found = {name: table.get("driver") for name, table in values.items() if isinstance(table, dict)}
     return {name: driver for name, driver in found.items() if isinstance(driver, str)}

@@ -261,6 +261,17 @@ def _finite(value: object) -> bool:
     return True
 
 
+def override_all(values: dict[str, Any], changed: Mapping[str, str]) -> None:
+    """Set every key as `override`; options of a driver that is exchanged are not the new one's."""
+    drivers = [key for key in changed if key.endswith(".driver")]
+    for key in drivers:
+        table = values.get(key.removesuffix(".driver"))
+        if isinstance(table, dict) and table.get("driver") != changed[key].strip("\"' "):
+            table.pop("options", None)
+    for key in (*drivers, *(key for key in changed if key not in drivers)):
+        override(values, key, changed[key])
+
+
 def override(values: dict[str, Any], key: str, text: str) -> None:
     """Set ``a.b.c`` to a TOML value, or to the bare text where it is not one."""
     if "\n" in text:  # it could set other keys

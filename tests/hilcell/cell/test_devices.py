@@ -74,3 +74,16 @@ def test_what_the_drivers_can_is_known_before_anything_is_opened() -> None:
     assert "this tracker streams: yes, this robot sweeps an axis: yes" in command(
         "check", "paper"
     ).stderr.replace("\n", " ")
+
+
+def test_a_simulated_cell_need_not_say_where_its_devices_are() -> None:
+    drivers = {"rail.driver": '"canopen"', "tracker.driver": "leica-emscon"}
+    cell = load_cell("paper", drivers)
+    unplaced = msgspec.structs.replace(
+        cell, rail=msgspec.structs.replace(cell.rail, options={}),
+        tracker=msgspec.structs.replace(cell.tracker, options={"serial": "402871"}),
+    )  # fmt: skip
+    check_options(unplaced)
+    with pytest.raises(SettingsError) as caught:
+        check_options(msgspec.structs.replace(unplaced, simulation=None))
+    assert ["channel" in caught.value.problems[0], "host" in caught.value.problems[1]] == [True] * 2

@@ -430,3 +430,10 @@ def test_a_limit_of_orientation_wants_reflectors_and_is_of_the_cell_where_it_is_
     assert "validation.max_tolerance_deg: one reflector measures no orientation" in problem
     for value in ("0.0", "-0.05", "nan", "181.0"):
         assert refused(SEATS | {LIMIT: value})
+
+
+def test_options_of_a_driver_that_is_exchanged_are_left_behind() -> None:
+    kept = load_cell("paper", {"robot.driver": "kuka-c3", "robot.speed_percent": "20"})
+    assert kept.robot.options == load_cell("paper").robot.options != {}
+    other = load_cell("paper", {"robot.options.model": "KR16", "robot.driver": "kuka-eki"})
+    assert (other.robot.driver, other.robot.options) == ("kuka-eki", {"model": "KR16"})
