@@ -21,6 +21,7 @@ from hilcell.calibration.orientation import (
     moved_on_flange_mm,
     seats_of,
     turn_bounds_deg,
+    turn_coverages,
     turned_of,
 )
 from hilcell.cell.file import load_cell
@@ -28,6 +29,7 @@ from hilcell.compensation.model import Prediction, Turn
 from hilcell.geometry.frames import apply, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_rotvec, from_zyx
+from hilcell.geometry.statistics import bounds95_mm
 from hilcell.journal.journal import Kind, Record
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
@@ -62,6 +64,7 @@ def logged(
                 "id": msgspec.to_builtins(each), "group": each.group, "station": "S1100",
                 "reflector": "SMR", "xyz_mm": (R @ at_mm + 100.0 * number).tolist(),
                 "std_mm": [*std_mm], "samples": 1, "session": 1, "frame": "tracker",
+                "nominal_mm": [0.0, 0.0, 0.0],
                 "nominal_deg": zyx_from_pose(_pose(ORIENTED))[3:].tolist() if seat == 1 else None,
             }  # fmt: skip
             records.append(("point", each.key, body))
@@ -180,6 +183,26 @@ def test_a_bound_adds_model_and_frames_in_the_axes_of_world(
     bounds_deg = turn_bounds_deg(made, "S1100", T_W_B[None])
     assert bounds_deg is not None
     assert bounds_deg.tolist() == pytest.approx([np.degrees(1.95996 * np.sqrt(3.0) * s)], rel=1e-4)
+
+
+def test_a_bound_in_the_validation_has_the_readings_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing else is uncertain here: one target is turned by half of that, one by twice."""
+    place = "hilcell.calibration.orientation"
+    monkeypatch.setattr(Turning, "sigma_rad", 0.0)
+    monkeypatch.setattr(Calibration, "error_model", lambda _: Turning())
+    monkeypatch.setattr(f"{place}.seats_of", lambda _: SEATS_MM)
+    monkeypatch.setattr(f"{place}.driven_poses", lambda *found: np.tile(np.eye(4), (2, 1, 1)))
+    monkeypatch.setattr(f"{place}.lines_in_validation", lambda *_: [])
+    targets = [PointId("validate", station="S1100", how="chosen", number=n) for n in range(2)]
+    at_rest = logged([(id, ORIENTED) for id in targets], {"validate": SEATS_MM})
+    readings_rad2 = turned_of(at_rest, at_rest.select("validate"), SEATS_MM).reading_rad2
+    wanted_rad = bounds95_mm(readings_rad2)
+    turns = [share * wanted_rad[0] * ORIENTED[:, 0] for share in (0.5, 2.0)]
+    poses = [(id, from_rotvec(turn) @ ORIENTED) for id, turn in zip(targets, turns, strict=True)]
+    log = logged(poses, {"validate": SEATS_MM})
+    found = turn_coverages(calibration(), log, {"S1100": ["S1100"]})["S1100"]
+    assert found["coverage"] == 0.5
+    assert found["mean_deg"] == pytest.approx(np.degrees(wanted_rad.mean()), rel=1e-3)
 
 
 def test_a_pose_whose_reflectors_were_not_all_seen_counts_not() -> None:
