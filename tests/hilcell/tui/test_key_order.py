@@ -142,7 +142,7 @@ def test_the_point_under_the_cursor_is_the_one_acted_upon() -> None:
         type_ahead(app, "end", "up", "r")
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
-        assert rows.rows[-2].key in text_of(app)
+        assert f"grid point {rows.rows[-2].key.removeprefix('grid/')} " in text_of(app)
         type_ahead(app, "n", "home", "enter")
         await settle(pilot)
         assert isinstance(app.screen, DetailPage)
@@ -150,7 +150,7 @@ def test_the_point_under_the_cursor_is_the_one_acted_upon() -> None:
         type_ahead(app, "q", "end", "enter", "q", "r")
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
-        assert rows.rows[-1].key in text_of(app)
+        assert f"grid point {rows.rows[-1].key.removeprefix('grid/')} " in text_of(app)
 
     run_app(act, "running")
 
@@ -172,6 +172,7 @@ def test_a_filter_ends_with_its_enter() -> None:
         await settle(pilot)
         assert app.screen_stack[-2].query_one(Input).value == "grid"
         assert isinstance(app.screen_stack[-2], RunScreen)
-        assert app.screen_stack[-2].query_one(Table).key in text_of(app)
+        key = app.screen_stack[-2].query_one(Table).key
+        assert f"grid point {key.removeprefix('grid/')} " in text_of(app)
 
     run_app(act, "running")

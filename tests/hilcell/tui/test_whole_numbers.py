@@ -45,6 +45,9 @@ def test_the_side_panel_cuts_no_number(width: int) -> None:
 
 
 def test_a_refusal_is_whole_where_there_is_room() -> None:
-    reason = "paper refused before anything moves: this cell has no rail, its robot stands still"
+    reason = (
+        "Paper's campaign refused before anything moves: this cell has no rail, "
+        "its robot stands still"
+    )
     lines = check_lines(Checked(refused=reason), UNICODE, 40, 8)
     assert reason in " ".join(" ".join(line.plain for line in lines).split())
