@@ -9,41 +9,31 @@ give it back, at rest only, and only where nobody has changed it meanwhile.
 from __future__ import annotations
 
 import threading
-from itertools import cycle
 from typing import Protocol, Self
 
 import numpy as np
 
-from drivers import krl
-from drivers.c3 import C3Connection
-from drivers.kuka_health import AXES, STOPPED
+from drivers.kuka_controller import DEVICE, PROGRESS, Access, Controller, integer
+from drivers.kuka_health import AXES, HEALTH, STOPPED
 from drivers.kuka_life import LOST
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience
 from hilcell.ports import Array, Clock, DeviceError, JointSample, RobotReading, Stopped
 
-DEVICE = "Robot"
-MEASURED, ACTUAL = "$AXIS_ACT_MEAS", "$AXIS_ACT"
-PERCENT = 100
+OVERRIDE, PERCENT = "$OV_PRO", 100
 STALL_S = 5.0
 PROGRESS_DEG = 0.002
 REST_S = 3.0  # wire deadline: from a brake to standstill
 DWELL_S = 0.05  # between two reads that prove standstill
 STILL_DEG = 0.0005
 POLL_S = 0.05  # while the end is waited for
-ROUND = (
-    "$ALARM_STOP", "$PRO_STATE1", "$MODE_OP", "$STOPMESS", "$USER_SAF", "$OV_PRO", "$PERI_RDY", "",
-)  # fmt: skip
 
 
 class SweepingRobot(Protocol):
     """The robot, as its sweep uses it."""
 
-    def wire(self) -> C3Connection:
-        """Return the connection."""
-
-    def integer(self, name: str) -> int:
-        """Return a variable."""
+    def wire(self) -> Controller:
+        """Return the controller."""
 
     def check(self, *names: str) -> None:
         """Refuse to go on with a wrong state."""
@@ -57,14 +47,11 @@ class SweepingRobot(Protocol):
     def acknowledged(self, number: int) -> bool:
         """Whether a motion has ended; raises the program's error."""
 
-    def check_progress(self, limits: MotionLimits, number: int) -> None:
-        """Raise an error where the motion gets nowhere."""
+    def check_round(self, limits: MotionLimits, number: int) -> tuple[str, ...]:
+        """Look whether all is well with a motion, at what is due; return what was looked at."""
 
     def rest(self, target_deg: Array) -> RobotReading:
         """Wait until the robot stands at its target."""
-
-    def open_line(self) -> C3Connection:
-        """Return a new connection that a stop does not end."""
 
     def unwatch(self) -> None:
         """Look at no motion any longer: it has ended, or is braked."""
@@ -104,17 +91,16 @@ class KukaSweep:
         self._speed_deg_s, self._full_deg_s = speed_deg_s, full
         self._target_deg = np.zeros(6)
         self._velocity = self._override = PERCENT
-        self._variable, self._number, self._under_way = ACTUAL, 0, False
+        self._variable, self._number, self._under_way = PROGRESS, 0, False
         self._limits = MotionLimits(0.0, STALL_S, PROGRESS_DEG)
-        self._round = cycle(ROUND)
 
     def __enter__(self) -> Self:
         """Set the speed; nothing moves."""
-        robot, line = self._robot, self._robot.wire()
-        robot.check(*filter(None, ROUND))
-        if line.knows(MEASURED):
-            self._variable = MEASURED
-        found = robot.integer("$OV_PRO")
+        robot, controller = self._robot, self._robot.wire()
+        controller.look()
+        robot.check(*HEALTH, OVERRIDE)
+        self._variable = controller.measured
+        found = integer(controller, OVERRIDE)
         share = self._speed_deg_s / self._full_deg_s
         self._velocity, self._override = split_speed(share, found)
         self.speed_rad_s = float(
@@ -128,7 +114,7 @@ class KukaSweep:
         self._limits = MotionLimits(planned, STALL_S, PROGRESS_DEG)
         if self._override != found:
             try:
-                _lower(line, found, self._override)
+                controller.lower_override(found, self._override)
             except BaseException as error:
                 self._give_back(error)
                 raise
@@ -145,12 +131,12 @@ class KukaSweep:
 
     def collect(self) -> JointSample:
         """Ask for the joints once, and look whether all is well and the motion has ended."""
-        before_s = self._clock.now_s()
-        text = self._robot.wire().read(self._variable)
+        controller, before_s = self._robot.wire(), self._clock.now_s()
+        controller.look()
+        joints_deg = controller.numbers(self._variable, AXES)
         after_s = self._clock.now_s()
-        joints_rad = np.radians(_axes_deg(text, self._variable))
         self._look()
-        return JointSample(joints_rad, before_s, after_s)
+        return JointSample(np.radians(joints_deg), before_s, after_s)
 
     def complete(self) -> RobotReading:
         """Wait for the end of the motion; return the reading at rest."""
@@ -167,12 +153,10 @@ class KukaSweep:
         if self._robot.acknowledged(self._number):
             self.ended = True
             return
-        name = next(self._round)
-        if not name:
-            self._robot.check_progress(self._limits, self._number)
+        seen = self._robot.check_round(self._limits, self._number)
+        if OVERRIDE not in seen:
             return
-        self._robot.check(name)
-        if name == "$OV_PRO" and (found := self._robot.integer(name)) != self._override:
+        if (found := integer(self._robot.wire(), OVERRIDE)) != self._override:
             raise DeviceError(
                 "HC-B40",
                 DEVICE,
@@ -187,14 +171,11 @@ class KukaSweep:
         """Leave the robot at rest with its override as it was."""
         self._robot.unwatch()
         try:
-            line = self._robot.open_line()
-            try:
+            with self._robot.wire().undisturbed() as access:
                 if self._under_way:
-                    line.write("HC_STOP", "TRUE")
-                    await_rest(line)
-                give_back(line)
-            finally:
-                line.close()
+                    access.brake()
+                    await_rest(access)
+                access.give_back_override()
             if self._under_way and not isinstance(error, Stopped):
                 self._robot.take_back()
         except DeviceError as failure:
@@ -218,35 +199,26 @@ def split_speed(share: float, override: int) -> tuple[int, int]:
     return velocity, lowered
 
 
-def give_back(line: C3Connection) -> None:
-    """Give back an override that was lowered; the robot must stand."""
-    before = _whole(line, "HC_OV_OLD")
-    if before == 0:
-        return
-    if _whole(line, "$OV_PRO") == _whole(line, "HC_OV_SET"):
-        line.write("$OV_PRO", str(before))
-    line.write("HC_OV_OLD", "0")
-
-
-def give_back_left_behind(line: C3Connection) -> None:
+def give_back_left_behind(access: Access) -> None:
     """Give back an override that a dead engine left lowered; its sweep is braked first."""
-    if _whole(line, "HC_OV_OLD") == 0:
+    if not access.lowered_override():
         return
-    if _whole(line, "HC_SEQ") != _whole(line, "HC_ACK"):
-        line.write("HC_STOP", "TRUE")
-        await_rest(line)
-    give_back(line)
+    if integer(access, "HC_SEQ") != integer(access, "HC_ACK"):
+        access.brake()
+        await_rest(access)
+    access.give_back_override()
 
 
-def await_rest(line: C3Connection) -> None:
+def await_rest(access: Access) -> None:
     """Wait until the program has taken the stop and no axis moves; also while a stop is on."""
     patience, over = Patience(REST_S), False
     before_deg, pause = np.full(6, np.inf), threading.Event()
     while not over:
         over = patience.over()
-        now_deg = _axes_deg(line.read(ACTUAL), ACTUAL)
+        access.look()
+        now_deg = np.array(access.numbers(PROGRESS, AXES))
         stands = bool(np.all(np.abs(now_deg - before_deg) <= STILL_DEG))
-        if stands and _whole(line, "HC_ERR") in (STOPPED, LOST):
+        if stands and integer(access, "HC_ERR") in (STOPPED, LOST):
             return
         before_deg = now_deg
         pause.wait(DWELL_S)
@@ -258,40 +230,3 @@ def await_rest(line: C3Connection) -> None:
         act="see the panel, resume",
         fields={"waited_s": REST_S},
     )
-
-
-def _lower(line: C3Connection, found: int, wanted: int) -> None:
-    line.write("HC_OV_SET", str(wanted))
-    line.write("HC_OV_OLD", str(found))  # from here on the controller knows its old value
-    line.write("$OV_PRO", str(wanted))
-    if (set_to := _whole(line, "$OV_PRO")) != wanted:
-        raise DeviceError(
-            "HC-B40",
-            DEVICE,
-            "sweep",
-            f"$OV_PRO is {set_to}",
-            wanted=f"{wanted}",
-            act="the panel holds the override; release it, resume",
-            fields={"override": set_to, "wanted_override": wanted},
-        )
-
-
-def _axes_deg(text: str, name: str) -> Array:
-    try:
-        return np.array(krl.numbers(text, AXES))
-    except krl.KrlError as error:
-        raise _unreadable(name, str(error)) from error
-
-
-def _unreadable(name: str, found: str) -> DeviceError:
-    return DeviceError("HC-B26", DEVICE, f"read {name}", found, fields={"variable": name})
-
-
-def _whole(line: C3Connection, name: str) -> int:
-    try:
-        value = krl.parse(line.read(name))
-    except krl.KrlError as error:
-        raise _unreadable(name, str(error)) from error
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise _unreadable(name, f"{value!r} is no whole number")
-    return value

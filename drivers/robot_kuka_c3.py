@@ -1,498 +1,188 @@
-"""A KUKA robot through C3 Bridge or KUKAVARPROXY and the resident program ``krl/hilcell.src``.
-
-The PC writes a target and a number; the program moves and acknowledges with that number. An
-acknowledgement alone proves nothing: motion has ended only when the number is this command's, the
-axes stand at the target and two looks, more than a cycle of the controller apart, see the same:
-within one cycle a robot at full speed reads the same twice, and one that holds still flickers in
-the last digit.
-"""
+"""A KUKA robot through C3 Bridge or KUKAVARPROXY: variables of the controller, one at a time."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import replace
-from itertools import cycle
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import Annotated
 
-import msgspec
-import numpy as np
 from msgspec import Meta
 
 from drivers import krl
 from drivers.c3 import C3Connection
 from drivers.keep_alive import KeepAlive
-from drivers.kuka_health import AXES, FRAME, HEALTH, frame_text, joints_text, refused_motion, unwell
-from drivers.kuka_life import LIVING_VERSION, LifeSign, program_text
-from drivers.kuka_sweep import KukaSweep, give_back_left_behind
-from drivers.motion_limits import MotionLimits, planned_s
-from drivers.supervision import Patience, Supervision
-from hilcell.cell.file import Joint
+from drivers.kuka_controller import DEVICE, PROGRESS, integer, unreadable
+from drivers.kuka_health import AXES
+from drivers.kuka_life import LIVING_VERSION, LifeSign
+from drivers.kuka_robot import KukaOptions, KukaRobot
 from hilcell.clean import clean
-from hilcell.geometry.rotations import from_zyx
-from hilcell.ports import (
-    Array,
-    Clock,
-    DeviceError,
-    DeviceRefused,
-    Identity,
-    RobotReading,
-    says_simulated,
-)
+from hilcell.ports import Array, Clock, DeviceError
 
-DEVICE = "Robot"
-PROGRAM_VERSION, SWEEPING_VERSION = 1, 2
 PTP_JOINTS = 1
-MAX_SEQUENCE = 1_000_000_000
-POLL_S = 0.03
-POLL_LOOK_S = 0.5  # one poll counts for this long, at most
-STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
-REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
-CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
-DWELL_S = 0.05  # between two looks that tell standstill; $AXIS_ACT changes once in 4 to 12 ms
-AXIS_TOLERANCE_DEG = 0.005
-STILL_DEG = 0.0005
-STILL_MM = 0.01
-PROGRESS_DEG = 0.01
-FRAME_TOLERANCE = 0.001  # mm and deg
-
-# Each poll of a motion looks at HC_ACK and at the next of these, so that all are seen within eight
-# polls: with 4 to 12 ms an exchange, each of them once in 0.30 to 0.45 s.
-PROGRESS = "$AXIS_ACT"
-ROUND = (
-    "$ALARM_STOP",
-    "$PRO_STATE1",
-    "$MODE_OP",
-    "$STOPMESS",
-    "$USER_SAF",
-    "$OV_PRO",
-    "$PERI_RDY",
-    PROGRESS,
-)
+MEASURED = "$AXIS_ACT_MEAS"
 
 
-class KukaC3Robot:
-    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
+class C3Access:
+    """Satisfies `drivers.kuka_controller.Access` over one connection."""
 
-    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-        """Address and wanted identity of the controller."""
+    def __init__(self, line: C3Connection) -> None:
+        self._line = line
 
-        host: str
-        smr_mm: tuple[float, float, float]
-        joint: list[Joint]
-        port: Annotated[int, Meta(ge=1, le=65535)] = 7000
-        model: str = "KR210"
-        serial: int = 0
-        tool: Annotated[int, Meta(ge=1, le=16)] = 1
-        base: Annotated[int, Meta(ge=0, le=32)] = 0
+    def look(self) -> None:
+        """Do nothing: each variable is asked for."""
 
-    def __init__(self, options: Options, clock: Clock) -> None:
-        self._options, self._clock = options, clock
-        self._line: C3Connection | None = None
-        self._stop_line: C3Connection | None = None
-        self._keeper: KeepAlive | None = None
-        self._round = cycle(ROUND)
-        self._watch, self._life = Supervision(DEVICE, "HC-B27"), LifeSign()
-        self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
-        self._override, self._version = 100, PROGRAM_VERSION
-        self._written: dict[str, str] = {}
-        self._rest_deg = np.zeros(6)
-        self._sequence = 0
-        self._under_way = False
-        self._ended_s: float | None = None  # when the last motion was seen to have ended
-        self._stopped = False
-
-    # -- the port -----------------------------------------------------------------------------
-
-    def connect(self) -> list[Identity]:
-        """Open both connections, verify everything, then take back an earlier stop."""
-        self._close_wires()
-        host, port = self._options.host, self._options.port
+    def value(self, name: str) -> krl.Value:
+        """Read a single value."""
+        text = self._line.read(name)
         try:
-            self._line = C3Connection(DEVICE, host, port, self._attend)
-            # The stop must get through while the run is already stopping.
-            self._stop_line = C3Connection(DEVICE, host, port, _never)
-            identity = self._identify()
-            self.check("HC_VER", *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
-            self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
-            self._check_frame("$BASE", (0.0,) * 6)
-            self._take_back_stop()
-        except BaseException:
-            self._close_wires()
-            raise
-        self._keeper = KeepAlive((self._line, self._stop_line), "$MODE_OP")
-        return [replace(identity, firmware=program_text(self._version))]
+            return krl.parse(text)
+        except krl.KrlError as error:
+            raise unreadable(name, error) from error
 
-    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        """Move all axes (PTP); return the reading at rest, after motion ended."""
-        target_deg = np.degrees(np.asarray(joints_rad, dtype=float))
-        if target_deg.shape != (6,) or not bool(np.all(np.isfinite(target_deg))):
-            raise _failed(
-                "HC-B28",
-                f"target {target_deg} deg",
-                wanted="six finite angles",
-                target_deg=target_deg,
-            )
-        if not 1 <= round(speed_percent) <= 100:
-            raise _failed(
-                "HC-B28",
-                f"speed {speed_percent} %",
-                wanted="1 to 100 %",
-                speed_percent=speed_percent,
-            )
-        self._check_lines()
-        planned = planned_s(target_deg - self._rest_deg, self._speed_deg_s, round(speed_percent))
+    def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
+        """Read components of a structure."""
+        text = self._line.read(name)
         try:
-            number = self.command(target_deg, round(speed_percent))
-            self._await_acknowledgement(number, MotionLimits(planned, STALL_S, PROGRESS_DEG))
-            return self.rest(target_deg)
-        finally:
-            self._watch.end()
+            return krl.numbers(text, components)
+        except krl.KrlError as error:
+            raise unreadable(name, error) from error
 
-    def read(self) -> RobotReading:
-        """Return a reading asked for after this call began.
+    def brake(self) -> None:
+        """Write the stop."""
+        self._line.write("HC_STOP", "TRUE")
 
-        Its time is that of the question: no part of the answer is older.
-        """
-        self._check_lines()
-        taken_s = time.monotonic()
-        before_deg = self._axes_deg()
-        self._clock.wait(DWELL_S)
-        pose = self._pose()
-        moved_deg = np.abs(self._axes_deg() - before_deg)
-        still = not self._under_way and bool(np.all(moved_deg <= STILL_DEG))
-        return RobotReading(np.radians(before_deg), pose, still, taken_s, self._ended_s)
+    def release(self) -> None:
+        """Write that the stop is over, where there is one."""
+        if self.value("HC_STOP") is not False:
+            self._line.write("HC_STOP", "FALSE")
 
-    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> KukaSweep:
-        """Return a motion of one axis (0 to 5) alone, at the next speed below ``speed_rad_s``."""
-        if self._version < SWEEPING_VERSION:
-            raise DeviceRefused(
-                "HC-B17",
+    def lower_override(self, found: int, wanted: int) -> None:
+        """Write both values before the override itself."""
+        self._line.write("HC_OV_SET", str(wanted))
+        self._line.write("HC_OV_OLD", str(found))  # from here on the controller knows its old value
+        self._line.write("$OV_PRO", str(wanted))
+        if (set_to := integer(self, "$OV_PRO")) != wanted:
+            raise DeviceError(
+                "HC-B40",
                 DEVICE,
                 "sweep",
-                f"HC_VER is {self._version}",
-                wanted=f"{SWEEPING_VERSION}",
-                act="install drivers/krl/hilcell.src and hilcell.dat",
+                f"$OV_PRO is {set_to}",
+                wanted=f"{wanted}",
+                act="the panel holds the override; release it, resume",
+                fields={"override": set_to, "wanted_override": wanted},
             )
-        self._check_lines()
-        end_deg, speed_deg_s = float(np.degrees(end_rad)), float(np.degrees(speed_rad_s))
-        return KukaSweep(self, self._clock, axis, end_deg, speed_deg_s, self._speed_deg_s)
 
-    def stop(self) -> None:
-        """Brake on the path; any thread; waits for no answer."""
-        self._stopped = True
-        if self._stop_line is not None:
-            self._stop_line.write_unheard("HC_STOP", "TRUE")
+    def give_back_override(self) -> None:
+        """Write the old value, where nobody has changed the lowered one."""
+        before = integer(self, "HC_OV_OLD")
+        if before == 0:
+            return
+        if integer(self, "$OV_PRO") == integer(self, "HC_OV_SET"):
+            self._line.write("$OV_PRO", str(before))
+        self._line.write("HC_OV_OLD", "0")
 
-    def close(self) -> None:
-        """Brake a motion that is still under way, then close both connections."""
+    def lowered_override(self) -> bool:
+        """Whether the old value is kept."""
+        return integer(self, "HC_OV_OLD") != 0
+
+
+class C3Controller(C3Access):
+    """Satisfies `drivers.kuka_controller.Controller`.
+
+    Each poll of a motion looks at HC_ACK and at the next of ``rounds``, so that all are seen within
+    eight polls: with 4 to 12 ms an exchange, each of them once in 0.30 to 0.45 s.
+    """
+
+    rounds = (
+        ("$ALARM_STOP",),
+        ("$PRO_STATE1",),
+        ("$MODE_OP",),
+        ("$STOPMESS",),
+        ("$USER_SAF",),
+        ("$OV_PRO",),
+        ("$PERI_RDY",),
+        (PROGRESS,),
+    )
+
+    def __init__(self, options: KukaC3Robot.Options, robot: KukaRobot) -> None:
+        self._open = partial(C3Connection, DEVICE, options.host, options.port)
+        self.address = f"{options.host}:{options.port}"
+        self.versions = {"HC_VER": (1, LIVING_VERSION)}
+        super().__init__(self._open(robot.attend))
         try:
-            if self._under_way and not self._stopped:
-                self.stop()
-        finally:
-            self._close_wires()
+            # The stop must get through while the run is already stopping.
+            self._stop_line = self._open(_never)
+        except BaseException:
+            self._line.close()
+            raise
+        self._keeper = KeepAlive((self._line, self._stop_line), "$MODE_OP")
+        self._life = LifeSign()
+        self._written: dict[str, str] = {}
 
-    # -- connecting ---------------------------------------------------------------------------
+    @property
+    def measured(self) -> str:
+        """Return the variable of measured joints, where the controller has it."""
+        return MEASURED if self._line.knows(MEASURED) else PROGRESS
 
-    def _identify(self) -> Identity:
-        model, serial = self._text("$TRAFONAME[]"), self.integer("$KR_SERIALNO")
-        if self._options.model not in model:
-            raise _refused(
-                "HC-B05",
-                f"model {model!r}",
-                wanted=f"{self._options.model!r} in it",
-                act="this is another robot; correct robot.options",
-                model=model,
-            )
-        if self._options.serial not in (0, serial):
-            raise _refused(
-                "HC-B05",
-                f"serial {serial}",
-                wanted=f"{self._options.serial}",
-                act="this is another robot; correct robot.options",
-                serial=serial,
-            )
-        address = f"{self._options.host}:{self._options.port}"
-        return Identity(DEVICE, model, str(serial), address, says_simulated(model), "robot", "KUKA")
+    def text(self, name: str) -> str:
+        """Return a CHAR array; some servers leave the quotes out, or pad it."""
+        return clean(self._line.read(name).strip("\0 \t\r\n").strip('"').strip())
 
-    def check(self, *names: str) -> None:
-        """Refuse to work with a wrong state; report the first cause, not its consequence."""
-        for name in names:
-            if problem := self._problem(name):
-                raise next(filter(None, map(self._problem, HEALTH)), problem)
-
-    def _problem(self, name: str) -> DeviceError | None:
-        """Read one variable of the controller's state; return its error, if any."""
-        if name in HEALTH:
-            good, code, act = HEALTH[name]
-            found = self._value(name)
-            if any(found == value and type(found) is type(value) for value in good):
-                return None
-            wanted = " or ".join(str(value).upper() for value in good)
-            return unwell(code, name, found, wanted, act, moving=self._under_way)
-        number = self.integer(name)
-        if name == "$OV_PRO":
-            self._override = number
-        elif name == "HC_VER":
-            self._version = number
-        tool, base = self._options.tool, self._options.base
-        install = "install drivers/krl/hilcell.src again"
-        code, low, high, act = {
-            "HC_VER": ("HC-B17", PROGRAM_VERSION, LIVING_VERSION, install),
-            "$OV_PRO": ("HC-B16", 1, 100, "raise the programme override"),
-            "$ACT_TOOL": ("HC-B07", tool, tool, "restart the program hilcell"),
-            "$ACT_BASE": ("HC-B07", base, base, "restart the program hilcell"),
-        }[name]
-        if low <= number <= high:
-            return None
-        wanted = str(low) if low == high else f"{low} to {high}"
-        return unwell(code, name, number, wanted, act, moving=self._under_way)
-
-    def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
-        found = self._numbers(name, FRAME)
-        if not all(abs(f - w) <= FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
-            raise _refused(
-                "HC-B06",
-                f"{name} is {frame_text(found)}",
-                wanted=frame_text(wanted),
-                act="correct the frame on the controller, or robot.smr_mm in the cell file",
-                variable=name,
-                found_frame=found,
-                wanted_frame=wanted,
-            )
-
-    def _take_back_stop(self) -> None:
-        """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
-        if self._version >= SWEEPING_VERSION:
-            give_back_left_behind(self.wire())
-        self._release()
-        patience = Patience(CATCH_UP_S, POLL_LOOK_S)
-        self._sequence = self.integer("HC_SEQ")
-        over = False
-        while (acknowledged := self.integer("HC_ACK")) != self._sequence:
-            if over:
-                raise _refused(
-                    "HC-B25",
-                    f"HC_ACK {acknowledged}",
-                    wanted=f"HC_SEQ {self._sequence}",
-                    act="the program hilcell owes an answer; restart it at the panel",
-                    acknowledged=acknowledged,
-                    sequence=self._sequence,
-                )
-            over = patience.over()
-            self._clock.wait(POLL_S)
-            self._release()  # a motion that a dead engine left behind brakes by itself
-        self._rest_deg = self._axes_deg()
-        self._under_way = self._stopped = False
-
-    def _release(self) -> None:
-        if self._value("HC_STOP") is not False:
-            self.wire().write("HC_STOP", "FALSE")
-
-    # -- moving -------------------------------------------------------------------------------
-
-    def command(self, target_deg: Array, speed_percent: int) -> int:
-        """Start a motion to joints (6,); return its number."""
-        if self._stopped:
-            raise _failed("HC-B21", "the robot was stopped", act="resume to reconnect")
-        number = self._sequence % MAX_SEQUENCE + 1
+    def start(self, number: int, target_deg: Array, speed_percent: int, version: int) -> None:
+        """Write the target, and the number last."""
         axes = dict(zip(AXES, target_deg.tolist(), strict=True))
-        self.wire().write("HC_TGT", krl.structure("E6AXIS", axes))
+        self._line.write("HC_TGT", krl.structure("E6AXIS", axes))
         self._write_once("HC_VEL", str(speed_percent))
         self._write_once("HC_CMD", str(PTP_JOINTS))
-        self._life.begin(self._write_once, self._version)
-        self._under_way, self._ended_s = True, None
-        self._watch.begin()
-        self.wire().write("HC_SEQ", str(number))
-        self._sequence = number
-        return number
+        self._life.begin(self._write_once, version)
+        self._line.write("HC_SEQ", str(number))
+
+    def sign(self) -> None:
+        """Set the timer back."""
+        self._life.give(self._line)
+
+    @contextmanager
+    def undisturbed(self) -> Iterator[C3Access]:
+        """Open a connection for a while."""
+        line = self._open(_never)
+        try:
+            yield C3Access(line)
+        finally:
+            line.close()
+
+    def stop(self) -> None:
+        """Write the stop over its own connection."""
+        self._stop_line.write_unheard("HC_STOP", "TRUE")
+
+    def check(self) -> None:
+        """Raise what the keep-alive has found."""
+        self._keeper.check()
+
+    def close(self) -> None:
+        """Close both connections."""
+        self._keeper.close()
+        for line in (self._line, self._stop_line):
+            line.close()
 
     def _write_once(self, name: str, value: str) -> None:
         """Write values that this connection has not written yet; nobody else writes these."""
         if self._written.get(name) != value:
-            self.wire().write(name, value)
+            self._line.write(name, value)
             self._written[name] = value
 
-    def _await_acknowledgement(self, number: int, limits: MotionLimits) -> None:
-        for name in self._round:
-            if self.acknowledged(number):
-                break
-            if name == PROGRESS:
-                self.check_progress(limits, number)
-            else:
-                self.check(name)
-            self._clock.wait(POLL_S)
 
-    def check_progress(self, limits: MotionLimits, number: int) -> None:
-        """Raise `DeviceError` where a motion stands or creeps."""
-        now_deg, wanted = self._axes_deg(), f"HC_ACK {number}"
-        if limits.stalled(now_deg):
-            self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
-            if error := self.integer("HC_ERR"):
-                raise refused_motion(error)
-            raise _failed(
-                "HC-B23",
-                f"no axis moved for {STALL_S:.0f} s at {joints_text(now_deg)}, "
-                f"HC_ACK {self.integer('HC_ACK')}",
-                wanted=wanted,
-                act="see the panel; is the program hilcell running? resume",
-                waited_s=STALL_S,
-                axes_deg=now_deg,
-            )
-        if limits.overdue(self._clock.now_s(), self._override):
-            raise _failed(
-                "HC-B29",
-                f"still under way after {limits.spent_s:.0f} s at full override, at "
-                f"{joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}",
-                wanted=f"{wanted} within {limits.limit_s:.0f} s",
-                act="the arm creeps; see the panel and robot.joint.speed_deg_s, resume",
-                spent_s=limits.spent_s,
-                limit_s=limits.limit_s,
-                axes_deg=now_deg,
-            )
+class KukaC3Robot(KukaRobot):
+    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
 
-    def rest(self, target_deg: Array) -> RobotReading:
-        """Return the reading at rest at joints (6,), after an acknowledged motion."""
-        # The pose means something only with the tool and the base that connect has verified.
-        self.check("$ACT_TOOL", "$ACT_BASE")
-        patience = Patience(REST_S, POLL_LOOK_S)
-        over = False
-        while True:
-            taken_s = time.monotonic()
-            axes_deg, before = self._axes_deg(), self._pose()
-            self._clock.wait(DWELL_S)
-            pose = self._pose()
-            arrived = bool(np.all(np.abs(axes_deg - target_deg) <= AXIS_TOLERANCE_DEG))
-            if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
-                self._under_way, self._rest_deg, self._ended_s = False, target_deg, taken_s
-                return RobotReading(np.radians(axes_deg), pose, True, taken_s, taken_s)
-            if over:
-                break
-            over = patience.over()
-        raise _failed(
-            "HC-B24",
-            f"stands or creeps at {joints_text(axes_deg)}",
-            wanted=f"{joints_text(target_deg)} +-{AXIS_TOLERANCE_DEG} deg, at rest",
-            act="the robot stopped short of its target; see the panel, resume",
-            axes_deg=axes_deg,
-            target_deg=target_deg,
-        )
+    class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """Address and wanted identity of the controller."""
 
-    # -- for a sweep as well ------------------------------------------------------------------
+        port: Annotated[int, Meta(ge=1, le=65535)] = 7000
 
-    def open_line(self) -> C3Connection:
-        """Return a new connection that a stop does not end."""
-        return C3Connection(DEVICE, self._options.host, self._options.port, _never)
-
-    def take_back(self) -> None:
-        """Take back a brake of our own, unless the robot was stopped otherwise as well."""
-        if not self._stopped:
-            self._take_back_stop()
-
-    def unwatch(self) -> None:
-        """Look at no motion any longer: it has ended, or is braked."""
-        self._watch.end()
-
-    def stands_at(self) -> Array:
-        """Return the joints (6,) in deg to which the robot was sent last, or where it was found."""
-        return self._rest_deg
-
-    def acknowledged(self, number: int) -> bool:
-        """Whether a motion has ended; raises `DeviceError` where the program refused it.
-
-        Each look is a sign of life to the program.
-        """
-        self._life.give(self.wire())
-        if self.integer("HC_ACK") != number:
-            return False
-        if (error := self.integer("HC_ERR")) != 0:
-            raise refused_motion(error)
-        return True
-
-    # -- variables ----------------------------------------------------------------------------
-
-    def wire(self) -> C3Connection:
-        """Return the connection that asks."""
-        if self._line is None:
-            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
-        return self._line
-
-    def _check_lines(self) -> None:
-        if self._keeper is not None:
-            self._keeper.check()
-
-    def _attend(self) -> None:
-        """Run in every wait on the wire."""
-        self._clock.check()
-        self._watch.look()
-
-    def _text(self, name: str) -> str:
-        """Return a CHAR array; some servers leave the quotes out, or pad it."""
-        return clean(self.wire().read(name).strip("\0 \t\r\n").strip('"').strip())
-
-    def _value(self, name: str) -> krl.Value:
-        text = self.wire().read(name)
-        try:
-            return krl.parse(text)
-        except krl.KrlError as error:
-            raise _unreadable(name, error) from error
-
-    def integer(self, name: str) -> int:
-        """Return a whole number that the controller has."""
-        value = self._value(name)
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise _unreadable(name, krl.KrlError(f"a whole number is expected, found {value!r}"))
-        return value
-
-    def _numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
-        text = self.wire().read(name)
-        try:
-            return krl.numbers(text, components)
-        except krl.KrlError as error:
-            raise _unreadable(name, error) from error
-
-    def _axes_deg(self) -> Array:
-        return np.array(self._numbers("$AXIS_ACT", AXES))
-
-    def _pose(self) -> Array:
-        """Return {T} in {B} (4, 4), mm, from X, Y, Z and KUKA's Z-Y-X angles A, B, C."""
-        values = self._numbers("$POS_ACT", FRAME)
-        pose = np.eye(4)
-        pose[:3, :3] = from_zyx(values[3:])
-        pose[:3, 3] = values[:3]
-        return pose
-
-    def _close_wires(self) -> None:
-        if self._keeper is not None:
-            self._keeper.close()
-        for line in (self._line, self._stop_line):
-            if line is not None:
-                line.close()
-        self._line = self._stop_line = self._keeper = None
-        self._written = {}
-
-
-def _failed(
-    code: str, found: str, *, wanted: str = "", act: str = "", **fields: object
-) -> DeviceError:
-    return DeviceError(code, DEVICE, "move", found, wanted=wanted, act=act, fields=fields)
-
-
-def _refused(
-    code: str, found: str, *, wanted: str = "", act: str = "", **fields: object
-) -> DeviceRefused:
-    return DeviceRefused(code, DEVICE, "connect", found, wanted=wanted, act=act, fields=fields)
+    def __init__(self, options: Options, clock: Clock) -> None:
+        super().__init__(options, clock, partial(C3Controller, options))
 
 
 def _never() -> None:
     """Let a stop through."""
-
-
-def _unreadable(name: str, error: krl.KrlError) -> DeviceError:
-    return DeviceError(
-        "HC-B26",
-        DEVICE,
-        f"read {name}",
-        str(error),
-        act="check the server's version, resume",
-        fields={"variable": name},
-    )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers import kuka_life, robot_kuka_c3
+from drivers import kuka_life, kuka_robot
 from drivers.supervision import LATE_S
 from hilcell.ports import DeviceError
 from tests.drivers.kuka_peer import KukaPeer
@@ -56,7 +56,7 @@ def test_an_older_program_works_and_is_said_to_have_no_watchdog(version: str) ->
 
 
 def test_a_robot_that_has_braked_by_itself_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robot_kuka_c3, "STALL_S", 0.2)
+    monkeypatch.setattr(kuka_robot, "STALL_S", 0.2)
     with KukaPeer() as peer:
         robot = robot_for(peer)
         robot.connect()

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import kuka_sweep, robot_kuka_c3
+from drivers import kuka_robot, kuka_sweep
 from drivers.kuka_sweep import split_speed
 from drivers.robot_kuka_c3 import KukaC3Robot
 from hilcell.clock import WallClock
@@ -23,7 +23,7 @@ END_RAD, SLOW_RAD_S = float(np.radians(10.0)), float(np.radians(0.1))  # of 100 
 
 @pytest.fixture(autouse=True)
 def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (kuka_sweep, robot_kuka_c3):
+    for module in (kuka_sweep, kuka_robot):
         for name, value in (("POLL_S", 0.002), ("DWELL_S", 0.002), ("REST_S", 0.3)):
             monkeypatch.setattr(module, name, value)
 
@@ -119,7 +119,7 @@ def test_left_early_the_robot_is_braked_and_works_again(peer: KukaPeer, robot: K
 
 def test_a_stop_brakes_and_gives_back_but_stays(peer: KukaPeer) -> None:
     stop = threading.Event()
-    robot = KukaC3Robot(robot_for(peer)._options, WallClock(stop))
+    robot = robot_for(peer, clock=WallClock(stop))
     robot.connect()
     with pytest.raises(Stopped):
         sweep(robot, stop.set)
@@ -131,7 +131,7 @@ def test_a_stop_brakes_and_gives_back_but_stays(peer: KukaPeer) -> None:
 
 def test_a_stop_before_the_kickoff_gives_back(peer: KukaPeer) -> None:
     stop = threading.Event()
-    robot = KukaC3Robot(robot_for(peer)._options, WallClock(stop))
+    robot = robot_for(peer, clock=WallClock(stop))
     robot.connect()
 
     def prepare() -> None:

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers import c3, keep_alive, kuka_health, robot_kuka_c3, supervision
+from drivers import c3, keep_alive, kuka_health, kuka_robot, supervision
 from drivers.robot_kuka_c3 import KukaC3Robot
 from hilcell.cell.file import Joint
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.clock import WallClock
-from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped
+from hilcell.ports import Array, Clock, DeviceError, DeviceRefused, Robot, Stopped
 from tests.drivers.kuka_peer import VARIABLES, KukaPeer
 from tests.drivers.peers import wall_clock
 
@@ -35,17 +35,17 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
         ("REST_S", 0.1),
         ("CATCH_UP_S", 0.2),
     ):
-        monkeypatch.setattr(robot_kuka_c3, name, value)
+        monkeypatch.setattr(kuka_robot, name, value)
 
 
-def robot_for(peer: KukaPeer, **options: Any) -> KukaC3Robot:
+def robot_for(peer: KukaPeer, clock: Clock | None = None, **options: Any) -> KukaC3Robot:
     values: dict[str, Any] = {
         "host": "127.0.0.1",
         "port": peer.server.port,
         "smr_mm": (98.0, 0.0, 127.0),
         "joint": JOINTS,
     }
-    return KukaC3Robot(KukaC3Robot.Options(**(values | options)), wall_clock())
+    return KukaC3Robot(KukaC3Robot.Options(**(values | options)), clock or wall_clock())
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def creeping(peer: KukaPeer, monkeypatch: pytest.MonkeyPatch, override: str) -> 
     robot = robot_for(peer)
     robot.connect()
     monkeypatch.setattr(peer, "_read", read)
-    monkeypatch.setattr(robot_kuka_c3, "STALL_S", 0.0)
+    monkeypatch.setattr(kuka_robot, "STALL_S", 0.0)
     monkeypatch.setattr(robot._clock, "now_s", lambda: float(next(now_s)))
     return robot
 
@@ -465,8 +465,8 @@ def test_idle_connections_are_kept_and_a_loss_is_reported(
     assert twice.wait(5)
     assert peer.connections == 2  # only now: a connection is made before it is accepted
     peer.server.drop()
-    assert robot._keeper is not None
-    robot._keeper._thread.join(5)
+    keeper = robot.wire()._keeper  # type: ignore[attr-defined]  # of the C3 wires
+    keeper._thread.join(5)
     with pytest.raises(DeviceError, match=r"closed the connection|reset|Broken pipe"):
         robot.read()
     robot.close()

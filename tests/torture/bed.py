@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from drivers import drive, rail_setup, robot_kuka_c3
+from drivers import drive, kuka_robot, rail_setup
 from drivers.tracker_leica_emscon import LeicaEmsconTracker
 from hilcell.errors import HilcellError
 from hilcell.journal.runs import JOURNAL
@@ -34,8 +34,8 @@ QUICK = {
 SHORT: tuple[tuple[object, str, float], ...] = (
     (rail_setup, "FIND_S", 0.5),
     (drive, "STALL_S", 1.0),
-    (robot_kuka_c3, "STALL_S", 1.0),
-    (robot_kuka_c3, "REST_S", 1.0),
+    (kuka_robot, "STALL_S", 1.0),
+    (kuka_robot, "REST_S", 1.0),
     (LeicaEmsconTracker, "RESULT_S", 0.5),
     (LeicaEmsconTracker, "REPLY_S", 1.0),
     (device_status, "REFRESH_S", 0.02),

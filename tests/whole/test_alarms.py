@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers import drive, rail_setup, robot_kuka_c3
+from drivers import drive, kuka_robot, rail_setup
 from drivers.tracker_leica_emscon import LeicaEmsconTracker
 from fakes.faults import KNOWN
 from hilcell.alarms import Alarm, alarms_of, catalogue
@@ -156,8 +156,8 @@ def injected(
     name, value, count = request.param
     monkeypatch.setattr(rail_setup, "FIND_S", 0.5)
     monkeypatch.setattr(drive, "STALL_S", 1.0)
-    monkeypatch.setattr(robot_kuka_c3, "STALL_S", 1.0)
-    monkeypatch.setattr(robot_kuka_c3, "REST_S", 1.0)
+    monkeypatch.setattr(kuka_robot, "STALL_S", 1.0)
+    monkeypatch.setattr(kuka_robot, "REST_S", 1.0)
     monkeypatch.setattr(LeicaEmsconTracker, "RESULT_S", 0.5)
     if name.endswith(".vanish"):
         cells.close()  # where the fault before left the slide moving, it would vanish at once
