@@ -15,14 +15,21 @@ from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import SEAT, PointId
 from hilcell.journal.point_words import KINDS, NEST_KINDS, point_words, target_words
 
-_POINT_KINDS = (*KINDS, "validate", "sign")
-_KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(_POINT_KINDS)})/[^\s,;:()]*[^\s,;:().]")
+_KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]")
 _VERDICT = re.compile(r"(?<![\w/])verdict (?P<key>[^\s,;:]*[^\s,;:.])")
 _SEAT = re.compile(rf"(?P<rest>.+)/{SEAT}(?P<seat>\d{{1,3}})")
 _AT = "validation."  # begins a verdict of one place
 _VERDICTS = {
     "sign": "sign check",
+    "fit": "choice of the correction",
     "suspicions": "suspected causes",
+    "iso9283": "ISO 9283 test",
+    "recheck": "re-check",
+    "reversal": "lost motion of axes 1 to 3",
+    "backlash": "backlash of the rail",
+    "station-repeatability": "repeatability of a held station",
+    "known-length": "certified lengths",
+    "touch": "touch poses",
     "revisits": "revisited poses",
     "revisits.closing": "closing visits",
 }

@@ -5,6 +5,8 @@ Keys such as ``validate/S300/chosen/049`` are for files and commands. Targets co
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from hilcell.journal.point_id import CONTROL, PointId
 from hilcell.journal.ways_sent import PAPER, SHORT_WAYS, WAYS
 
@@ -23,26 +25,48 @@ _STEPS = {
     "iso9283": "ISO 9283 test",
 }
 _WITHOUT_RAIL = {"home": "Park the robot"}
+
+
+class Kind(NamedTuple):
+    """A kind of points: one of them, one in few letters, and all of them, as they are counted."""
+
+    one: str
+    short: str
+    all: str
+
+
 KINDS = {
-    "world": ("floor nest", "nest"),
-    "control": ("check of floor nest", "check"),
-    "length": ("scale: nest", "scale"),
-    "held": ("proof of the hold: nest", "held"),
-    "slide": ("slide nest", "nest"),
-    "three": ("slide nest", "nest"),
-    "touch": ("touched pose", "touch"),
-    "base": ("base circle", "base"),
-    "grid": ("grid point", "grid"),
-    "pose": ("chosen pose", "pose"),
-    "repeatability": ("repeated pose", "repeat"),
-    "revisit": ("revisited pose", "revisit"),
-    "closing": ("closing pose", "closing"),
-    "reversal": ("reversed pose", "reverse"),
-    "recheck": ("re-checked target", "target"),
-    "target": ("target", "target"),
-    "targets": ("target", "target"),
-    "sweep": ("sweep of", "sweep"),
+    "world": Kind("floor nest", "nest", "floor nests"),
+    "control": Kind("check of floor nest", "check", "checks of the floor nests"),
+    "length": Kind("scale: nest", "scale", "nests of certified lengths"),
+    "held": Kind("proof of the hold: nest", "held", "proofs of the hold"),
+    "slide": Kind("slide nest", "nest", "slide nests"),
+    "three": Kind("slide nest", "nest", "slide nests, one reading"),
+    "six": Kind("slide nest, all once more", "nest", "slide nests, all once more"),
+    "survey": Kind("rail survey", "survey", "rail survey"),
+    "repeat": Kind("approach of the station", "approach", "approaches of the station"),
+    "touch": Kind("touched pose", "touch", "touched poses"),
+    "base": Kind("base circle", "base", "base circles"),
+    "frames": Kind("repeated base circle", "circle", "repeated base circles"),
+    "grid": Kind("grid point", "grid", "grid points"),
+    "oriented": Kind("turned grid point", "turned", "grid points, turned tool"),
+    "pose": Kind("chosen pose", "pose", "chosen poses"),
+    "repeatability": Kind("repeated pose", "repeat", "repeated poses"),
+    "revisit": Kind("revisited pose", "revisit", "revisited poses"),
+    "closing": Kind("closing pose", "closing", "closing poses"),
+    "reversal": Kind("reversed pose", "reverse", "reversed poses"),
+    "recheck": Kind("re-checked target", "target", "re-checked targets"),
+    "target": Kind("target", "target", "targets"),
+    "targets": Kind("target", "target", "targets"),
+    "sweep": Kind("sweep of", "sweep", "sweeps"),
+    "validate": Kind("target", "target", "targets"),
+    "sign": Kind("sign check", "sign", "sign check"),
+    "iso9283": Kind("ISO 9283 pose", "pose", "ISO 9283 poses"),
+    "campaign": Kind("recorded pose", "pose", "recorded poses"),
 }
+SIDES = {"one_side": "from one side", "random": "from random sides"}
+HOLDS = {"plain": "drive alone", "strip": "by the strip"}
+_DETAILS = WAYS | SIDES | HOLDS  # of `PointId.how` and `PointId.way`
 NEST_KINDS = ("world", "control", "length", "held", "slide", "three")
 OTHERS = "others"  # stations that are judged together
 
@@ -81,7 +105,7 @@ def point_words(id: PointId, station: str = "") -> str:
         return f"{_target(id)}{where}" + (f", {PAPER}" if id.how == "idw" else "")
     if id.kind == "sign":
         return f"sign check {WAYS.get(id.how, id.how)}{where}"
-    return f"{KINDS.get(id.kind, (id.kind, ''))[0]} {_which(id)}".rstrip() + where
+    return f"{_kind(id).one} {_which(id)}".rstrip() + where
 
 
 def short_words(id: PointId) -> str:
@@ -90,7 +114,25 @@ def short_words(id: PointId) -> str:
         return f"{SHORT_WAYS.get(id.how, id.how)} {_counted(id)}"
     if id.kind == "sign":
         return f"sign {SHORT_WAYS.get(id.how, id.how)}"
-    return f"{KINDS.get(id.kind, ('', id.kind))[1]} {_which(id)}".rstrip()
+    return f"{_kind(id).short} {_which(id)}".rstrip()
+
+
+def counted_words(id: PointId) -> str:
+    """Return the points that are counted with this one: *targets, corrected*."""
+    parts = (
+        _kind(id).all,
+        "" if id.place is None else f"place {id.place + 1}",
+        _DETAILS.get(id.how, id.how),
+        _DETAILS.get(id.way, id.way),
+        "" if id.axis is None else f"axis {id.axis}",
+        "" if id.seat is None else "other reflectors",
+    )
+    return ", ".join(filter(None, parts))
+
+
+def _kind(id: PointId) -> Kind:
+    """Return the kind's words; a procedure of others may have one of its own."""
+    return KINDS.get(id.kind, Kind(id.kind, id.kind, id.kind))
 
 
 def _target(id: PointId) -> str:
@@ -111,8 +153,8 @@ def _which(id: PointId) -> str:
         id.target,
         id.pose,
         "-".join(map(str, id.vertex)),
-        id.way,
-        id.how,
+        _DETAILS.get(id.way, id.way),
+        _DETAILS.get(id.how, id.how),
         "" if id.axis is None else f"A{id.axis}",
         "" if id.place is None else f"{id.place + 1}",
         _counted(id),

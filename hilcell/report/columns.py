@@ -12,6 +12,7 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 Value = str | int | float | None
+KEY = "key"  # name of a column of points' keys, which is small and grey
 
 _UNITS_IN_KEYS = {"°": "deg", "°C": "c", "%": "percent"}
 

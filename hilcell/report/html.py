@@ -21,7 +21,7 @@ from hilcell.report.certificate import (
     procedure_words,
     title,
 )
-from hilcell.report.columns import present
+from hilcell.report.columns import KEY, present
 from hilcell.report.course import STOPS, course
 from hilcell.report.curves import curves
 from hilcell.report.drawings.curve_plots import curve_plots
@@ -49,6 +49,7 @@ from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
 from hilcell.report.target_budget import TargetBudget, bounds_sheet, target_budget
 from hilcell.report.templates import environment
+from hilcell.report.verdicts import verdicts
 from hilcell.report.volume import volume_sheet
 from hilcell.report.worst import worst
 
@@ -79,6 +80,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             pages=pages or {},
             parts=PARTS,
             stops=STOPS,
+            key_name=KEY,
             words_of=partial(words_of, has_rail=facts.cell.has_rail),
             controls=sum(each.group == CONTROL for each in facts.log.points.values()),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
@@ -94,14 +96,14 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
                 worst(facts, targets),
             ),
             own_sheet=own,
-            empty=not present(own, tables.accuracy(facts), tables.verdicts(facts)),
+            empty=not present(own, tables.accuracy(facts), verdicts(facts)),
             curve_sheet=curves(facts),
             paper_sheet=tables.paper_rows(facts),
             budget_sheet=budget_sheet(budget, targets),
             bounds_sheet=bounds_sheet(targets),
             sums=(ERROR_SUM, TARGET_SUM),
             models=models(facts),
-            verdicts=tables.verdicts(facts),
+            verdicts=verdicts(facts),
             targets=targets,
             record_sheets=present(
                 course(facts),

@@ -22,7 +22,7 @@ from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import point_words
 from hilcell.ports import Array
-from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.report.columns import KEY, Column, Sheet, sheet
 from hilcell.report.facts import Facts
 
 REASONS = {
@@ -69,6 +69,7 @@ TURNS: tuple[Column[Repeat], ...] = (
     Column("turned first", attrgetter("first_deg"), "°", ".4f"),
     Column("turned again", attrgetter("again_deg"), "°", ".4f"),
 )
+KEYS = Column[Repeat](KEY, attrgetter("again.key"))
 
 
 def remeasured(facts: Facts) -> Sheet | None:
@@ -79,7 +80,8 @@ def remeasured(facts: Facts) -> Sheet | None:
     note = f"Every value stays in the journal. Of a target the larger {what}, whatever the reason; "
     note += "of other points the later value."
     earlier = " ".join(_judged_by_the_later(facts.log))
-    columns = (*REPEATS, *TURNS) if turned else REPEATS
+    note += " Once more: hilcell resume RUN --retake KEY; hilcell export RUN --csv lists every key."
+    columns = (*REPEATS, *TURNS, KEYS) if turned else (*REPEATS, KEYS)
     return sheet("Points measured more than once", columns, found, f"{note} {earlier}".rstrip())
 
 

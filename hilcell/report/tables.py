@@ -15,12 +15,11 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.asset import Asset
-from hilcell.journal.calibration_facts import VALIDATION
+from hilcell.journal.point_words import counted_words
 from hilcell.ports import Array
 from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
-from hilcell.report.wording import facts_of
 
 Pair = tuple[str, str]
 
@@ -248,7 +247,7 @@ SOFTWARE: tuple[Column[Pair], ...] = (
     Column("version", itemgetter(1)),
 )
 GROUPS: tuple[Column[tuple[str, int]], ...] = (
-    Column("group", lambda row: row[0].replace("_", " ")),
+    Column("kind", itemgetter(0)),
     Column("points", itemgetter(1), form="d"),
 )
 
@@ -259,35 +258,9 @@ def software(facts: Facts) -> Sheet | None:
 
 
 def groups(facts: Facts) -> Sheet | None:
-    """Return how many points of each group were measured."""
-    counts = Counter(point.group for point in facts.log.points.values())
-    return sheet("Points", GROUPS, sorted(counts.items()))
-
-
-JUDGED = {
-    "fit": "choice of the correction", "sign": "target, sign turned",
-    "known-length": "known length",
-    "revisits": "vertices visited again", "revisits.closing": "first poses at the end",
-}  # fmt: skip
-
-
-def _judged(key: str) -> str:
-    """Return what a verdict is about, in words."""
-    place = key.removeprefix(VALIDATION)
-    found = "the other stations" if place == OTHERS else place
-    return f"targets at {found}" if place != key else JUDGED.get(key, key)
-
-
-VERDICTS: tuple[Column[tuple[str, Mapping[str, Any]]], ...] = (
-    Column("judged", lambda row: _judged(row[0])),
-    Column("verdict", lambda row: "holds" if row[1]["holds"] else "does not hold"),
-    Column("by", lambda row: facts_of(row[1])),
-)
-
-
-def verdicts(facts: Facts) -> Sheet | None:
-    """Return the verdicts, with the figures behind them."""
-    return sheet("Verdicts", VERDICTS, facts.log.verdicts.items())
+    """Return how many points of each kind were measured, in the order of the run."""
+    counts = Counter(counted_words(point.id) for point in facts.log.points.values())
+    return sheet("Points", GROUPS, counts.items())
 
 
 PAPER: tuple[Column[Mapping[str, Any]], ...] = (

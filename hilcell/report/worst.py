@@ -11,7 +11,7 @@ import numpy as np
 from hilcell.calibration.errors import errors_of, targets
 from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
-from hilcell.report.columns import Column, Sheet, Value, sheet
+from hilcell.report.columns import KEY, Column, Sheet, Value, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.target_budget import TargetBudget
 
@@ -28,6 +28,7 @@ class Worst:
 
     rank: int
     name: str
+    key: str
     nominal_mm: Array
     before_mm: float | None
     error_mm: Array
@@ -59,6 +60,7 @@ WORST: tuple[Column[Worst], ...] = (
     Column("again", attrgetter("again_mm"), "mm", ".3f"),
     Column("95 % bound", attrgetter("bound_mm"), "mm", ".3f"),
     Column("after ÷ bound", attrgetter("share"), form=".2f"),
+    Column(KEY, attrgetter("key")),
 )
 
 
@@ -94,6 +96,7 @@ def _row(log: Log, rank: int, point: Point, before: Point | None, budget: Target
     return Worst(
         rank,
         f"{(point.id.number or 0) + 1} at {point.station}".replace(" ", NO_BREAK),
+        point.key,
         found.nominal_mm[0],
         float(errors_of(log, [before]).norms_mm[0]) if before is not None else None,
         found.error_mm[0],

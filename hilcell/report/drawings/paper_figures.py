@@ -14,6 +14,7 @@ from hilcell.calibration.pose_test import ISO
 from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
+from hilcell.journal.point_words import HOLDS, SIDES
 from hilcell.ports import Array
 from hilcell.report.drawings.svg import MUTED, axes_sheet, house_style, svg_of
 from hilcell.report.facts import Facts
@@ -28,8 +29,7 @@ MARKERS = {"before": "o", "idw": "^", "chosen": "o"}
 PAIRS_DRAWN = 500  # each dot is an element of the page: a picture of them its policy would block
 TURNS = (("roll", "idw"), ("pitch", "before"), ("yaw", "chosen"))
 RESULTS = {"rail_survey", "frame_repeatability", ISO}
-WAYS = {"one_side": "from one side", "random": "from random sides"}
-HELD = {"plain": ("before", "drive alone"), "strip": ("chosen", "by the strip")}
+HELD = {"plain": "before", "strip": "chosen"}  # drawn in the colours of these
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,20 +293,20 @@ def fig_8(facts: Facts) -> Drawn | None:
 
 def fig_10(facts: Facts) -> Drawn | None:
     """Draw where the slide stood after each approach, by drive alone and held by the strip."""
-    ways = [way for way in WAYS if any(len(along_rail_mm(facts.log, how, way)) for how in HELD)]
+    ways = [way for way in SIDES if any(len(along_rail_mm(facts.log, how, way)) for how in HELD)]
     if not ways:
         return None
     figure, axes = axes_sheet(2.6, 1, len(ways), sharey=True)
     ranges = []
     for ax, way in zip(axes[0], ways, strict=True):
-        for name, (how, label) in HELD.items():
-            off_mm = along_rail_mm(facts.log, name, way)
+        for name, how in HELD.items():
+            off_mm, label = along_rail_mm(facts.log, name, way), HOLDS[name]
             if len(off_mm):
                 off_mm = off_mm - off_mm.mean()
-                ranges.append(f"{WAYS[way]}, {label} {np.ptp(off_mm):.4f} mm")
+                ranges.append(f"{SIDES[way]}, {label} {np.ptp(off_mm):.4f} mm")
                 _scatter(ax, how, off_mm, label)
                 ax.plot(np.arange(1, len(off_mm) + 1), off_mm, color=COLOURS[how], linewidth=0.7)
-        ax.set_title(WAYS[way])
+        ax.set_title(SIDES[way])
         ax.set_xlabel("approach")
         ax.set_xticks(range(1, len(ax.lines[0].get_ydata()) + 1, 2))
     axes[0, 0].set_ylabel("deviation along the rail, mm")

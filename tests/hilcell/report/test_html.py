@@ -327,7 +327,7 @@ def test_a_recheck_s_verdict_in_plain_words(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1").began()
     writer.journal.append("verdict", "recheck", {"holds": False, "verdict": "redo"})
     (row,) = page_of(writer.facts()).table("Verdicts")
-    assert row["by"] == "verdict calibrate again"
+    assert row["by"] == "calibrate again"
 
 
 def test_a_recheck_reports_no_before_and_after(tmp_path: Path) -> None:

@@ -1,0 +1,82 @@
+"""Points in words: every kind that a procedure measures has an entry."""
+
+import ast
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import hilcell
+import procedures
+from hilcell.calibration.noticed import VERDICTS
+from hilcell.journal.point_id import PointId
+from hilcell.journal.point_words import KINDS, counted_words, point_words, short_words
+from hilcell.report.facts import read_facts
+from tests.whole.golden import GoldenRuns
+
+OF_THE_CALLER = {"kind", "id"}  # the kinds of `VERDICTS`, and kinds that a journal names
+
+
+def kinds_made() -> Iterator[str]:
+    """Yield the kind of every point that the source makes, by a word or the name of a constant."""
+    for package in (hilcell, procedures):
+        folder = Path(str(package.__file__)).parent
+        for file in folder.rglob("*.py"):
+            text = file.read_text("utf-8")
+            for call in ast.walk(ast.parse(text)) if "PointId(" in text else ():
+                if not isinstance(call, ast.Call) or ast.unparse(call.func) != "PointId":
+                    continue
+                match call.args[:1]:
+                    case [ast.Constant(value=str(kind))]:
+                        yield kind
+                    case [ast.Name(id=name)] if name not in OF_THE_CALLER:
+                        parts = file.relative_to(folder.parent).with_suffix("").parts
+                        yield getattr(import_module(".".join(parts)), name)
+
+
+def test_every_kind_that_a_procedure_measures_has_words() -> None:
+    kinds = {*kinds_made(), *VERDICTS}
+    assert {"validate", "campaign", "survey", "six", "repeat", "iso9283", "oriented"} <= kinds
+    assert kinds <= KINDS.keys()
+
+
+def test_the_points_of_a_run_are_counted_in_words(golden: GoldenRuns) -> None:
+    points = read_facts(golden["small"].folder).log.points.values()
+    assert {point.id.kind for point in points} <= KINDS.keys()
+    counted = {counted_words(point.id) for point in points}
+    assert {"targets, corrected", "sign check, as sent", "repeated poses, place 1"} <= counted
+    assert not [words for words in counted if "_" in words]
+
+
+@pytest.mark.parametrize(
+    ("id", "words", "short", "counted"),
+    [
+        (
+            PointId("repeat", how="strip", way="one_side", number=2, side=-1),
+            "approach of the station from one side by the strip 3-",
+            "approach from one side by the strip 3-",
+            "approaches of the station, by the strip, from one side",
+        ),
+        (
+            PointId("survey", way="forth", number=3, nest="N1"),
+            "rail survey N1 forth 4",
+            "survey N1 forth 4",
+            "rail survey, forth",
+        ),
+        (
+            PointId("iso9283", pose="P1", number=0, seat=2),
+            "ISO 9283 pose P1 1, seat 2",
+            "pose P1 1, seat 2",
+            "ISO 9283 poses, other reflectors",
+        ),
+        (
+            PointId("own", number=0),
+            "own 1",
+            "own 1",
+            "own",
+        ),
+    ],
+)
+def test_a_point_in_words(id: PointId, words: str, short: str, counted: str) -> None:
+    assert (point_words(id), short_words(id), counted_words(id)) == (words, short, counted)
