@@ -28,7 +28,6 @@ _VERDICTS = {
     "reversal": "lost motion of axes 1 to 3",
     "backlash": "backlash of the rail",
     "station-repeatability": "repeatability of a held station",
-    "known-length": "certified lengths",
     "touch": "touch poses",
     "revisits": "revisited poses",
     "revisits.closing": "closing visits",

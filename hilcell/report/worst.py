@@ -11,7 +11,7 @@ import numpy as np
 from hilcell.calibration.errors import errors_of, targets
 from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
-from hilcell.report.columns import KEY, Column, Sheet, Value, sheet
+from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.target_budget import TargetBudget
 
@@ -28,7 +28,6 @@ class Worst:
 
     rank: int
     name: str
-    key: str
     nominal_mm: Array
     before_mm: float | None
     error_mm: Array
@@ -60,7 +59,6 @@ WORST: tuple[Column[Worst], ...] = (
     Column("again", attrgetter("again_mm"), "mm", ".3f"),
     Column("95 % bound", attrgetter("bound_mm"), "mm", ".3f"),
     Column("after ÷ bound", attrgetter("share"), form=".2f"),
-    Column(KEY, attrgetter("key")),
 )
 
 
@@ -85,6 +83,9 @@ def worst(facts: Facts, budget: TargetBudget) -> Sheet | None:
         "Places and errors in {W}. After ÷ bound above 1: beyond the own bound, which 5 % of "
         "targets are expected to be. Where a target was measured again, the larger value counts."
     )
+    if rows:
+        key = found[order[0]].key
+        note += f" Key of the first: {key}; hilcell export RUN --csv lists every key."
     return sheet("The ten worst targets" if len(rows) == MOST else "The worst targets", WORST, rows,
                  note)  # fmt: skip
 
@@ -96,7 +97,6 @@ def _row(log: Log, rank: int, point: Point, before: Point | None, budget: Target
     return Worst(
         rank,
         f"{(point.id.number or 0) + 1} at {point.station}".replace(" ", NO_BREAK),
-        point.key,
         found.nominal_mm[0],
         float(errors_of(log, [before]).norms_mm[0]) if before is not None else None,
         found.error_mm[0],

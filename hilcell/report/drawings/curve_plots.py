@@ -24,26 +24,25 @@ from hilcell.report.facts import Facts
 
 WIDTH_MM, ROW_MM, HIGH_MM, TOP_MM = 178.0, 44.0, 26.0, 8.0
 CURVE_MM, SPECTRUM_MM = (12.0, 108.0), (122.0, 176.0)
+TITLE = "Transmission error of a gear, and its spectrum"
 LABEL_MM = 17.0  # the widest
 
 
 def curve_plots(facts: Facts) -> str:
-    """Return the drawing of every swept axis, "" without any."""
+    """Return a drawing of each swept axis, between which a page may end; "" without any."""
     records = [record for record in facts.log.curves.values() if record.shown]
     if not records:
         return ""
     most = max(float(np.array(record.spectrum)[:, 1].max()) for record in records)
-    parts = [
-        part
-        for n, record in enumerate(records)
-        for part in _row(record, n * ROW_MM, round_up(most, ENDS))
-    ]
-    title = "Transmission errors of the gears, and their spectra"
-    return svg(WIDTH_MM, ROW_MM * len(records), title, parts, facts.inputs.simulated)
+    high_urad, simulated = round_up(most, ENDS), facts.inputs.simulated
+    return "".join(
+        svg(WIDTH_MM, ROW_MM, f"{TITLE}, axis {each.axis}", _row(each, high_urad), simulated)
+        for each in records
+    )
 
 
-def _row(record: CurveRecord, top: float, most_urad: float) -> Iterator[str]:
-    high, low = top + TOP_MM, top + TOP_MM + HIGH_MM
+def _row(record: CurveRecord, most_urad: float) -> Iterator[str]:
+    high, low = TOP_MM, TOP_MM + HIGH_MM
     joint_deg, measured_urad, by_curve_urad = np.array(record.shown).T
     size = round_up(float(np.abs(measured_urad).max()))
     frame = Frame(

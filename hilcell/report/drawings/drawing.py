@@ -94,12 +94,20 @@ def hatched(x: float, y: float, width: float, height: float) -> str:
     return path(found, HATCH, 0.15)
 
 
-def apart(heights: Sequence[float]) -> list[float]:
-    """Return heights, in their order, moved so that labels at them do not overlap."""
-    order = sorted(range(len(heights)), key=lambda n: heights[n])
-    placed, last = list(heights), -math.inf
+def apart(
+    places: Sequence[float], nearest: float = NEAREST_MM, most: float = math.inf
+) -> list[float]:
+    """Return places, in their order, moved so that labels at them do not overlap.
+
+    ``nearest`` is the least distance of two, ``most`` the place that none is beyond.
+    """
+    order = sorted(range(len(places)), key=lambda n: places[n])
+    placed, last = list(places), -math.inf
     for n in order:
-        placed[n] = last = max(heights[n], last + NEAREST_MM)
+        placed[n] = last = max(places[n], last + nearest)
+    for n in reversed(order):
+        placed[n] = min(placed[n], most)
+        most = placed[n] - nearest
     return placed
 
 
@@ -177,7 +185,10 @@ class Frame:
         return "".join(parts)
 
 
-def labels(x: float, named: Sequence[tuple[float, str, str]]) -> Iterator[str]:
-    """Yield labels of (height, words, colour) in a column, none over another."""
-    for y, (_, words, colour) in zip(apart([each[0] for each in named]), named, strict=True):
+def labels(
+    x: float, named: Sequence[tuple[float, str, str]], lowest: float = math.inf
+) -> Iterator[str]:
+    """Yield labels of (height, words, colour) in a column, apart, none below ``lowest``."""
+    heights = apart([each[0] for each in named], most=lowest)
+    for y, (_, words, colour) in zip(heights, named, strict=True):
         yield text(x, y + 1.0, words, colour=colour, bold=True)

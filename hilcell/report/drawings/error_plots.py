@@ -16,6 +16,7 @@ from hilcell.report.drawings.drawing import (
     ENDS,
     INK,
     MUTED,
+    NEAREST_MM,
     Frame,
     Scale,
     hatched,
@@ -55,14 +56,15 @@ def in_order(facts: Facts) -> str:
              (frame.y.one(limits.mean_mm), f"mean {limits.mean_mm:g}", INK)]  # fmt: skip
     parts += labels(frame.x.end + 1.0, named)
     parts += _floor(facts, frame)
+    named = []
     for how, norms_mm in shown.items():
         colour, name = (BEFORE, "before") if how == "before" else (AFTER, "after")
-        dash = "2 1" if how == "before" else ""
-        parts.append(_curve(frame, norms_mm, colour, dash))
+        parts.append(_curve(frame, norms_mm, colour, "2 1" if how == "before" else ""))
         # Left, where the curve after is low, and below that before.
-        y = frame.y.one(float(norms_mm.min() if how == "before" else norms_mm.max())) + 3.6
+        y = frame.y.one(float(norms_mm.min() if how == "before" else norms_mm.max())) + 2.6
         words = f"{name}: mean {norms_mm.mean():.3f}, largest {norms_mm.max():.3f}"
-        parts.append(text(frame.x.begin + 1.0, y, words, colour=colour, bold=True))
+        named.append((y, words, colour))
+    parts += labels(frame.x.begin + 1.0, named, frame.y.begin - 2.5 - NEAREST_MM)
     return svg(WIDTH_MM, HEIGHT_MM, "Errors in order, logarithmic", parts, facts.inputs.simulated)
 
 

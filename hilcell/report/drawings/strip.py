@@ -10,6 +10,7 @@ from hilcell.report.drawings.drawing import (
     INK,
     MUTED,
     Scale,
+    apart,
     circle,
     hatched,
     path,
@@ -18,7 +19,8 @@ from hilcell.report.drawings.drawing import (
 )
 from hilcell.report.first_page import Result
 
-WIDTH_MM, ROW_MM, LEFT_MM, TOP_MM = 120.0, 8.2, 26.0, 4.2
+WIDTH_MM, ROW_MM, LEFT_MM, TOP_MM = 120.0, 8.6, 26.0, 4.2
+LABEL_MM = 18.6  # the widest: "before 1.20"
 LEAST_MM = 0.005  # the scale begins here
 
 
@@ -47,6 +49,7 @@ def strip(results: list[tuple[str, Result]], simulated: bool) -> str:
 
 def _row(name: str, result: Result, scale: Scale, y: float) -> Iterator[str]:
     limit, after = scale.one(result.limit_mm), scale.one(result.after_mm)
+    named = [(after, f"after {result.after_mm:.3f}", AFTER)]
     yield text(0.0, y + 1.0, name, bold=True)
     yield hatched(limit, y - 2.4, scale.end - limit, 5.0)
     yield path([(scale.begin, y), (scale.end, y)], "#c9d0d8", 0.2)
@@ -55,12 +58,13 @@ def _row(name: str, result: Result, scale: Scale, y: float) -> Iterator[str]:
     if result.before_mm is not None:
         before = scale.one(result.before_mm)
         yield circle(before, y, 1.2, "#fff", BEFORE)
-        words = f"before {result.before_mm:.2f}"
-        yield text(min(before, scale.end - 9.0), y - 1.9, words, "middle", BEFORE, bold=True)
+        named.append((before, f"before {result.before_mm:.2f}", BEFORE))
     if result.U_mm is not None:
         ends = [scale.one(result.after_mm + sign * result.U_mm) for sign in (-1, 1)]
         yield path([(ends[0], y), (ends[1], y)], AFTER, 0.5)
         for end in ends:
             yield path([(end, y - 0.9), (end, y + 0.9)], AFTER, 0.4)
     yield circle(after, y, 1.2, AFTER, AFTER)
-    yield text(after, y - 1.9, f"after {result.after_mm:.3f}", "middle", AFTER, bold=True)
+    places = apart([at for at, _, _ in named], LABEL_MM, scale.end - LABEL_MM / 2)
+    for at, (_, words, colour) in zip(places, named, strict=True):
+        yield text(at, y - 1.9, words, "middle", colour, bold=True)

@@ -2,17 +2,20 @@
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from hilcell.calibration.measurement_budget import control_moves
 from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
 from hilcell.report.drawings.drawing import (
     LABEL_MM,
+    MUTED,
     NEAREST_MM,
     Frame,
     Scale,
@@ -209,3 +212,59 @@ def test_the_volume_in_numbers() -> None:
     assert rows["z"] == ("800", "1700")
     assert rows["y, S300"] == ("\N{MINUS SIGN}1250", "\N{MINUS SIGN}350")
     assert found.note == "Tracker to corners: 4.0 to 5.1 m."
+
+
+LETTER = 0.56  # mean width of a letter over its height
+ANCHORS = {"start": 0.0, "middle": 0.5, "end": 1.0}
+
+
+def boxes_mm(drawn: str) -> list[tuple[str, float, float, float, float]]:
+    """Return the words of a drawing with left, right, top and base line of each."""
+    found = []
+    for each in ET.fromstring(drawn).iter("text"):
+        shown = "".join(each.itertext())
+        wide_mm = LETTER * LABEL_MM * len(shown)
+        left_mm = float(each.attrib["x"]) - ANCHORS[each.attrib["text-anchor"]] * wide_mm
+        base_mm = float(each.attrib["y"])
+        found.append((shown, left_mm, left_mm + wide_mm, base_mm - 0.75 * LABEL_MM, base_mm))
+    return found
+
+
+def assert_apart(drawn: str, room_mm: float = 0.0) -> None:
+    for (one, a, b, top, base), (other, c, d, above, below) in combinations(boxes_mm(drawn), 2):
+        beside = b <= c or d <= a
+        assert beside or base + room_mm <= above or below + room_mm <= top, (one, other)
+
+
+@pytest.mark.parametrize("limit_mm", [0.006, 0.03, 0.09, 0.3])
+@pytest.mark.parametrize("after_mm", [0.005, 0.03, 0.089, 0.2])
+@pytest.mark.parametrize("before_mm", [None, 0.02, 0.1, 1.2])
+def test_labels_of_the_strip_do_not_overlap(
+    limit_mm: float, after_mm: float, before_mm: float | None
+) -> None:
+    rows = [
+        (name, Result("Mean", limit_mm, before_mm, after_mm, 0.02)) for name in ("Mean", "Largest")
+    ]
+    assert_apart(strip(rows, simulated=False), room_mm=1.2)
+
+
+@pytest.mark.parametrize("before", [0.007, 0.04, 0.1, 1.0])
+@pytest.mark.parametrize("after", [0.004, 0.04, 0.09])
+@pytest.mark.parametrize("limit_mm", [0.02, 0.06])
+def test_labels_of_the_errors_in_order_do_not_overlap(
+    tmp_path: Path, before: float, after: float, limit_mm: float
+) -> None:
+    writer = Writer(tmp_path / "r").began()
+    for how, error_mm in (("before", before), ("chosen", after)):
+        writer.validated("S300", how, [(share * error_mm, 0.0, 0.0) for share in (0.9, 1.0)])
+    facts = writer.facts()
+    facts.result["repeatability"] = {"floor_mm": 0.01}
+    stated = structs.replace(
+        facts.cell.validation, mean_tolerance_mm=limit_mm, max_tolerance_mm=1.5 * limit_mm
+    )
+    cell = structs.replace(facts.cell, validation=stated)
+    drawn = ET.fromstring(in_order(replace(facts, cell=cell)))
+    for each in [each for each in drawn if each.attrib.get("fill") in ("none", MUTED)]:
+        if "dotted" not in "".join(each.itertext()):
+            drawn.remove(each)  # ticks, below which nothing is written, and the watermark
+    assert_apart(ET.tostring(drawn, "unicode"))

@@ -16,11 +16,12 @@ import pytest
 
 from hilcell.commands.cli import main
 from hilcell.journal.runs import JOURNAL
-from hilcell.report.facts import read_facts
+from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import report_html
-from hilcell.report.pdf import pages_of
-from tests.hilcell.report.browser import browse, looked_at
+from hilcell.report.pdf import pages_of, pdf_of
+from tests.hilcell.report.browser import browse, browser, looked_at
 from tests.hilcell.report.pages import Page
+from tests.hilcell.report.printed import fills
 from tests.whole.bench import HILCELL, command
 from tests.whole.golden import GoldenRuns
 
@@ -185,6 +186,34 @@ def test_seen_in_a_browser(page: Path, tmp_path: Path) -> None:
 
 
 MM_PX = 96 / 25.4
+LEAST_FULL, LEAST_LAST = 0.40, 0.25  # of a printed page's height
+
+
+def printed_fills(facts: Facts, more_css: str = "") -> list[float]:
+    """Return how full each printed page of a run's report is, without the watermark."""
+    facts.log.plan = msgspec.structs.replace(facts.inputs, simulated=False)
+    page = report_html(facts).replace("</style>", f"{more_css}</style>", 1)
+    return fills(pdf_of(page, browser()))
+
+
+def well_filled(found: list[float]) -> bool:
+    return min(found[:-1]) >= LEAST_FULL and found[-1] >= LEAST_LAST
+
+
+@pytest.mark.parametrize("name", ["small", "calibration"])
+def test_printed_pages_are_full(golden: GoldenRuns, name: str) -> None:
+    found = printed_fills(read_facts(golden[name].folder))
+    assert 4 <= len(found) <= 11
+    assert well_filled(found), found
+
+
+def test_a_forced_page_break_is_seen_in_how_full_pages_are(golden: GoldenRuns) -> None:
+    found = printed_fills(
+        read_facts(golden["small"].folder), "@media print { .part h2 { break-after: page; } }"
+    )
+    assert not well_filled(found), found
+
+
 LONG = "Ωmega Flugzeugbau Łódź GmbH und Co. KG, Fertigungsinsel Süd, Straße der Montage 12"
 
 
