@@ -14,6 +14,7 @@ import threading
 import time
 from pathlib import Path
 
+from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.run.control import Control
@@ -46,6 +47,9 @@ class StandIn:
         return ""
 
     def retake(self, key: str) -> str:
+        return ""
+
+    def acknowledge(self, made: Acknowledged) -> str:
         return ""
 
     def watched(self, by: int) -> int:

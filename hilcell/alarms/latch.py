@@ -9,8 +9,9 @@ that it comes from, so the same journal, read again, counts nothing twice.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from hilcell.alarms.alarm import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, Severity
@@ -36,6 +37,7 @@ class Latched:
 
 
 Mark = tuple[str, int, str]
+NOBODY: Mapping[str, int] = MappingProxyType({})  # has acknowledged anything
 
 
 def _mark(alarm: Alarm) -> Mark:
@@ -49,12 +51,17 @@ class Latch:
         self._latched: dict[str, Latched] = {}
         self._seen: dict[Mark, Alarm] = {}
 
-    def take(self, alarms: Iterable[Alarm], at: str = "") -> None:
+    def take(
+        self, alarms: Iterable[Alarm], at: str = "", acknowledged: Mapping[str, int] = NOBODY
+    ) -> None:
         """Latch those that were not seen before; ``alarms`` are all that the journal raises now.
 
         ``at`` is the time of its newest record, by which the causes of all others are gone; ""
         where it is not known: a run that is opened again has not tried its devices yet.
+        ``acknowledged`` is what the journal says, as `acknowledged_in` returns it.
         """
+        for code in acknowledged:
+            self._acknowledge_until(code, acknowledged)
         raised = {_mark(alarm): alarm for alarm in alarms}
         for mark, alarm in [*self._seen.items()]:
             if mark not in raised and alarm.passes:
@@ -67,6 +74,7 @@ class Latch:
             if mark not in self._seen:
                 self._seen[mark] = alarm
                 self._add(alarm)
+                self._acknowledge_until(alarm.code, acknowledged)
 
     def _keep(self, code: str, latched: Latched) -> None:
         """Keep one as it stands now, or let go of it."""
@@ -82,6 +90,12 @@ class Latch:
             return
         severity = max(before.severity, alarm.severity, key=SEVERITIES.index)
         self._latched[alarm.code] = Latched(alarm, severity, before.count + 1)
+
+    def _acknowledge_until(self, code: str, acknowledged: Mapping[str, int]) -> None:
+        """Acknowledge an alarm that somebody has seen, on whichever screen."""
+        latched, until = self._latched.get(code), acknowledged.get(code)
+        if latched is not None and until is not None and latched.alarm.seq <= until:
+            self._keep(code, replace(latched, acknowledged=True))
 
     def standing(self) -> list[Latched]:
         """Return the latched alarms: the most severe first, of those the newest first."""

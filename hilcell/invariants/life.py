@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.invariants.bodies import Ended, Life
 from hilcell.invariants.scene import Scene
 from hilcell.invariants.tally import Tally
@@ -58,6 +59,10 @@ class LifeRules:
                     self._check("I7", record, 0.0 <= took_s <= TEARDOWN_S, what)
             case "safe stop" if record.body.get("cause"):
                 self._reason = self._reason or record.body["cause"]
+            case "acknowledged":
+                until = msgspec.convert(record.body, Acknowledged).until
+                unseen = f"alarms up to record {until} were acknowledged before it was written"
+                self._check("I17", record, until < record.seq, unseen)
 
     def _life(self, record: Record, life: Life) -> None:
         what = f"state was {self._state}, not {life.before}"

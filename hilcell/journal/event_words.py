@@ -14,7 +14,7 @@ from hilcell.journal.point_words import step_words
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
 CLOSINGS = {"closed": "devices closed", "safe stop": "devices stopped safely"}
-NAMED = {  # events that say which point, station or run they are about
+NAMED = {  # events that say which point, station, run or alarms they are about
     "first pass": "first pass of",
     "stream": "recorded",
     "station found held": "rail found held at",
@@ -24,6 +24,7 @@ NAMED = {  # events that say which point, station or run they are about
     "outlier measured again": "stands out and is measured again:",
     "station decided": "enough targets at",
     "visited once more": "visited once more:",
+    "acknowledged": "alarms acknowledged:",
 }
 
 
@@ -57,7 +58,8 @@ def happened_words(body: Mapping[str, Any], log: Log) -> str:
             return f"curve of {msgspec.convert(body, CurveRecord).words}"
         case "seated":
             return f"reflector seated in {body.get('place')}"
-    subject = body.get("key") or body.get("station") or body.get("run") or ""
+    codes = ", ".join(body.get("codes", ()))
+    subject = body.get("key") or body.get("station") or body.get("run") or codes
     words = in_words(" ".join(filter(None, (NAMED.get(what, what), str(subject)))), log)
     return words + after(in_words(str(body.get("reason") or ""), log))
 

@@ -11,7 +11,7 @@ import socket
 import threading
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, Unpack
 
 import msgspec
 
@@ -26,6 +26,7 @@ from hilcell.run.protocol import (
     Refusal,
     Request,
     Status,
+    Subject,
 )
 
 
@@ -93,7 +94,7 @@ class EngineClient:
         with suppress(HilcellError):  # the engine is gone, and misses no screen
             self.ask("leave")
 
-    def ask(self, command: Command, *, key: str = "") -> Status:
+    def ask(self, command: Command, **subject: Unpack[Subject]) -> Status:
         """Send a command and return the answer.
 
         Raises `OrderRefused`, `EngineSilent` where no answer comes in time, `EngineLost` where
@@ -103,7 +104,8 @@ class EngineClient:
             try:
                 while self._owed:
                     self._answer()
-                self._asking.sendall(_line(Request.within(self._patience_s, command, key)))
+                request = Request.within(self._patience_s, command, **subject)
+                self._asking.sendall(_line(request))
                 self._owed += 1
                 answer = msgspec.json.decode(self._answer(), type=dict[str, Any])
             except TimeoutError as error:

@@ -19,6 +19,7 @@ from typing import Protocol
 
 import msgspec
 
+from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.engine_file import ENGINE, EngineFile
 from hilcell.journal.journal import StorageError
 from hilcell.run.protocol import COMMANDS, LONGEST_REQUEST, Refusal, Request, Status
@@ -39,6 +40,9 @@ class Engine(Protocol):
 
     def retake(self, key: str) -> str:
         """Have a point re-measured; return why that is refused."""
+
+    def acknowledge(self, made: Acknowledged) -> str:
+        """Journal that alarms were acknowledged; return why that is refused."""
 
     def watched(self, by: int) -> int:
         """Add ``by`` to the screens that attend; return how many do now."""
@@ -166,6 +170,8 @@ class _Handler(socketserver.StreamRequestHandler):
                 return engine.answer()
             case "retake":
                 return engine.retake(request.key)
+            case "acknowledge":
+                return engine.acknowledge(Acknowledged(request.codes, request.until))
             case "attend" | "leave":
                 self._attend(attends=request.command == "attend")
         return ""

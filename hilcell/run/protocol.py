@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Literal, Self, get_args
+from typing import Literal, Self, TypedDict, Unpack, get_args
 
 import msgspec
 
@@ -18,15 +18,25 @@ ANSWER_S = 2.0  # a screen waits so long, which asks again and again
 ORDER_S = 5.0  # a command waits so long, which asks once
 
 Command = Literal[
-    "status", "pause", "proceed", "stop", "abort", "answer", "retake", "attend", "leave"
-]
+    "status", "pause", "proceed", "stop", "abort", "answer", "retake", "acknowledge", "attend",
+    "leave",
+]  # fmt: skip
 COMMANDS: tuple[Command, ...] = get_args(Command)
-TIMELESS = ("stop", "status", "attend", "leave")  # the others are orders, and grow old
+TIMELESS = ("stop", "status", "acknowledge", "attend", "leave")  # the others are orders: grow old
+
+
+class Subject(TypedDict, total=False):
+    """The parts of a `Request` that name its subject."""
+
+    key: str
+    codes: tuple[str, ...]
+    until: int
 
 
 class Request(msgspec.Struct, frozen=True, omit_defaults=True):
     """A client's request: ``key`` names the point of a ``retake``.
 
+    ``codes`` and ``until`` are the alarms of an ``acknowledge``, and the last record it has seen.
     ``before`` is until when an order holds, in seconds of CLOCK_MONOTONIC, which is one clock for
     all processes of a machine; an order without it holds for ever.
     """
@@ -34,12 +44,14 @@ class Request(msgspec.Struct, frozen=True, omit_defaults=True):
     command: Command
     key: str = ""
     before: str | None = None
+    codes: tuple[str, ...] = ()
+    until: int = 0
 
     @classmethod
-    def within(cls, patience_s: float, command: Command, key: str = "") -> Self:
+    def within(cls, patience_s: float, command: Command, **subject: Unpack[Subject]) -> Self:
         """Return a request that holds for ``patience_s`` from now; to be sent at once."""
-        until = None if command in TIMELESS else str(time.monotonic() + patience_s)
-        return cls(command, key, until)
+        before = None if command in TIMELESS else str(time.monotonic() + patience_s)
+        return cls(command, before=before, **subject)
 
     def too_late(self) -> str:
         """Return why the order holds no more; "" where it holds."""

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.calibration.suspicions import blamed
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
@@ -68,7 +69,7 @@ class Runner:
         self._cell, self._procedure, self._journal = cell, procedure, journal
         self._stop, self._unattended = stop, unattended
         self._safe_stop = SafeStop(devices)
-        self._messages: queue.SimpleQueue[Message | str] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[Message | Acknowledged | str] = queue.SimpleQueue()
         self._worker = Worker(
             cell,
             procedure,
@@ -144,6 +145,14 @@ class Runner:
             return str(error)
         return ""
 
+    def acknowledge(self, made: Acknowledged) -> str:
+        """Have it journalled that alarms were acknowledged; return why that is refused."""
+        newest = self.log.newest
+        refused = made.refusal(0 if newest is None else newest.seq)
+        if not refused:
+            self._messages.put(made)  # nothing may follow the end, which the main thread writes
+        return refused
+
     def watched(self, by: int) -> int:
         """Add ``by`` to the screens that attend; return how many do now."""
         with self._screens_lock:
@@ -215,10 +224,12 @@ class Runner:
                     return self._stop_worker(command)
                 case str(command):
                     self._obey(command)
+                case Acknowledged() as made:
+                    self._journal.append("event", "", made.event())
                 case message if self.log.state != "aborting":  # else the worker is about to leave
                     self._follow(message)
 
-    def _next(self) -> Message | str:
+    def _next(self) -> Message | Acknowledged | str:
         """Wait for a message.
 
         In slices: a signal that comes just before a wait begins is handled when the wait ends.

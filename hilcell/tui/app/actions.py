@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
@@ -13,7 +13,7 @@ from hilcell.tui.text.prompt import lost_devices
 from hilcell.tui.text.refusals import no_answer_reason, pause_command
 
 if TYPE_CHECKING:
-    from hilcell.run.protocol import Command
+    from hilcell.run.protocol import Command, Subject
     from hilcell.tui.engine.session import Session
 
 
@@ -128,11 +128,11 @@ class RunActions:
         await run_in_thread(session.ask, "answer")
         self._application.show_notice("")
 
-    def _command(self, command: Command, *, key: str = "") -> None:
+    def _command(self, command: Command, **subject: Unpack[Subject]) -> None:
         """Send a command to the engine from another thread: keys do not wait."""
         session = self._application.session
         if session is not None:
-            self._application.start_task(run_in_thread(session.ask, command, key=key))
+            self._application.start_task(run_in_thread(session.ask, command, **subject))
 
 
 async def _watch(started: process.StartedEngine) -> None:

@@ -407,9 +407,11 @@ class HilcellApp(App[int]):
             self.push_screen(Palette())
 
     def do_acknowledge(self) -> None:
-        """Acknowledge every alarm."""
-        self.latch.acknowledge()
-        self._show()
+        """Acknowledge every alarm, here and in the run's journal."""
+        if self.session is not None:
+            made = self.session.acknowledge()
+            self._show()
+            self.start_task(run_in_thread(self.session.send, made))
 
     def do_theme(self) -> None:
         """Show the next theme; 16 colours have one."""

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import msgspec
 
 from hilcell.alarms import Latch, alarms_of
+from hilcell.alarms.acknowledged import Acknowledged, acknowledged_in
 from hilcell.alarms.alarm import GO_ON
 from hilcell.errors import HilcellError
 from hilcell.run.client import EngineClient, stop_engine
 from hilcell.run.forecast import Forecast
-from hilcell.run.protocol import Command
+from hilcell.run.protocol import Command, Subject
 from hilcell.tui.engine.feed import Feed, RunUpdate
 from hilcell.tui.engine.run_view import EngineState, RunView
 
@@ -66,7 +68,7 @@ class Session:
             present = view.engine is not EngineState.NONE
             lost = not view.calibrated
             view.alarms = alarms_of(view.log, view.run, live=present, go_on=self._go_on, lost=lost)
-            self.latch.take(view.alarms, self._went_on_at)
+            self.latch.take(view.alarms, self._went_on_at, acknowledged_in(view.log))
         self.tick(now)
 
     def _engine(self, found: EngineState) -> EngineState:
@@ -128,7 +130,7 @@ class Session:
         self.stop_heard = True
         return True
 
-    def ask(self, command: Command, *, key: str = "") -> None:
+    def ask(self, command: Command, **subject: Unpack[Subject]) -> None:
         """Send a command; raises `HilcellError` where it is refused or no engine lives."""
         patience_s = PATIENCE_S.get(command)
         apart = patience_s is not None  # so that the lamps do not wait for it
@@ -139,11 +141,24 @@ class Session:
                 code="HC-J08",
             )
         try:
-            client.ask(command, key=key)
+            client.ask(command, **subject)
         finally:
             if apart:
                 client.close()
         self.feed.look_now()
+
+    def acknowledge(self) -> Acknowledged:
+        """Acknowledge every alarm on this screen; return that, to be sent to the engine."""
+        codes = (each.alarm.code for each in self.latch.standing() if not each.acknowledged)
+        newest = self.view.log.newest
+        made = Acknowledged(tuple(codes), 0 if newest is None else newest.seq)
+        self.latch.acknowledge()
+        return made
+
+    def send(self, made: Acknowledged) -> None:
+        """Have the engine journal it; where none does, as an older one, only this screen knows."""
+        with suppress(HilcellError):
+            self.ask("acknowledge", codes=made.codes, until=made.until)
 
     def close(self, *, leave: bool) -> None:
         """Detach from the run."""

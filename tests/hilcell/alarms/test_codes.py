@@ -118,6 +118,7 @@ ORDINARY = {
     "visited once more",
     "seated",
     "screen back",
+    "acknowledged",
     "device back",
     "stream",
     "no poses chosen",

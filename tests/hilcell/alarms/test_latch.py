@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hilcell.alarms import Alarm, Latch
+from hilcell.alarms.acknowledged import acknowledged_in
 from hilcell.alarms.catalogue import Severity
 from hilcell.errors import DeviceError
 from tests.hilcell.alarms.journals import (
@@ -16,7 +17,9 @@ from tests.hilcell.alarms.journals import (
     ended,
     event,
     faulted,
+    log_of,
     no_reading,
+    point,
     state,
 )
 
@@ -58,6 +61,38 @@ def test_acknowledged_is_gone_until_it_comes_again() -> None:
     assert standing(latch) == []
     latch.take([replace(other, seq=12, severity="notice")])
     assert standing(latch) == [("HC-R31", "notice", 1)]
+
+
+def test_the_journal_s_acknowledgement_holds_for_what_came_before_it() -> None:
+    later = replace(ONE, seq=9)
+    for first in ([ONE], []):  # seen before it was acknowledged, and by a screen that comes later
+        latch = Latch()
+        latch.take(first)
+        latch.take([ONE], "t", {"HC-T10": 5})
+        assert standing(latch) == []
+        latch.take([ONE, later], "t", {"HC-T10": 5})
+        assert standing(latch) == [("HC-T10", "warning", 1)]
+        assert latch.waits()
+    latch = Latch()
+    latch.take([ONE, later], "t", {"HC-T10": 5, "HC-R31": 9})
+    assert standing(latch) == [("HC-T10", "warning", 1)], "only what came after it"
+
+
+def test_an_alarm_without_a_record_is_acknowledged_by_its_code() -> None:
+    rows = (*BEGUN, point("grid/1"), point("grid/2", 23.0))
+    (drift,) = [each for each in alarms(*rows, live=True) if each.code == "HC-V04"]
+    assert drift.seq == 0
+    for code, left in (("HC-V05", ["HC-V04"]), ("HC-V04", [])):
+        told = event("acknowledged", codes=[code], until=3)
+        latch = Latch()
+        latch.take(alarms(*rows, live=True), "t", acknowledged_in(log_of(*rows, told)))
+        assert [each.alarm.code for each in latch.standing()] == left
+
+
+def test_of_several_acknowledgements_the_latest_counts() -> None:
+    told = [event("acknowledged", codes=["HC-T10", f"HC-R0{n}"], until=n) for n in (3, 7, 5)]
+    found = acknowledged_in(log_of(*BEGUN, *told))
+    assert found == {"HC-T10": 7, "HC-R03": 3, "HC-R07": 7, "HC-R05": 5}
 
 
 def test_a_notice_stays_until_it_is_acknowledged_though_its_cause_is_gone() -> None:

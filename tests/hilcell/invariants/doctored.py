@@ -115,6 +115,7 @@ def rows() -> list[Row]:
         event("proven", "tracker proven"),
         ("base", "frame", "base", {"points": ["grid/1"]}),
         event("lost", "screen lost"),
+        event("read", "acknowledged", codes=["HC-C08"], until=3),
         state("pausing", "running", "pausing"),
         state("paused", "pausing", "paused"),
         state("proceed", "paused", "running", by="command"),

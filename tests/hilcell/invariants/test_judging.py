@@ -111,6 +111,7 @@ CASES: list[tuple[str, Doctored]] = [
     ("I16", Doctored().without("proven after pause")),
     ("I16", Doctored().without("proven again")),
     ("I17", Doctored().change("verdict", holds=False)),
+    ("I17", Doctored().change("read", until=1000)),
     ("I18", Doctored().change("connected again", devices=OTHER)),
     ("I18", Doctored().change("connected again", hilcell="0.2.0")),
 ]

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import msgspec
@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hilcell.run.client as client_module
+from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.engine_file import EngineFile, live_engine
 from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import find_run, run_folders
@@ -49,6 +50,10 @@ class Recorder:
 
     def retake(self, key: str) -> str:
         self.told.append(f"retake {key}")
+        return self.refusal
+
+    def acknowledge(self, made: Acknowledged) -> str:
+        self.told.append(f"acknowledge {made}")
         return self.refusal
 
     def watched(self, by: int) -> int:
@@ -99,6 +104,21 @@ def test_one_connection_carries_many_commands(desk: Recorder, screen: Screen) ->
         assert screen.ask(command)["ok"] is True
     assert screen.ask("retake", key="grid/0-0-0")["ok"] is True
     assert desk.told == ["pause", "proceed", "abort", "stop", "answer", "retake grid/0-0-0"]
+
+
+def test_an_acknowledgement_reaches_the_engine_or_is_refused(
+    desk: Recorder, tmp_path: Path, screen: Screen
+) -> None:
+    read = b'{"command": "acknowledge", "codes": ["HC-T10"], "until": 7}\n'
+    assert screen.raw(read)["ok"] is True
+    assert desk.told == [f"acknowledge {Acknowledged(('HC-T10',), 7)}"]
+    desk.refusal = "it has not been written"
+    assert screen.raw(read) == {"ok": False, "error": "it has not been written"}
+    client = client_module.EngineClient.of_run(tmp_path)
+    assert client is not None
+    with closing(client), pytest.raises(HilcellError, match="it has not been written"):
+        client.ask("acknowledge", codes=("HC-R31", "HC-T10"), until=8)
+    assert desk.told[-1] == f"acknowledge {Acknowledged(('HC-R31', 'HC-T10'), 8)}"
 
 
 def test_two_commands_in_one_segment(desk: Recorder, screen: Screen) -> None:
@@ -272,7 +292,7 @@ def test_a_refused_order_is_told(
     with pytest.raises(HilcellError, match=f"^run {tmp_path.name}: nothing is asked now$"):
         order(tmp_path, "answer")
     assert order(tmp_path, "pause").state == "running"
-    monkeypatch.setattr(Request, "within", lambda *rest: Request("proceed", before="0.0"))
+    monkeypatch.setattr(Request, "within", lambda *_, **subject: Request("proceed", before="0.0"))
     with pytest.raises(HilcellError, match="s too late; nothing was done"):
         order(tmp_path, "proceed")
     assert desk.told == ["answer", "pause"]

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import hilcell.run.runner as runner_module
+from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.journal import read_journal
 from hilcell.ports import DeviceError
 from hilcell.run.cell_session import CellSession
@@ -277,6 +278,29 @@ def test_an_unattended_run_goes_on_without_a_screen(bed: Bed) -> None:
         live.runner.post("lost")
     assert live.code == 0
     assert "paused" not in bed.states()
+
+
+def test_an_acknowledgement_is_journalled_and_one_of_what_nobody_has_seen_is_refused(
+    bed: Bed,
+) -> None:
+    with Live(bed, procedure(Points(MANY))) as live:
+        live.until("state", "running")
+        assert live.runner.acknowledge(Acknowledged(("HC-R31", "HC-V04"), 2)) == ""
+        until(lambda: bool(bed.events("acknowledged")))
+        refused = live.runner.acknowledge(Acknowledged(("HC-R31",), 10**6))
+        assert refused.startswith("acknowledge: until: record 1000000 cannot have been seen; ")
+        assert "until" in live.runner.acknowledge(Acknowledged(("HC-R31",), 0))
+        assert "found none" in live.runner.acknowledge(Acknowledged((), 2))
+        live.runner.post("stop")
+    facts = {"codes": ["HC-R31", "HC-V04"], "until": 2}
+    assert bed.events("acknowledged") == [{"what": "acknowledged"} | facts]
+
+
+def test_nothing_is_acknowledged_after_the_end(bed: Bed) -> None:
+    with Live(bed, procedure(Points(1, lambda session, number: None))) as live:
+        until(lambda: live.code == 0)
+        live.runner.acknowledge(Acknowledged(("HC-R31",), 2))
+    assert read_journal(bed.path)[-1].kind == "end"
 
 
 def test_a_command_that_makes_no_sense_is_journalled(bed: Bed) -> None:

@@ -27,7 +27,7 @@ STATUS: dict[str, Any] = {
     "interlocks": [{"name": "rail move", "blocked": ""}], "prompt": None, "retakes": [],
 }  # fmt: skip
 SILENCE = b""  # no answer at all
-Answer = Callable[[dict[str, str]], bytes | None]  # None: the connection is closed
+Answer = Callable[[dict[str, Any]], bytes | None]  # None: the connection is closed
 
 
 def says(body: dict[str, Any]) -> bytes:
@@ -35,7 +35,7 @@ def says(body: dict[str, Any]) -> bytes:
     return msgspec.json.encode(body) + b"\n"
 
 
-def usual(command: dict[str, str]) -> bytes:
+def usual(command: dict[str, Any]) -> bytes:
     """Answer as an engine does."""
     return says(STATUS)
 
@@ -113,7 +113,7 @@ class Peer:
         try:
             with connection, connection.makefile("rb") as lines:
                 for line in lines:
-                    words = msgspec.json.decode(line, type=dict[str, str])
+                    words = msgspec.json.decode(line, type=dict[str, Any])
                     self._note(number, words["command"])
                     answer = self.answer(words)
                     if answer is None:
@@ -139,7 +139,7 @@ class PauseGate:
         self.held = held
         self.asked, self.open = threading.Event(), threading.Event()
 
-    def answer(self, words: dict[str, str]) -> bytes:
+    def answer(self, words: dict[str, Any]) -> bytes:
         """Give an answer, when it may go."""
         if self.held in ("", words["command"]):
             self.asked.set()

@@ -8,7 +8,7 @@ from contextlib import suppress
 from datetime import datetime
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import pytest
 from textual._compositor import Compositor
@@ -20,6 +20,7 @@ from textual.screen import Screen
 from textual.strip import Strip
 from textual.worker import WorkerCancelled
 
+from hilcell.run.protocol import Command, Subject
 from hilcell.tui.app.actions import RunActions
 from hilcell.tui.app.app import HilcellApp
 from hilcell.tui.engine.feed import RunUpdate
@@ -52,13 +53,13 @@ class RecordingSession(Session):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, lambda _: None, 0.25)
-        self.asked: list[tuple[str, dict[str, str]]] = []
+        self.asked: list[tuple[str, Subject]] = []
         self.stops = 0
         self.closed: list[bool] = []  # whether it was left on purpose
 
-    def ask(self, command: str, *, key: str = "") -> None:
+    def ask(self, command: Command, **subject: Unpack[Subject]) -> None:
         """Write a command down."""
-        self.asked.append((command, {"key": key} if key else {}))
+        self.asked.append((command, subject))
 
     def stop(self) -> bool:
         """Count a stop, where an engine would hear it."""

@@ -59,6 +59,6 @@ def test_random_keys_break_nothing(state: str) -> None:
     app = Watched(options(Path("/runs")), state)
     asyncio.run(press_at_random(app))
     asked = [command for command, _ in app.recorded.asked]
-    assert set(asked) <= {"pause", "proceed", "abort", "retake", "answer"}, pressed
+    assert set(asked) <= {"pause", "proceed", "abort", "retake", "answer", "acknowledge"}, pressed
     assert sum(each in ("proceed", "abort", "retake") for each in asked) <= app.questions, pressed
     assert app.recorded.stops <= pressed.count("escape")
