@@ -44,6 +44,7 @@ from hilcell.commands.run_output import (
     print_lost,
     print_unclosed,
 )
+from hilcell.journal.disk_space import check_space
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.index import read_index
@@ -115,6 +116,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_dry_run(cell, procedure, plan, as_json=args.json)
         return 0
+    check_space(args.runs, plan.points)
     earlier = {
         "driven_by": _finished_runs(args.runs, cell),
         "accepted": accepted,

@@ -9,7 +9,6 @@ import ctypes
 import os
 import platform
 import re
-import shutil
 import socket
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from hilcell.journal.disk_space import bytes_free, bytes_needed, existing
 from hilcell.journal.journal import StorageError
 from hilcell.report.pdf import find_browser
 from hilcell.run.cell_lock import locks_folder
@@ -28,7 +28,8 @@ from hilcell.writing import NotWritten
 LEAST_PYTHON = (3, 11)
 LEAST_COLUMNS, LEAST_ROWS = 60, 15  # of the screen; 80 x 24 shows everything
 USUAL_COLUMNS, USUAL_ROWS = 80, 24
-LEAST_FREE_GB = 1.0  # a calibration takes some 10 MB
+USUAL_POINTS = 1_700  # no run of a cell that comes with hilcell has more
+PLENTY_GB = 1.0  # a run takes up to 10 MB: for a hundred of them
 SHARED = {"nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p"}  # no locks that SQLite trusts
 WAKES, WAKE_S, LATE_S = 200, 0.005, 0.05  # a stop takes 0.02 s
 ADAPTERS = ("ttyUSB*", "ttyACM*")
@@ -136,26 +137,29 @@ def loopback() -> Finding:
 
 def disk(runs: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
     """Check the folder of runs: that it can be written, its space, and that its disk is local."""
-    folder = next(each for each in (runs.absolute(), *runs.absolute().parents) if each.exists())
-    where = str(runs.absolute())
+    folder, where = existing(runs), str(runs.absolute())
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(b"\0")
             os.fsync(file.fileno())
-        free_gb = shutil.disk_usage(folder).free / 1e9
+        free = bytes_free(folder)
     except OSError as error:
         return Finding(
             "disk", "wrong", f"{where} cannot be written: {error.strerror}",
             "choose another folder with --runs",
         )  # fmt: skip
-    found = f"{where}, {free_gb:.1f} GB free"
-    if not free_gb >= LEAST_FREE_GB:
-        return Finding("disk", "wrong", found, f"make {LEAST_FREE_GB:g} GB of room")
+    found = f"{where}, {free / 1e9:.2f} GB free"
+    if free < (needed := bytes_needed(USUAL_POINTS)):
+        return Finding(
+            "disk", "wrong", found, f"make {needed / 1e6:.0f} MB of room: a run needs it"
+        )
     if (kind := _file_system(folder, mounts)) in SHARED:
         return Finding(
             "disk", "wrong", f"{found}, shared over a network ({kind})",
             "choose a folder of a local disk with --runs: journals need its locks",
         )  # fmt: skip
+    if free < PLENTY_GB * 1e9:
+        return Finding("disk", "warning", found, f"make {PLENTY_GB:g} GB of room for later runs")
     return Finding("disk", "ok", found)
 
 

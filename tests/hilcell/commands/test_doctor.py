@@ -38,11 +38,11 @@ def test_a_sound_pc_is_found_sound(capsys: pytest.CaptureFixture[str], tmp_path:
 def test_every_act_is_shown(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(this_pc, "LEAST_FREE_GB", 1e9)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=20_000_000))
     assert main(["doctor", "--runs", str(tmp_path)]) == 2
     lines = capsys.readouterr().out.splitlines()
     row = next(n for n, line in enumerate(lines) if line.startswith("WRONG  disk"))
-    assert lines[row + 1].split() == ["->", "make", "1e+09", "GB", "of", "room"]
+    assert lines[row + 1].strip() == "-> make 20 MB of room: a run needs it"
 
 
 def test_a_missing_package_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,13 +110,21 @@ def test_the_nearest_mount_counts_whatever_its_name(tmp_path: Path) -> None:
     assert this_pc.disk(share / "more", mounts).state == "ok"
 
 
-@pytest.mark.parametrize(("free_bytes", "state"), [(1_100_000_000, "ok"), (900_000_000, "wrong")])
-def test_a_disk_needs_a_gigabyte(
+@pytest.mark.parametrize(
+    ("free_bytes", "state"),
+    [
+        (1_100_000_000, "ok"),
+        (900_000_000, "warning"),
+        (20_500_000, "warning"),
+        (20_000_000, "wrong"),
+    ],
+)
+def test_a_disk_needs_room_for_a_run_and_should_have_a_gigabyte(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_bytes: int, state: str
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free_bytes))
     found = this_pc.disk(tmp_path, tmp_path / "no mounts")
-    assert (found.state, f"{free_bytes / 1e9:.1f} GB free" in found.found) == (state, True)
+    assert (found.state, f"{free_bytes / 1e9:.2f} GB free" in found.found) == (state, True)
 
 
 def test_a_folder_that_is_none_is_wrong(tmp_path: Path) -> None:
