@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -150,6 +150,15 @@ class Points:
 
 def procedure(*parts: Any) -> Procedure:
     return Procedure("desk", "for tests", tuple(parts), lambda result: ([], []))
+
+
+def failing(error: Exception) -> Callable[[], NoReturn]:
+    """Return a call that raises an error."""
+
+    def fail() -> NoReturn:
+        raise error
+
+    return fail
 
 
 def hang(entered: threading.Event, release: threading.Event) -> Callable[[], None]:

@@ -15,7 +15,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.protocol import DeviceStatus
 from hilcell.run.states import ALIVE, RUN
 from tests.hilcell.run.bed import Bed, Live, until
-from tests.hilcell.run.rig import Points, hang, procedure
+from tests.hilcell.run.rig import Points, failing, hang, procedure
 
 MANY = 10**6
 
@@ -344,14 +344,11 @@ def test_a_paused_run_keeps_its_readings_fresh(bed: Bed) -> None:
 def test_a_device_lost_while_paused_is_shown_and_no_fault(
     bed: Bed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def gone() -> None:
-        raise DeviceError("HC-R01", "Rail", "read", "link lost")
-
-    read = bed.rail.read
+    read, lost = bed.rail.read, DeviceError("HC-R01", "Rail", "read", "link lost")
     with Live(bed, procedure(Points(MANY))) as live:
         live.runner.post("pause")
         live.until("state", "paused")
-        monkeypatch.setattr(bed.rail, "read", gone)
+        monkeypatch.setattr(bed.rail, "read", failing(lost))
         until(lambda: live.status("devices")["rail"]["state"] == "lost")
         assert live.status("devices")["rail"]["reason"] == "Rail: read: link lost"
         assert live.status("devices")["strip"]["state"] == "lost"

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import hilcell.run.worker as worker_module
-from hilcell.ports import DeviceError, NoReading, RailReading, RobotReading
+from hilcell.ports import DeviceError, NoReading
 from hilcell.run import device_status
 from hilcell.run.measuring import MEASURE_TRIES
 from hilcell.run.prompts import Prompt, unanswered
 from tests.hilcell.run.bed import Bed, Live, broken_beam, until
-from tests.hilcell.run.rig import Points, hang, procedure
+from tests.hilcell.run.rig import Points, failing, hang, procedure
 
 
 @pytest.fixture
@@ -277,15 +277,12 @@ def test_a_device_lost_while_the_run_asks_is_journalled_and_no_answer_is_taken(
 ) -> None:
     monkeypatch.setattr(device_status, "REFRESH_S", 0.02)
     read = bed.robot.read
-
-    def unread() -> RobotReading:
-        raise DeviceError("HC-B02", "Robot", "read", "no answer", act="check its cable")
-
+    lost = DeviceError("HC-B02", "Robot", "read", "no answer", act="check its cable")
     with Live(bed, procedure(Points(1))) as live:
         live.until("state", "suspended")
         bed.tracker.answer = clear
         until(lambda: live.status("prompt")["ready"] is True)
-        monkeypatch.setattr(bed.robot, "read", unread)
+        monkeypatch.setattr(bed.robot, "read", failing(lost))
         until(lambda: live.status("prompt")["ready"] is False)
         refused = live.runner.answer()
         assert refused.startswith("robot is lost: Robot: read: no answer; ")
@@ -303,15 +300,11 @@ def test_a_device_lost_at_the_answer_is_read_before_it_counts(
     bed: Bed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(device_status, "REFRESH_S", 1e9)
-    read = bed.rail.read
-
-    def unread() -> RailReading:
-        raise DeviceError("HC-R01", "Rail", "read", "link lost")
-
+    read, lost = bed.rail.read, DeviceError("HC-R01", "Rail", "read", "link lost")
     with Live(bed, procedure(Points(1))) as live:
         live.until("state", "suspended")
         bed.tracker.answer = clear
-        monkeypatch.setattr(bed.rail, "read", unread)
+        monkeypatch.setattr(bed.rail, "read", failing(lost))
         assert live.runner.answer().startswith("rail is lost: Rail: read: link lost; ")
         monkeypatch.setattr(bed.rail, "read", read)
         assert live.runner.answer() == ""
