@@ -140,11 +140,15 @@ def _other_cell(calibration: Calibration, cell: Cell, calibrated: Cell | None) -
     """Say that the cell differs; in its tolerance alone is no other cell, and judged apart."""
     found, verdicts = calibration.provenance.digest, calibration.verdicts or {}
     limits = {each.limits for each in verdicts.values()}
-    if found in {cell.digest, *(_judged_by(cell, each) for each in limits or {OLD_DEFAULT})}:
+    possible = [each for each in limits or {OLD_DEFAULT} if each.max_deg is None or cell.orients]
+    if found in {cell.digest, *(_judged_by(cell, each) for each in possible)}:
         return ""
+    name = calibration.provenance.cell
+    if name != cell.name:
+        return f"it is of cell {name}, not {cell.name}"
     changed = differences(calibrated, cell) if calibrated is not None else ""
     return (
-        f"it is of cell {calibration.provenance.cell} with digest {found[:12]}, the cell given has "
+        f"it is of cell {name} with digest {found[:12]}, the cell given has "
         f"{cell.digest[:12]}: another cell, one whose file was changed since, or other "
         "--set than its run's" + (f"; its run's and the one given: {changed}" if changed else "")
     )

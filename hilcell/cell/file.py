@@ -376,6 +376,11 @@ class Cell(Frozen, frozen=True, kw_only=True):
         """Whether the robot rides on a rail; without one it stands on the floor."""
         return self.rail.driver != NO_RAIL
 
+    @property
+    def orients(self) -> bool:
+        """Whether the tool's orientation is measured, by several reflectors on the flange."""
+        return bool(self.robot.more_smr_mm)
+
     def _bad_reflectors(self) -> Iterator[str]:
         if self.robot.more_smr_mm and self.layout.by_hand:
             yield (

@@ -61,7 +61,7 @@ def _write_arm(
     from hilcell.fit.rigid_arm import rigid_arm
 
     if args.urdf_out:
-        check_output(Path(args.urdf_out), (URDF,), "a URDF", inputs=inputs)
+        check_output(Path(args.urdf_out), (URDF, ".xml"), "a URDF", inputs=inputs)
     if args.dh_out:
         check_output(Path(args.dh_out), (*CSV, ".json"), "a DH table", inputs=inputs)
     found = rigid_arm(robot.arm(), fit)

@@ -10,7 +10,8 @@ from hilcell.writing import NotWritten, check_place
 CSV = (".csv", ".txt")
 KNOWN = (
     ".csv", ".txt", ".xlsx", ".xls", ".ods", ".json", ".html", ".htm", ".pdf", ".src", ".dat",
-    ".urdf", ".toml", ".sqlite", ".zip",
+    ".urdf", ".toml", ".sqlite", ".zip", ".xml", ".dcc", ".doc", ".docx", ".odt", ".rtf", ".md",
+    ".xhtml", ".xlsm", ".xlsb", ".tsv", ".jsonl", ".png", ".jpg", ".jpeg", ".svg", ".db",
 )  # fmt: skip
 
 

@@ -10,14 +10,15 @@ from typing import Any, NoReturn
 
 from hilcell.commands.output import print_message, stdout_checked
 
+HELP = ("-h", "--help")  # no word is mistyped for it: each command has it
 REFUSED = 2  # of `hilcell.run.exits`, which is heavy to import
 
 
 class Parser(argparse.ArgumentParser):
     """Reads the words of one command; ``commands`` are those that may follow, if any may."""
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, allow_abbrev=False)
         self.commands: argparse._SubParsersAction[Parser] | None = None
 
     def add_commands(self) -> argparse._SubParsersAction[Parser]:
@@ -38,13 +39,9 @@ class Parser(argparse.ArgumentParser):
             if self.commands is not None and not word.startswith("-"):
                 self._refuse_unknown_command(word, self.commands.choices)
                 return
-            if name.startswith("--") and " " not in word and not self._has_option(name):
-                near = _nearest(name, self._option_string_actions)
-                self.error(f"{name[:80]} is no option{near}")
-
-    def _has_option(self, name: str) -> bool:
-        """Whether ``name`` is an option, or the beginning of one."""
-        return any(option.startswith(name) for option in self._option_string_actions)
+            known = self._option_string_actions
+            if name.startswith("--") and " " not in word and name not in known:
+                self.error(f"{name[:80]} is no option{_nearest(name, known)}")
 
     def _refuse_unknown_command(self, word: str, known: Iterable[str]) -> None:
         if word in known:
@@ -72,6 +69,11 @@ class Parser(argparse.ArgumentParser):
 
 
 def _nearest(word: str, known: Iterable[str]) -> str:
+    """Return the end of a sentence that names the word that was meant; a beginning means it."""
     from hilcell.cell.settings import did_you_mean  # `--help` does without it
 
-    return did_you_mean(word, known)
+    known = list(known)
+    begun = [each for each in known if each.startswith(word)]
+    return did_you_mean(
+        begun[0] if len(begun) == 1 else word, [each for each in known if each not in HELP or begun]
+    )

@@ -49,7 +49,7 @@ _NAMED = {
     "csv": (CSV, "CSV"),
     "xlsx": ((".xlsx",), "a workbook"),
     "json": ((".json",), "JSON"),
-    "dcc": ((".xml",), "a DCC"),
+    "dcc": ((".xml", ".dcc"), "a DCC"),
 }
 
 

@@ -474,12 +474,13 @@ def positions_mm(points: Iterable[Point]) -> Array:
 def commanded_rad(points: Iterable[Point]) -> Array:
     """Return the joints (N, 6) that were commanded."""
     commanded_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
-    return np.radians(commanded_deg)
+    return np.radians(commanded_deg).reshape(-1, 6)
 
 
 def variances_mm2(points: Sequence[Point]) -> Array:
     """Return the variances (N, 3) of the averaged readings, axes of the tracker's frame."""
-    return reading_variances_mm2([p.std_mm for p in points], [p.samples for p in points])
+    std_mm: Array = np.array([p.std_mm for p in points], dtype=float).reshape(-1, 3)
+    return reading_variances_mm2(std_mm, [p.samples for p in points])
 
 
 def covariances_mm2(points: Sequence[Point], R: Array) -> Array:

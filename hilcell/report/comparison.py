@@ -180,7 +180,10 @@ def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
     seeds = (first.inputs.truth_seed, second.inputs.truth_seed)
     if None not in seeds and seeds[0] != seeds[1]:
         yield "the machines' seeds differ: these are two simulated cells, not one that drifted"
-    if not grids and all(log.select("grid") for log in (first, second)):
+    measured = [bool(log.select("grid")) for log in (first, second)]
+    if any(measured) and not all(measured):
+        yield "only one of the runs measured the grid: it is not compared"
+    elif not grids and all(measured):
         yield "the grids differ: their vertices are not compared"
     methods = [str(log.verdicts.get("fit", {}).get("method", "")) for log in (first, second)]
     if all(methods) and methods[0] != methods[1]:

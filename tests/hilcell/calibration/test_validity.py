@@ -128,6 +128,15 @@ def test_another_limit_of_orientation_than_the_cell_s() -> None:
     assert "another cell" not in str(refusal.value)
 
 
+def test_a_limit_of_orientation_and_a_cell_that_measures_none() -> None:
+    found = judged(0.01, 0.1, Limits(0.12, 0.3, 0.05), Guard(0.04, 0.05), turn=Turn(0.01, 0.01))
+    made = msgspec.structs.replace(aged(1), verdicts={"S1100": found})
+    with pytest.raises(Unfit, match=f"it is of cell paper with digest .* {CELL.digest[:12]}"):
+        check_fitness(made, NOW, cell=CELL)
+    with pytest.raises(Unfit, match="it is of cell paper, not fixed"):
+        check_fitness(made, NOW, cell=load_cell("fixed"))
+
+
 def test_another_verdict_that_does_not_hold() -> None:
     """The run ended with exit code 1, whatever its validation found."""
     said = "suspected ['mount slipped (0.2 mm), noticed by re-visited poses']"

@@ -16,6 +16,10 @@ from tests.hilcell.commands.workplace import Workplace
     ("words", "name", "part"),
     [
         (["report"], "x.csv", "a report is written; name it x.html"),
+        (["report"], "x.docx", "is a .docx file by its name, and a report is written; name it x."),
+        (["report"], "x.xml", "a report is written; name it x.html"),
+        (["export", "--csv"], "x.dcc", "is a .dcc file by its name, and CSV is written; name it"),
+        (["export", "--dcc"], "x.svg", "a DCC is written; name it x.xml"),
         (["export", "--csv"], "x.pdf", "CSV is written; name it x.csv"),
         (["export", "--xlsx"], "x.xls", "a workbook is written; name it x.xlsx"),
         (["export", "--json"], "x.HTML", "JSON is written; name it x.json"),

@@ -177,7 +177,7 @@ def test_another_cell_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[s
     path = holes(tmp_path, *INSIDE)
     made(tmp_path)
     assert prepare(tmp_path, path, "--cell", "hard") == 2
-    assert "another cell, one whose file was changed since" in capsys.readouterr().err
+    assert "it is of cell paper, not hard" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
