@@ -14,8 +14,9 @@ import numpy as np
 
 from drivers import emscon
 from drivers.emscon import Change, Command, Failure, Multi, Packet, Reply, StatusChange
-from drivers.emscon_errors import DEVICE, failed
+from drivers.emscon_errors import failed
 from drivers.supervision import Patience
+from drivers.tracker_readings import DEVICE
 from hilcell.ports import Array, Clock, DeviceError, NoReading, Stopped, StreamBlock
 
 SLOWEST_HZ, FASTEST_HZ = 0.1, 1000.0

@@ -19,10 +19,20 @@ from msgspec import Meta
 
 from drivers import emscon
 from drivers.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
-from drivers.emscon_errors import ALARMS, DEVICE, failed, no_reading, refused, spoken
+from drivers.emscon_errors import failed, spoken
 from drivers.emscon_stream import EmsconStream
 from drivers.supervision import Patience
 from drivers.tcp import TcpLink
+from drivers.tracker_readings import (
+    ALARMS,
+    DEVICE,
+    another_tracker,
+    checked_order,
+    misplaced,
+    no_reading,
+    refused,
+    std_of_repeats,
+)
 from hilcell.clean import clean
 from hilcell.ports import (
     Air,
@@ -98,9 +108,7 @@ class LeicaEmsconTracker:
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times."""
-        near_mm = np.asarray(near_mm, dtype=float)
-        if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
-            raise DeviceError("HC-T35", DEVICE, "measure", f"{samples} samples at {near_mm} mm")
+        near_mm = checked_order(near_mm, samples)
         self.point_at(near_mm, reflector)
         results = [self._single(near_mm) for _ in range(samples)]
         return self._reading(results, reflector)
@@ -151,14 +159,7 @@ class LeicaEmsconTracker:
         status = self._system_status()
         serial, wanted = str(status.serial), self._options.serial
         if wanted not in ("", serial):
-            raise refused(
-                "HC-T03",
-                "connect",
-                f"serial {serial}",
-                wanted=wanted,
-                act="this is another tracker; correct tracker.options",
-                serial=serial,
-            )
+            raise another_tracker(serial, wanted)
         if status.processor != emscon.INITIALIZED:
             self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
             status = self._system_status()
@@ -374,29 +375,16 @@ class LeicaEmsconTracker:
                 act="another program changed the units; resume sets them again",
                 fields={"xyz": result.xyz},
             )
-        return no_reading(
-            "HC-T16",
-            f"the reflector is {off_mm:.2f} mm from its expected place",
-            wanted=f"<= {self._options.find_radius_mm:.2f} mm",
-            act="another reflector was caught, or a late result came; clear the view",
-            off_mm=off_mm,
-            limit_mm=self._options.find_radius_mm,
-        )
+        return misplaced(off_mm, self._options.find_radius_mm)
 
     def _reading(self, results: list[Single], reflector: str) -> TrackerReading:
         points_mm = np.array([result.xyz for result in results])
-        std_mm = points_mm.std(axis=0, ddof=1) if len(results) > 1 else np.array(results[0].std)
-        spread_mm = float(np.linalg.norm(std_mm))
-        if len(results) > 1 and not spread_mm <= self._options.max_std_mm:
-            raise no_reading(
-                "HC-T15",
-                f"{len(results)} repeats spread by {spread_mm:.4f} mm (1 sigma)",
-                wanted=f"<= {self._options.max_std_mm:.4f} mm",
-                act="something moves or vibrates",
-                std_mm=spread_mm,
-                limit_mm=self._options.max_std_mm,
-                repeats=len(results),
-            )
+        many = len(results) > 1
+        std_mm = (
+            std_of_repeats(points_mm, self._options.max_std_mm)
+            if many
+            else np.array(results[0].std)
+        )
         last = results[-1]
         return TrackerReading(
             points_mm.mean(axis=0),

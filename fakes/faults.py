@@ -123,6 +123,9 @@ KNOWN = {
     "tracker.length_huge": "a packet of length 2^31 comes | a measurement",
     "tracker.stream_break": "the beam breaks within a stream | a sample of a stream",
     "tracker.eof": "the server closes the connection | a measurement",
+    "tracker.geocom_code": "GeoCOM: this return code, e.g. 1284 (code) | a measurement",
+    "tracker.geocom_number": "GeoCOM: another transaction's number | a measurement",
+    "tracker.geocom_noise": "GeoCOM: bytes that are no text come first | a measurement",
     "tracker.wrong_target": "it finds another SMR, this far off (mm) | a search",
 }
 

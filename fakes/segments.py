@@ -6,18 +6,25 @@ how often was sent over the connection, so they are the same in each run.
 
 from __future__ import annotations
 
-import socket
 import time
+from typing import Protocol
 
 LATE_EVERY, LATE_S = 47, 0.001
 SPLIT_EVERY = 7
 APART_EVERY, APART_S = 3 * SPLIT_EVERY, 0.0005  # so that each half is read by itself
 
 
+class Client(Protocol):
+    """A socket, or what sends like one."""
+
+    def sendall(self, data: bytes, /) -> None:
+        """Send all of ``data``."""
+
+
 class Segments:
     """The sending side of one connection."""
 
-    def __init__(self, client: socket.socket) -> None:
+    def __init__(self, client: Client) -> None:
         self._client = client
         self._sent = 0
 

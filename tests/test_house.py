@@ -33,6 +33,7 @@ TRAPS = {  # a motion or a result that would be wrong without notice; all else i
     "drivers/program_krl/data.py": "a target is relative in disguise",
     "drivers/program_krl/turns.py": "an axis turns by 360 deg",
     "drivers/tracker_leica_emscon.py": "a late result passes for the next point",
+    "drivers/tracker_leica_geocom.py": "an old distance or a late answer passes for the next point",
     "hilcell/run/strip_loop.py": "a station is missed by the backlash",
 }
 

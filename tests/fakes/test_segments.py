@@ -21,7 +21,7 @@ class Wire:
 
 def sent(count: int, size: int = 20) -> list[bytes]:
     wire = Wire()
-    segments_of = Segments(wire)  # type: ignore[arg-type]  # all of a socket that it uses
+    segments_of = Segments(wire)
     for number in range(count):
         segments_of.send(bytes([number]) * size)
     return wire.pieces

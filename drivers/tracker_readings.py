@@ -1,0 +1,71 @@
+"""Readings of a tracker, and the errors that all trackers share, with the codes of their alarms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.tcp import Alarms
+from hilcell.ports import Array, DeviceError, DeviceRefused, NoReading
+
+DEVICE = "Tracker"
+ALARMS = Alarms(unreachable="HC-T01", lost="HC-T02")
+
+
+def no_reading(
+    code: str, found: str, *, wanted: str = "", act: str = "", **fields: object
+) -> NoReading:
+    """Return the error of one measurement that may be tried again."""
+    return NoReading(code, DEVICE, "measure", found, wanted=wanted, act=act, fields=fields)
+
+
+def refused(
+    code: str, operation: str, found: str, *, wanted: str = "", act: str = "", **fields: object
+) -> DeviceRefused:
+    """Return why this tracker is not worked with."""
+    return DeviceRefused(code, DEVICE, operation, found, wanted=wanted, act=act, fields=fields)
+
+
+def another_tracker(serial: str, wanted: str) -> DeviceRefused:
+    """Return the error of a tracker whose serial number is not that of the cell file."""
+    act = "this is another tracker; correct tracker.options"
+    return refused("HC-T03", "connect", f"serial {serial}", wanted=wanted, act=act, serial=serial)
+
+
+def checked_order(near_mm: Array, samples: int) -> Array:
+    """Return the place (3,) that is to be measured; raises `DeviceError` for an impossible one."""
+    near_mm = np.asarray(near_mm, dtype=float)
+    if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
+        raise DeviceError("HC-T35", DEVICE, "measure", f"{samples} samples at {near_mm} mm")
+    return near_mm
+
+
+def misplaced(off_mm: float, radius_mm: float) -> NoReading:
+    """Return the error of a result that is too far from the expected place."""
+    return no_reading(
+        "HC-T16",
+        f"the reflector is {off_mm:.2f} mm from its expected place",
+        wanted=f"<= {radius_mm:.2f} mm",
+        act="another reflector was caught, or a late result came; clear the view",
+        off_mm=off_mm,
+        limit_mm=radius_mm,
+    )
+
+
+def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:
+    """Return the standard deviation (3,) of one of the repeats (N, 3), N > 1.
+
+    Raises `NoReading` where they spread by more than ``limit_mm``.
+    """
+    std_mm: Array = points_mm.std(axis=0, ddof=1)
+    spread_mm = float(np.linalg.norm(std_mm))
+    if not spread_mm <= limit_mm:
+        raise no_reading(
+            "HC-T15",
+            f"{len(points_mm)} repeats spread by {spread_mm:.4f} mm (1 sigma)",
+            wanted=f"<= {limit_mm:.4f} mm",
+            act="something moves or vibrates",
+            std_mm=spread_mm,
+            limit_mm=limit_mm,
+            repeats=len(points_mm),
+        )
+    return std_mm

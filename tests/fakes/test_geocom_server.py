@@ -1,0 +1,229 @@
+"""The total station's lines, on a socket and on a pseudo terminal, written from protocols.md."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import serial
+
+from fakes.faults import Faults
+from fakes.geocom_device import SERIAL, GeocomDevice
+from fakes.geocom_server import GeocomServer
+from fakes.plant import Plant
+from fakes.time import PlantTime
+from hilcell.cell.file import Cell
+from hilcell.geometry.kinematics import Array
+from tests.fakes.wires import connected
+
+Wire = Callable[[bytes], None]
+
+
+@dataclass
+class Station:
+    plant: Plant
+    faults: Faults
+    device: GeocomDevice
+    write: Callable[[bytes], object]
+    readline: Callable[[], bytes]
+    number: int = 0
+
+    def ask(self, rpc: int, *parameters: float) -> tuple[int, list[float]]:
+        self.number += 1
+        self.write(f"%R1Q,{rpc},{self.number}:{','.join(map(str, parameters))}\r\n".encode())
+        head, _, rest = self.readline().decode().strip().partition(":")
+        assert head == f"%R1P,0,{self.number}"
+        code, *values = rest.split(",")
+        return int(code), [float(value) for value in values]
+
+    def ready(self) -> None:
+        for rpc, *values in ((107, 15), (18005, 1), (2028, 658e-9, 1009.0, 23.0, 23.0)):
+            assert self.ask(int(rpc), *values)[0] == 0
+
+    def aim(self, at_mm: Array) -> int:
+        """Turn to a place (3,) and aim: Hz turns clockwise seen from above."""
+        x, y, z = at_mm
+        hz, v = -math.atan2(y, x) % math.tau, math.atan2(math.hypot(x, y), z)
+        assert self.ask(9027, hz, v, 0, 0, 0)[0] == 0
+        return self.ask(9037, 0.02, 0.02, 0)[0]
+
+    def measure(self) -> tuple[int, list[float]]:
+        assert self.ask(2008, 3, 1)[0] == 0
+        assert self.ask(2008, 1, 1)[0] == 0
+        return self.ask(2108, 5000, 1)
+
+    def at(self, name: str) -> Array:
+        return self.plant.tracker.reflectors()[name]
+
+
+@contextlib.contextmanager
+def running(cell: Cell, line: bool, prism_m: float = 0.0) -> Iterator[Station]:
+    faults, clock = Faults(), PlantTime(math.inf)
+    plant = Plant(cell, 1, clock, faults)
+    device = GeocomDevice(plant.tracker, faults, prism_m)
+    server = GeocomServer(device, faults, clock, serial=line)
+    with contextlib.closing(server), contextlib.ExitStack() as stack:
+        server.start()
+        channel = str(server.address["channel"])
+        if line:
+            port = stack.enter_context(serial.Serial(channel, 115200, timeout=10))
+            yield Station(plant, faults, device, port.write, port.readline)
+        else:
+            wire = stack.enter_context(connected(int(channel.rpartition(":")[2])))
+            file = stack.enter_context(wire.makefile("rb"))
+            yield Station(plant, faults, device, wire.sendall, file.readline)
+
+
+@pytest.fixture(params=["socket", "serial"])
+def station(cell: Cell, request: pytest.FixtureRequest) -> Iterator[Station]:
+    with running(cell, request.param == "serial") as found:
+        yield found
+
+
+def test_golden_lines(station: Station) -> None:
+    for request, reply in (
+        (b"\n\r\n%R1Q,0,0:\r\n", b"%R1P,0,0:0\r\n"),  # empty lines are not answered
+        (b"%R1Q,2008,7:1,1\r\n", b"%R1P,0,7:0\r\n"),
+        (b"%R1Q,18005,8:1\r\n", b"%R1P,0,8:0\r\n"),
+        (b"%R1Q,9037,9:0.001,0.001,0\r\n", b"%R1P,0,9:8710\r\n"),
+        (b"%R1Q,5003,1:\r\n", f"%R1P,0,1:0,{SERIAL}\r\n".encode()),
+        (b"%R1Q,5004:\r\n", b'%R1P,0,0:0,"TS60 (simulated)"\r\n'),
+        (b"%R1Q,4,2:\r\n", b"%R1P,3081,2:0\r\n".replace(b":0", b":5")),
+        (b"hello\r\n", b"%R1P,3080,0:0\r\n"),
+        (b"c\r\n", b"?\r\n"),
+        (b"%R1Q,2024,3:nan\r\n", b"%R1P,0,3:2\r\n"),
+        (b"%R1Q,2024,3:\r\n", b"%R1P,0,3:2\r\n"),
+    ):
+        station.write(request)
+        assert station.readline() == reply
+
+
+def test_a_measurement_from_first_to_last(station: Station) -> None:
+    station.ready()
+    at_mm = station.at("F2")
+    assert station.aim(at_mm) == 0
+    code, (hz, v, distance_m) = station.measure()
+    assert code == 0
+    found_mm = (
+        1000
+        * distance_m
+        * np.array([math.sin(v) * math.cos(hz), -math.sin(v) * math.sin(hz), math.cos(v)])
+    )
+    np.testing.assert_allclose(found_mm, at_mm, atol=0.06)
+    code, values = station.ask(2082, 5000, 1)
+    assert code == 0
+    east, north, height, time_ms = values[:4]
+    assert values[4:] == values[:4]
+    np.testing.assert_allclose([1000 * north, -1000 * east, 1000 * height], found_mm, atol=1e-6)
+    assert time_ms > 0
+
+
+def test_few_decimal_places_are_sent_until_more_are_asked_for(station: Station) -> None:
+    assert station.ask(108) == (0, [4])
+    station.write(b"%R1Q,2029,9:\r\n")
+    assert station.readline() == b"%R1P,0,9:0,0.0000,1013.2500,12.0000,12.0000\r\n"
+
+
+def test_the_last_distance_is_kept_until_it_is_cleared(station: Station) -> None:
+    station.ready()
+    station.aim(station.at("F1"))
+    kept = station.measure()
+    station.aim(station.at("F2"))
+    assert station.ask(2108, 100, 1) == kept
+    assert station.ask(2008, 3, 1)[0] == 0
+    code, (_, _, distance_m) = station.ask(2108, 100, 1)
+    assert (code, distance_m) == (1285, 0.0)  # angles only
+
+
+def test_nothing_is_measured_without_a_target(station: Station) -> None:
+    station.ready()
+    assert station.aim(station.at("F1") + [0.0, 0.0, 400.0]) == 8710
+    assert station.measure()[0] == 1285
+    assert station.ask(18005, 0)[0] == 0
+    assert station.ask(9037, 0.1, 0.1, 0)[0] == 8714
+
+
+def test_air_and_prism_act_on_the_distance(cell: Cell) -> None:
+    with running(cell, line=False, prism_m=0.0344) as station:
+        station.ready()
+        station.aim(station.at("F1"))
+        true_m = float(np.linalg.norm(station.at("F1"))) / 1000
+        assert station.measure()[1][2] == pytest.approx(true_m - 0.0344, abs=5e-5)
+        assert station.ask(2024, 0.0344)[0] == 0
+        assert station.measure()[1][2] == pytest.approx(true_m, abs=5e-5)
+        assert station.ask(2028, 658e-9, 709.0, 23.0, 23.0)[0] == 0
+        assert station.measure()[1][2] == pytest.approx(true_m * (1 + 80e-6), abs=5e-5)
+
+
+def test_the_other_face_shows_the_same_place(station: Station) -> None:
+    station.ready()
+    station.aim(station.at("F1"))
+    _, (hz, v, distance_m) = station.measure()
+    assert station.ask(9028, 0, 0, 0)[0] == 0
+    assert station.ask(2026) == (0, [1])
+    _, (other_hz, other_v, other_m) = station.measure()
+    assert (hz + math.pi - other_hz) % math.tau == pytest.approx(0, abs=1e-4)
+    assert math.tau - v == pytest.approx(other_v, abs=1e-4)
+    assert other_m == pytest.approx(distance_m, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "code"),
+    [
+        ("tracker.no_distance", True, 1285),
+        ("tracker.beam_break_after", True, 1292),
+        ("tracker.geocom_code", 1284, 1284),
+        ("tracker.geocom_code", 769, 769),
+    ],
+)
+def test_faults_of_a_measurement(station: Station, fault: str, value: int, code: int) -> None:
+    station.ready()
+    station.aim(station.at("F1"))
+    station.faults.set(fault, value)
+    found, values = station.measure()
+    assert found == code
+    assert bool(values) == (code in (1284, 1285))
+    assert station.measure()[0] == 0
+
+
+def test_faults_of_the_wire(station: Station) -> None:
+    station.ready()
+    station.aim(station.at("F1"))
+    for fault, first in (
+        ("tracker.geocom_noise", b"\xfe\x80\xf8\x06\r\n"),
+        ("tracker.split_packet", b"%R1P,0,70:0,"),
+        ("tracker.geocom_number", b"%R1P,0,71:0,"),
+    ):
+        station.faults.set(fault)
+        station.write(b"%R1Q,2008,69:1,1\r\n%R1Q,2108,70:5000,1\r\n")
+        assert station.readline() == b"%R1P,0,69:0\r\n"
+        assert station.readline().startswith(first)
+        if fault == "tracker.geocom_noise":
+            assert station.readline().startswith(b"%R1P,0,70:0,")
+
+
+def test_a_late_result_comes_with_the_next_one(station: Station) -> None:
+    station.ready()
+    station.aim(station.at("F1"))
+    station.faults.set("tracker.late_result")
+    station.write(b"%R1Q,2108,70:100,1\r\n%R1Q,0,71:\r\n%R1Q,2108,72:100,1\r\n")
+    heads = [station.readline().partition(b":")[0] for _ in range(3)]
+    assert heads == [b"%R1P,0,71", b"%R1P,0,70", b"%R1P,0,72"]
+
+
+def test_a_motion_is_aborted(cell: Cell) -> None:
+    faults, clock = Faults(), PlantTime(0.01)  # a motion takes minutes
+    plant = Plant(cell, 1, clock, faults)
+    server = GeocomServer(GeocomDevice(plant.tracker, faults), faults, clock)
+    with contextlib.closing(server):
+        server.start()
+        port = int(str(server.address["channel"]).rpartition(":")[2])
+        with connected(port) as wire, wire.makefile("rb") as lines:
+            wire.sendall(b"%R1Q,9027,1:0.0,1.5,0,0,0\r\n")
+            wire.sendall(b"c\r\n")
+            assert lines.readline() == b"?\r\n"
+            assert lines.readline() == b"%R1P,0,1:8\r\n"
