@@ -98,6 +98,30 @@ class Judged(msgspec.Struct, frozen=True, omit_defaults=True):
         return Turn(*stated)
 
     @property
+    def deciding(self) -> str:
+        """Return the figures that decided against it beside their limits, in words; where none of
+        them did, the words of the decision.
+        """
+        found = []
+        for name, value, limit, U, unit in (
+            ("mean", self.mean_mm, self.mean_tolerance_mm, self.mean_U_mm, "mm"),
+            ("largest error", self.max_mm, self.max_tolerance_mm, self.max_U_mm, "mm"),
+            ("largest error of orientation", *self._turned, "deg"),
+        ):
+            if limit is None:
+                continue
+            outcome = outcome_of(math.nan if value is None else value, limit, U or 0.0)
+            if outcome != "accepted" and outcome == self.outcome:
+                found.append(
+                    f"{name} {_with_u(value, U)} {unit} {DECIDED[outcome]} {limit:g} {unit}"
+                )
+        return "; ".join(found) or self.decision
+
+    @property
+    def _turned(self) -> tuple[float | None, float | None, float | None]:
+        return self.max_deg, self.max_tolerance_deg, self.max_U_deg
+
+    @property
     def figures(self) -> str:
         """Return the figures beside their limits."""
         turned = ""
@@ -229,6 +253,13 @@ WORDS: dict[Outcome, str] = {
     "rejected": "out of tolerance, the uncertainty taken off",
 }
 
+DECIDED: dict[Outcome, str] = {
+    "undecided": "is not shown to keep its limit of",
+    "rejected": "is above its limit of",
+}
 
-def _with_u(value: float, U: float | None) -> str:
+
+def _with_u(value: float | None, U: float | None) -> str:
+    if value is None:
+        return "not known"
     return f"{value:.4f}" if U is None else f"{value:.4f} + U {U:.4f}"

@@ -14,9 +14,8 @@ alone moves no base.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -35,12 +34,6 @@ FEWEST = 4  # poses: three leave the rest too few degrees of freedom to say anyt
 
 Verdict = Literal["valid", "update", "redo"]
 WORDS = {"valid": "still valid", "update": "base moved, updated", "redo": "calibrate again"}
-
-
-def in_words(verdict: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a verdict's record as people read it, in plain words where it is a re-check's."""
-    found = verdict.get("verdict")
-    return dict(verdict) | ({"verdict": WORDS.get(str(found), found)} if found else {})
 
 
 class NotJudged(HilcellError):

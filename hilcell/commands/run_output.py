@@ -15,7 +15,6 @@ from typing import Any, Self
 import msgspec
 
 from hilcell.alarms.catalogue import entry_of
-from hilcell.calibration.recheck import in_words
 from hilcell.calibration.suspicions import suspected_in
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
@@ -30,10 +29,13 @@ from hilcell.commands.output import (
     stdout_checked,
 )
 from hilcell.errors import DeviceError, facts_of
+from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.journal import Record
+from hilcell.journal.key_words import verdict_words
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WAITING
+from hilcell.report.verdicts import deciding_words
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.writing import NotPrinted
 
@@ -194,7 +196,7 @@ def print_end(
         _print_result(procedure, output, log.end["result"])
     for key, verdict in log.verdicts.items():
         if not verdict["holds"]:
-            print_message(f"out of tolerance: {key}: {_facts(verdict)}")
+            print_message(failed_words(key, verdict))
     if log.link is not None and log.link.warning:
         print_message(f"warning: {log.link.warning}")
     state = log.state
@@ -251,13 +253,10 @@ def _waits_for(body: dict[str, Any]) -> str:
     return f"{body['reason']}; " if "reason" in body else ""
 
 
-def _facts(verdict: dict[str, Any]) -> str:
-    verdict = in_words(verdict)
-    return ", ".join(
-        f"{name} {value:.4f}" if isinstance(value, float) else f"{name} {value}"
-        for name, value in verdict.items()
-        if name != "holds"
-    )
+def failed_words(key: str, verdict: dict[str, Any]) -> str:
+    """Return a verdict that does not hold in words: its outcome, its subject, what decided."""
+    outcome = OUTCOMES.get(verdict.get("outcome") or "", OUTCOMES["rejected"])
+    return f"{outcome}: {verdict_words(key)}: {deciding_words(key, verdict)}"
 
 
 def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool) -> None:

@@ -13,6 +13,11 @@ USED = "calibration used"  # the events
 REVOKED = "calibration revoked"
 VALIDATION = "validation."  # the key of a verdict is this and the place
 JUDGING = (VALIDATION, "iso9283", "targets")  # verdicts on the robot against stated limits
+OUTCOMES = {  # of a judged figure, a point or a station, in the words that runs have
+    "accepted": "in tolerance",
+    "undecided": "undecided",
+    "rejected": "out of tolerance",
+}
 RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
 
 Kind = Literal["", "made", "base", "targets", "touch"]
@@ -93,13 +98,13 @@ class CalibrationReader:
         if rechecked.verdict in RECHECKED:
             verdict = RECHECKED[rechecked.verdict]
         elif undecided:
-            verdict = "undecided"
+            verdict = OUTCOMES["undecided"]
         elif any(not each.suspected for each in broken):
-            verdict = "out of tolerance"
+            verdict = OUTCOMES["rejected"]
         elif kind == "made" and not validated:
             verdict = "not validated"
         else:
-            verdict = "in tolerance" if judged and not suspected else ""
+            verdict = OUTCOMES["accepted"] if judged and not suspected else ""
         return CalibrationFacts(
             kind, self._used, validated, undecided, rechecked.verdict == "redo",
             rechecked.doubt, self._revoked, suspected, judged,
@@ -127,6 +132,6 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
         return ""
     if state != "finished":
         return "refused" if state == "idle" else state
-    if code and facts.verdict in ("", "in tolerance"):
-        return "out of tolerance"
+    if code and facts.verdict in ("", OUTCOMES["accepted"]):
+        return OUTCOMES["rejected"]
     return facts.verdict or ("measured" if points else "done")

@@ -179,7 +179,7 @@ def conformity_words(facts: Facts) -> str:
         )
     if not judged:
         return rule
-    return (
-        f"mean ≤ {limits.mean_tolerance_mm:g} mm and maximum ≤ {limits.max_tolerance_mm:g} mm; "
-        + rule
-    )
+    stated = f"mean ≤ {limits.mean_tolerance_mm:g} mm and maximum ≤ {limits.max_tolerance_mm:g} mm"
+    turns_deg = {each["max_tolerance_deg"] for each in judged if each.get("max_tolerance_deg")}
+    stated += "".join(f", error of orientation ≤ {limit_deg:g}°" for limit_deg in turns_deg)
+    return f"{stated}; {rule}"

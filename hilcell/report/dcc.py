@@ -59,7 +59,7 @@ from hilcell.report.turns import oriented
 from hilcell.writing import NotWritten
 
 UNKNOWN_COUNTRY = "ZZ"  # of ISO 3166-1's codes for the user's own use
-CONFORMITY = {"pass": "pass", "not shown": "noPass", "fail": "fail"}
+CONFORMITY = {"pass": "pass", "undecided": "noPass", "fail": "fail"}
 STATUS = {"before": "beforeAdjustment", "idw": "afterAdjustment", "chosen": "afterAdjustment"}
 AIR = {
     "air temperature": ("basic_temperature", CELSIUS),
@@ -181,7 +181,7 @@ def _given(name: str, value: str | None) -> Element | None:
 
 def _overall(facts: Facts) -> str | None:
     """Return whether the item conforms; a simulated one does to nothing."""
-    return {"PASS": "pass", "FAIL": "fail"}.get(verdict_word(facts))
+    return CONFORMITY.get(verdict_word(facts).lower())
 
 
 # -- results ---------------------------------------------------------------------------------------

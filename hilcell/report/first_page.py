@@ -13,25 +13,29 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from hilcell.calibration.decision import Judged, outcome_of
+from hilcell.calibration.decision import Judged, gravest, outcome_of
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.journal.calibration_facts import JUDGING, VALIDATION
+from hilcell.journal.calibration_facts import OUTCOMES as STATED
 from hilcell.journal.outcome import run_outcome
 from hilcell.report import pose_test
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.target_budget import TargetBudget
+from hilcell.report.verdicts import with_signs
 
 K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
+UNDECIDED = STATED["undecided"]
 BLANK = "…" * 12  # to fill in by hand
 NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
 MOST_PLACES = 4  # whose results stand on the page
-OUTCOMES = {"accepted": "pass", "undecided": "not shown", "rejected": "fail"}
+MOST_DECIDING = 2  # stations that the verdict's sentence names
+OUTCOMES = {"accepted": "pass", "undecided": UNDECIDED, "rejected": "fail"}
 
 
 class Fact(NamedTuple):
@@ -142,7 +146,7 @@ def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
 
 
 def verdict_word(facts: Facts) -> str:
-    """Return the verdict in one or two words: PASS or FAIL where the robot was judged.
+    """Return the verdict in a few words: PASS, FAIL or UNDECIDED where the robot was judged.
 
     Where it was not it is the outcome in capitals; "NO VERDICT" before a run has finished.
     """
@@ -153,8 +157,25 @@ def verdict_word(facts: Facts) -> str:
     outcome = run_outcome(facts.log)
     if not any(key.startswith(JUDGING) for key in facts.log.verdicts):
         return outcome.upper()
+    simulated = facts.inputs.simulated
+    if outcome == UNDECIDED:
+        return "WOULD BE UNDECIDED" if simulated else "UNDECIDED"
     word = "PASS" if outcome == "in tolerance" else "FAIL"
-    return f"WOULD {word}" if facts.inputs.simulated else word
+    return f"WOULD {word}" if simulated else word
+
+
+def deciding(facts: Facts) -> str:
+    """Return where which figures decided that the run does not pass, after a colon."""
+    failed = {place: each for place, each in judged_places(facts).items() if not each.holds}
+    outcomes = [each.outcome for each in failed.values() if each.outcome is not None]
+    if not outcomes:
+        return ""
+    found = [
+        f"{place}, {with_signs(each.deciding)}"
+        for place, each in failed.items() if each.outcome == gravest(outcomes)
+    ]  # fmt: skip
+    more = f"; and at {len(found) - MOST_DECIDING} more stations" if found[MOST_DECIDING:] else ""
+    return f": at {'; at '.join(found[:MOST_DECIDING])}{more}"
 
 
 def uncertainty_words(facts: Facts, budget: Budget | None) -> str:

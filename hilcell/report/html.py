@@ -35,6 +35,7 @@ from hilcell.report.drawings.variance import variance_bar
 from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import (
+    deciding,
     instruments,
     item_facts,
     nearest_results,
@@ -198,13 +199,17 @@ def sentence(facts: Facts) -> str:
     for kind in ("recheck", "targets"):
         if kind in facts.result:
             return str(facts.result[kind]["text"])
-    word = verdict_word(facts)
+    word, why = verdict_word(facts), deciding(facts)
     if word == "OUT OF TOLERANCE":
         return "A check of this run is beyond its limit: see the verdicts."
     if word.endswith("PASS"):
         return "After correction the robot keeps its limits, the uncertainty taken into account."
     if word.endswith("FAIL"):
-        return "The robot is not shown to keep its limits, the uncertainty taken into account."
+        return (
+            f"The robot is not shown to keep its limits, the uncertainty taken into account{why}."
+        )
+    if word.endswith("UNDECIDED"):
+        return f"Neither that the robot keeps its limits is shown nor the contrary{why}."
     return "No correction was judged against limits in this run."
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import msgspec
@@ -13,7 +14,7 @@ from hilcell.calibration.decision import Judged
 from hilcell.calibration.known_length import LengthFound
 from hilcell.calibration.pose_test import ISO
 from hilcell.calibration.recheck import WORDS
-from hilcell.journal.calibration_facts import VALIDATION
+from hilcell.journal.calibration_facts import OUTCOMES, VALIDATION
 from hilcell.journal.key_words import verdict_words
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
@@ -23,7 +24,6 @@ Body = Mapping[str, Any]
 UNITS = {
     "mm": " mm", "s": " s", "c": " °C", "k": " K", "deg": "°", "urad": " µrad", "percent": " %",
 }  # fmt: skip
-OUTCOMES = {"accepted": "in tolerance", "rejected": "out of tolerance", "undecided": "not decided"}
 _SIGNS = {"<=": "≤", r"\+-": "±", r" deg\b": "°"}
 
 
@@ -34,11 +34,31 @@ def verdicts(facts: Facts) -> Sheet | None:
 
 def figures_words(key: str, body: Body) -> str:
     """Return the figures of a verdict in words, plain names and values of one not known here."""
+    return with_signs(_words(key, body))
+
+
+def deciding_words(key: str, body: Body) -> str:
+    """Return what decided a verdict, in words: the figures that do not keep their limit, where it
+    is one on targets.
+    """
+    if key.startswith(VALIDATION) or key == "targets":
+        with suppress(msgspec.ValidationError):
+            judged = msgspec.convert(body, Judged)
+            if judged.deciding:
+                return judged.deciding
+    return _words(key, body)
+
+
+def _words(key: str, body: Body) -> str:
     group = VALIDATION if key.startswith(VALIDATION) else key
     try:
-        words = FIGURES.get(group, _plain)(body)
+        return FIGURES.get(group, _plain)(body)
     except (KeyError, msgspec.ValidationError):  # an earlier version's lacks a figure
-        words = _plain(body)
+        return _plain(body)
+
+
+def with_signs(words: str) -> str:
+    """Return words with the signs of print."""
     for written, shown in _SIGNS.items():
         words = re.sub(written, shown, words)
     return words

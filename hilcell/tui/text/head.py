@@ -17,6 +17,7 @@ from hilcell.tui.text.lines import bar, placed
 from hilcell.tui.text.run import is_simulated, simulation_block
 
 BLOCK, FIRST_AT, SECOND_AT = 24, 26, 53
+MOST_LETTERS = (BLOCK + 1) // 4  # that are large; a longer word is a bold line
 BAR, TO_LIMIT = 24, 19
 LEAST_WIDTH, LEAST_ROWS = 78, 14
 NEXT = "o report   p plots   w worst points   n new run"
@@ -87,7 +88,7 @@ def _block(head: Head, mark: Content, glyphs: Glyphs) -> list[Content]:
     style, ground = _style(head.role)
     texts: list[str] = []
     for word in head.words:
-        texts += ["", word, ""] if glyphs.plain else large_rows(word)
+        texts += ["", word, ""] if glyphs.plain or len(word) > MOST_LETTERS else large_rows(word)
     if len(head.words) == 1:
         texts = ["", *texts, "", head.stated]
     pad = (BLOCK - mark.cell_length) // 2

@@ -23,7 +23,7 @@ LINES = (
     ("air", "temperature at the tracker, and its change since the first point"),
     ("interlocks", "locked, free or waiting, and in short why; all of it on their page"),
     ("|e| dx dy dz", "actual - nominal in {W}, of the newest or the chosen point; grey is old"),
-    ("PASS, FAIL", "a finished run: its worst station decides; w, b, / or Enter: the points"),
+    ("PASS, FAIL", "a finished run: its worst station decides; UNDECIDED: neither is shown"),
     ("last rows", "the worst alarm, or the next step; acts; views; a grey key does nothing"),
     ("points", "all points; up and down choose, Enter opens one"),
     ("as sent", "before the correction; paper method: corrected as the paper does"),

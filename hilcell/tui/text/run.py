@@ -10,6 +10,8 @@ from typing import Any
 from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
+from hilcell.journal.calibration_facts import OUTCOMES
+from hilcell.journal.outcome import run_outcome
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import part_words, procedure_words, step_words
 from hilcell.tui.engine.run_view import EngineState, RunView
@@ -66,15 +68,23 @@ def simulation_block() -> Content:
     return Content.assemble(("▒", edge), (" SIMULATION ", "bold $on-sim on $sim-fill"), ("▒", edge))
 
 
+def state_of(view: RunView) -> tuple[str, str]:
+    """Return the state's word and role: of a run that ended with exit 1, its outcome."""
+    if view.state != "intolerant":
+        return STATES[view.state]
+    outcome = run_outcome(view.log).partition(";")[0]
+    return outcome.upper(), "ask" if outcome == OUTCOMES["undecided"] else "fault"
+
+
 def role_of(view: RunView) -> str:
     """Return the role of the state's colour; RUNNING is not bright where nothing is heard."""
-    role = STATES[view.state][1]
+    role = state_of(view)[1]
     return "label" if role == "live" and view.stale else role
 
 
 def state_block(view: RunView, glyphs: Glyphs) -> Content:
     """Return the state by word, shape and colour."""
-    return block(f"{glyphs.states[view.state]} {STATES[view.state][0]}", role_of(view))
+    return block(f"{glyphs.states[view.state]} {state_of(view)[0]}", role_of(view))
 
 
 def banner(view: RunView, glyphs: Glyphs, width: int, background: RunView | None = None) -> Content:
@@ -116,7 +126,7 @@ def _stop_notice(view: RunView, room: int) -> tuple[str, str]:
 
 def _background_notice(background: RunView, room: int) -> str:
     """Return the longest notice of the background run that fits."""
-    word = STATES[background.state][0]
+    word = state_of(background)[0]
     stop = "use the E-stop" if background.state == "silent" else "Esc stops"
     notices = (f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind")
     return next((each for each in notices if len(each) <= room), "")
@@ -126,7 +136,7 @@ def end_text(view: RunView) -> str:
     """Return how a background run has ended."""
     worst = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity), default=None)
     why = f": {worst.code} {worst.title}" if worst is not None else ""
-    return f"the run behind, {view.run}, has ended: {STATES[view.state][0]}{why}"
+    return f"the run behind, {view.run}, has ended: {state_of(view)[0]}{why}"
 
 
 def identity(view: RunView, width: int) -> Content:

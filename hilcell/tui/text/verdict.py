@@ -18,6 +18,7 @@ from hilcell.alarms import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, code_of_verdict
 from hilcell.calibration.decision import Turn
 from hilcell.clean import harmless
+from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.key_words import in_words
 from hilcell.journal.outcome import run_outcome
 from hilcell.journal.set_ups import PROVEN
@@ -82,6 +83,11 @@ class Verdict:
     max_limit_mm: float
     floor_mm: float
     max_limit_deg: float | None = None
+
+    @property
+    def undecided(self) -> bool:
+        """Whether neither that the limits are kept is shown nor the contrary."""
+        return self.outcome == OUTCOMES["undecided"]
 
     @property
     def worst_mean(self) -> Station:
@@ -186,7 +192,9 @@ def verdict_lines(
 def words_of(found: Verdict) -> tuple[str, str]:
     """Return the verdict in one word, and what it states."""
     if found.passed:
-        return "PASS", "in tolerance"
+        return "PASS", OUTCOMES["accepted"]
+    if found.undecided:
+        return "UNDECIDED", "neither pass nor fail"
     return "FAIL", found.outcome
 
 
@@ -199,7 +207,8 @@ def _head(found: Verdict) -> Head:
         Figure("worst single |e|, mm", single.max_mm, f"at {single.name}", found.max_limit_mm,
                _where_stated(single.max_U_mm)),
     )  # fmt: skip
-    return Head((word,), stated, "passed" if found.passed else "fault", figures)
+    role = "passed" if found.passed else "ask" if found.undecided else "fault"
+    return Head((word,), stated, role, figures)
 
 
 def _where_stated(U_mm: float) -> float:
@@ -209,7 +218,7 @@ def _where_stated(U_mm: float) -> float:
 
 def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
     """Return the stations in at most ``room`` rows with header and limit; the worst are first."""
-    head = " station       targets  mean as sent     mean   95 % below   max mm  verdict"
+    head = " station       targets mean as sent     mean  95 % below   max mm  verdict"
     lines = [Content.styled(f"{head:<78}", "$label on $panel")]
     order = sorted(found.stations, key=lambda each: -gravest(each.mean_mm))
     kept = order[: room - 2]
@@ -217,8 +226,8 @@ def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
     lines += [_row(each, found, glyphs) for each in shown]
     left = len(found.stations) - len(shown)
     name = f"limit, {left} more in the report" if left else "limit"
-    limit = f"{found.mean_limit_mm:9.3f}{'-':>13}{found.max_limit_mm:9.3f}"
-    return [*lines, Content.styled(f" {name:<35}{limit}", "$label")]
+    limit = f"{found.mean_limit_mm:9.3f}{'-':>12}{found.max_limit_mm:9.3f}"
+    return [*lines, Content.styled(f" {name:<34}{limit}", "$label")]
 
 
 def _is_doubtful(each: Station, found: Verdict) -> bool:
@@ -232,7 +241,7 @@ def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
         "accepted": (f"{glyphs.fresh} pass", "$passed"),
         "rejected": (f"{glyphs.warned} FAIL", "bold $fault"),
     }
-    word, tone = said.get(each.outcome, (f"{glyphs.warned}undecided", "$ask"))
+    word, tone = said.get(each.outcome, (f"{glyphs.warned} {OUTCOMES['undecided']}", "$ask"))
     if _is_doubtful(each, found):  # never a plain pass beside a figure that is over
         word, tone = f"{glyphs.warned} pass?", "$ask"
     mean_style = "bold" if each.mean_mm <= found.mean_limit_mm else "bold $fault"
@@ -240,11 +249,11 @@ def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
     name = Content(harmless(each.name)).truncate(13, ellipsis=True).plain
     return Content.assemble(
         f" {name:<13}",
-        (f"{each.targets:>8}{each.before_mm:14.3f}", "$label"),
+        (f"{each.targets:>8}{each.before_mm:13.3f}", "$label"),
         (f"{figure(each.mean_mm):>9}", mean_style),
-        f"{figure(each.p95_mm):>13}",
+        f"{figure(each.p95_mm):>12}",
         (f"{figure(each.max_mm):>9}", max_style),
-        (f"  {word}", tone),
+        (f" {word}", tone),
     )
 
 

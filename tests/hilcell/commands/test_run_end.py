@@ -1,6 +1,7 @@
 """The end of a run as it is printed: the fault, and where its steps are found."""
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.devices import ConnectFailed, load_entry
 from hilcell.commands.cli import main
-from hilcell.commands.run_output import RunOutput, print_end
+from hilcell.commands.run_output import RunOutput, failed_words, print_end
 from hilcell.errors import DeviceError
 from hilcell.journal.runs import read_log
 from tests.hilcell.report.journals import Writer
@@ -77,3 +78,48 @@ def test_an_error_that_nobody_expected_is_printed_with_its_trace(
     assert reason.startswith(
         "ValueError: could not convert string to float: '4394.2 245.2'; a defect"
     )
+
+
+POSITION = {
+    "holds": False, "mean_mm": 0.0311, "mean_tolerance_mm": 0.12, "mean_U_mm": 0.04,
+    "max_mm": 0.1, "max_tolerance_mm": 0.3, "max_U_mm": 0.05,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("key", "more", "words"),
+    [
+        (
+            "validation.S1100",
+            POSITION
+            | {"outcome": "undecided", "max_deg": 0.022, "max_tolerance_deg": 0.03}
+            | {"max_U_deg": 0.015},
+            (
+                "undecided: validation at S1100: largest error of orientation 0.0220 + U 0.0150 "
+                "deg is not shown to keep its limit of 0.03 deg"
+            ),
+        ),
+        (
+            "validation.S1100",
+            POSITION | {"outcome": "rejected", "mean_mm": 0.2},
+            (
+                "out of tolerance: validation at S1100: mean 0.2000 + U 0.0400 mm is above its "
+                "limit of 0.12 mm"
+            ),
+        ),
+        (
+            "validation.S1100",
+            POSITION | {"outcome": "undecided", "decision": "too few targets"},
+            "undecided: validation at S1100: too few targets",
+        ),
+        (
+            "backlash",
+            {"holds": False, "found_mm": 0.5, "limit_mm": 0.4},
+            "out of tolerance: backlash of the rail: backlash 0.5000 mm, wanted <= 0.4 mm",
+        ),
+    ],
+)
+def test_a_verdict_that_does_not_hold_is_printed_in_words(
+    key: str, more: dict[str, Any], words: str
+) -> None:
+    assert failed_words(key, more) == words

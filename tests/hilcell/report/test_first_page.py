@@ -13,7 +13,7 @@ import pytest
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.cell.file import load_cell
 from hilcell.journal.index import row_of
-from hilcell.report.certificate import title
+from hilcell.report.certificate import conformity_words, title
 from hilcell.report.drawings.paper_figures import drawings
 from hilcell.report.drawings.plan_view import plan_view
 from hilcell.report.facts import Facts, read_facts
@@ -26,7 +26,7 @@ from hilcell.report.first_page import (
     validity_facts,
     verdict_word,
 )
-from hilcell.report.html import report_html, standing
+from hilcell.report.html import report_html, sentence, standing
 from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
 from tests.hilcell.report.pages import Page
 from tests.whole.golden import GoldenRuns
@@ -56,12 +56,42 @@ def judged(
         (1, {}, {}, "FAIL"),  # another verdict does not hold
         (0, {}, {"simulated": True}, "WOULD PASS"),
         (1, {"holds": False}, {"simulated": True}, "WOULD FAIL"),
+        (1, {"holds": False, "outcome": "undecided"}, {}, "UNDECIDED"),
+        (1, {"holds": False, "outcome": "undecided"}, {"simulated": True}, "WOULD BE UNDECIDED"),
     ],
 )
 def test_the_verdict_in_a_word(
     tmp_path: Path, code: int, more: dict[str, Any], plan: dict[str, Any], word: str
 ) -> None:
     assert verdict_word(judged(tmp_path / "r", code=code, plan=plan, **more)) == word
+
+
+TURNED: dict[str, Any] = {
+    "holds": False, "outcome": "undecided", "max_deg": 0.022, "max_tolerance_deg": 0.03,
+    "max_U_deg": 0.015,
+}  # fmt: skip
+
+
+def test_the_figure_that_decided_and_its_limit_stand_in_the_sentence(tmp_path: Path) -> None:
+    facts = judged(tmp_path / "r", code=1, **TURNED)
+    assert sentence(facts) == (
+        "Neither that the robot keeps its limits is shown nor the contrary: at S1100, largest "
+        "error of orientation 0.0220 + U 0.0150° is not shown to keep its limit of 0.03°."
+    )
+    both: dict[str, Any] = {"outcome": "rejected", "max_mm": 0.4, "mean_mm": 0.1}
+    assert sentence(judged(tmp_path / "s", code=1, **(TURNED | both))).endswith(
+        "into account: at S1100, largest error 0.4000 + U 0.0500 mm is above its limit of 0.3 mm."
+    )
+    passed = sentence(judged(tmp_path / "t"))
+    assert passed == (
+        "After correction the robot keeps its limits, the uncertainty taken into account."
+    )
+
+
+def test_the_rule_has_the_limit_of_orientation_where_that_was_judged(tmp_path: Path) -> None:
+    limit = "maximum ≤ 0.3 mm, error of orientation ≤ 0.03°; guard band"
+    assert limit in conformity_words(judged(tmp_path / "r", code=1, **TURNED))
+    assert "orientation" not in conformity_words(judged(tmp_path / "s"))
 
 
 def test_without_a_judged_correction_there_is_no_verdict(tmp_path: Path) -> None:
@@ -103,7 +133,7 @@ def test_results_beside_their_limits(tmp_path: Path) -> None:
     assert found is not None
     assert found.rows == [
         ["Mean of 4 targets at S1100", "0.120", "2.000", "0.050", "0.040", "0.080", "pass"],
-        ["Largest of 4 targets at S1100", "0.300", "3.000", "0.270", "0.050", "0.250", "not shown"],
+        ["Largest of 4 targets at S1100", "0.300", "3.000", "0.270", "0.050", "0.250", "undecided"],
     ]
 
 

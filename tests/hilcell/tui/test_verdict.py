@@ -10,6 +10,7 @@ import pytest
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
+from hilcell.tui.text.run import banner
 from hilcell.tui.text.verdict import ROWS, reason_words, verdict_lines, verdict_of, words_of
 from tests.hilcell.tui.sample_runs import sample_runs
 from tests.hilcell.tui.views import view_of
@@ -87,7 +88,7 @@ def test_a_pass_beside_a_figure_over_its_limit_is_not_shown_as_plain() -> None:
     assert found is not None
     text = verdict_lines(view, found, UNICODE, 79).plain
     row = next(line for line in text.split("\n") if line.startswith(" S1100"))
-    assert row.endswith("0.310  ▲ pass?")
+    assert row.endswith("0.310 ▲ pass?")
     assert "▲ S1100: judged as pass, yet a figure is over its limit" in text
 
 
@@ -145,10 +146,14 @@ def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     view.log.verdicts["validation.S300"] = {"holds": False, "outcome": "undecided"}
     found = verdict_of(view)
     assert found is not None
-    assert words_of(found) == ("FAIL", "undecided")
-    lines = verdict_lines(view, found, UNICODE, 79).plain.split("\n")
+    assert words_of(found) == ("UNDECIDED", "neither pass nor fail")
+    assert "UNDECIDED" in banner(view, UNICODE, 79).plain
+    assert "OUT OF TOLERANCE" not in banner(view, UNICODE, 79).plain
+    lines = verdict_lines(view, found, UNICODE, 78).plain.split("\n")
+    assert not any("FAIL" in line for line in lines)
+    assert "UNDECIDED" in lines[2]
     [row] = [line for line in lines if line.startswith(" S300")]
-    assert row.endswith("▲undecided")
+    assert row.endswith("▲ undecided")
 
 
 @pytest.mark.parametrize(
