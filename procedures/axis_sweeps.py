@@ -25,6 +25,7 @@ from procedures.durations import closing, first_pass_percent, robot_moves_s, ste
 from procedures.plan import check_range, check_reach, poses_at
 
 LEFT_OUT = "axes not swept"
+COST = "the ripple of the gears stays in the error after correction"
 WAYS = ("up", "down")
 LATTICE = 7  # places along each edge of the cube, whose joints are swept
 SEEN_AT = 20  # places of a sweep at which the reflector must be in the tracker's range
@@ -138,7 +139,12 @@ class AxisSweeps:
 
 
 def left_out(cell: Cell) -> str:
-    """Return why no axis of the cell is swept; "" where some are."""
+    """Return why no axis of the cell is swept, and what that costs; "" where some are."""
+    reason = _hindrance(cell)
+    return f"{reason}; {COST}" if reason else ""
+
+
+def _hindrance(cell: Cell) -> str:
     if not cell.sweeps.enabled:
         return "sweeps.enabled is false in the cell file"
     if not axes_of(cell):
@@ -195,6 +201,12 @@ def figures_of(record: CurveRecord) -> dict[str, Any]:
         "differ_urad": record.differ_rad * 1e6,
         "lost": record.lost,
     }
+
+
+def sweep_words(result: dict[str, Any]) -> str:
+    """Return why no axis was swept; "" where some were."""
+    reason = result["sweeps"]["left_out"]
+    return f"Axes not swept: {reason}." if reason else ""
 
 
 def sweep_table(result: dict[str, Any]) -> Table:

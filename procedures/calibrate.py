@@ -6,7 +6,7 @@ from typing import Any
 
 from hilcell.geometry.statistics import Figures
 from hilcell.run.procedure import Procedure, Table
-from procedures.axis_sweeps import AxisSweeps, sweep_table
+from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
 from procedures.base_frame import BaseFrame
 from procedures.chosen_poses import ChosenPoses
 from procedures.fit import Fit
@@ -121,6 +121,7 @@ AXIS_SWEEPS = Procedure(
     "slow sweeps of single axes, each gear's error",
     (*TO_STATION, BaseFrame(), AxisSweeps()),
     sweep_table,
+    words=sweep_words,
 )
 BASE_FRAME = Procedure("base-frame", "frame {B}", (*TO_STATION, BaseFrame()), point_table)
 ROBOT_GRID = Procedure("robot-grid", "measure the robot's error on the grid", TO_GRID, point_table)

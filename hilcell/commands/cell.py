@@ -49,6 +49,7 @@ def check(args: argparse.Namespace) -> int:
         "keep_out": [volume.name for volume in cell.keep_out],
         "points": plan.points,
         "duration_s": plan.duration_s,
+        "notes": plan.notes,
         "ok": True,
     }
     words = (
@@ -58,7 +59,7 @@ def check(args: argparse.Namespace) -> int:
         f"this robot sweeps an axis: {_word(able['robot_sweeps'])}; "
         f"the arm keeps clear of: {', '.join(facts['keep_out']) or 'nothing that is stated'}"
     )
-    print_answer(facts, words, as_json=args.json)
+    print_answer(facts, "\n".join([words, *plan.notes]), as_json=args.json)
     return 0
 
 

@@ -280,6 +280,5 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
     rows = [[step.name, str(step.points), f"{step.duration_s / 60:.1f}"] for step in plan.steps]
     rows.append(["all", str(plan.points), f"{plan.duration_s / 60:.1f}"])
     print_table((["step", "points", "minutes"], rows))
-    for step in plan.steps:
-        if step.note:
-            print_message(f"{step.name} does nothing: {step.note}")
+    for note in plan.notes:
+        print_message(note)

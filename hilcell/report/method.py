@@ -114,6 +114,8 @@ def models(facts: Facts) -> Sheet | None:
     reasons += [f"No {name} model: {why}." for name, why in fit.get("refused", {}).items()]
     curves = fit.get("curves", {}).get("reason", "")
     reasons += [f"Curves of the axis sweeps: {curves}."] if curves else []
+    unswept = facts.result.get("sweeps", {}).get("left_out", "")
+    reasons += [f"Axes not swept: {unswept}."] if unswept else []
     return sheet("Choice of the correction", MODELS, rows, " ".join(filter(None, reasons)))
 
 

@@ -52,6 +52,11 @@ class Plan:
         """Return how long the run takes in the cell's time."""
         return sum(step.duration_s for step in self.steps)
 
+    @property
+    def notes(self) -> list[str]:
+        """Return in words which steps do nothing, and why."""
+        return [f"{step.name} does nothing: {step.note}" for step in self.steps if step.note]
+
 
 class Part(Protocol):
     """One act of a procedure: its needs, motions, measurements and yield, and how it is done."""

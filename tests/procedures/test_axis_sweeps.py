@@ -19,7 +19,7 @@ from hilcell.identification.motion import SweepStream
 from hilcell.ports import Array, HilcellError, JointSample, NoReading, RobotReading, StreamBlock
 from hilcell.run import sweeping
 from procedures import axis_sweeps
-from procedures.axis_sweeps import AxisSweeps, axes_of, ends_rad, left_out, sweep_table
+from procedures.axis_sweeps import COST, AxisSweeps, axes_of, ends_rad, left_out, sweep_table
 from tests.hilcell.identification.axis_streams import Axis, periodic
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, procedure
@@ -198,7 +198,7 @@ def test_an_axis_is_swept_again_where_the_first_sweeps_cannot_be_used(bed: Bed) 
 
 def test_an_act_that_is_left_out_says_why_in_plan_and_journal(tmp_path: Path) -> None:
     cell = load_cell("paper", {"sweeps.enabled": "false"})
-    assert AxisSweeps().plan(cell, 1).note == "sweeps.enabled is false in the cell file"
+    assert AxisSweeps().plan(cell, 1).note == f"sweeps.enabled is false in the cell file; {COST}"
     bed = Bed(tmp_path, cell=cell)
     assert bed.run(ACT) == 0
     assert AxisSweeps().result(bed.log())["sweeps"]["left_out"].startswith("sweeps.enabled")

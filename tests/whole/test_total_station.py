@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -150,7 +151,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_a_whole_calibration_with_the_uncertainty_of_a_total_station(
     machine: str, tmp_path: Path
 ) -> None:
-    values = SMALL | STATION | {"simulation.machine": machine}
+    values = SMALL | STATION | {"sweeps.enabled": "true", "simulation.machine": machine}
     done = command(
         "run", "--unattended", "--runs", tmp_path, "--name", "x", *sets(values), "--json"
     )
@@ -161,3 +162,14 @@ def test_a_whole_calibration_with_the_uncertainty_of_a_total_station(
     log = read_log(tmp_path / "x")
     stds_mm = np.array([point.std_mm for point in log.points.values()])
     assert 0.3 < np.median(np.linalg.norm(stds_mm, axis=1)) < 1.0
+    reason = "tracker driver 'leica-geocom' does not stream; the ripple"
+    assert result["sweeps"]["left_out"].startswith(reason)
+    page = tmp_path / "x.html"
+    assert command("report", "x", "--runs", tmp_path, "-o", page).returncode == 0
+    assert f"Axes not swept: {reason}" in html.unescape(page.read_text("utf-8"))
+
+
+def test_sweeps_alone_say_that_nothing_was_swept(tmp_path: Path) -> None:
+    words = sets(STATION | {"base_frame.points": "6"})
+    done = command("run", "axis-sweeps", "--unattended", "--runs", tmp_path, *words)
+    assert "Axes not swept: tracker driver 'leica-geocom' does not stream" in done.stderr

@@ -1,5 +1,6 @@
 """`check` as a command, in this process."""
 
+import json
 from importlib import resources
 from pathlib import Path
 
@@ -47,3 +48,19 @@ def test_a_huge_file_is_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[s
         file.truncate(10**12)
     assert main(["check", str(cell)]) == 2
     assert "wanted at most" in capsys.readouterr().err
+
+
+def test_steps_that_do_nothing_are_named_with_their_cost(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["check", "paper", "--set", "tracker.driver=leica-geocom"]
+    note = (
+        "axis-sweeps does nothing: tracker driver 'leica-geocom' does not stream; "
+        "the ripple of the gears stays in the error after correction"
+    )
+    assert main(words) == 0
+    assert note in capsys.readouterr().err.splitlines()
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["notes"] == [note]
+    assert main(["check", "paper", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["notes"] == []
